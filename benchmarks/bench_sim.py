@@ -1,0 +1,192 @@
+"""How many steps a second does the world make, against naive numpy and ir-sim?
+
+Each makes the same motion: every turtle gets a speed and a turning rate of its own, anew every 50
+steps, and each step turns, moves, stops at the walls and forgets old commands. Naive numpy is what
+a student writes: sines and cosines in each step, a fresh array for each intermediate value. ir-sim
+also keeps shapes and goals, so it does more; it is told to look for no collisions.
+
+Rounds are interleaved; a ratio is the median of the ratios of the rounds.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from turtleact.sim.kinematics import DT, SIDE
+from turtleact.sim.world import World
+
+STEPS = 50
+COUNTS = [1, 10, 100, 1_000, 10_000, 100_000, 1_000_000]
+PEER_COUNTS = [1, 10, 100]
+WORK = 1_000_000
+"""About so many turtle-steps a round, but at least one command and at most 40."""
+
+Floats = npt.NDArray[np.float64]
+Contender = Callable[[], None]
+
+
+class Naive:
+    def __init__(self, vx: Floats, omega: Floats) -> None:
+        count = len(vx)
+        self.command = vx, omega
+        poses = World(count).poses().astype(np.float64)
+        self.x, self.y, self.theta = poses[:, 0], poses[:, 1], poses[:, 2]
+        self.time = 0.0
+
+    def drive(self) -> None:
+        self.vx, self.omega = self.command
+        self.commanded = np.full(len(self.vx), self.time)
+        for _ in range(STEPS):
+            self.step()
+
+    def step(self) -> None:
+        is_old = self.time - self.commanded > 1.0
+        self.vx = np.where(is_old, 0.0, self.vx)
+        self.omega = np.where(is_old, 0.0, self.omega)
+        self.theta = self.theta + self.omega * DT
+        self.theta = (self.theta + np.pi) % (2 * np.pi) - np.pi
+        self.x = np.clip(self.x + self.vx * np.cos(self.theta) * DT, 0.0, SIDE)
+        self.y = np.clip(self.y + self.vx * np.sin(self.theta) * DT, 0.0, SIDE)
+        self.time += DT
+
+
+class Ours:
+    def __init__(self, vx: Floats, omega: Floats) -> None:
+        self.command = vx, omega
+        self.world = World(len(vx))
+
+    def drive(self) -> None:
+        vx, omega = self.command
+        world = self.world
+        world.set_velocities(vx, 0.0, omega)
+        for _ in range(STEPS):
+            world.step()
+
+
+class IrSim:
+    def __init__(self, vx: Floats, omega: Floats) -> None:
+        import irsim
+
+        text = f"""
+world: {{height: {SIDE}, width: {SIDE}, step_time: {DT}, collision_mode: unobstructed}}
+robot:
+  - number: {len(vx)}
+    distribution: {{name: random, range_low: [1, 1, -3.1], range_high: [10, 10, 3.1]}}
+    kinematics: {{name: diff}}
+    shape: {{name: circle, radius: 0.1}}
+    vel_max: [3, 3]
+    vel_min: [-3, -3]
+"""
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder, "world.yaml")
+            path.write_text(text)
+            self.env = irsim.make(str(path), display=False, log_level="ERROR")
+        self.actions = [np.array([[v], [w]]) for v, w in zip(vx, omega, strict=True)]
+        self.ids = list(range(len(vx)))
+
+    def drive(self) -> None:
+        for _ in range(STEPS):
+            self.env.step(self.actions, self.ids)
+
+
+def commands(count: int) -> tuple[Floats, Floats]:
+    rng = np.random.default_rng(0)
+    return rng.uniform(-2.0, 2.0, count), rng.uniform(-2.0, 2.0, count)
+
+
+def check_that_both_move_alike(count: int) -> None:
+    naive, ours = Naive(*commands(count)), Ours(*commands(count))
+    naive.drive()
+    ours.drive()
+    poses = ours.world.poses()
+    assert np.allclose(poses[:, 0], naive.x, atol=1e-5)
+    assert np.allclose(poses[:, 1], naive.y, atol=1e-5)
+
+
+def seconds_a_step(drive: Contender, repeats: int) -> float:
+    start = time.perf_counter()
+    for _ in range(repeats):
+        drive()
+    return (time.perf_counter() - start) / (repeats * STEPS)
+
+
+def compare(
+    ours: Contender, peer: Contender, *, rounds: int, repeats: int
+) -> tuple[float, float, float]:
+    """Median seconds a step of both, and the median of the rounds' ratios."""
+    ours()
+    peer()
+    measured = [
+        (seconds_a_step(ours, repeats), seconds_a_step(peer, repeats)) for _ in range(rounds)
+    ]
+    mine, theirs = (statistics.median(column) for column in zip(*measured, strict=True))
+    return mine, theirs, statistics.median(b / a for a, b in measured)
+
+
+def row(count: int) -> str:
+    repeats = min(40, max(1, WORK // (STEPS * count)))
+    rounds = 15 if count <= 100_000 else 5
+    mine, naive, ratio = compare(
+        Ours(*commands(count)).drive,
+        Naive(*commands(count)).drive,
+        rounds=rounds,
+        repeats=repeats,
+    )
+    goal = 20 if count == 1 else 4
+    verdict = "met" if ratio >= goal else "MISSED"
+    cells = f"{count:>9,} {1 / mine:>12,.0f} {count / mine / 1e6:>14.1f} {1 / naive:>12,.0f}"
+    return f"{cells} {ratio:>8.1f}x {f'>= {goal}x {verdict}':>13} {peer_cells(count)}"
+
+
+def peer_cells(count: int) -> str:
+    if count not in PEER_COUNTS or not importlib.util.find_spec("irsim"):
+        return f"{'-':>12} {'-':>8}"
+    ours, peer = Ours(*commands(count)), IrSim(*commands(count))
+    _, theirs, ratio = compare(ours.drive, peer.drive, rounds=5, repeats=1)
+    return f"{1 / theirs:>12,.0f} {ratio:>8,.0f}x"
+
+
+def machine() -> str:
+    path = Path("/proc/cpuinfo")
+    lines = path.read_text().splitlines() if path.exists() else []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    model = models[0] if models else platform.processor() or platform.machine()
+    load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
+    return f"{os.cpu_count()} cores, {model}, load {load}"
+
+
+def versions() -> str:
+    peer = f"ir-sim {version('ir-sim')}" if importlib.util.find_spec("irsim") else ""
+    return ", ".join(
+        filter(None, [f"Python {platform.python_version()}", f"numpy {version('numpy')}", peer])
+    )
+
+
+def main() -> None:
+    os.environ.setdefault("MPLBACKEND", "Agg")
+    print(machine())
+    print(versions())
+    if not importlib.util.find_spec("irsim"):
+        print("ir-sim is skipped: it is not installed (pip install ir-sim)")
+    check_that_both_move_alike(100)
+    print(
+        f"\n{'turtles':>9} {'steps/s':>12} {'M turtle-st./s':>14} {'naive':>12} {'ratio':>9}"
+        f" {'goal':>13} {'ir-sim':>12} {'ratio':>9}"
+    )
+    for count in COUNTS:
+        print(row(count), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,39 @@
+"""A callback hears each feedback message while the result is awaited.
+
+Prints:
+
+    heard [0, 1, 1]
+    heard [0, 1, 1, 2]
+    result [0, 1, 1, 2]
+"""
+
+import asyncio
+from collections.abc import AsyncIterator
+
+import turtleact
+from turtleact.interfaces.standard import Fibonacci
+
+
+@turtleact.action(Fibonacci, "fibonacci")
+async def fibonacci(goal: Fibonacci.Goal) -> AsyncIterator[Fibonacci.Feedback | Fibonacci.Result]:
+    """The list that is yielded goes on growing; each reader has what was yielded."""
+    sequence = [0, 1]
+    for i in range(1, goal.order):
+        sequence.append(sequence[i] + sequence[i - 1])
+        yield Fibonacci.Feedback(partial_sequence=sequence)
+    yield Fibonacci.Result(sequence=sequence)
+
+
+def hear(feedback: Fibonacci.Feedback) -> None:
+    print("heard", feedback.partial_sequence)
+
+
+async def main() -> None:
+    async with turtleact.open_node("lab") as node:
+        node.serve(fibonacci)
+        client = node.action_client(Fibonacci, "fibonacci")
+        result = await client.send_goal(Fibonacci.Goal(order=3), feedback_callback=hear)
+        print("result", result.sequence)
+
+
+asyncio.run(main())

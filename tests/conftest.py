@@ -1,0 +1,73 @@
+"""What all tests share: the event loops that an async test runs on, its watchdog, hypothesis."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import os
+import threading
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+import anyio
+import anyio.from_thread
+import anyio.lowlevel
+import hypothesis
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable, Generator
+
+BACKENDS = {
+    "asyncio": ("asyncio", {"use_uvloop": False}),
+    "uvloop": ("asyncio", {"use_uvloop": True}),
+    "trio": ("trio", {}),
+}
+INSTALLED = [name for name in BACKENDS if find_spec(name)]
+SECONDS = 30.0
+
+
+@pytest.fixture(params=[pytest.param(BACKENDS[name], id=name) for name in INSTALLED])
+def anyio_backend(request: pytest.FixtureRequest) -> object:
+    """Every async test runs once on each of them; a test may narrow it by its own parameters."""
+    return request.param
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Generator[None, object, object]:
+    """Fails an async test that hangs, on every loop: uvloop and trio outlive pytest-timeout."""
+    if inspect.iscoroutinefunction(pyfuncitem.obj):
+        pyfuncitem.obj = watched(pyfuncitem.obj)
+    return (yield)
+
+
+def watched(test: Callable[..., Awaitable[None]]) -> Callable[..., Awaitable[None]]:
+    """The same test, cancelled from a thread that keeps real time whatever clock the test has."""
+
+    @functools.wraps(test)
+    async def run(**fixtures: object) -> None:
+        token = anyio.lowlevel.current_token()
+        with anyio.CancelScope() as scope:
+            cancel = functools.partial(anyio.from_thread.run_sync, scope.cancel, token=token)
+            timer = threading.Timer(SECONDS, cancel)
+            timer.start()
+            try:
+                await test(**fixtures)
+            except anyio.get_cancelled_exc_class():
+                if scope.cancel_called:
+                    pytest.fail(f"still waiting after {SECONDS:g} s; where, is shown above")
+                raise
+            finally:
+                timer.cancel()
+
+    return run
+
+
+# A busy machine is not a wrong answer: no deadline. CI draws the same examples each time.
+hypothesis.settings.register_profile(
+    "house",
+    deadline=None,
+    derandomize="CI" in os.environ,
+    suppress_health_check=[hypothesis.HealthCheck.too_slow],
+)
+hypothesis.settings.load_profile("house")

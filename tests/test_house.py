@@ -1,0 +1,302 @@
+"""The rules of the tree itself: its layers, its start-up, its words, its lock and its CI."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "turtleact"
+
+# One planted import, or module, for each kind of contract in .importlinter.
+VIOLATIONS = [
+    pytest.param("Layers", "goal.py", "import turtleact.clock", id="upwards"),
+    pytest.param("Layers", "client.py", "import turtleact.server", id="sibling"),
+    pytest.param("Layers", "utils.py", "", id="module-in-no-row"),
+    pytest.param("Root", "node.py", "from turtleact import open_node", id="front-door"),
+    pytest.param("Pure", "goal.py", "import time", id="clock-in-goal"),
+    pytest.param("Pure", "names.py", "import asyncio", id="task-in-names"),
+    pytest.param("Pure", "interfaces/cdr.py", "import random", id="chance-in-interfaces"),
+    pytest.param("Files", "interfaces/parse.py", "import pathlib", id="file-in-parse"),
+    pytest.param("Transports", "transports/base.py", "import turtleact.goal", id="goal"),
+    pytest.param("Transports", "transports/memory.py", "import turtleact.interfaces", id="message"),
+    pytest.param("Acts", "actions/patrol.py", "import turtleact.sim.world", id="sim-in-an-action"),
+    pytest.param("World", "sim/world.py", "import turtleact.names", id="names-in-world"),
+    pytest.param("World", "sim/kinematics.py", "import time", id="clock-in-kinematics"),
+    pytest.param("Doors", "app.py", "import rich", id="rich-outside-render"),
+    pytest.param("Doors", "node.py", "import numpy", id="numpy-outside-sim"),
+    pytest.param("Doors", "cli.py", "import yaml", id="yaml-outside-text"),
+    pytest.param("Doors", "transports/memory.py", "import zenoh", id="zenoh-in-memory"),
+]
+
+# What `turtleact --help` must not wait for.
+HEAVY = ["numpy", "pydantic", "rich", "yaml", "turtleact.server", "turtleact.sim"]
+
+# Put together here, so that this file passes its own test.
+MACHINE_PATHS = [f"/{folder}/" for folder in ("work", "root", "home")]
+REGISTRY_HOSTS = [".".join(host) for host in (("pypi", "org"), ("pythonhosted", "org"))]
+
+SKIPPED_FOLDERS = {".git", ".venv", "__pycache__", "build", "dist"}
+LONGEST_MODULE = 400
+LONGEST_FUNCTION = 60
+
+
+def lint_imports(folder: Path) -> subprocess.CompletedProcess[str]:
+    tool = Path(sysconfig.get_path("scripts"), "lint-imports")
+    return subprocess.run(
+        [tool, "--no-cache"],
+        cwd=folder,
+        env=os.environ | {"COLUMNS": "200", "NO_COLOR": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def files() -> list[Path]:
+    """Every text file of the checkout that is not made by a tool."""
+    found = []
+    for folder, folders, names in os.walk(ROOT):
+        folders[:] = [
+            name for name in folders if name not in SKIPPED_FOLDERS and not is_cache(name)
+        ]
+        found += [Path(folder, name) for name in names if not name.startswith(".coverage")]
+    return sorted(found)
+
+
+def is_cache(folder: str) -> bool:
+    return folder.endswith(("_cache", ".egg-info")) or folder == ".hypothesis"
+
+
+def lines_that_hold(words: list[str], *, but: frozenset[str] = frozenset()) -> list[str]:
+    pattern = re.compile("|".join(map(re.escape, words)))
+    return [
+        f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
+        for path in files()
+        if path.name not in but
+        for number, line in enumerate(path.read_text("utf-8", "replace").splitlines(), start=1)
+        if pattern.search(line)
+    ]
+
+
+def body_length(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Lines of a function from its def to its end, its docstring left out."""
+    length = (function.end_lineno or 0) - function.lineno + 1
+    if ast.get_docstring(function, clean=False) is None:
+        return length
+    docstring = function.body[0]
+    return length - ((docstring.end_lineno or 0) - docstring.lineno + 1)
+
+
+# --- layers ---------------------------------------------------------------------------------
+
+
+def test_the_tree_keeps_every_import_contract():
+    outcome = lint_imports(ROOT)
+    assert outcome.returncode == 0, outcome.stdout + outcome.stderr
+
+
+@pytest.mark.parametrize(("contract", "module", "line"), VIOLATIONS)
+def test_a_planted_violation_breaks_its_import_contract(tmp_path, contract, module, line):
+    shutil.copytree(
+        PACKAGE, tmp_path / "turtleact", ignore=shutil.ignore_patterns("__pycache__", "standard")
+    )
+    shutil.copy(ROOT / ".importlinter", tmp_path)
+    with (tmp_path / "turtleact" / module).open("a", encoding="utf-8") as file:
+        file.write(f"\n{line}\n")
+
+    outcome = lint_imports(tmp_path)
+
+    assert outcome.returncode == 1, outcome.stdout + outcome.stderr
+    assert re.search(rf"^{contract}: .* BROKEN", outcome.stdout, re.MULTILINE), outcome.stdout
+
+
+# --- size -----------------------------------------------------------------------------------
+
+
+def test_no_module_is_over_400_lines():
+    sizes = {path: len(path.read_text("utf-8").splitlines()) for path in PACKAGE.rglob("*.py")}
+    long = {str(path.relative_to(ROOT)): n for path, n in sizes.items() if n > LONGEST_MODULE}
+    assert not long
+
+
+def test_no_function_is_over_60_lines():
+    long = [
+        f"{path.relative_to(ROOT)}:{node.lineno}: {node.name}"
+        for path in PACKAGE.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and body_length(node) > LONGEST_FUNCTION
+    ]
+    assert not long
+
+
+# --- start-up -------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def modules_of_the_command_line():
+    code = "import sys, turtleact.cli; print(*sys.modules)"
+    return set(subprocess.check_output([sys.executable, "-c", code], text=True).split())
+
+
+@pytest.mark.parametrize("module", HEAVY)
+def test_the_command_line_starts_without(module, modules_of_the_command_line):
+    assert module not in modules_of_the_command_line
+
+
+# --- words ----------------------------------------------------------------------------------
+
+
+def test_no_file_names_a_path_of_a_machine():
+    assert lines_that_hold(MACHINE_PATHS) == []
+
+
+def test_no_file_but_the_lock_names_the_host_of_a_package_registry():
+    assert lines_that_hold(REGISTRY_HOSTS, but=frozenset({"uv.lock"})) == []
+
+
+def test_the_lock_names_no_host_but_the_public_registry():
+    hosts = set(re.findall(r"https?://([^/\"]+)", (ROOT / "uv.lock").read_text("utf-8")))
+    assert hosts <= {REGISTRY_HOSTS[0], f"files.{REGISTRY_HOSTS[1]}"}
+
+
+# --- watchdog -------------------------------------------------------------------------------
+
+HANG = """
+import anyio, conftest
+conftest.SECONDS = 0.1
+async def test_waits():
+    await anyio.sleep_forever()
+"""
+
+
+def test_an_async_test_that_hangs_fails_on_every_loop(tmp_path):
+    shutil.copy(ROOT / "tests" / "conftest.py", tmp_path)
+    (tmp_path / "test_hang.py").write_text(HANG, "utf-8")
+    outcome = subprocess.run(
+        [sys.executable, "-m", "pytest", "-o", "anyio_mode=auto", tmp_path],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=50,
+    )
+    assert re.search(r"=+ 3 failed in", outcome.stdout), outcome.stdout + outcome.stderr
+
+
+# --- packaging ------------------------------------------------------------------------------
+
+
+def locked_requirements() -> set[tuple[str, str, str]]:
+    """(extra, name, version range) of turtleact as uv.lock last saw it."""
+    lock = tomllib.loads((ROOT / "uv.lock").read_text("utf-8"))
+    ours = next(package for package in lock["package"] if package["name"] == "turtleact")
+    return {
+        (extra_of(entry.get("marker", "")), entry["name"], entry.get("specifier", ""))
+        for entry in ours["metadata"]["requires-dist"]
+    }
+
+
+def extra_of(marker: str) -> str:
+    found = re.search(r"extra == '(\w+)'", marker)
+    return found[1] if found else ""
+
+
+def declared_requirements() -> set[tuple[str, str, str]]:
+    """(extra, name, version range) of turtleact as pyproject.toml declares it."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    groups = {"": project["dependencies"], **project["optional-dependencies"]}
+    return {
+        (extra, *name_and_range(requirement))
+        for extra, requirements in groups.items()
+        for requirement in requirements
+    }
+
+
+def name_and_range(requirement: str) -> tuple[str, str]:
+    found = re.fullmatch(r"([\w-]+)(?:\[\w+\])?([^;]*)(?:;.*)?", requirement)
+    assert found is not None, requirement
+    return found[1].lower(), found[2]
+
+
+def test_the_lock_is_in_step_with_the_declared_dependencies():
+    assert locked_requirements() == declared_requirements()
+
+
+def test_the_package_says_the_version_of_its_metadata():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    found = re.search(r'^__version__ = "(.+)"$', (PACKAGE / "__init__.py").read_text("utf-8"), re.M)
+    assert found is not None
+    assert found[1] == project["version"]
+
+
+def test_the_package_is_marked_as_typed():
+    assert (PACKAGE / "py.typed").read_text("utf-8") == ""
+
+
+# --- continuous integration -----------------------------------------------------------------
+
+
+@pytest.fixture
+def checkout(tmp_path: Path):
+    """Makes a git checkout of .ci/run and the README that it is given."""
+
+    def make(readme: str) -> Path:
+        (tmp_path / ".ci").mkdir()
+        shutil.copy(ROOT / ".ci" / "run", tmp_path / ".ci")
+        (tmp_path / "README.md").write_text(readme, "utf-8")
+        subprocess.run(["git", "init", "--quiet", tmp_path], check=True)
+        return tmp_path
+
+    return make
+
+
+def run_ci(checkout: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [checkout / ".ci" / "run"], capture_output=True, text=True, check=False, timeout=30
+    )
+
+
+def readme_with(command: str) -> str:
+    return f"# t\n\n```sh\nfalse\n```\n\n<!-- test command -->\n```sh\n{command}\n```\n\nEnd.\n"
+
+
+needs_git = pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
+
+
+@needs_git
+def test_ci_runs_the_test_command_of_the_readme(checkout):
+    outcome = run_ci(checkout(readme_with("echo first && echo last")))
+    assert outcome.stdout == "$ echo first && echo last\nfirst\nlast\n"
+
+
+@needs_git
+def test_ci_passes_the_exit_status_on(checkout):
+    assert run_ci(checkout(readme_with("exit 7"))).returncode == 7
+
+
+@needs_git
+def test_ci_runs_in_a_copy_of_the_checkout(checkout):
+    folder = checkout(readme_with("ls -A && touch left-behind"))
+    outcome = run_ci(folder)
+    assert outcome.stdout.splitlines()[1:] == [".ci", "README.md"]
+    assert not (folder / "left-behind").exists()
+
+
+@needs_git
+def test_ci_fails_in_one_line_if_the_readme_has_no_test_command(checkout):
+    outcome = run_ci(checkout("# t\n\n```sh\ntrue\n```\n"))
+    assert outcome.returncode == 2
+    assert outcome.stderr == (
+        ".ci/run: README.md has no fenced block below <!-- test command -->\n"
+    )

@@ -1,0 +1,113 @@
+"""ROS 2 actions for asyncio.
+
+The layers, each built on those below it::
+
+    cli                      arguments in, exit status out
+    app, render              an embedded world; what a terminal shows
+    actions, sim.turtlesim   fibonacci, go_to, patrol; the turtles
+    node                     one participant's topics and actions
+    server, client           ActionServer, ActionClient and their goal handles
+    execution                how a body is run, and how it ends
+    body, topics             declared bodies; publishers and subscriptions
+    transports               how messages travel
+    clock, tasks             time; tasks and wake-ups of the event loop
+    goal                     what may happen to a goal
+    interfaces               messages, services and actions as classes
+    names, geometry, errors
+
+A name is imported when it is first used, so that what needs little starts fast.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from turtleact.body import action
+    from turtleact.client import ActionClient, ClientGoalHandle, Outcome
+    from turtleact.errors import (
+        Abort,
+        Canceled,
+        GoalAborted,
+        GoalCanceled,
+        GoalError,
+        GoalRejected,
+        InvalidGoal,
+        InvalidMessage,
+        InvalidName,
+        InvalidTransition,
+        Reject,
+        ServerUnavailable,
+        TurtleactError,
+        UnknownGoal,
+    )
+    from turtleact.goal import CancelResponse, GoalResponse, GoalStatus
+    from turtleact.interfaces import Action, Message, Service, load_interface
+    from turtleact.node import Node, open_node
+    from turtleact.server import ActionServer, ServerGoalHandle
+    from turtleact.transports import QoS
+
+__all__ = [
+    # a node and what is opened on it
+    "open_node",
+    "Node",
+    "ActionServer",
+    "ActionClient",
+    "ServerGoalHandle",
+    "ClientGoalHandle",
+    "Outcome",
+    "QoS",
+    # bodies and what they answer
+    "action",
+    "GoalResponse",
+    "CancelResponse",
+    "GoalStatus",
+    "Abort",
+    "Canceled",
+    "Reject",
+    # interfaces
+    "Action",
+    "Message",
+    "Service",
+    "load_interface",
+    # errors
+    "TurtleactError",
+    "GoalError",
+    "GoalRejected",
+    "GoalAborted",
+    "GoalCanceled",
+    "UnknownGoal",
+    "ServerUnavailable",
+    "InvalidGoal",
+    "InvalidMessage",
+    "InvalidName",
+    "InvalidTransition",
+]
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "body": ("action",),
+    "client": ("ActionClient", "ClientGoalHandle", "Outcome"),
+    "goal": ("CancelResponse", "GoalResponse", "GoalStatus"),
+    "interfaces": ("Action", "Message", "Service", "load_interface"),
+    "node": ("Node", "open_node"),
+    "server": ("ActionServer", "ServerGoalHandle"),
+    "transports": ("QoS",),
+}
+_HOME = {name: module for module, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name from the module that it lives in."""
+    if name not in __all__:
+        raise AttributeError(f"module 'turtleact' has no attribute '{name}'")
+    module = importlib.import_module(f"turtleact.{_HOME.get(name, 'errors')}")
+    value = globals()[name] = getattr(module, name)
+    return value
+
+
+def __dir__() -> list[str]:
+    """What can be asked for."""
+    return sorted([*globals(), *__all__])

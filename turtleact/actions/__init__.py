@@ -1,0 +1,30 @@
+"""What turtles can do: the built-in actions, each through a node's topics and actions only."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from turtleact.actions import fibonacci, go_to, patrol
+from turtleact.actions.driving import Turtles
+from turtleact.actions.steering import Area
+
+if TYPE_CHECKING:
+    from turtleact.node import Node
+
+__all__ = ["serve_built_ins"]
+
+BUILT_IN = (go_to.serve, patrol.serve)
+"""The actions that drive turtles."""
+
+
+def serve_built_ins(node: Node, *, side: float) -> None:
+    """Serve all built-in actions on a node.
+
+    Args:
+        node: Where they are served.
+        side: The side of the square in which targets must lie (m).
+    """
+    fibonacci.serve(node)
+    turtles = Turtles(node, Area(0.0, 0.0, side, side))
+    for serve in BUILT_IN:
+        serve(node, turtles)

@@ -1,0 +1,199 @@
+"""Turtles as an action drives them: a pose comes in on one topic, a twist goes out on another.
+
+`Turtles` knows which turtles there are and which of them a goal drives already; a `Drive` takes one
+of them from target to target. Both know topics only, so any robot that has ``<turtle>/pose`` and
+``<turtle>/cmd_vel`` will do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
+
+import anyio
+
+from turtleact.actions.steering import Area, Limits, Steering, Style, time_bound
+from turtleact.errors import Abort, InvalidMessage, InvalidName, Reject
+from turtleact.geometry import distance
+from turtleact.interfaces.standard import Point, TurtlePose, Twist, Vector3
+
+if TYPE_CHECKING:
+    from turtleact.node import Node
+    from turtleact.topics import Publisher, Subscription
+
+__all__ = ["Drive", "Turtles"]
+
+SILENCE: Final = 2.0
+"""A turtle whose pose has not been heard of for so long (s) is given up."""
+
+PATIENCE: Final = 2.0
+"""A target is given up after so many times the longest time that the law of steering needs."""
+
+
+class Turtles:
+    """The turtles of a graph, and which of them are being driven.
+
+    Args:
+        node: Where the topics are opened.
+        area: What targets must be in.
+    """
+
+    def __init__(self, node: Node, area: Area) -> None:
+        self._node = node
+        self._area = area
+        self._driven: set[str] = set()
+
+    def steering(
+        self, *, style: str, max_linear: float, max_angular: float, tolerance: float
+    ) -> Steering:
+        """The law of steering with a goal's options.
+
+        Raises:
+            Reject: if there is no such style, or a number is out of its range.
+        """
+        try:
+            limits = Limits(
+                max_linear=max_linear,
+                max_angular=max_angular,
+                tolerance=tolerance,
+                area=self._area,
+            )
+            return Steering(_style(style), limits)
+        except InvalidMessage as error:
+            raise Reject(str(error)) from None
+
+    def check_turtle(self, turtle: str) -> None:
+        """See to it that a turtle can be driven.
+
+        Raises:
+            Reject: if nobody publishes its pose, or another goal drives it.
+        """
+        try:
+            publishers = self._node.count_publishers(f"{turtle}/pose")
+        except InvalidName as error:
+            raise Reject(f"'{turtle}' is no name of a turtle: {error.problem}") from None
+        if not publishers:
+            raise Reject(f"there is no turtle '{turtle}': nobody publishes {turtle}/pose")
+        if turtle in self._driven:
+            raise Reject(f"turtle '{turtle}' is being driven by another goal")
+
+    def check_targets(self, targets: Sequence[Point], *, name: str = "targets") -> None:
+        """See to it that there are targets, and that they are inside the area.
+
+        Raises:
+            Reject: otherwise, with the name of the first target that is not.
+        """
+        if not targets:
+            raise Reject(f"{name} is empty: give at least one, such as {{x: 9.0, y: 7.0}}")
+        area = self._area
+        for index, target in enumerate(targets):
+            inside = area.left <= target.x <= area.right and area.bottom <= target.y <= area.top
+            if not inside:
+                raise Reject(
+                    f"{name}[{index}] (x: {target.x:g}, y: {target.y:g}) is outside the world: "
+                    f"x from {area.left:g} to {area.right:g}, "
+                    f"y from {area.bottom:g} to {area.top:g}"
+                )
+
+    @asynccontextmanager
+    async def drive(self, turtle: str, steering: Steering) -> AsyncIterator[Drive]:
+        """Hold a turtle for the length of a block; it stands still at the end, whatever ended it.
+
+        Raises:
+            Abort: if nothing is heard of its pose.
+        """
+        self._driven.add(turtle)
+        poses = self._node.subscription(TurtlePose, f"{turtle}/pose")
+        twists = self._node.publisher(Twist, f"{turtle}/cmd_vel")
+        try:
+            drive = Drive(self._node, turtle, steering, poses, twists)
+            await drive.wait_for_pose()
+            drive.travelled = 0.0
+            yield drive
+        finally:
+            twists.publish(Twist())
+            self._driven.discard(turtle)
+            await twists.aclose()
+            await poses.aclose()
+
+
+class Drive:
+    """One turtle on its way.
+
+    Attributes:
+        pose: Where it was last seen.
+        travelled: How far it has gone (m).
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        turtle: str,
+        steering: Steering,
+        poses: Subscription[TurtlePose],
+        twists: Publisher[Twist],
+    ) -> None:
+        self.pose = TurtlePose()
+        self.travelled = 0.0
+        self._clock = node.clock
+        self._turtle = turtle
+        self._steering = steering
+        self._poses = poses
+        self._twists = twists
+
+    def has_reached(self, target: Point) -> bool:
+        """Whether the turtle is within the tolerance of a target."""
+        return self._steering.is_reached(self._place, (target.x, target.y))
+
+    def distance_to(self, targets: Sequence[Point]) -> float:
+        """How far it is in straight lines from here through the targets (m)."""
+        stops = [(self.pose.x, self.pose.y), *((target.x, target.y) for target in targets)]
+        return sum(distance(*a, *b) for a, b in pairwise(stops))
+
+    def deadline(self, target: Point) -> float:
+        """When to give a target up, by the node's clock (s)."""
+        bound = time_bound(self._place, [(target.x, target.y)], self._steering)
+        return self._clock.time() + PATIENCE * bound
+
+    async def towards(self, target: Point, next_target: Point | None = None) -> None:
+        """Drive for one tick.
+
+        Raises:
+            Abort: if nothing is heard of the turtle's pose.
+        """
+        after = None if next_target is None else (next_target.x, next_target.y)
+        linear, angular = self._steering.command(self._place, (target.x, target.y), after)
+        self._twists.publish(Twist(linear=Vector3(x=linear), angular=Vector3(z=angular)))
+        await self.wait_for_pose()
+
+    async def wait_for_pose(self) -> None:
+        """Wait for the next pose, or take the newest of those that have come.
+
+        Raises:
+            Abort: if nothing is heard of the turtle's pose.
+        """
+        with anyio.move_on_after(self._clock.wall_seconds(SILENCE)):
+            pose = await anext(self._poses)
+            for pose in self._poses.drain():  # noqa: B007  # the newest counts
+                pass
+            self.travelled += distance(self.pose.x, self.pose.y, pose.x, pose.y)
+            self.pose = pose
+            return
+        raise Abort(f"nothing was heard of {self._turtle}/pose for {SILENCE:g} s")
+
+    @property
+    def _place(self) -> tuple[float, float, float]:
+        return self.pose.x, self.pose.y, self.pose.theta
+
+
+def _style(style: str) -> Style:
+    known: dict[str, Style] = {
+        "arc": "arc",
+        "forward": "forward",
+        "rotate_then_drive": "rotate_then_drive",
+    }
+    if style not in known:
+        raise Reject(f"there is no style '{style}': choose one of {', '.join(known)}")
+    return known[style]

@@ -1,0 +1,67 @@
+"""``/fibonacci``: the action of the ROS 2 tutorials.
+
+Source: ROS 2 tutorial "Writing an action server and client (Python)".
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from turtleact.errors import Reject
+from turtleact.goal import GoalResponse
+from turtleact.interfaces.standard import ExampleFibonacci, Fibonacci
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator
+
+    from turtleact.node import Node
+    from turtleact.server import ServerGoalHandle
+
+__all__ = ["PACE", "fibonacci", "serve"]
+
+PACE: Final = 1.0
+"""Seconds between two numbers, as in the tutorial."""
+
+LARGEST: Final = 46
+"""The largest order whose number fits an int32."""
+
+
+def serve(node: Node) -> None:
+    """Serve ``/fibonacci`` under both of the types that ROS 2 has for it."""
+    node.action_server(Fibonacci, "/fibonacci", fibonacci, goal_callback=check)
+    node.action_server(ExampleFibonacci, "/fibonacci", example_fibonacci, goal_callback=check)
+
+
+def check(goal: Fibonacci.Goal | ExampleFibonacci.Goal) -> GoalResponse:
+    """Refuse an order whose numbers do not fit the result."""
+    if goal.order > LARGEST:
+        raise Reject(f"order {goal.order} is too large: number {LARGEST + 1} does not fit an int32")
+    return GoalResponse.ACCEPT
+
+
+async def fibonacci(
+    goal: Fibonacci.Goal,
+    handle: ServerGoalHandle[Fibonacci.Goal, Fibonacci.Result, Fibonacci.Feedback],
+) -> AsyncIterator[Fibonacci.Feedback | Fibonacci.Result]:
+    """Work out the sequence up to number ``order``, a number a second."""
+    sequence = [0, 1]
+    for i in range(1, goal.order):
+        sequence.append(sequence[i] + sequence[i - 1])
+        yield Fibonacci.Feedback(partial_sequence=sequence)
+        await handle.node.clock.sleep(PACE)
+    yield Fibonacci.Result(sequence=sequence)
+
+
+async def example_fibonacci(
+    goal: ExampleFibonacci.Goal,
+    handle: ServerGoalHandle[
+        ExampleFibonacci.Goal, ExampleFibonacci.Result, ExampleFibonacci.Feedback
+    ],
+) -> AsyncIterator[ExampleFibonacci.Feedback | ExampleFibonacci.Result]:
+    """The same under the name and fields of example_interfaces."""
+    sequence = [0, 1]
+    for i in range(1, goal.order):
+        sequence.append(sequence[i] + sequence[i - 1])
+        yield ExampleFibonacci.Feedback(sequence=sequence)
+        await handle.node.clock.sleep(PACE)
+    yield ExampleFibonacci.Result(sequence=sequence)

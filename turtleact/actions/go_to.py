@@ -1,0 +1,117 @@
+"""``/go_to``: a turtle goes to one place."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from turtleact.errors import Abort
+from turtleact.goal import GoalResponse
+from turtleact.interfaces import Action, Message, float64, string
+from turtleact.interfaces.standard import Point, TurtlePose
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator
+
+    from turtleact.actions.driving import Turtles
+    from turtleact.actions.steering import Steering
+    from turtleact.node import Node
+    from turtleact.server import ServerGoalHandle
+
+__all__ = ["GoTo", "serve"]
+
+PERIOD = 1.0
+"""Seconds between two feedback messages."""
+
+
+class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
+    """Go to a place."""
+
+    class Goal(Message):
+        """Where to go, who goes, and how.
+
+        Attributes:
+            x: Where to (m).
+            y: Where to (m).
+            turtle: Which turtle goes: it has ``<turtle>/pose`` and ``<turtle>/cmd_vel``.
+            tolerance: How near is near enough (m), above zero.
+            max_linear: Highest speed (m/s), above zero.
+            max_angular: Highest turn rate (rad/s), above zero.
+            style: ``arc``, ``forward`` or ``rotate_then_drive``.
+        """
+
+        x: float64 = 0.0
+        y: float64 = 0.0
+        turtle: string = "turtle1"
+        tolerance: float64 = 0.1
+        max_linear: float64 = 2.0
+        max_angular: float64 = 2.0
+        style: string = "arc"
+
+    class Result(Message):
+        """How it went.
+
+        Attributes:
+            distance: How far the turtle went (m).
+            duration: How long it took (s), by the clock of the graph.
+        """
+
+        distance: float64 = 0.0
+        duration: float64 = 0.0
+
+    class Feedback(Message):
+        """How it goes, once a second.
+
+        Attributes:
+            pose: Where the turtle is.
+            distance_remaining: How far it still is, in a straight line (m).
+        """
+
+        pose: TurtlePose = TurtlePose()
+        distance_remaining: float64 = 0.0
+
+
+def serve(node: Node, turtles: Turtles) -> None:
+    """Serve ``/go_to``."""
+    server = _GoTo(turtles)
+    node.action_server(GoTo, "/go_to", server.execute, goal_callback=server.check)
+
+
+class _GoTo:
+    def __init__(self, turtles: Turtles) -> None:
+        self._turtles = turtles
+
+    def check(self, goal: GoTo.Goal) -> GoalResponse:
+        self._steering(goal)
+        self._turtles.check_turtle(goal.turtle)
+        self._turtles.check_targets([Point(x=goal.x, y=goal.y)], name="target")
+        return GoalResponse.ACCEPT
+
+    async def execute(
+        self, goal: GoTo.Goal, handle: ServerGoalHandle[GoTo.Goal, GoTo.Result, GoTo.Feedback]
+    ) -> AsyncIterator[GoTo.Feedback | GoTo.Result]:
+        clock = handle.node.clock
+        started = clock.time()
+        target = Point(x=goal.x, y=goal.y)
+        async with self._turtles.drive(goal.turtle, self._steering(goal)) as drive:
+            deadline, due = drive.deadline(target), started
+            while not drive.has_reached(target):
+                if clock.time() > deadline:
+                    raise Abort(f"x: {goal.x:g}, y: {goal.y:g} was not reached in time")
+                if clock.time() >= due:
+                    due = clock.time() + PERIOD
+                    yield GoTo.Feedback(
+                        pose=drive.pose, distance_remaining=drive.distance_to([target])
+                    )
+                await drive.towards(target)
+                handle.set_partial_result(
+                    GoTo.Result(distance=drive.travelled, duration=clock.time() - started)
+                )
+        yield GoTo.Result(distance=drive.travelled, duration=clock.time() - started)
+
+    def _steering(self, goal: GoTo.Goal) -> Steering:
+        return self._turtles.steering(
+            style=goal.style,
+            max_linear=goal.max_linear,
+            max_angular=goal.max_angular,
+            tolerance=goal.tolerance,
+        )

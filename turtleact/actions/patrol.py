@@ -1,0 +1,274 @@
+"""``/patrol``: a turtle visits a list of places; ``/command_turtle``: the lecture's patrol.
+
+The second has exactly the interface and the messages of the lecture on ROS actions (see
+``docs/tutorial.md``); the first says more on the way and can do more.
+
+Source: nav2's waypoint follower for ``stop_on_failure`` and ``missed``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from turtleact.errors import Abort, Reject
+from turtleact.geometry import distance
+from turtleact.goal import GoalResponse
+from turtleact.interfaces import Action, Message, bool_, float64, int32, string
+from turtleact.interfaces.standard import PatrolCommandInterface, Point, TurtlePose
+
+if TYPE_CHECKING:
+    from turtleact.actions.driving import Drive, Turtles
+    from turtleact.actions.steering import Steering
+    from turtleact.clock import Clock
+    from turtleact.node import Node
+    from turtleact.server import ServerGoalHandle
+
+__all__ = ["Patrol", "serve"]
+
+PERIOD = 1.0
+"""Seconds between two feedback messages on the way to a target."""
+
+
+class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
+    """Visit places, one after the other."""
+
+    class Goal(Message):
+        """Where to go, who goes, and how.
+
+        Attributes:
+            targets: The places (m), in order; z is ignored.
+            loops: How many more rounds are made after the first.
+            turtle: Which turtle goes: it has ``<turtle>/pose`` and ``<turtle>/cmd_vel``.
+            stop_on_failure: Whether a target that is not reached in time ends the patrol; if not,
+                it is missed and the next one is headed for.
+            tolerance: How near is near enough (m), above zero.
+            max_linear: Highest speed (m/s), above zero.
+            max_angular: Highest turn rate (rad/s), above zero.
+            style: ``arc``, ``forward`` or ``rotate_then_drive``.
+        """
+
+        targets: list[Point] = []
+        loops: int32 = 0
+        turtle: string = "turtle1"
+        stop_on_failure: bool_ = False
+        tolerance: float64 = 0.1
+        max_linear: float64 = 2.0
+        max_angular: float64 = 2.0
+        style: string = "arc"
+
+    class Result(Message):
+        """How it went.
+
+        Attributes:
+            reached: How many targets were reached, over all rounds.
+            missed: The indices of those that were not, a round after the other.
+            distance: How far the turtle went (m).
+            duration: How long it took (s), by the clock of the graph.
+        """
+
+        reached: int32 = 0
+        missed: list[int32] = []
+        distance: float64 = 0.0
+        duration: float64 = 0.0
+
+    class Feedback(Message):
+        """How it goes: at each target, and once a second on the way.
+
+        Attributes:
+            index: Which target this is about, counted from 0.
+            target: That target.
+            is_reached: Whether it has just been reached; if not, it is headed for.
+            reached: How many have been reached so far, over all rounds.
+            pose: Where the turtle is.
+            distance_remaining: How far it still is through all targets, in straight lines (m).
+        """
+
+        index: int32 = 0
+        target: Point = Point()
+        is_reached: bool_ = False
+        reached: int32 = 0
+        pose: TurtlePose = TurtlePose()
+        distance_remaining: float64 = 0.0
+
+
+def serve(node: Node, turtles: Turtles) -> None:
+    """Serve ``/patrol`` and ``/command_turtle``."""
+    server = _Patrol(turtles)
+    node.action_server(Patrol, "/patrol", server.execute, goal_callback=server.check)
+    node.action_server(
+        PatrolCommandInterface,
+        "/command_turtle",
+        server.execute_command,
+        goal_callback=server.check_command,
+    )
+
+
+class _Tour:
+    """The stops of a patrol: the targets in order, as often as there are rounds."""
+
+    def __init__(self, targets: Sequence[Point], rounds: int) -> None:
+        self._targets = targets
+        self._legs = [
+            distance(here.x, here.y, there.x, there.y)
+            for here, there in zip(targets, [*targets[1:], targets[0]], strict=True)
+        ]
+        self.stops = len(targets) * rounds
+
+    def index(self, stop: int) -> int:
+        """Which target a stop is."""
+        return stop % len(self._targets)
+
+    def target(self, stop: int) -> Point | None:
+        """The target of a stop; None behind the last."""
+        return self._targets[self.index(stop)] if stop < self.stops else None
+
+    def length_from(self, stop: int) -> float:
+        """How far it is from one stop to the last (m)."""
+        rounds, legs = divmod(self.stops - 1 - stop, len(self._targets))
+        ahead = [self._legs[self.index(stop + leg)] for leg in range(legs)]
+        return rounds * sum(self._legs) + sum(ahead)
+
+
+class _Patrol:
+    """The body of both actions."""
+
+    def __init__(self, turtles: Turtles) -> None:
+        self._turtles = turtles
+
+    def check(self, goal: Patrol.Goal) -> GoalResponse:
+        """Refuse what cannot be done, by name."""
+        self._steering(goal)
+        if goal.loops < 0:
+            raise Reject(f"loops is {goal.loops}: it is a number of extra rounds, 0 or more")
+        self._turtles.check_turtle(goal.turtle)
+        self._turtles.check_targets(goal.targets)
+        return GoalResponse.ACCEPT
+
+    def check_command(self, command: PatrolCommandInterface.Goal) -> GoalResponse:
+        """The same for the lecture's goal."""
+        return self.check(Patrol.Goal(targets=command.targets))
+
+    async def execute(
+        self,
+        goal: Patrol.Goal,
+        handle: ServerGoalHandle[Patrol.Goal, Patrol.Result, Patrol.Feedback],
+    ) -> Patrol.Result:
+        """``/patrol``."""
+        return await self._patrol(
+            goal, handle.node.clock, handle.publish_feedback, handle.set_partial_result
+        )
+
+    async def execute_command(
+        self,
+        command: PatrolCommandInterface.Goal,
+        handle: ServerGoalHandle[
+            PatrolCommandInterface.Goal,
+            PatrolCommandInterface.Result,
+            PatrolCommandInterface.Feedback,
+        ],
+    ) -> PatrolCommandInterface.Result:
+        """``/command_turtle``, with the lecture's words."""
+
+        def tell(feedback: Patrol.Feedback) -> None:
+            if feedback.is_reached:
+                message = f"Target {feedback.index + 1} reached"
+                handle.publish_feedback(PatrolCommandInterface.Feedback(feedback_msg=message))
+
+        goal = Patrol.Goal(targets=command.targets, stop_on_failure=True)
+        await self._patrol(goal, handle.node.clock, tell, _nothing)
+        return PatrolCommandInterface.Result(result_msg="Patrolling complete!")
+
+    async def _patrol(
+        self,
+        goal: Patrol.Goal,
+        clock: Clock,
+        tell: Callable[[Patrol.Feedback], None],
+        note: Callable[[Patrol.Result], None],
+    ) -> Patrol.Result:
+        """Visit all stops; tell of each one, and note what has been done so far."""
+        tour = _Tour(goal.targets, 1 + goal.loops)
+        result = Patrol.Result()
+        started = clock.time()
+        async with self._turtles.drive(goal.turtle, self._steering(goal)) as drive:
+            for stop in range(tour.stops):
+                leg = _Leg(tour, stop, drive, clock, result, tell)
+                is_reached = await leg.run()
+                result.distance = drive.travelled
+                result.duration = clock.time() - started
+                if is_reached:
+                    result.reached += 1
+                else:
+                    result.missed.append(tour.index(stop))
+                note(result)
+                if is_reached:
+                    leg.tell(is_reached=True)
+                elif goal.stop_on_failure:
+                    raise Abort(f"targets[{tour.index(stop)}] was not reached in time")
+        return result
+
+    def _steering(self, goal: Patrol.Goal) -> Steering:
+        return self._turtles.steering(
+            style=goal.style,
+            max_linear=goal.max_linear,
+            max_angular=goal.max_angular,
+            tolerance=goal.tolerance,
+        )
+
+
+class _Leg:
+    """The way to one stop."""
+
+    def __init__(
+        self,
+        tour: _Tour,
+        stop: int,
+        drive: Drive,
+        clock: Clock,
+        result: Patrol.Result,
+        tell: Callable[[Patrol.Feedback], None],
+    ) -> None:
+        target = tour.target(stop)
+        assert target is not None  # noqa: S101  # stops are counted below tour.stops
+        self._target = target
+        self._tour = tour
+        self._stop = stop
+        self._drive = drive
+        self._clock = clock
+        self._result = result
+        self._tell = tell
+
+    async def run(self) -> bool:
+        """Drive there; False if it takes far longer than it could."""
+        drive, clock, target = self._drive, self._clock, self._target
+        after = self._tour.target(self._stop + 1)
+        deadline = drive.deadline(target)
+        due = clock.time() + PERIOD
+        while not drive.has_reached(target):
+            if clock.time() > deadline:
+                return False
+            if clock.time() >= due:
+                due += PERIOD
+                self.tell(is_reached=False)
+            await drive.towards(target, after)
+        return True
+
+    def tell(self, *, is_reached: bool) -> None:
+        """Publish how it goes."""
+        remaining = self._tour.length_from(self._stop)
+        if not is_reached:
+            remaining += self._drive.distance_to([self._target])
+        self._tell(
+            Patrol.Feedback(
+                index=self._tour.index(self._stop),
+                target=self._target,
+                is_reached=is_reached,
+                reached=self._result.reached,
+                pose=self._drive.pose,
+                distance_remaining=remaining,
+            )
+        )
+
+
+def _nothing(_: Patrol.Result) -> None:
+    """The lecture's result has no place for what was done so far."""

@@ -1,0 +1,47 @@
+"""The composition root: transport, clock, world and built-in actions as one context manager.
+
+The one place that knows both the simulator and the actions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, aclosing, asynccontextmanager
+
+from turtleact.actions import serve_built_ins
+from turtleact.clock import make_clock
+from turtleact.node import Node, open_node
+from turtleact.sim.kinematics import SIDE
+from turtleact.sim.turtlesim import Turtlesim
+from turtleact.sim.world import World
+from turtleact.tasks import Background
+from turtleact.transports import MemoryTransport
+
+__all__ = ["open_world"]
+
+
+@asynccontextmanager
+async def open_world(
+    *, speed: float | str = 1.0, seed: int = 0, turtles: int = 1
+) -> AsyncIterator[Node]:
+    """A world of turtles with the built-in actions, and a node to use them from.
+
+    Args:
+        speed: Simulated seconds a wall second, above zero, or ``"max"`` for virtual time: as fast
+            as it computes, and the same run every time.
+        seed: Chooses where all turtles but the first start.
+        turtles: How many there are: ``turtle1``, ``turtle2``, …
+
+    Raises:
+        SimError: if the speed or the number of turtles is out of range.
+    """
+    world = World(turtles, seed)
+    clock = make_clock(speed)
+    transport = MemoryTransport(clock)
+    async with AsyncExitStack() as stack:
+        await stack.enter_async_context(aclosing(Background(clock.run(), "the clock")))
+        sim = await stack.enter_async_context(open_node("turtlesim", transport=transport))
+        await stack.enter_async_context(aclosing(Turtlesim(sim, world)))
+        actions = await stack.enter_async_context(open_node("turtle_actions", transport=transport))
+        serve_built_ins(actions, side=SIDE)
+        yield await stack.enter_async_context(open_node("turtleact", transport=transport))

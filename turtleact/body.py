@@ -1,0 +1,157 @@
+"""A body: the function that does an action's work, in one of two styles.
+
+==================  ==================================  =============================
+style               feedback                            result
+==================  ==================================  =============================
+async generator     ``yield A.Feedback(...)``           ``yield A.Result(...)``, last
+coroutine function  ``handle.publish_feedback(...)``    ``return A.Result(...)``
+==================  ==================================  =============================
+
+A body takes the goal message, and the server's goal handle if it declares a second parameter.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
+from typing import Any, Generic, ParamSpec, Protocol, TypedDict, TypeVar, Unpack, cast
+
+from turtleact.errors import InvalidBody
+from turtleact.goal import CancelResponse, GoalResponse
+from turtleact.interfaces import Message
+
+__all__ = ["ActionDeclaration", "ActionType", "Body", "ServerOptions", "Steps", "action"]
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+G = TypeVar("G", bound=Message, covariant=True)
+R = TypeVar("R", bound=Message, covariant=True)
+F = TypeVar("F", bound=Message, covariant=True)
+
+Steps = AsyncGenerator[object, None]
+
+
+class ActionType(Protocol[G, R, F]):
+    """What a subclass of `turtleact.Action` is to a type checker: the makers of its messages."""
+
+    @property
+    def type_name(self) -> str:
+        """``pkg/action/Name``."""
+
+    def Goal(self, *args: Any, **kwargs: Any) -> G:  # noqa: ANN401  # any arguments
+        """Make a goal."""
+
+    def Result(self, *args: Any, **kwargs: Any) -> R:  # noqa: ANN401  # any arguments
+        """Make a result."""
+
+    def Feedback(self, *args: Any, **kwargs: Any) -> F:  # noqa: ANN401  # any arguments
+        """Make a feedback message."""
+
+
+class ServerOptions(TypedDict, total=False):
+    """How a server treats goals; see `turtleact.Node.action_server`."""
+
+    goal_callback: Callable[..., GoalResponse | Awaitable[GoalResponse]] | None
+    cancel_callback: Callable[..., CancelResponse | Awaitable[CancelResponse]] | None
+    result_timeout: float | None
+
+
+class ActionDeclaration(Generic[P, T]):
+    """A body together with its action and name: what `turtleact.action` makes of a function.
+
+    It serves nothing until a node is told to, and can be called as the plain function it is.
+
+    Attributes:
+        action_type: The action.
+        name: The name under which it is served, unless the node says otherwise.
+        execute: The function.
+        options: Keyword arguments for the server.
+    """
+
+    def __init__(
+        self,
+        action_type: ActionType[Message, Message, Message],
+        name: str,
+        execute: Callable[P, T],
+        options: ServerOptions,
+    ) -> None:
+        Body(name, execute)  # complains here, at the function, not when it is served
+        self.action_type = action_type
+        self.name = name
+        self.execute = execute
+        self.options = options
+        functools.update_wrapper(self, execute)
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T:
+        """Call the function itself; no server takes part."""
+        return self.execute(*args, **kwargs)
+
+
+def action(
+    action_type: ActionType[Message, Message, Message],
+    name: str,
+    **options: Unpack[ServerOptions],
+) -> Callable[[Callable[P, T]], ActionDeclaration[P, T]]:
+    """Declare the function below as the body of an action; nothing is served yet.
+
+    Args:
+        action_type: The action, a subclass of `turtleact.Action`.
+        name: The name under which `Node.serve` serves it.
+        **options: As for `Node.action_server`.
+
+    Raises:
+        InvalidBody: if the function is neither a coroutine function nor an async generator, or
+            takes neither one parameter nor two.
+    """
+
+    def declare(execute: Callable[P, T]) -> ActionDeclaration[P, T]:
+        return ActionDeclaration(action_type, name, execute, options)
+
+    return declare
+
+
+class Body:
+    """A function, and which of the two styles it is.
+
+    Attributes:
+        is_generator: Whether it yields its feedback and result.
+        wants_handle: Whether it takes the goal handle too.
+
+    Raises:
+        InvalidBody: if it cannot be a body.
+    """
+
+    __slots__ = ("call", "is_generator", "wants_handle")
+
+    def __init__(self, name: str, execute: Callable[..., object]) -> None:
+        function = execute.execute if isinstance(execute, ActionDeclaration) else execute
+        self.call = cast("Callable[..., Coroutine[object, object, object] | Steps]", function)
+        target = function if _is_function(function) else getattr(function, "__call__", function)  # noqa: B004  # a callable object's own method
+        self.is_generator = inspect.isasyncgenfunction(target)
+        if not self.is_generator and not inspect.iscoroutinefunction(target):
+            raise InvalidBody(name, f"must be an 'async def', not {_kind_of(function)}")
+        self.wants_handle = _count_parameters(name, function) == 2
+
+
+def _is_function(function: Callable[..., object]) -> bool:
+    return inspect.isroutine(function) or isinstance(function, functools.partial)
+
+
+def _kind_of(function: object) -> str:
+    return "a plain function" if inspect.isroutine(function) else f"a {type(function).__name__}"
+
+
+def _count_parameters(name: str, function: Callable[..., object]) -> int:
+    positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    count = 0
+    for parameter in inspect.signature(function).parameters.values():
+        if parameter.kind in positional:
+            if count < 2 or parameter.default is parameter.empty:
+                count += 1
+        elif parameter.kind is parameter.KEYWORD_ONLY and parameter.default is parameter.empty:
+            raise InvalidBody(name, f"must not require the keyword argument '{parameter.name}'")
+    if not 1 <= count <= 2:
+        raise InvalidBody(name, f"must take the goal, or the goal and its handle, not {count}")
+    return count

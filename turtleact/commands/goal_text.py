@@ -1,0 +1,73 @@
+"""Where the text of a goal comes from: the command line, standard input, or a file."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+
+from turtleact.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtleact.commands.interrupts import Interrupts
+
+__all__ = ["GoalText"]
+
+MOST = 2**22
+"""Bytes that are read of a file or a pipe: no goal that is taken is longer."""
+
+
+class GoalText(NamedTuple):
+    """The text of a goal.
+
+    Attributes:
+        text: YAML or JSON.
+        source: What an error calls it before line and column.
+    """
+
+    text: str
+    source: str
+
+    @classmethod
+    def read(
+        cls, given: str | None, *, stdin: bool, path: str | None, interrupts: Interrupts
+    ) -> GoalText:
+        """The text from the one of the three that was chosen; ``{}`` if none was.
+
+        Raises:
+            UsageError: if it cannot be read, is too long, or is not UTF-8.
+            KeyboardInterrupt: if a signal comes while it is waited for.
+        """
+        if given is not None:
+            return cls(given, "goal")
+        if not stdin and path is None:
+            return cls("{}", "goal")
+        source = "stdin" if path is None else path
+        try:
+            with interrupts.reading():
+                data = _read_stdin() if path is None else _read_file(path)
+        except OSError as error:
+            raise UsageError(f"{source}: cannot be read: {error.strerror}") from None
+        if len(data) > MOST:
+            raise UsageError(f"{source}: is longer than {MOST} bytes; no goal is")
+        try:
+            return cls(data.decode(), source)
+        except UnicodeDecodeError as error:
+            raise UsageError(
+                f"{source}: is not UTF-8: byte 0x{data[error.start]:02X} at {error.start}"
+            ) from None
+
+
+def _read_stdin() -> bytes:
+    if sys.stdin is None:
+        raise UsageError("stdin: is closed")
+    stream: BinaryIO = sys.stdin.buffer
+    return stream.read(MOST + 1)
+
+
+def _read_file(path: str) -> bytes:
+    try:
+        with Path(path).open("rb") as file:
+            return file.read(MOST + 1)
+    except ValueError:  # a null byte in the path
+        raise UsageError("--goal-file: a path holds no null character") from None

@@ -1,0 +1,206 @@
+"""What a command prints of a goal's way: as ``ros2 action send_goal`` does, or as JSON.
+
+Each block is flushed as it is printed, so that a pipe sees it at once.
+"""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Protocol
+
+from turtleact.interfaces import to_json, to_yaml
+
+if TYPE_CHECKING:
+    from turtleact.client import ClientGoalHandle, Outcome
+    from turtleact.goal import GoalStatus
+    from turtleact.interfaces import Message
+    from turtleact.node import Node
+
+__all__ = ["JsonTranscript", "PlainTranscript", "Sent", "Transcript", "say"]
+
+WAITING = "Waiting for an action server to become available...\n"
+
+
+class Transcript(Protocol):
+    """Who tells the user of a goal, from the first moment to the last."""
+
+    @property
+    def wants_feedback(self) -> bool:
+        """Whether each feedback message is to be told."""
+
+    def waiting(self) -> None:
+        """A server is looked for."""
+
+    def sending(self, goal: Message) -> None:
+        """The goal is about to be sent."""
+
+    def rejected(self) -> None:
+        """The server did not take the goal."""
+
+    def accepted(self, sent: Sent) -> None:
+        """The server took the goal."""
+
+    async def animate(self, node: Node) -> None:
+        """Runs from the acceptance to the end, and is then canceled."""
+
+    def feedback(self, feedback: Message) -> None:
+        """A feedback message came."""
+
+    def status(self, status: GoalStatus) -> None:
+        """The goal has this status, new or not."""
+
+    def canceling(self) -> None:
+        """The goal is asked to cancel."""
+
+    def ended(self, outcome: Outcome[Message]) -> None:
+        """The goal has ended."""
+
+    def close(self) -> None:
+        """Nothing moves any more; what stands stays."""
+
+
+class Sent:
+    """A goal that was accepted.
+
+    Attributes:
+        name: The action.
+        type_name: Its type.
+        goal: What was sent.
+        handle: What the client holds of it.
+    """
+
+    __slots__ = ("goal", "handle", "name", "type_name")
+
+    def __init__(
+        self, name: str, type_name: str, goal: Message, handle: ClientGoalHandle[Message, Message]
+    ) -> None:
+        self.name = name
+        self.type_name = type_name
+        self.goal = goal
+        self.handle = handle
+
+
+def say(text: str) -> None:
+    """Print a block on stdout."""
+    print(text, end="", flush=True)
+
+
+class PlainTranscript:
+    """The transcript of ``ros2 action send_goal``, with all YAML indented alike.
+
+    Args:
+        wants_feedback: Whether each feedback message is printed.
+        say: Prints a block.
+    """
+
+    def __init__(self, *, wants_feedback: bool, say: Callable[[str], None] = say) -> None:
+        self.wants_feedback = wants_feedback
+        self._say = say
+
+    def waiting(self) -> None:
+        """A server is looked for."""
+        self._say(WAITING)
+
+    def sending(self, goal: Message) -> None:
+        """The goal is about to be sent."""
+        self._say(f"Sending goal:\n{_indented(goal, 5)}\n")
+
+    def rejected(self) -> None:
+        """The server did not take the goal."""
+        self._say("Goal was rejected.\n")
+
+    def accepted(self, sent: Sent) -> None:
+        """The server took the goal."""
+        self._say(f"Goal accepted with ID: {sent.handle.goal_id.hex()}\n\n")
+
+    async def animate(self, node: Node) -> None:
+        """Nothing moves here."""
+
+    def feedback(self, feedback: Message) -> None:
+        """A feedback message came."""
+        self._say(f"Feedback:\n{_indented(feedback, 4)}\n")
+
+    def status(self, status: GoalStatus) -> None:
+        """The status is told at the end only."""
+
+    def canceling(self) -> None:
+        """The goal is asked to cancel."""
+        self._say("Canceling goal...\n\n")
+
+    def ended(self, outcome: Outcome[Message]) -> None:
+        """The goal has ended."""
+        result = _indented(outcome.result, 4)
+        self._say(f"Result:\n{result}\nGoal finished with status: {outcome.status.name}\n")
+
+    def close(self) -> None:
+        """Nothing has moved."""
+
+
+class JsonTranscript:
+    """One JSON object a line; its ``event`` is accepted, status, feedback or result."""
+
+    wants_feedback = True
+
+    def __init__(self) -> None:
+        self._goal_id = ""
+        self._status: GoalStatus | None = None
+
+    def waiting(self) -> None:
+        """No event."""
+
+    def sending(self, goal: Message) -> None:
+        """No event."""
+
+    def rejected(self) -> None:
+        """No event: stderr and the exit status tell it."""
+
+    def accepted(self, sent: Sent) -> None:
+        """The server took the goal."""
+        self._goal_id = sent.handle.goal_id.hex()
+        self._tell(
+            "accepted",
+            name=json.dumps(sent.name),
+            type=json.dumps(sent.type_name),
+            stamp=to_json(sent.handle.stamp),
+            goal=to_json(sent.goal),
+        )
+
+    async def animate(self, node: Node) -> None:
+        """Nothing moves here."""
+
+    def feedback(self, feedback: Message) -> None:
+        """A feedback message came."""
+        self._tell("feedback", feedback=to_json(feedback))
+
+    def status(self, status: GoalStatus) -> None:
+        """The goal has this status, new or not."""
+        if status is not self._status:
+            self._status = status
+            self._tell("status", status=json.dumps(status.name))
+
+    def canceling(self) -> None:
+        """The status tells it."""
+
+    def ended(self, outcome: Outcome[Message]) -> None:
+        """The goal has ended."""
+        self.status(outcome.status)
+        self._tell(
+            "result",
+            status=json.dumps(outcome.status.name),
+            result=to_json(outcome.result),
+            reason=json.dumps(outcome.reason, ensure_ascii=False),
+        )
+
+    def close(self) -> None:
+        """Nothing has moved."""
+
+    def _tell(self, event: str, **values: str) -> None:
+        """Print an event; its values are JSON already."""
+        pairs = {"event": json.dumps(event), "goal_id": json.dumps(self._goal_id), **values}
+        say("{" + ", ".join(f'"{name}": {value}' for name, value in pairs.items()) + "}\n")
+
+
+def _indented(message: Message, columns: int) -> str:
+    return textwrap.indent(to_yaml(message), " " * columns)

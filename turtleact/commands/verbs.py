@@ -1,0 +1,262 @@
+"""The verbs and their options, as Typer sees them: arguments in, a job out.
+
+A command function checks what can be checked without a world and gives back a job: what is then
+run, outside of Typer. All values come in as plain text, for two reasons: the messages are ours, and
+Typer (0.29) would load pydantic for every other type, which takes longer than the rest of it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any, cast
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command
+
+from turtleact.commands.interrupts import Interrupts
+from turtleact.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtleact.commands.send_goal import View
+
+__all__ = ["Job", "parse"]
+
+Job = Callable[[Interrupts], int]
+"""Runs a verb and gives the exit status."""
+
+_ArgumentError = cast("type[Exception]", typer.BadParameter.__base__)  # click's UsageError
+
+_OPTION = re.compile(r"-[A-Za-z]\S*|--[A-Za-z][\w-]*(=.*)?", re.DOTALL)
+_TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+)+")
+_TEXT = "\0"
+"""Stands before an argument that begins with a dash and is no option; no argument can hold it."""
+
+_EXAMPLES = """\b
+Examples:
+  turtleact send-goal fibonacci "order: 5" --feedback
+  turtleact send-goal patrol "targets: [{x: 9, y: 7}, {x: 5, y: 1}]"
+  turtleact send-goal go_to "{x: 2, y: 9}" --speed max --json
+"""
+
+
+def parse(arguments: Sequence[str]) -> Job:
+    """The job that a command line asks for.
+
+    Raises:
+        UsageError: if it cannot be understood; the text names the mistake and where to get help.
+    """
+    command = get_command(app)
+    try:
+        job = command.main(list(arguments), prog_name="turtleact", standalone_mode=False)
+    except _ArgumentError as error:
+        raise UsageError(_explain(error)) from None
+    except typer.Abort:
+        raise KeyboardInterrupt from None
+    return cast("Job", job) if callable(job) else partial(_exit_status, int(job or 0))
+
+
+class Verb(TyperCommand):
+    """A command whose arguments may begin with a dash: ``-5`` or ``- x: 1`` is text."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
+        """Mark such arguments, so that they are not taken for options."""
+        _keep_as_typed(self.get_params(ctx))
+        marked = [
+            _TEXT + arg if arg[:1] == "-" and arg != "--" and not _OPTION.fullmatch(arg) else arg
+            for arg in args
+        ]
+        return super().parse_args(ctx, marked)
+
+
+class Verbs(TyperGroup):
+    """A group of commands."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
+        """Read the group's own options."""
+        _keep_as_typed(self.get_params(ctx))
+        return super().parse_args(ctx, args)
+
+
+app = typer.Typer(
+    cls=Verbs,
+    rich_markup_mode=None,
+    add_completion=False,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+action = typer.Typer(cls=Verbs, rich_markup_mode=None, invoke_without_command=True)
+app.add_typer(action, name="action")
+
+
+@app.callback()
+def turtleact(
+    ctx: typer.Context,
+    *,
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    """ROS 2 actions, without ROS."""
+    if version:
+        from turtleact import __version__
+
+        typer.echo(f"turtleact {__version__}")
+        raise typer.Exit
+    _help_unless_verb(ctx)
+
+
+@action.callback()
+def action_group(ctx: typer.Context) -> None:
+    """The verbs of 'ros2 action'."""
+    _help_unless_verb(ctx)
+
+
+@app.command("send-goal", cls=Verb, epilog=_EXAMPLES)
+@action.command("send_goal", cls=Verb, epilog=_EXAMPLES)
+def send_goal(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="The action, such as /patrol.")],
+    type_name: Annotated[
+        str | None,
+        typer.Argument(metavar="TYPE", help="Its type, pkg/action/Name; asked of the graph."),
+    ] = None,
+    goal: Annotated[
+        str | None, typer.Argument(metavar="GOAL", help="The goal as YAML or JSON; {} if left out.")
+    ] = None,
+    *,
+    feedback: Annotated[
+        bool, typer.Option("--feedback", "-f", help="Print each feedback message.")
+    ] = False,
+    timeout: Annotated[
+        str | None,
+        typer.Option(
+            "--timeout",
+            "-t",
+            metavar="SECONDS",
+            help="Cancel the goal if it takes longer; 0 leaves once it is accepted.",
+        ),
+    ] = None,
+    stdin: Annotated[bool, typer.Option("--stdin", help="Read the goal from stdin.")] = False,
+    goal_file: Annotated[
+        str | None, typer.Option("--goal-file", metavar="PATH", help="Read the goal from a file.")
+    ] = None,
+    json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object a line, feedback included.")
+    ] = False,
+    plain: Annotated[
+        bool, typer.Option("--plain", help="No live display, even on a terminal.")
+    ] = False,
+    speed: Annotated[
+        str,
+        typer.Option(metavar="FACTOR", help="How fast time passes in the embedded world, or max."),
+    ] = "1",
+    seed: Annotated[
+        str, typer.Option(metavar="NUMBER", help="What its random choices begin with.")
+    ] = "0",
+    embedded: Annotated[
+        bool, typer.Option("--embedded", help="Use an embedded world, as is done anyway.")
+    ] = False,
+) -> Job:
+    """Send a goal, follow it to its end, print the result."""
+    type_name, goal = _type_and_goal(type_name, goal)
+    view = _view(json=json, plain=plain)
+    seconds = None if timeout is None else _number("--timeout", timeout, least=0.0)
+    factor = speed if speed == "max" else _factor(speed)
+    number = _whole("--seed", seed)
+    sources = [goal is not None, stdin, goal_file is not None]
+    if sum(sources) > 1:
+        raise UsageError("the goal is given twice: give one of GOAL, --stdin and --goal-file")
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands.goal_text import GoalText
+        from turtleact.commands.send_goal import Order, run
+
+        text = GoalText.read(goal, stdin=stdin, path=goal_file, interrupts=interrupts)
+        order = Order(name, type_name, text, feedback, seconds, view, factor, number)
+        return run(order, interrupts)
+
+    return job
+
+
+# what the arguments mean
+
+
+def _type_and_goal(type_name: str | None, goal: str | None) -> tuple[str | None, str | None]:
+    """Tell TYPE from GOAL: the first alone is a type if it looks like one."""
+    if type_name is None or _TYPE_NAME.fullmatch(type_name):
+        return type_name, goal
+    if goal is None:
+        return None, type_name
+    raise UsageError(
+        f"'{type_name}' is not a type such as pkg/action/Name; "
+        f"if it belongs to the goal, quote the goal: \"{type_name} {goal}\""
+    )
+
+
+def _view(*, json: bool, plain: bool) -> View:
+    if json and plain:
+        raise UsageError("give --json or --plain, not both")
+    return "json" if json else "plain" if plain else "auto"
+
+
+def _number(option: str, text: str, *, least: float) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value >= least):
+        raise UsageError(f"{option} is a number of seconds, {least:g} or more, not '{text}'")
+    return value
+
+
+def _factor(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0):
+        raise UsageError(f"--speed is a number above zero, or max, not '{text}'")
+    return value
+
+
+def _whole(option: str, text: str) -> int:
+    if not (text.isascii() and text.isdigit()):
+        raise UsageError(f"{option} is a whole number, 0 or more, not '{text}'")
+    return int(text)
+
+
+# getting along with Typer
+
+
+def _keep_as_typed(params: Iterable[Any]) -> None:
+    """Let no value pass through pydantic that needs no change."""
+    for param in params:
+        param.process_value = partial(_take, param, param.process_value)
+
+
+def _take(
+    param: Any, process: Callable[[typer.Context, Any], Any], ctx: typer.Context, value: Any
+) -> Any:
+    if isinstance(value, str):
+        return value.removeprefix(_TEXT)
+    return None if value is None and not param.required else process(ctx, value)
+
+
+def _help_unless_verb(ctx: typer.Context) -> None:
+    if ctx.invoked_subcommand is None:
+        typer.echo(ctx.get_help())
+
+
+def _explain(error: Exception) -> str:
+    """Typer's message in our form, and where there is help."""
+    message = str(getattr(error, "format_message", error.__str__)()).rstrip(".")
+    for marker in (_TEXT, repr(_TEXT)[1:-1]):
+        message = message.replace(marker, "")
+    context = getattr(error, "ctx", None)
+    path = context.command_path if context is not None else "turtleact"
+    return f"{message[:1].lower()}{message[1:]}\nTry '{path} --help'."
+
+
+def _exit_status(status: int, _: Interrupts) -> int:
+    return status

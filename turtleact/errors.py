@@ -1,0 +1,326 @@
+"""Every exception of turtleact, in one tree.
+
+::
+
+    TurtleactError
+    ├── InvalidName            a graph name breaks the naming rules
+    ├── InvalidInterface       the text of a .msg, .srv or .action, or a class, is malformed
+    ├── UnknownInterface       no interface of that name is known
+    ├── InvalidMessage         a value does not fit its field's type
+    │   └── InvalidGoal        … in the goal of an action
+    ├── InvalidBody            a function cannot be the body of an action
+    ├── InvalidTransition      an event is not allowed in a goal's state
+    ├── GoalError              what a goal's end tells the one who waits for it
+    │   ├── GoalRejected       the server did not take the goal
+    │   ├── GoalAborted        the server ended the goal without success
+    │   ├── GoalCanceled       the goal was canceled
+    │   └── UnknownGoal        the server does not hold a goal of that id
+    ├── ServerUnavailable      nobody serves the action, or the server went away
+    ├── SimError               the world was asked for something impossible
+    ├── UsageError             the command line was given something it cannot use
+    └── Verdict                what a server's own code raises to end or refuse a goal
+        ├── Abort
+        ├── Canceled
+        └── Reject
+
+An exception holds its facts as attributes and builds its text from them; the text says what
+happened, where, and what to do.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from turtleact.goal import GoalEvent, GoalStatus
+
+__all__ = [
+    "Abort",
+    "Canceled",
+    "GoalAborted",
+    "GoalCanceled",
+    "GoalError",
+    "GoalRejected",
+    "InvalidBody",
+    "InvalidGoal",
+    "InvalidInterface",
+    "InvalidMessage",
+    "InvalidName",
+    "InvalidTransition",
+    "Reject",
+    "ServerUnavailable",
+    "SimError",
+    "TurtleactError",
+    "UnknownGoal",
+    "UnknownInterface",
+    "UsageError",
+    "Verdict",
+]
+
+
+class TurtleactError(Exception):
+    """The root: ``except TurtleactError`` catches all that turtleact raises on purpose."""
+
+
+class InvalidName(TurtleactError):
+    """A graph name breaks ROS 2's naming rules.
+
+    Attributes:
+        name: The name as given.
+        problem: What is wrong with it.
+        position: Index of the first wrong character.
+    """
+
+    def __init__(self, name: str, problem: str, position: int) -> None:
+        super().__init__(name, problem, position)
+        self.name = name
+        self.problem = problem
+        self.position = position
+
+    def __str__(self) -> str:
+        return f"invalid name: {self.problem}\n  {self.name}\n  {' ' * self.position}^"
+
+
+class InvalidInterface(TurtleactError):
+    """The definition of an interface is malformed.
+
+    Attributes:
+        problem: What is wrong.
+        source: File or type name that holds the definition.
+        line: Line of the mistake, counted from 1; 0 where there is no text.
+        column: Column of the mistake, counted from 1.
+        text: The line as it stands.
+    """
+
+    def __init__(
+        self, problem: str, *, source: str, line: int = 0, column: int = 1, text: str = ""
+    ) -> None:
+        super().__init__(problem)
+        self.problem = problem
+        self.source = source
+        self.line = line
+        self.column = column
+        self.text = text
+
+    def __str__(self) -> str:
+        if not self.line:
+            return f"{self.source}: {self.problem}"
+        where = f"{self.source}:{self.line}:{self.column}: {self.problem}"
+        return f"{where}\n  {self.text}\n  {' ' * (self.column - 1)}^"
+
+
+class UnknownInterface(TurtleactError):
+    """No interface of that name is known.
+
+    Attributes:
+        type_name: The name that was looked up.
+        suggestion: The nearest known name, or an empty string.
+    """
+
+    def __init__(self, type_name: str, suggestion: str = "") -> None:
+        super().__init__(type_name, suggestion)
+        self.type_name = type_name
+        self.suggestion = suggestion
+
+    def __str__(self) -> str:
+        hint = f", did you mean '{self.suggestion}'?" if self.suggestion else ""
+        return f"unknown interface '{self.type_name}'{hint}"
+
+
+class InvalidMessage(TurtleactError):
+    """A value does not fit the type of its field.
+
+    Attributes:
+        path: Where it stands: ``goal.targets[2].x``.
+        problem: What was expected and what was found.
+    """
+
+    def __init__(self, path: str, problem: str) -> None:
+        super().__init__(path, problem)
+        self.path = path
+        self.problem = problem
+
+    def __str__(self) -> str:
+        return f"{self.path}: {self.problem}"
+
+
+class InvalidGoal(InvalidMessage):
+    """A value in a goal does not fit the type of its field; nothing was sent."""
+
+
+class InvalidBody(TurtleactError):
+    """A function cannot be the body of an action.
+
+    Attributes:
+        name: The action's name.
+        problem: What was expected and what was found.
+    """
+
+    def __init__(self, name: str, problem: str) -> None:
+        super().__init__(name, problem)
+        self.name = name
+        self.problem = problem
+
+    def __str__(self) -> str:
+        return f"the body of action '{self.name}' {self.problem}"
+
+
+class InvalidTransition(TurtleactError):
+    """An event is not allowed in the state of a goal; nothing changed.
+
+    Attributes:
+        status: The state of the goal.
+        event: What was asked of it: an event, or another thing that its state forbids.
+        goal_id: The goal's id in hexadecimal, or an empty string.
+    """
+
+    def __init__(self, status: GoalStatus, event: GoalEvent | str, goal_id: str = "") -> None:
+        super().__init__(status, event, goal_id)
+        self.status = status
+        self.event = event
+        self.goal_id = goal_id
+
+    def __str__(self) -> str:
+        who = f"goal {self.goal_id}" if self.goal_id else "the goal"
+        what = self.event if isinstance(self.event, str) else self.event.name
+        return f"{who} is {self.status.name}: {what} is not allowed"
+
+
+class GoalError(TurtleactError):
+    """A goal did not succeed.
+
+    Attributes:
+        reason: Why, in the server's words; empty where it gave none.
+        result: The result that the server reported all the same, if there is one.
+    """
+
+    what = "the goal did not succeed"
+
+    def __init__(self, reason: str = "", result: object = None) -> None:
+        super().__init__(reason, result)
+        self.reason = reason
+        self.result = result
+
+    def __str__(self) -> str:
+        return f"{self.what}: {self.reason}" if self.reason else self.what
+
+
+class GoalRejected(GoalError):
+    """The server did not take the goal."""
+
+    what = "the goal was rejected"
+
+
+class GoalAborted(GoalError):
+    """The server ended the goal without success."""
+
+    what = "the goal was aborted"
+
+
+class GoalCanceled(GoalError):
+    """The goal was canceled."""
+
+    what = "the goal was canceled"
+
+
+class UnknownGoal(GoalError):
+    """The server does not hold a goal of that id: it never did, or its result has expired."""
+
+    what = "the goal is not known to the server"
+
+
+class ServerUnavailable(TurtleactError):
+    """Nobody serves the action, or its server went away.
+
+    Attributes:
+        name: The action's name.
+        problem: What was found in its place.
+    """
+
+    def __init__(self, name: str, problem: str = "no server answers") -> None:
+        super().__init__(name, problem)
+        self.name = name
+        self.problem = problem
+
+    def __str__(self) -> str:
+        return f"action '{self.name}': {self.problem}"
+
+
+class SimError(TurtleactError):
+    """The world was asked for something impossible.
+
+    Attributes:
+        problem: What is wrong, and what to do.
+        turtle: The name of the turtle it is about; empty where it is about none.
+    """
+
+    def __init__(self, problem: str, *, turtle: str = "") -> None:
+        super().__init__(problem)
+        self.problem = problem
+        self.turtle = turtle
+
+    def __str__(self) -> str:
+        return f"{self.turtle}: {self.problem}" if self.turtle else self.problem
+
+
+class UsageError(TurtleactError):
+    """The command line was given arguments that it cannot use.
+
+    Attributes:
+        problem: What is wrong, and what to give instead.
+    """
+
+    def __init__(self, problem: str) -> None:
+        super().__init__(problem)
+        self.problem = problem
+
+    def __str__(self) -> str:
+        return self.problem
+
+
+class Verdict(TurtleactError):
+    """What a server's own code raises to say how a goal ends."""
+
+
+class Abort(Verdict):
+    """Raised by an action's body to end its goal ABORTED.
+
+    Args:
+        reason: What the client is told.
+        result: The result that goes with it; the action's default result if left out.
+    """
+
+    def __init__(self, reason: str = "", result: object = None) -> None:
+        super().__init__(reason, result)
+        self.reason = reason
+        self.result = result
+
+    def __str__(self) -> str:
+        return self.reason
+
+
+class Canceled(Verdict):
+    """Raised in the clean-up of a body that was canceled, to report a result with it.
+
+    Args:
+        result: What the goal has reached; the partial or default result if left out.
+    """
+
+    def __init__(self, result: object = None) -> None:
+        super().__init__(result)
+        self.result = result
+
+
+class Reject(Verdict):
+    """Raised by a ``goal_callback`` to refuse a goal.
+
+    Args:
+        reason: What the client is told.
+    """
+
+    def __init__(self, reason: str = "") -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+    def __str__(self) -> str:
+        return self.reason

@@ -1,0 +1,284 @@
+"""How a goal is carried out: its body is run, its feedback published, its end made the goal's end.
+
+A body runs in a task of its own, begun at once, or inside the task of the client that awaits it.
+
+A generator is never iterated with ``async for``: a cancellation that lands while it stands at a
+``yield`` would reach it as GeneratorExit only, and a timeout or task group around that ``yield``
+would break. One task drives it; what arrives between two steps is thrown in at its ``yield``; it
+is closed on every path.
+
+Source: PEP 525; PEP 789 for the hazards of generators.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Coroutine
+from functools import partial
+from typing import TypeAlias, cast
+
+from turtleact.body import ActionType, Body, Steps
+from turtleact.clock import Clock
+from turtleact.errors import Abort, Canceled, InvalidMessage, InvalidTransition
+from turtleact.goal import FeedbackLog, Goal, GoalEvent, GoalStatus, GoalTable
+from turtleact.interfaces import Message, snapshotter
+from turtleact.tasks import Borrowed, Signal, Tasks
+
+__all__ = ["Execution"]
+
+logger = logging.getLogger("turtleact.server")
+
+Check: TypeAlias = Callable[[object], Message]
+Running: TypeAlias = Coroutine[object, object, None]
+
+BURST = 16
+"""After so many messages in a row, a generator that never waits lets others run."""
+
+_EXECUTING = GoalStatus.EXECUTING
+_CANCELING = GoalStatus.CANCELING
+_SUCCEED = GoalEvent.SUCCEED
+
+
+class Execution:
+    """Carries out the goals of one server.
+
+    Args:
+        name: The action's name, for messages and logs.
+        action_type: The action.
+        body: The function to run.
+        clock: Says when a goal ended.
+        tasks: Starts what runs by itself.
+        table: Where goals are held.
+        make_handle: Makes the handle that a body may want.
+
+    Attributes:
+        check_result: The checked copy of a result.
+        ended: Fires whenever a goal has ended, once somebody has put it there.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        action_type: ActionType[Message, Message, Message],
+        body: Body,
+        *,
+        clock: Clock,
+        tasks: Tasks,
+        table: GoalTable,
+        make_handle: Callable[[Goal], object],
+    ) -> None:
+        self._name = name
+        self._call = body.call
+        self._is_generator = body.is_generator
+        self._wants_handle = body.wants_handle
+        self._now = clock.now
+        self._tasks = tasks
+        self._table = table
+        self._make_handle = make_handle
+        self._result_type = cast("type[Message]", action_type.Result)
+        feedback_type = cast("type[Message]", action_type.Feedback)
+        self._check_feedback = cast("Check", snapshotter(feedback_type, root="feedback"))
+        self.check_result = cast("Check", snapshotter(self._result_type, root="result"))
+        self.ended: Signal | None = None
+
+    # starting
+
+    def start(self, goal: Goal) -> None:
+        """Run a goal's body in a task of its own; on asyncio its first step has run then."""
+        task = self._tasks.spawn(self.run(goal), self._name)
+        if not goal.ended:
+            goal.body = task
+            if goal.status is _CANCELING or goal.reason:  # asked for in its own first step
+                task.cancel()
+
+    async def lend(self, goal: Goal, running: Running, waits_for: object) -> None:
+        """Run a body in the caller's own task, to its end (asyncio alone).
+
+        Cancelling: the goal is asked to cancel, its end awaited, the cancellation raised again.
+
+        Args:
+            goal: The goal.
+            running: `run` of that goal, after its first step.
+            waits_for: What the first step gave.
+        """
+        borrowed = Borrowed(partial(mark_canceling, goal))
+        goal.body = borrowed
+        if goal.status is _CANCELING or goal.reason:  # asked for in its own first step
+            borrowed.cancel()
+        await borrowed.go_on(running, waits_for)
+
+    # running
+
+    async def run(self, goal: Goal) -> None:
+        """Run a body and make its end the goal's end; raises only what stops the program."""
+        if goal.status is _CANCELING or goal.reason:  # before its first step
+            self._end_canceled(goal)
+            return
+        try:
+            if self._wants_handle:
+                running = self._call(goal.request, self._make_handle(goal))
+            else:
+                running = self._call(goal.request)
+            if self._is_generator:
+                result = await self._drive(goal, running)  # type: ignore[arg-type]  # see Body
+            else:
+                result = await running  # type: ignore[misc]  # see Body
+        except GeneratorExit:  # the event loop is gone
+            raise
+        except (KeyboardInterrupt, SystemExit):
+            self.end(goal, GoalEvent.ABORT, None, "the program was stopped")
+            raise
+        except BaseException as error:
+            self._fail(goal, error)
+            return
+        try:
+            message = self.check_result(result)
+        except InvalidMessage as misfit:
+            why = "no result" if result is None else f"the body's result does not fit: {misfit}"
+            self.end(goal, GoalEvent.ABORT, None, why)
+        else:
+            self.end(goal, _SUCCEED, message)
+
+    async def _drive(self, goal: Goal, steps: Steps) -> object:
+        """Run a generator to its end; the answer is its result, or None if it gave none."""
+        result_type, check, step = self._result_type, self._check_feedback, steps.asend
+        countdown = BURST
+        try:
+            item = await step(None)
+            while type(item) is not result_type:
+                try:
+                    message = goal.last_feedback = check(item)
+                    if goal.is_streamed or goal.listener or goal.on_feedback or goal.ended:
+                        self._hand_on(goal, message)
+                    countdown -= 1
+                    if not countdown:
+                        countdown = BURST
+                        await self._pause(goal)
+                except GeneratorExit:
+                    raise
+                except BaseException as error:
+                    item = await steps.athrow(error)
+                else:
+                    item = await step(None)
+            await _finish(steps)
+        except StopAsyncIteration:
+            return None
+        else:
+            return item
+        finally:
+            await steps.aclose()
+
+    async def _pause(self, goal: Goal) -> None:
+        """Let others run; if the sender reads and is far behind, let it catch up."""
+        await self._tasks.checkpoint()
+        log = goal.feedback
+        if log is not None and log.is_full:
+            drained = self._tasks.signal()
+            log.drained = drained
+            while log.is_full:
+                await drained.wait()
+            log.drained = None
+
+    def publish(self, goal: Goal, feedback: object) -> None:
+        """Take a snapshot of feedback and hand it to all who read."""
+        message = self._check_feedback(feedback)
+        self._hand_on(goal, message)
+        goal.last_feedback = message
+
+    def _hand_on(self, goal: Goal, message: object) -> None:
+        if goal.ended:
+            raise InvalidTransition(goal.status, "feedback", goal.hex)
+        if goal.is_streamed:
+            log = goal.feedback
+            if log is None:
+                log = goal.feedback = FeedbackLog()
+            log.append(message)
+        if goal.listener is not None:
+            goal.listener.fire()
+        if goal.on_feedback is not None:
+            try:
+                goal.on_feedback(message)
+            except Exception:
+                logger.exception("the feedback_callback of goal %s failed", goal.hex)
+
+    # ending
+
+    def end(self, goal: Goal, event: GoalEvent, result: object, reason: str = "") -> None:
+        """End a goal; one that was left behind at the shutdown has been answered already."""
+        if goal.ended:
+            return
+        if result is not None:
+            goal.result = result
+        elif goal.result is None:
+            goal.result = self._result_type()
+        if goal.reason is not reason:
+            goal.reason = reason
+        if goal.body is not None:
+            goal.body = None
+        self._table.end(goal, self._now())
+        goal.apply(event)
+        if self.ended is not None:
+            self.ended.fire()
+
+    def _fail(self, goal: Goal, error: BaseException) -> None:
+        canceling = goal.status is _CANCELING
+        if isinstance(error, Abort):
+            self._end_with(goal, GoalEvent.ABORT, error.result, error.reason)
+        elif isinstance(error, Canceled) and (canceling or goal.reason):
+            event = GoalEvent.CANCELED if canceling else GoalEvent.ABORT
+            self._end_with(goal, event, error.result, "" if canceling else goal.reason)
+        elif self._is_cancellation(error):
+            self._end_canceled(goal)
+        else:
+            logger.error("the body of goal %s of %s failed", goal.hex, self._name, exc_info=error)
+            self.end(goal, GoalEvent.ABORT, None, summary(error))
+
+    def _end_canceled(self, goal: Goal) -> None:
+        if goal.status is _CANCELING:
+            self.end(goal, GoalEvent.CANCELED, None)
+        else:
+            self.end(goal, GoalEvent.ABORT, None, goal.reason or "canceled from within")
+
+    def _end_with(self, goal: Goal, event: GoalEvent, result: object, reason: str) -> None:
+        """End a goal with a result that the body chose, if it fits."""
+        if result is not None:
+            try:
+                result = self.check_result(result)
+            except InvalidMessage as error:
+                result, reason = None, f"{reason} (its result does not fit: {error})"
+        self.end(goal, event, result, reason)
+
+    def _is_cancellation(self, error: BaseException) -> bool:
+        if isinstance(error, BaseExceptionGroup):
+            return error.split(self._tasks.cancelled)[1] is None
+        return isinstance(error, self._tasks.cancelled)
+
+
+def mark_canceling(goal: Goal) -> None:
+    """Make a goal CANCELING, unless it is so already or has ended."""
+    if goal.status.is_active and goal.status is not _CANCELING:
+        goal.apply(GoalEvent.CANCEL_GOAL)
+
+
+def summary(error: BaseException) -> str:
+    """An exception in one line: the type and the text, those of a group one after the other."""
+    if isinstance(error, BaseExceptionGroup):
+        return "; ".join(summary(each) for each in error.exceptions)
+    text = str(error)
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+async def _finish(steps: Steps) -> None:
+    """Let a generator run on behind its result: the result stands, whatever it does."""
+    try:
+        extra = await steps.asend(None)
+    except StopAsyncIteration:
+        return
+    except (GeneratorExit, KeyboardInterrupt, SystemExit):
+        raise
+    except Exception:
+        logger.exception("a body failed after it had yielded its result; the result stands")
+    except BaseException:
+        logger.info("a body was canceled after it had yielded its result; the result stands")
+    else:
+        logger.warning("a body yielded %s after its result; it is closed", type(extra).__name__)

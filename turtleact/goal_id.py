@@ -1,0 +1,65 @@
+"""New goal ids: 16 random bytes, drawn from the system many at a time.
+
+Source: RFC 9562, UUID version 4; what unique_identifier_msgs/msg/UUID carries.
+"""
+
+from __future__ import annotations
+
+import os
+import uuid
+
+from turtleact.errors import InvalidName
+
+__all__ = ["goal_id_bytes", "new_goal_id"]
+
+_POOLED = 256
+
+
+class _Pool:
+    """Random bytes in stock; a forked child starts with none, so that no id is drawn twice."""
+
+    def __init__(self) -> None:
+        self._stock: list[bytes] = []
+        os.register_at_fork(after_in_child=self._stock.clear)
+
+    def draw(self) -> bytes:
+        if not self._stock:
+            noise = os.urandom(16 * _POOLED)
+            self._stock += [noise[at : at + 16] for at in range(0, len(noise), 16)]
+        return self._stock.pop()
+
+
+_pool = _Pool()
+
+
+def new_goal_id() -> bytes:
+    """A fresh goal id, of UUID version 4."""
+    noise = _pool.draw()
+    return b"%b%c%b%c%b" % (
+        noise[:6],
+        noise[6] & 0x0F | 0x40,
+        noise[7:8],
+        noise[8] & 0x3F | 0x80,
+        noise[9:],
+    )
+
+
+def goal_id_bytes(goal_id: bytes | str | uuid.UUID) -> bytes:
+    """A goal id in any of its spellings, as its 16 bytes.
+
+    Raises:
+        InvalidName: if it is not 16 bytes, a UUID, or 32 hexadecimal digits.
+
+    >>> goal_id_bytes("0d4fd2a0d2b74b3f9a3f1f7c2f4f8f2e").hex()
+    '0d4fd2a0d2b74b3f9a3f1f7c2f4f8f2e'
+    """
+    if isinstance(goal_id, uuid.UUID):
+        return goal_id.bytes
+    if isinstance(goal_id, str):
+        try:
+            return uuid.UUID(goal_id).bytes
+        except ValueError:
+            raise InvalidName(goal_id, "a goal id has 32 hexadecimal digits", 0) from None
+    if len(goal_id) != 16:
+        raise InvalidName(goal_id.hex(), "a goal id has 16 bytes", 0)
+    return bytes(goal_id)

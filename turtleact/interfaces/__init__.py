@@ -1,0 +1,91 @@
+"""What is said: messages, services and actions as Python classes, and as text.
+
+Pure: nothing here does I/O but the reading of interface files, and nothing knows an event loop.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from turtleact.interfaces.classes import (
+    get_interface,
+    implied_types,
+    interface_text,
+    known_interfaces,
+    load_interface,
+    load_interfaces,
+)
+from turtleact.interfaces.copying import snapshot, snapshotter
+from turtleact.interfaces.mapping import from_dict, to_dict
+from turtleact.interfaces.types import (
+    Action,
+    Message,
+    Service,
+    array,
+    bool_,
+    bounded,
+    byte,
+    char,
+    fields,
+    float32,
+    float64,
+    int8,
+    int16,
+    int32,
+    int64,
+    string,
+    uint8,
+    uint16,
+    uint32,
+    uint64,
+    wstring,
+)
+
+if TYPE_CHECKING:
+    from turtleact.interfaces.text import from_text, to_json, to_yaml
+
+__all__ = [
+    "Action",
+    "Message",
+    "Service",
+    "array",
+    "bool_",
+    "bounded",
+    "byte",
+    "char",
+    "fields",
+    "float32",
+    "float64",
+    "from_dict",
+    "from_text",
+    "get_interface",
+    "implied_types",
+    "int8",
+    "int16",
+    "int32",
+    "int64",
+    "interface_text",
+    "known_interfaces",
+    "load_interface",
+    "load_interfaces",
+    "snapshot",
+    "snapshotter",
+    "string",
+    "to_dict",
+    "to_json",
+    "to_yaml",
+    "uint8",
+    "uint16",
+    "uint32",
+    "uint64",
+    "wstring",
+]
+
+
+def __getattr__(name: str) -> object:
+    """Imports ``text``, and PyYAML with it, when one of its functions is first asked for."""
+    if name not in ("from_text", "to_json", "to_yaml"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from turtleact.interfaces import text
+
+    return getattr(text, name)

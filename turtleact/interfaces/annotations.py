@@ -1,0 +1,287 @@
+"""Python annotations that say a ROS type, and how one is read.
+
+``int32`` is ``Annotated[int, …]``: a type checker sees ``int``, a message class reads the range.
+``bounded[list[int32], 5]`` and ``array[list[float64], 9]`` are ``Annotated`` by another name, so
+that every type checker takes them for the list. Knows no message class beyond its name.
+"""
+
+from __future__ import annotations
+
+from collections import ChainMap
+from operator import getitem
+from types import GenericAlias
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    ForwardRef,
+    NamedTuple,
+    TypeAlias,
+    TypeGuard,
+    cast,
+    get_args,
+    get_origin,
+)
+
+import msgspec
+
+from turtleact.errors import InvalidInterface
+from turtleact.interfaces.definition import ArrayForm, FieldType, did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from types import FrameType
+    from typing import Annotated as array
+    from typing import Annotated as bounded
+
+    from turtleact.interfaces.types import Message
+
+__all__ = [
+    "SCALARS",
+    "Reading",
+    "Scope",
+    "annotation_of",
+    "array",
+    "bool_",
+    "bounded",
+    "byte",
+    "char",
+    "float32",
+    "float64",
+    "int8",
+    "int16",
+    "int32",
+    "int64",
+    "is_message_class",
+    "read",
+    "resolve",
+    "scope_of",
+    "string",
+    "uint8",
+    "uint16",
+    "uint32",
+    "uint64",
+    "wstring",
+]
+
+
+class Scalar(msgspec.Struct, frozen=True):
+    """Marks an annotation with the name of a primitive type."""
+
+    name: str
+
+
+class Limit(msgspec.Struct, frozen=True):
+    """Marks an annotation with a bound or a fixed length."""
+
+    form: ArrayForm
+    size: int
+
+
+bool_: TypeAlias = Annotated[bool, Scalar("bool")]
+byte: TypeAlias = Annotated[int, Scalar("byte")]
+char: TypeAlias = Annotated[int, Scalar("char")]
+int8: TypeAlias = Annotated[int, Scalar("int8")]
+uint8: TypeAlias = Annotated[int, Scalar("uint8")]
+int16: TypeAlias = Annotated[int, Scalar("int16")]
+uint16: TypeAlias = Annotated[int, Scalar("uint16")]
+int32: TypeAlias = Annotated[int, Scalar("int32")]
+uint32: TypeAlias = Annotated[int, Scalar("uint32")]
+int64: TypeAlias = Annotated[int, Scalar("int64")]
+uint64: TypeAlias = Annotated[int, Scalar("uint64")]
+float32: TypeAlias = Annotated[float, Scalar("float32")]
+float64: TypeAlias = Annotated[float, Scalar("float64")]
+string: TypeAlias = Annotated[str, Scalar("string")]
+wstring: TypeAlias = Annotated[str, Scalar("wstring")]
+
+#: The annotation of each primitive type.
+SCALARS: Mapping[str, object] = {
+    "bool": bool_,
+    "byte": byte,
+    "char": char,
+    "int8": int8,
+    "uint8": uint8,
+    "int16": int16,
+    "uint16": uint16,
+    "int32": int32,
+    "uint32": uint32,
+    "int64": int64,
+    "uint64": uint64,
+    "float32": float32,
+    "float64": float64,
+    "string": string,
+    "wstring": wstring,
+}
+
+#: Python's own types, where they leave no doubt. ``int`` does.
+PLAIN = {bool: "bool", float: "float64", str: "string"}
+
+if not TYPE_CHECKING:
+
+    class bounded:
+        """At most so many: ``bounded[list[int32], 5]``, ``bounded[string, 10]``."""
+
+        def __class_getitem__(cls, item: object) -> object:
+            return limited(item, ArrayForm.BOUNDED)
+
+    class array:
+        """Exactly so many: ``array[list[float64], 9]``; ``array[bytes, 16]`` is of uint8."""
+
+        def __class_getitem__(cls, item: object) -> object:
+            return limited(item, ArrayForm.FIXED)
+
+
+#: Where the names in an annotation are looked up.
+Scope: TypeAlias = "Mapping[str, object]"
+
+
+class Reading(NamedTuple):
+    """What an annotation says."""
+
+    field_type: FieldType
+    nested: type[Message] | None = None
+    is_bytes: bool = False
+
+
+def read(annotation: object, scope: Scope) -> Reading:
+    """What a field's annotation says.
+
+    Raises:
+        InvalidInterface: if it says no ROS type; the source is left to the caller.
+    """
+    annotation = resolve(annotation, scope)
+    marks: tuple[object, ...] = ()
+    if get_origin(annotation) is Annotated:
+        annotation, *rest = get_args(annotation)
+        marks = tuple(rest)
+    limit = next((m for m in marks if isinstance(m, Limit)), None)
+    scalar = next((m.name for m in marks if isinstance(m, Scalar)), None)
+    if scalar is not None:
+        return Reading(with_limit(FieldType(scalar), limit))
+    annotation = resolve(annotation, scope)
+    if get_origin(annotation) is list:
+        element = read(get_args(annotation)[0], scope)
+        return Reading(with_form(element.field_type, limit), element.nested)
+    if annotation is bytes:
+        return Reading(with_form(FieldType("uint8"), limit), is_bytes=True)
+    if isinstance(annotation, type) and annotation in PLAIN:
+        return Reading(with_limit(FieldType(PLAIN[annotation]), limit))
+    message = message_class(annotation)
+    return Reading(with_limit(FieldType(message.type_name), limit), message)
+
+
+def annotation_of(field_type: FieldType, nested: type[Message] | None) -> object:
+    """The annotation that says this type."""
+    annotation = SCALARS[field_type.name] if nested is None else nested
+    if field_type.string_bound is not None:
+        annotation = marked(annotation, Limit(ArrayForm.BOUNDED, field_type.string_bound))
+    if field_type.is_sequence:
+        annotation = GenericAlias(list, (annotation,))
+    if field_type.size:
+        annotation = marked(annotation, Limit(field_type.form, field_type.size))
+    return annotation
+
+
+def scope_of(frame: FrameType, namespace: Mapping[str, object]) -> Scope:
+    """Where a class statement looks names up, for annotations that are text.
+
+    The enclosing class bodies and the function around them; a name of a still wider function is
+    seen only if it is a global. The class's own body comes last: ``byte: byte = 0`` means the type.
+    """
+    maps = [dict(frame.f_locals)]
+    while frame.f_back is not None and not frame.f_code.co_flags & FUNCTION:
+        if frame.f_locals is frame.f_globals:
+            break
+        frame = frame.f_back
+        maps.append(dict(frame.f_locals))
+    return ChainMap(*maps, frame.f_globals, dict(namespace))
+
+
+#: The code flag (CO_OPTIMIZED) that a function has, and a class body or a module has not.
+FUNCTION = 0x1
+
+
+def resolve(annotation: object, scope: Scope) -> object:
+    """The object that an annotation means, where it is text."""
+    if isinstance(annotation, ForwardRef):
+        annotation = annotation.__forward_arg__
+    if not isinstance(annotation, str):
+        return annotation
+    try:
+        # The text is the annotation in the caller's own source, which Python would have run.
+        return eval(annotation, {}, scope)  # noqa: S307
+    except InvalidInterface:
+        raise
+    except Exception as error:
+        problem = (
+            f"cannot make out '{annotation}' ({error}): the names in it must be known to the "
+            "module, or to the function, that declares the class"
+        )
+        raise InvalidInterface(problem, source="") from error
+
+
+def limited(item: object, form: ArrayForm) -> object:
+    """What ``bounded[…]`` and ``array[…]`` give."""
+    match item:
+        case (annotation, int(size)) if size > 0:
+            return marked(annotation, Limit(form, size))
+    word = "array" if form is ArrayForm.FIXED else "bounded"
+    problem = f"say {word}[list[int32], 5]: a type, then a number above zero"
+    raise InvalidInterface(problem, source=word)
+
+
+def marked(annotation: object, mark: Limit) -> object:
+    """An annotation with a mark more."""
+    return getitem(cast("dict[object, object]", Annotated), (annotation, mark))
+
+
+def with_form(element: FieldType, limit: Limit | None) -> FieldType:
+    """The type of a sequence of such elements."""
+    if element.is_sequence:
+        problem = f"ROS has no lists of lists: put the {element} into a message of its own"
+        raise InvalidInterface(problem, source="")
+    form, size = (ArrayForm.UNBOUNDED, 0) if limit is None else (limit.form, limit.size)
+    return FieldType(element.name, element.string_bound, form, size)
+
+
+def with_limit(single: FieldType, limit: Limit | None) -> FieldType:
+    """The type of one element, with the bound that a string may have."""
+    if limit is None:
+        return single
+    if limit.form is ArrayForm.FIXED or not single.is_string:
+        word = "array" if limit.form is ArrayForm.FIXED else "bounded"
+        problem = f"{word}[…] is for a list, as in {word}[list[{single}], {limit.size}]"
+        raise InvalidInterface(problem, source="")
+    return FieldType(single.name, limit.size)
+
+
+def message_class(annotation: object) -> type[Message]:
+    """The annotation, if it is a message class that has a name."""
+    if not is_message_class(annotation):
+        raise InvalidInterface(f"{said(annotation)} is no ROS type{hint(annotation)}", source="")
+    if not annotation.type_name:
+        name = annotation.__name__
+        problem = (
+            f"{name} has no type name: say it, as in "
+            f'class {name}(Message, type_name="package_name/msg/{name}")'
+        )
+        raise InvalidInterface(problem, source="")
+    return annotation
+
+
+def is_message_class(annotation: object) -> TypeGuard[type[Message]]:
+    """Whether this is a message class: it carries a shape."""
+    return isinstance(annotation, type) and hasattr(annotation, "_shape")
+
+
+def said(annotation: object) -> str:
+    """An annotation as its author wrote it, nearly."""
+    return annotation.__name__ if isinstance(annotation, type) else str(annotation)
+
+
+def hint(annotation: object) -> str:
+    """What to say in place of an annotation that is no ROS type."""
+    if annotation is int:
+        return ": say which, from int8 to uint64"
+    if annotation is list:
+        return ": say of what, as in list[int32]"
+    return did_you_mean(said(annotation), SCALARS)

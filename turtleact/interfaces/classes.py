@@ -1,0 +1,337 @@
+"""Definitions and classes, both ways; and finding an interface by its name.
+
+An interface that no Python class declares is made from its text when it is first asked for: from
+the folders given to ``load_interfaces``, then from the files that ship in ``standard``. The one
+module of its row that opens files.
+
+Source: ``rosidl_parser/definition.py``, for the types that an action implies.
+"""
+
+from __future__ import annotations
+
+import importlib.resources
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import msgspec
+
+from turtleact.errors import InvalidInterface, UnknownInterface
+from turtleact.interfaces import standard
+from turtleact.interfaces.definition import (
+    ActionDefinition,
+    Field,
+    FieldType,
+    MessageDefinition,
+    ServiceDefinition,
+    definition_text,
+    nearest,
+    type_name_pattern,
+)
+from turtleact.interfaces.making import make_action, make_message, make_service
+from turtleact.interfaces.parse import parse
+from turtleact.interfaces.registry import REGISTRY
+from turtleact.interfaces.types import Action, Message, Service, definition
+
+if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
+
+    from turtleact.interfaces.definition import Definition
+    from turtleact.interfaces.registry import Interface
+
+__all__ = [
+    "ImpliedTypes",
+    "class_of",
+    "get_interface",
+    "implied_types",
+    "interface_text",
+    "known_interfaces",
+    "load_interface",
+    "load_interfaces",
+]
+
+KINDS = ("msg", "srv", "action")
+
+
+class ImpliedTypes(msgspec.Struct, frozen=True):
+    """What an action sends besides its parts.
+
+    Attributes:
+        send_goal: Service: goal id and goal, answered by whether and when it was accepted.
+        get_result: Service: goal id, answered by status and result.
+        feedback_message: Message: goal id and feedback.
+    """
+
+    send_goal: type[Service]
+    get_result: type[Service]
+    feedback_message: type[Message]
+
+
+def get_interface(type_name: str) -> Interface:
+    """The class of an interface, by its full name or by ``package/Name``.
+
+    Types that an action or service implies are found too (``NAME_SendGoal_Request``). The same
+    class is given every time, unless another definition takes the name over.
+
+    Raises:
+        UnknownInterface: with the nearest known name.
+        InvalidInterface: if the file that holds it is malformed.
+
+    >>> get_interface("geometry_msgs/msg/Point")(x=1.0)
+    Point(x=1.0, y=0.0, z=0.0)
+    """
+    for name in full_names(type_name):
+        found = look_up(name, ())
+        if found is not None:
+            return found
+    return needed(None, type_name)
+
+
+def load_interface(source: str | Path, *, type_name: str = "") -> Interface:
+    """The class of an interface that stands in a file or in a text.
+
+    Args:
+        source: The path of a .msg, .srv or .action, or the text itself.
+        type_name: The full name; may be left out for a file at ``PACKAGE/KIND/NAME.EXT``.
+
+    Raises:
+        InvalidInterface: with file, line and column.
+
+    >>> Order = load_interface("int32 count 3", type_name="example_msgs/msg/Order")
+    >>> Order()
+    Order(count=3)
+    """
+    path = as_path(source)
+    if path is None:
+        return class_of(parse(str(source), named(type_name, "text")))
+    name = type_name or name_of(path)
+    text = read(path)
+    return class_of(parse(text, named(name, str(path)), source=str(path)))
+
+
+def load_interfaces(folder: str | Path) -> tuple[str, ...]:
+    """Makes every ``PACKAGE/KIND/NAME.EXT`` under a folder known, and gives their names.
+
+    A file is read when its interface is first asked for; it goes before one that ships. A class
+    already known under a name stays, if the file says the same.
+
+    Raises:
+        InvalidInterface: if there is no such folder, or a file's name is no interface's name.
+    """
+    root = Path(folder)
+    if not root.is_dir():
+        raise InvalidInterface("no such folder", source=str(folder))
+    found: dict[str, Path] = {}
+    for kind in KINDS:
+        for path in sorted(root.glob(f"*/{kind}/*.{kind}")):
+            found[named(name_of(path), str(path))] = path
+    REGISTRY.files.update(found)
+    for name, path in found.items():
+        held = REGISTRY.get(name)
+        if held is not None and parse(read(path), name, source=str(path)) != definition(held):
+            REGISTRY.forget(name)
+    return tuple(sorted(found))
+
+
+def known_interfaces() -> tuple[str, ...]:
+    """The names of all interfaces that can be had, without the types that others imply."""
+    names = {*REGISTRY.names(), *REGISTRY.files, *shipped_names()}
+    return tuple(sorted(name for name in names if "_" not in name.rpartition("/")[2]))
+
+
+def implied_types(action: type[Action]) -> ImpliedTypes:
+    """What this action sends besides its parts, as classes: the same ones every time."""
+    held = vars(action).get("_implied")
+    if held is None:
+        held = action._implied = make_implied_types(action)
+    return cast("ImpliedTypes", held)
+
+
+def interface_text(cls: Interface) -> str:
+    """An interface class as the text of a .msg, .srv or .action.
+
+    >>> from turtleact.interfaces.standard import Fibonacci
+    >>> print(interface_text(Fibonacci))
+    int32 order
+    ---
+    int32[] sequence
+    ---
+    int32[] partial_sequence
+    """
+    return definition_text(definition(cls))
+
+
+def class_of(definition: Definition) -> Interface:
+    """The class that a definition describes; the one known already, if it says the same.
+
+    Raises:
+        InvalidInterface: if a message in it is unknown, or contains itself.
+    """
+    return build(definition, ())
+
+
+def build(definition: Definition, making: tuple[str, ...]) -> Interface:
+    """Makes a class, and the messages in it.
+
+    Args:
+        definition: What to make.
+        making: The interfaces that are being made around it.
+    """
+
+    def find(type_name: str) -> Interface:
+        return needed(look_up(type_name, (*making, definition.type_name)), type_name)
+
+    made: Interface
+    match definition:
+        case MessageDefinition():
+            made = make_message(definition, find)
+        case ServiceDefinition():
+            made = make_service(definition, find)
+        case ActionDefinition():
+            made = make_action(definition, find)
+    return REGISTRY.get(definition.type_name) or made
+
+
+def make_implied_types(action: type[Action]) -> ImpliedTypes:
+    """Makes the classes that an action implies."""
+    name = action.type_name
+    own = {part.type_name: part for part in (action.Goal, action.Result, action.Feedback)}
+
+    def find(type_name: str) -> Interface:
+        return own.get(type_name) or needed(look_up(type_name, ()), type_name)
+
+    def message(suffix: str, *fields: Field) -> MessageDefinition:
+        return MessageDefinition(f"{name}_{suffix}", fields)
+
+    def service(suffix: str, request: list[Field], response: list[Field]) -> type[Service]:
+        parts = message(f"{suffix}_Request", *request), message(f"{suffix}_Response", *response)
+        return make_service(ServiceDefinition(f"{name}_{suffix}", *parts), find)
+
+    goal_id = Field("goal_id", FieldType("unique_identifier_msgs/msg/UUID"))
+    goal = Field("goal", FieldType(f"{name}_Goal"))
+    accepted = Field("accepted", FieldType("bool"))
+    stamp = Field("stamp", FieldType("builtin_interfaces/msg/Time"))
+    status = Field("status", FieldType("int8"))
+    result = Field("result", FieldType(f"{name}_Result"))
+    feedback = Field("feedback", FieldType(f"{name}_Feedback"))
+    return ImpliedTypes(
+        service("SendGoal", [goal_id, goal], [accepted, stamp]),
+        service("GetResult", [goal_id], [status, result]),
+        make_message(message("FeedbackMessage", goal_id, feedback), find),
+    )
+
+
+def look_up(type_name: str, making: tuple[str, ...]) -> Interface | None:
+    """The class of that full name, known, read from its file, or None."""
+    if type_name in making:
+        circle = " in ".join([type_name, *reversed(making[making.index(type_name) :])])
+        raise InvalidInterface(f"a message contains itself: {circle}", source=making[0])
+    folder, _, name = type_name.rpartition("/")
+    whole, _, part = name.partition("_")
+    if part:
+        owner = look_up(f"{folder}/{whole}", making)
+        return members(owner).get(part) or REGISTRY.get(type_name)
+    held = REGISTRY.get(type_name)
+    file = REGISTRY.files.get(type_name) or shipped(type_name)
+    if held is not None or file is None:
+        return held
+    return build(parse(read(file), type_name, source=str(file)), making)
+
+
+def members(owner: Interface | None) -> dict[str, Interface]:
+    """The types that belong to a service or action, by what stands behind its name."""
+    if owner is None or issubclass(owner, Message):
+        return {}
+    if issubclass(owner, Service):
+        return {"Request": owner.Request, "Response": owner.Response}
+    implied = implied_types(owner)
+    return {
+        "Goal": owner.Goal,
+        "Result": owner.Result,
+        "Feedback": owner.Feedback,
+        "FeedbackMessage": implied.feedback_message,
+        "SendGoal": implied.send_goal,
+        "SendGoal_Request": implied.send_goal.Request,
+        "SendGoal_Response": implied.send_goal.Response,
+        "GetResult": implied.get_result,
+        "GetResult_Request": implied.get_result.Request,
+        "GetResult_Response": implied.get_result.Response,
+    }
+
+
+def full_names(type_name: str) -> list[str]:
+    """The full names that a name may stand for."""
+    package, _, name = type_name.partition("/")
+    candidates = [type_name] if "/" in name else [f"{package}/{kind}/{name}" for kind in KINDS]
+    return [name for name in candidates if type_name_pattern.fullmatch(name)]
+
+
+def needed(found: Interface | None, type_name: str) -> Interface:
+    """What was found under a name, if anything was."""
+    if found is None:
+        raise UnknownInterface(type_name, suggestion(type_name))
+    return found
+
+
+def suggestion(type_name: str) -> str:
+    """The known interface that was most likely meant."""
+    known = known_interfaces()
+    ending = f"/{type_name.rpartition('/')[2]}"
+    return next((name for name in known if name.endswith(ending)), "") or nearest(type_name, known)
+
+
+def as_path(source: str | Path) -> Path | None:
+    """The path that is meant, or None for a text."""
+    if isinstance(source, Path):
+        return source
+    is_path = "\n" not in source and source.endswith(tuple(f".{kind}" for kind in KINDS))
+    return Path(source) if is_path else None
+
+
+def name_of(path: Path) -> str:
+    """The full name that a file's place says, or an empty string."""
+    package, kind, _ = ("", "", "", *path.absolute().parts)[-3:]
+    name = f"{package}/{kind}/{path.stem}"
+    return name if type_name_pattern.fullmatch(name) and path.suffix == f".{kind}" else ""
+
+
+def named(type_name: str, source: str) -> str:
+    """The name, if there is one."""
+    if not type_name:
+        problem = (
+            'say its full name: type_name="package_name/action/InterfaceName" '
+            "(or keep the file at PACKAGE/KIND/NAME.EXT)"
+        )
+        raise InvalidInterface(problem, source=source)
+    return type_name
+
+
+def read(file: Traversable) -> str:
+    """The text of a file."""
+    try:
+        return file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInterface(f"cannot be read: {error}", source=str(file)) from error
+
+
+def shipped(type_name: str) -> Traversable | None:
+    """The file that ships for an interface, or None."""
+    package, kind, name = type_name.split("/")
+    file = importlib.resources.files(standard).joinpath(package, kind, f"{name}.{kind}")
+    return file if file.is_file() else None
+
+
+def shipped_names() -> set[str]:
+    """The names of the interfaces that ship."""
+    root = importlib.resources.files(standard)
+    kinds = [
+        (package.name, kind)
+        for package in root.iterdir()
+        if package.is_dir()
+        for kind in package.iterdir()
+        if kind.name in KINDS
+    ]
+    return {
+        f"{package}/{kind.name}/{file.name.removesuffix(f'.{kind.name}')}"
+        for package, kind in kinds
+        for file in kind.iterdir()
+    }

@@ -1,0 +1,175 @@
+"""The checked deep copy of a message, compiled once a class.
+
+This stands in the way of every goal, feedback and result, so it is generated source: one function
+a class, a few comparisons a field, nothing allocated but the copy. It takes what is exactly of the
+expected Python type; anything else goes to ``values``, which converts it or says what is wrong.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import TYPE_CHECKING, TypeVar
+
+from turtleact.errors import InvalidGoal, InvalidMessage
+from turtleact.interfaces.definition import BYTE_TYPES, INTEGER_RANGES, ArrayForm
+from turtleact.interfaces.types import Message, fields, nested_classes
+from turtleact.interfaces.values import FLOAT32_LIMIT, converter, describe
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from turtleact.interfaces.definition import Field, FieldType
+
+__all__ = ["error_class", "snapshot", "snapshotter"]
+
+M = TypeVar("M", bound=Message)
+
+
+def snapshot(message: M) -> M:
+    """A deep copy of a message, each value checked against its type.
+
+    What the copy holds is exactly what its types say: plain ints, floats, lists. A ``bytes`` in a
+    sequence of bytes stays; every other sequence becomes a list. Floats may be infinite or nan.
+
+    Raises:
+        InvalidMessage: with the path of the first value that does not fit.
+
+    >>> from turtleact.interfaces.standard import Point
+    >>> snapshot(Point(x=1, y=2.5))
+    Point(x=1.0, y=2.5, z=0.0)
+    """
+    if not isinstance(message, Message):
+        raise InvalidMessage("message", f"expected a message, got {describe(message)}")
+    return snapshotter(type(message))(message)
+
+
+def snapshotter(cls: type[M], *, root: str = "message") -> Callable[[M], M]:
+    """The function that ``snapshot`` applies to messages of this class, to keep and call often.
+
+    It also takes a message of another class of the same name and fields, and converts it.
+
+    Args:
+        cls: The class that the copies have.
+        root: The first word of the path in errors; ``goal`` makes them ``InvalidGoal``.
+    """
+    return compiled(cls, root)
+
+
+def error_class(root: str) -> type[InvalidMessage]:
+    """What is raised for a misfit below this root."""
+    return InvalidGoal if root == "goal" else InvalidMessage
+
+
+@functools.cache
+def compiled(cls: type[M], root: str) -> Callable[[M], M]:
+    """The generated function; without a root, the one for messages inside others."""
+    error = error_class(root)
+
+    def fail(inner: InvalidMessage) -> InvalidMessage:
+        return error(root + inner.path, inner.problem)
+
+    names: dict[str, object] = {
+        "cls": cls,
+        "adapt": functools.partial(adapted, cls),
+        "fail": fail,
+        "InvalidMessage": InvalidMessage,
+    }
+    pairs = list(zip(fields(cls), nested_classes(cls), strict=True))
+    for index, (field, nested) in enumerate(pairs):
+        names[f"copy{index}"] = copy = None if nested is None else compiled(nested, "")
+        names[f"slow{index}"] = functools.partial(placed, field, converter(field.type, copy))
+    # The text is built from field names, which are identifiers, and from numbers.
+    exec(source([field for field, _ in pairs]), names)  # noqa: S102
+    return names["copy"]  # type: ignore[return-value]  # the text defines it
+
+
+def adapted(cls: type[M], value: object) -> M:
+    """A message of another class that says the same, as one of this class."""
+    if not (
+        isinstance(value, Message)
+        and type(value).type_name == cls.type_name
+        and fields(type(value)) == fields(cls)
+    ):
+        name = cls.type_name or cls.__qualname__
+        raise InvalidMessage("", f"expected a message ({name}), got {describe(value)}")
+    return cls(*[getattr(value, field.attribute) for field in fields(cls)])
+
+
+def placed(field: Field, convert: Callable[[object], object], value: object) -> object:
+    """The slow way for one field; what does not fit is said with the field's name."""
+    try:
+        return convert(value)
+    except InvalidMessage as inner:
+        raise InvalidMessage(f".{field.name}{inner.path}", inner.problem) from None
+
+
+def source(members: list[Field]) -> str:
+    """The text of a class's function."""
+    lines = ["def copy(m):", " try:", "  if type(m) is not cls: m = adapt(m)"]
+    for index, field in enumerate(members):
+        lines.append(f"  v{index} = m.{field.attribute}")
+        lines += [f"  {line}" for line in statements(field.type, index)]
+    arguments = ", ".join(f"v{index}" for index in range(len(members)))
+    lines += [f"  return cls({arguments})", " except InvalidMessage as inner:"]
+    lines.append("  raise fail(inner) from None")
+    return "\n".join(lines)
+
+
+def statements(field_type: FieldType, index: int) -> list[str]:
+    """What is done with the value of one field, which stands in ``v0``, ``v1`` and so on."""
+    value, slow = f"v{index}", f"v{index} = slow{index}(v{index})"
+    if field_type.is_sequence:
+        return sequence(field_type, index, slow)
+    if field_type.is_nested:
+        return guarded(f"{value} = copy{index}({value})", slow)
+    return [f"if {misses(field_type, value)}: {slow}"]
+
+
+def sequence(field_type: FieldType, index: int, slow: str) -> list[str]:
+    """What is done with a list: its elements are looked at where they stand, then copied."""
+    value = f"v{index}"
+    word, length = "if", wrong_length(field_type, value)
+    lines = []
+    if field_type.name in BYTE_TYPES:
+        lines = [f"if type({value}) is bytes and not ({length}): pass"]
+        word = "elif"
+    lines += [f"{word} type({value}) is not list or {length}: {slow}", "else:"]
+    if field_type.is_nested:
+        copies = f"{value} = list(map(copy{index}, {value}))"
+        return [*lines, *(f" {line}" for line in guarded(copies, slow))]
+    return [
+        *lines,
+        f" for x in {value}:",
+        f"  if {misses(field_type.element, 'x')}: {slow}; break",
+        f" else: {value} = {value}.copy()",
+    ]
+
+
+def guarded(fast: str, slow: str) -> list[str]:
+    """A fast way that knows of a misfit but not where it is, and the slow way that finds it."""
+    return ["try:", f" {fast}", f"except InvalidMessage: {slow}"]
+
+
+def misses(field_type: FieldType, value: str) -> str:
+    """The condition that a primitive value is not exactly of its Python type, and in range."""
+    name = field_type.name
+    if name == "bool":
+        return f"{value} is not True and {value} is not False"
+    if name == "float64":
+        return f"type({value}) is not float"
+    if name == "float32":
+        return f"type({value}) is not float or not -{FLOAT32_LIMIT!r} < {value} < {FLOAT32_LIMIT!r}"
+    if field_type.is_string:
+        bound = field_type.string_bound
+        longer = "" if bound is None else f" or len({value}) > {bound}"
+        return f"type({value}) is not str or not {value}.isascii(){longer}"
+    low, high = INTEGER_RANGES[name]
+    return f"type({value}) is not int or not {low} <= {value} <= {high}"
+
+
+def wrong_length(field_type: FieldType, value: str) -> str:
+    """The condition that a sequence is too long, or not as long as it is fixed to be."""
+    if field_type.form is ArrayForm.UNBOUNDED:
+        return "False"
+    sign = "!=" if field_type.form is ArrayForm.FIXED else ">"
+    return f"len({value}) {sign} {field_type.size}"

@@ -1,0 +1,319 @@
+"""The parsed form of a .msg, .srv or .action: what an interface is, before it is a class.
+
+Frozen values that compare by what they say, so that two declarations of one interface are equal
+however they were written. Knows neither text nor Python classes.
+
+Source: the ROS 2 article "Interface definition", and ``rosidl_adapter/parser.py``.
+"""
+
+from __future__ import annotations
+
+import enum
+import keyword
+import re
+from typing import TYPE_CHECKING, TypeAlias
+
+import msgspec
+
+from turtleact.errors import InvalidInterface
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+__all__ = [
+    "BYTE_TYPES",
+    "INTEGER_RANGES",
+    "PRIMITIVES",
+    "ActionDefinition",
+    "ArrayForm",
+    "Constant",
+    "Definition",
+    "Field",
+    "FieldType",
+    "MessageDefinition",
+    "Primitive",
+    "ServiceDefinition",
+    "check_type_name",
+    "constant_name_pattern",
+    "definition_text",
+    "did_you_mean",
+    "nearest",
+    "parts_of",
+    "type_name_pattern",
+    "zero",
+]
+
+type_name_pattern = re.compile(
+    r"(?P<package>[a-z](?:_?[a-z0-9])*)/(?P<kind>msg|srv|action)"
+    r"/(?P<name>[A-Z][A-Za-z0-9]*(?:_[A-Z][A-Za-z0-9]*)*)"
+)
+field_name_pattern = re.compile(r"[a-z](?:_?[a-z0-9])*")
+constant_name_pattern = re.compile(r"[A-Z](?:_?[A-Z0-9])*")
+
+#: Smallest and largest value of each type that holds a whole number; ``char`` is a uint8 in ROS 2.
+INTEGER_RANGES = {
+    "byte": (0, 2**8 - 1),
+    "char": (0, 2**8 - 1),
+    "int8": (-(2**7), 2**7 - 1),
+    "uint8": (0, 2**8 - 1),
+    "int16": (-(2**15), 2**15 - 1),
+    "uint16": (0, 2**16 - 1),
+    "int32": (-(2**31), 2**31 - 1),
+    "uint32": (0, 2**32 - 1),
+    "int64": (-(2**63), 2**63 - 1),
+    "uint64": (0, 2**64 - 1),
+}
+
+#: The types whose sequences Python also holds as ``bytes``.
+BYTE_TYPES = frozenset({"byte", "char", "uint8"})
+
+Primitive: TypeAlias = bool | int | float | str
+
+#: Every primitive type and its zero.
+PRIMITIVES: dict[str, Primitive] = {
+    "bool": False,
+    **dict.fromkeys(INTEGER_RANGES, 0),
+    "float32": 0.0,
+    "float64": 0.0,
+    "string": "",
+    "wstring": "",
+}
+
+
+class ArrayForm(enum.Enum):
+    """How often a field holds its element; the value is how the form is written."""
+
+    SINGLE = ""
+    FIXED = "[{size}]"
+    BOUNDED = "[<={size}]"
+    UNBOUNDED = "[]"
+
+
+class FieldType(msgspec.Struct, frozen=True):
+    """The type of a field or constant, printed as in a .msg.
+
+    Attributes:
+        name: A primitive (``int32``) or the full name of a message (``geometry_msgs/msg/Point``).
+        string_bound: Most characters of a bounded string, or None.
+        form: One element, or which sort of sequence.
+        size: Length of a fixed array, most elements of a bounded one, else 0.
+    """
+
+    name: str
+    string_bound: int | None = None
+    form: ArrayForm = ArrayForm.SINGLE
+    size: int = 0
+
+    def __str__(self) -> str:
+        bound = "" if self.string_bound is None else f"<={self.string_bound}"
+        return f"{self.name}{bound}{self.form.value.format(size=self.size)}"
+
+    @property
+    def is_nested(self) -> bool:
+        """Whether the elements are messages."""
+        return self.name not in PRIMITIVES
+
+    @property
+    def is_sequence(self) -> bool:
+        """Whether the field holds a list."""
+        return self.form is not ArrayForm.SINGLE
+
+    @property
+    def is_string(self) -> bool:
+        """Whether the elements are text."""
+        return self.name in ("string", "wstring")
+
+    @property
+    def element(self) -> FieldType:
+        """The type of one element of a sequence; of a single one, itself."""
+        return FieldType(self.name, self.string_bound)
+
+
+def zero(field_type: FieldType) -> Primitive | tuple[Primitive, ...] | None:
+    """What a field holds that was given no value; None for messages, which make their own."""
+    if field_type.is_nested:
+        return None
+    element = PRIMITIVES[field_type.name]
+    if not field_type.is_sequence:
+        return element
+    return (element,) * field_type.size if field_type.form is ArrayForm.FIXED else ()
+
+
+class Field(msgspec.Struct, frozen=True):
+    """One field of a message.
+
+    Attributes:
+        name: As in ROS, on the wire and in text.
+        type: Its type.
+        default: What the interface declares; None where that is the zero of the type.
+    """
+
+    name: str
+    type: FieldType
+    default: Primitive | tuple[Primitive, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if not field_name_pattern.fullmatch(self.name):
+            problem = (
+                f"'{self.name}' is no field name: say it in lower case, digits and single "
+                "underscores, from a letter to a letter or digit"
+            )
+            raise InvalidInterface(problem, source=self.name)
+        # repr tells 0.0 from -0.0 and 0 from False, which == does not.
+        if self.default is not None and repr(self.default) == repr(zero(self.type)):
+            msgspec.structs.force_setattr(self, "default", None)
+
+    @property
+    def attribute(self) -> str:
+        """The name in Python: a keyword gets an underscore at its end (``from_``)."""
+        return f"{self.name}_" if keyword.iskeyword(self.name) else self.name
+
+
+class Constant(msgspec.Struct, frozen=True):
+    """A named value of an interface, which is never sent."""
+
+    name: str
+    type: FieldType
+    value: Primitive
+
+    def __post_init__(self) -> None:
+        if not constant_name_pattern.fullmatch(self.name):
+            problem = (
+                f"'{self.name}' is no constant name: say it in capitals, digits and single "
+                "underscores, from a letter to a letter or digit"
+            )
+            raise InvalidInterface(problem, source=self.name)
+        if self.type.is_nested or self.type.is_sequence:
+            problem = f"a constant is a number, a bool or a string, not {self.type}"
+            raise InvalidInterface(problem, source=self.name)
+
+
+class MessageDefinition(msgspec.Struct, frozen=True):
+    """A .msg, or one part of a .srv or .action."""
+
+    type_name: str
+    fields: tuple[Field, ...] = ()
+    constants: tuple[Constant, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_type_name(self.type_name)
+        seen: set[str] = set()
+        members: tuple[Field | Constant, ...] = (*self.fields, *self.constants)
+        for member in members:
+            if member.name in seen:
+                raise InvalidInterface(f"'{member.name}' is given twice", source=self.type_name)
+            seen.add(member.name)
+
+
+class ServiceDefinition(msgspec.Struct, frozen=True):
+    """A .srv; its parts are named ``NAME_Request`` and ``NAME_Response``."""
+
+    type_name: str
+    request: MessageDefinition
+    response: MessageDefinition
+
+    def __post_init__(self) -> None:
+        check_type_name(self.type_name, kinds=("srv", "action"))
+        check_part(self.type_name, self.request, "Request")
+        check_part(self.type_name, self.response, "Response")
+
+
+class ActionDefinition(msgspec.Struct, frozen=True):
+    """A .action; its parts are named ``NAME_Goal``, ``NAME_Result`` and ``NAME_Feedback``."""
+
+    type_name: str
+    goal: MessageDefinition
+    result: MessageDefinition
+    feedback: MessageDefinition
+
+    def __post_init__(self) -> None:
+        check_type_name(self.type_name, kinds=("action",))
+        check_part(self.type_name, self.goal, "Goal")
+        check_part(self.type_name, self.result, "Result")
+        check_part(self.type_name, self.feedback, "Feedback")
+
+
+Definition: TypeAlias = MessageDefinition | ServiceDefinition | ActionDefinition
+
+
+def definition_text(definition: Definition) -> str:
+    """A definition as the text of a .msg, .srv or .action, without a line break at its end.
+
+    Raises:
+        InvalidInterface: for a default that such a text cannot say, as one with a line break.
+    """
+    return "\n---\n".join(part_text(part) for part in parts_of(definition))
+
+
+def parts_of(definition: Definition) -> tuple[MessageDefinition, ...]:
+    """The messages that an interface consists of, as they stand in its text."""
+    match definition:
+        case ServiceDefinition():
+            return definition.request, definition.response
+        case ActionDefinition():
+            return definition.goal, definition.result, definition.feedback
+    return (definition,)
+
+
+def check_type_name(type_name: str, *, kinds: tuple[str, ...] = ("msg", "srv", "action")) -> None:
+    """Refuses what is no full name of an interface of one of these kinds.
+
+    Raises:
+        InvalidInterface: says what the name should look like.
+    """
+    match = type_name_pattern.fullmatch(type_name)
+    if match is None or match["kind"] not in kinds:
+        example = f"package_name/{kinds[-1]}/InterfaceName"
+        problem = f"'{type_name}' is no full interface name: say it as {example}"
+        raise InvalidInterface(problem, source=type_name)
+
+
+def check_part(type_name: str, part: MessageDefinition, suffix: str) -> None:
+    """Refuses a part of a service or action that bears another's name."""
+    if part.type_name != f"{type_name}_{suffix}":
+        problem = f"its {suffix} is named '{part.type_name}', not '{type_name}_{suffix}'"
+        raise InvalidInterface(problem, source=type_name)
+
+
+def part_text(part: MessageDefinition) -> str:
+    """One part of an interface's text."""
+    package = part.type_name.partition("/")[0]
+    lines = [f"{c.type} {c.name}={literal(c.value)}" for c in part.constants]
+    for field in part.fields:
+        said = str(field.type).replace(f"{package}/msg/", "").replace("/msg/", "/")
+        default = "" if field.default is None else f" {literal(field.default)}"
+        lines.append(f"{said} {field.name}{default}")
+    return "\n".join(lines)
+
+
+def literal(value: Primitive | tuple[Primitive, ...]) -> str:
+    """A value as the text of an interface says it."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(literal(item) for item in value)}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if not isinstance(value, str):
+        return repr(value)
+    quote = "'" if '"' in value else '"'
+    if set(value) & {"\n", "\r"} or (quote in value and "\\" in value) or value.endswith("\\"):
+        problem = f"the default {value!r} cannot be said in the text of an interface"
+        raise InvalidInterface(problem, source="text")
+    shielded = value.replace(quote, f"\\{quote}")
+    return f"{quote}{shielded}{quote}"
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """The known word that looks most like this one, or an empty string."""
+    import difflib  # only errors need it
+
+    return next(iter(difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)), "")
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """The hint at the end of an error's text; empty where nothing known looks alike.
+
+    >>> did_you_mean("float46", PRIMITIVES)
+    ", did you mean 'float64'?"
+    """
+    suggestion = nearest(word, known)
+    return f", did you mean '{suggestion}'?" if suggestion else ""

@@ -1,0 +1,283 @@
+"""The text of a .msg, .srv or .action, read into its definition.
+
+Line by line: a type, a name, and a default or a constant's value; ``#`` starts a comment, which is
+dropped; ``---`` separates the parts. Each mistake is told with file, line, column and a caret.
+Reads text alone: whether the messages it names exist is for ``classes`` to find out.
+
+Source: the ROS 2 article "Interface definition", and ``rosidl_adapter/parser.py``.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING, NoReturn, cast
+
+import msgspec
+
+from turtleact.errors import InvalidInterface, InvalidMessage
+from turtleact.interfaces.definition import (
+    INTEGER_RANGES,
+    PRIMITIVES,
+    ActionDefinition,
+    ArrayForm,
+    Constant,
+    Field,
+    FieldType,
+    MessageDefinition,
+    ServiceDefinition,
+    check_type_name,
+    did_you_mean,
+)
+from turtleact.interfaces.values import converter
+
+if TYPE_CHECKING:
+    from turtleact.interfaces.definition import Definition, Primitive
+
+__all__ = ["parse"]
+
+#: The parts of each kind of interface, as their names end.
+PARTS = {
+    "msg": ("",),
+    "srv": ("_Request", "_Response"),
+    "action": ("_Goal", "_Result", "_Feedback"),
+}
+
+#: What other notations call a type that ROS 2 calls otherwise.
+FOREIGN = {
+    "int": "int32",
+    "float": "float32",
+    "double": "float64",
+    "boolean": "bool",
+    "str": "string",
+    "time": "builtin_interfaces/Time",
+    "duration": "builtin_interfaces/Duration",
+}
+
+#: A message is born with its fixed arrays, so one line of text must not ask for gigabytes.
+LONGEST_ARRAY = 1_000_000
+
+member_pattern = re.compile(
+    r"\s*(?P<type>\S+)(?:\s+(?P<name>[^\s=]+)\s*(?P<sign>=?)\s*(?P<value>.*?))?\s*"
+)
+type_pattern = re.compile(
+    r"(?P<name>[A-Za-z][A-Za-z0-9_/]*)(?:<=(?P<string>\d{1,9}))?"
+    r"(?:\[(?P<bound><=)?(?P<size>\d{0,9})\])?"
+)
+nested_pattern = re.compile(
+    r"(?:(?P<package>[a-z](?:_?[a-z0-9])*)/(?:msg/)?)?(?P<name>[A-Z][A-Za-z0-9]*)"
+)
+integer_pattern = re.compile(
+    r"[-+]?(?:\d{1,40}|0[xX][0-9a-fA-F]{1,40}|0[bB][01]{1,80}|0[oO][0-7]{1,40})"
+)
+float_pattern = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+quoted = r"""(?:"(?:\\"|[^"])*"|'(?:\\'|[^'])*')"""
+item_pattern = re.compile(rf"\s*({quoted}|[^,]*?)\s*(?:,|$)")
+comment_pattern = re.compile(rf"(?:(?<=[\s=\[,]){quoted}|[^#])*")
+
+
+class Line(msgspec.Struct, frozen=True):
+    """One line of the text, and where it stands."""
+
+    source: str
+    number: int
+    text: str
+
+    def refuse(self, problem: str, column: int = 0) -> NoReturn:
+        """Raises for a mistake that begins at this column, counted from 0."""
+        raise InvalidInterface(
+            problem, source=self.source, line=self.number, column=column + 1, text=self.text
+        )
+
+
+def parse(text: str, type_name: str, *, source: str = "") -> Definition:
+    """The definition in the text of an interface; its kind is in its name.
+
+    Args:
+        text: As it stands in a .msg, .srv or .action.
+        type_name: The full name, ``package/kind/Name``.
+        source: The file, for errors; the type name if left out.
+
+    Raises:
+        InvalidInterface: with line, column and caret.
+
+    >>> parse("int32 order 5", "example_msgs/msg/Order").fields
+    (Field(name='order', type=..., default=5),)
+    """
+    check_type_name(type_name)
+    package, kind, _ = type_name.split("/")
+    source = source or type_name
+    texts = re.split("\r\n|\n|\r", text.removeprefix("\ufeff"))
+    lines = [Line(source, number, text) for number, text in enumerate(texts, 1)]
+    names = [f"{type_name}{suffix}" for suffix in PARTS[kind]]
+    sections = split(lines, len(names))
+    parts = [
+        parse_part(section, name, package) for section, name in zip(sections, names, strict=True)
+    ]
+    if kind == "srv":
+        return ServiceDefinition(type_name, *parts)
+    if kind == "action":
+        return ActionDefinition(type_name, *parts)
+    return parts[0]
+
+
+def split(lines: list[Line], count: int) -> list[list[Line]]:
+    """The lines of each part."""
+    sections: list[list[Line]] = [[]]
+    for line in lines:
+        if without_comment(line.text).rstrip() != "---":
+            sections[-1].append(line)
+        elif len(sections) == count:
+            line.refuse(f"one '---' too many: this kind of interface has {count - 1}")
+        else:
+            sections.append([])
+    if len(sections) < count:
+        missing = count - len(sections)
+        lines[-1].refuse(f"{missing} '---' missing: this kind of interface has {count - 1}")
+    return sections
+
+
+def parse_part(lines: list[Line], type_name: str, package: str) -> MessageDefinition:
+    """The fields and constants of one part."""
+    members: dict[str, Field | Constant] = {}
+    for line in lines:
+        text = without_comment(line.text)
+        if not text.strip():
+            continue
+        member, column = parse_member(line, text, package)
+        if member.name in members:
+            line.refuse(f"'{member.name}' is given twice", column)
+        members[member.name] = member
+    return MessageDefinition(
+        type_name,
+        tuple(m for m in members.values() if isinstance(m, Field)),
+        tuple(m for m in members.values() if isinstance(m, Constant)),
+    )
+
+
+def parse_member(line: Line, text: str, package: str) -> tuple[Field | Constant, int]:
+    """The field or constant in a line, and the column of its name."""
+    match = member_pattern.fullmatch(text)
+    if match is None or match["name"] is None:
+        line.refuse("expected a type and a name", len(text.rstrip()))
+    field_type = parse_type(line, match["type"], match.start("type"), package)
+    column, value = match.start("name"), match["value"]
+    try:
+        if match["sign"]:
+            constant = parse_value(line, field_type, value, match.start("value"))
+            return Constant(match["name"], field_type, cast("Primitive", constant)), column
+        default = parse_value(line, field_type, value, match.start("value")) if value else None
+        return Field(match["name"], field_type, default), column
+    except InvalidInterface as inner:
+        if inner.line:
+            raise
+        line.refuse(inner.problem, column)
+
+
+def parse_type(line: Line, text: str, column: int, package: str) -> FieldType:
+    """The type that begins a line."""
+    match = type_pattern.fullmatch(text)
+    if match is None:
+        line.refuse(
+            f"'{text}' is no type: say it as int32, int32[5], int32[<=5] or int32[]", column
+        )
+    name = full_name(line, match["name"], column, package)
+    bound = int(match["string"]) if match["string"] else None
+    if bound is not None and name not in ("string", "wstring"):
+        line.refuse("only a string has a bound of its own", match.start("string") - 2 + column)
+    form, size = ArrayForm.SINGLE, 0
+    if match["size"] is not None:
+        size = int(match["size"] or 0)
+        form = ArrayForm.FIXED if size else ArrayForm.UNBOUNDED
+        if match["bound"]:
+            form = ArrayForm.BOUNDED
+    if bound == 0 or (size == 0 and (match["size"] or match["bound"])):
+        line.refuse("a bound or a length is at least 1", column)
+    if form is ArrayForm.FIXED and size > LONGEST_ARRAY:
+        line.refuse(f"a fixed array has at most {LONGEST_ARRAY} elements here", column)
+    return FieldType(name, bound, form, size)
+
+
+def full_name(line: Line, name: str, column: int, package: str) -> str:
+    """A primitive's name as it is, a message's in full."""
+    if name in PRIMITIVES:
+        return name
+    if name == "Header":
+        return "std_msgs/msg/Header"
+    match = nested_pattern.fullmatch(name)
+    if match is None:
+        hint = f", did you mean '{FOREIGN[name]}'?" if name in FOREIGN else ""
+        line.refuse(f"unknown type '{name}'{hint or did_you_mean(name, PRIMITIVES)}", column)
+    return f"{match['package'] or package}/msg/{match['name']}"
+
+
+def parse_value(
+    line: Line, field_type: FieldType, text: str, column: int
+) -> Primitive | tuple[Primitive, ...]:
+    """A default or a constant's value."""
+    if field_type.is_nested:
+        line.refuse(f"a message ({field_type}) has no default", column)
+    if not text:
+        line.refuse("expected a value after '='", column)
+    if field_type.is_string and text[0] in "\"'" and not re.fullmatch(quoted, text):
+        line.refuse("a quote is opened and not closed", column)
+    value = (
+        parse_list(line, text, field_type.element, column=column)
+        if field_type.is_sequence
+        else literal(text, field_type)
+    )
+    try:
+        checked = converter(field_type)(value)
+    except InvalidMessage as misfit:
+        where = f"element {misfit.path}: " if misfit.path else ""
+        line.refuse(f"{where}{misfit.problem}", column)
+    values = checked if isinstance(checked, list) else [checked]
+    if any(isinstance(item, float) and not math.isfinite(item) for item in values):
+        line.refuse(f"{text} is not finite", column)
+    return tuple(checked) if isinstance(checked, list) else cast("Primitive", checked)
+
+
+def parse_list(line: Line, text: str, element: FieldType, *, column: int) -> list[object]:
+    """The elements of a default in brackets."""
+    if not (text.startswith("[") and text.endswith("]")):
+        line.refuse("the default of a list stands in brackets, as in [1, 2]", column)
+    inner = text[1:-1].strip()
+    if not inner:
+        return []
+    items = []
+    position = 0
+    while position <= len(inner):
+        match = item_pattern.match(inner, position)
+        if match is None or not match[1]:
+            line.refuse("expected values with a comma between each two", column)
+        items.append(literal(match[1], element))
+        position = match.end() if match[0].endswith(",") else len(inner) + 1
+    return items
+
+
+def literal(text: str, field_type: FieldType) -> object:
+    """The value that a word stands for; the word itself where it fits no type but text."""
+    name = field_type.name
+    if field_type.is_string:
+        return unquoted(text)
+    if name == "bool":
+        return {"true": True, "1": True, "false": False, "0": False}.get(text.lower(), text)
+    if name in INTEGER_RANGES and integer_pattern.fullmatch(text):
+        return int(text, 0) if text.lstrip("-+0")[:1].isalpha() else int(text)
+    if name.startswith("float") and float_pattern.fullmatch(text):
+        return float(text)
+    return text
+
+
+def unquoted(text: str) -> str:
+    """Text without the quotes around it; inside, a backslash only shields the quote."""
+    if not re.fullmatch(quoted, text):
+        return text
+    quote = text[0]
+    return text[1:-1].replace(f"\\{quote}", quote)
+
+
+def without_comment(text: str) -> str:
+    """A line up to its comment; a # in quotes begins none."""
+    match = comment_pattern.match(text) if "#" in text else None
+    return text if match is None else match[0]

@@ -1,0 +1,199 @@
+"""The interfaces that ship: as data files, and some of them as classes.
+
+The files hold the fields of ROS 2 Jazzy's interfaces, comments left out; ``get_interface`` finds
+all of them. What turtleact itself handles, and what one types most, is here as a class.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from msgspec import field
+
+from turtleact.interfaces.types import (
+    Action,
+    Message,
+    Service,
+    array,
+    float32,
+    float64,
+    int8,
+    int32,
+    string,
+    uint32,
+)
+
+__all__ = [
+    "UUID",
+    "CancelGoal",
+    "Duration",
+    "ExampleFibonacci",
+    "Fibonacci",
+    "GoalInfo",
+    "GoalStatusArray",
+    "GoalStatusMessage",
+    "PatrolCommandInterface",
+    "Point",
+    "Time",
+    "TurtlePose",
+    "Twist",
+    "Vector3",
+]
+
+
+class Time(Message, type_name="builtin_interfaces/msg/Time"):
+    """A point in time: seconds and nanoseconds of a clock."""
+
+    sec: int32 = 0
+    nanosec: uint32 = 0
+
+
+class Duration(Message, type_name="builtin_interfaces/msg/Duration"):
+    """A length of time, in seconds and nanoseconds."""
+
+    sec: int32 = 0
+    nanosec: uint32 = 0
+
+
+class UUID(Message, type_name="unique_identifier_msgs/msg/UUID"):
+    """A universally unique id of 16 bytes."""
+
+    uuid: array[bytes, 16] = bytes(16)
+
+
+class GoalInfo(Message, type_name="action_msgs/msg/GoalInfo"):
+    """A goal's id, and when it was accepted."""
+
+    goal_id: UUID = field(default_factory=UUID)
+    stamp: Time = field(default_factory=Time)
+
+
+class GoalStatusMessage(Message, type_name="action_msgs/msg/GoalStatus"):
+    """A goal and its state, as sent; ``turtleact.GoalStatus`` is the enum."""
+
+    STATUS_UNKNOWN: ClassVar[int8] = 0
+    STATUS_ACCEPTED: ClassVar[int8] = 1
+    STATUS_EXECUTING: ClassVar[int8] = 2
+    STATUS_CANCELING: ClassVar[int8] = 3
+    STATUS_SUCCEEDED: ClassVar[int8] = 4
+    STATUS_CANCELED: ClassVar[int8] = 5
+    STATUS_ABORTED: ClassVar[int8] = 6
+
+    goal_info: GoalInfo = field(default_factory=GoalInfo)
+    status: int8 = 0
+
+
+class GoalStatusArray(Message, type_name="action_msgs/msg/GoalStatusArray"):
+    """The goals that an action server holds."""
+
+    status_list: list[GoalStatusMessage] = field(default_factory=list)
+
+
+class CancelGoal(Service, type_name="action_msgs/srv/CancelGoal"):
+    """Asks an action server to cancel goals, selected by id and stamp."""
+
+    class Request(Message):
+        """Zeros in the id, and in the stamp, select every goal."""
+
+        goal_info: GoalInfo = field(default_factory=GoalInfo)
+
+    class Response(Message):
+        """What came of it, and the goals that are canceling now."""
+
+        ERROR_NONE: ClassVar[int8] = 0
+        ERROR_REJECTED: ClassVar[int8] = 1
+        ERROR_UNKNOWN_GOAL_ID: ClassVar[int8] = 2
+        ERROR_GOAL_TERMINATED: ClassVar[int8] = 3
+
+        return_code: int8 = 0
+        goals_canceling: list[GoalInfo] = field(default_factory=list)
+
+
+class Point(Message, type_name="geometry_msgs/msg/Point"):
+    """A place in space (m)."""
+
+    x: float64 = 0.0
+    y: float64 = 0.0
+    z: float64 = 0.0
+
+
+class Vector3(Message, type_name="geometry_msgs/msg/Vector3"):
+    """A direction and length in space."""
+
+    x: float64 = 0.0
+    y: float64 = 0.0
+    z: float64 = 0.0
+
+
+class Twist(Message, type_name="geometry_msgs/msg/Twist"):
+    """A velocity: linear (m/s) and angular (rad/s)."""
+
+    linear: Vector3 = field(default_factory=Vector3)
+    angular: Vector3 = field(default_factory=Vector3)
+
+
+class TurtlePose(Message, type_name="turtlesim/msg/Pose"):
+    """Where a turtle is (m, rad) and how it moves (m/s, rad/s)."""
+
+    x: float32 = 0.0
+    y: float32 = 0.0
+    theta: float32 = 0.0
+    linear_velocity: float32 = 0.0
+    angular_velocity: float32 = 0.0
+
+
+class Fibonacci(Action, type_name="action_tutorials_interfaces/action/Fibonacci"):
+    """The action of the ROS 2 tutorials."""
+
+    class Goal(Message):
+        """How far to go."""
+
+        order: int32 = 0
+
+    class Result(Message):
+        """The whole sequence."""
+
+        sequence: list[int32] = field(default_factory=list)
+
+    class Feedback(Message):
+        """The sequence so far."""
+
+        partial_sequence: list[int32] = field(default_factory=list)
+
+
+class ExampleFibonacci(Action, type_name="example_interfaces/action/Fibonacci"):
+    """The action of the ROS 2 examples, whose feedback is named otherwise."""
+
+    class Goal(Message):
+        """How far to go."""
+
+        order: int32 = 0
+
+    class Result(Message):
+        """The whole sequence."""
+
+        sequence: list[int32] = field(default_factory=list)
+
+    class Feedback(Message):
+        """The sequence so far."""
+
+        sequence: list[int32] = field(default_factory=list)
+
+
+class PatrolCommandInterface(Action, type_name="patrol_interfaces/action/PatrolCommandInterface"):
+    """Sends a turtle from target to target."""
+
+    class Goal(Message):
+        """The places to visit, in order."""
+
+        targets: list[Point] = field(default_factory=list)
+
+    class Result(Message):
+        """How it went, in words."""
+
+        result_msg: string = ""
+
+    class Feedback(Message):
+        """What was reached last, in words."""
+
+        feedback_msg: string = ""

@@ -1,0 +1,267 @@
+"""A node: one participant of a graph, with its topics and actions.
+
+The one place where the layers below are put together for a user. Everything that is opened on a
+node is closed with it.
+
+Source: rclpy ``node.py`` for names and meaning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import Protocol, TypeVar, Unpack, cast
+
+import anyio
+import msgspec
+
+from turtleact.body import ActionDeclaration, ActionType, ServerOptions
+from turtleact.client import ActionClient
+from turtleact.clock import Clock
+from turtleact.interfaces import Message
+from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
+from turtleact.server import ActionServer
+from turtleact.tasks import current_tasks
+from turtleact.topics import Publisher, Subscription
+from turtleact.transports import MemoryTransport, QoS, Transport
+from turtleact.transports.base import Closeable, Endpoint, EndpointKind
+
+__all__ = ["Graph", "Node", "open_node"]
+
+G = TypeVar("G", bound=Message)
+R = TypeVar("R", bound=Message)
+F = TypeVar("F", bound=Message)
+M = TypeVar("M", bound=Message)
+
+
+class _Closing(Protocol):
+    async def aclose(self) -> None: ...
+
+
+class _Membership:
+    """A node's hold on something it has opened: closing it lets go of it on both sides."""
+
+    def __init__(self, opened: Closeable, forget: Callable[[], object]) -> None:
+        self._opened = opened
+        self._forget = forget
+
+    def close(self) -> None:
+        self._opened.close()
+        self._forget()
+
+
+class Graph(msgspec.Struct, frozen=True):
+    """What exists, as a node sees it now.
+
+    Attributes:
+        nodes: The fully qualified names of the nodes, sorted.
+        topics: Topic name to the types used on it; the hidden ones of actions are left out.
+        services: Service name to its types; likewise.
+        actions: Action name to the types that are served under it.
+    """
+
+    nodes: tuple[str, ...]
+    topics: dict[str, tuple[str, ...]]
+    services: dict[str, tuple[str, ...]]
+    actions: dict[str, tuple[str, ...]]
+
+
+class Node:
+    """One participant; made by `open_node`.
+
+    Attributes:
+        name: Its name.
+        namespace: What its relative names begin with.
+        clock: The time of its graph: what a body that waits should wait by.
+        transport: How it talks with others.
+    """
+
+    def __init__(self, name: str, namespace: str, transport: Transport) -> None:
+        validate_node_name(name)
+        self.name = name
+        self.namespace = resolve_name(namespace) if namespace != "/" else "/"
+        self.clock: Clock = transport.clock
+        self.transport = transport
+        self._tasks = current_tasks()
+        self._count = 0
+        self._opened: dict[int, _Closing] = {}
+
+    @property
+    def fully_qualified_name(self) -> str:
+        """The namespace and the name."""
+        return f"{self.namespace.rstrip('/')}/{self.name}"
+
+    def serve(
+        self,
+        definition: ActionDeclaration[..., object],
+        *,
+        name: str | None = None,
+        **overrides: Unpack[ServerOptions],
+    ) -> ActionServer[Message, Message, Message]:
+        """Serve an action that was declared with `turtleact.action`.
+
+        Args:
+            definition: The declared body.
+            name: Another name than the declared one.
+            **overrides: Other options than the declared ones; as for `action_server`.
+        """
+        options = cast("ServerOptions", {**definition.options, **overrides})
+        return self.action_server(
+            definition.action_type, name or definition.name, definition.execute, **options
+        )
+
+    def action_server(
+        self,
+        action_type: ActionType[G, R, F],
+        name: str,
+        execute: Callable[..., object],
+        **options: Unpack[ServerOptions],
+    ) -> ActionServer[G, R, F]:
+        """Serve an action.
+
+        Args:
+            action_type: The action, a subclass of `turtleact.Action`.
+            name: The action's name; a relative one is put below the node's namespace.
+            execute: The body: an async generator or a coroutine function, which takes the goal
+                and, if it wants, the `ServerGoalHandle`.
+            **options: ``goal_callback(goal)`` answers a `GoalResponse` or raises
+                `turtleact.Reject`; ``cancel_callback(handle)`` answers a `CancelResponse`; both may
+                be coroutine functions. ``result_timeout`` is how long a result is kept from the
+                goal's end (s, 10 unless given; None keeps it for ever).
+
+        Raises:
+            InvalidName: if the name breaks ROS 2's rules.
+            InvalidBody: if the function cannot be a body.
+        """
+        names = self._action_names(name)
+        server = ActionServer(self, action_type, names.name, execute, tasks=self._tasks, **options)
+        type_name = f"{action_type.type_name}_SendGoal"
+        registration = self.transport.serve(
+            self._endpoint("service", names.send_goal, type_name), server
+        )
+        server.registration = self._own(server, registration)
+        return server
+
+    def action_client(self, action_type: ActionType[G, R, F], name: str) -> ActionClient[G, R, F]:
+        """Open a client of an action; it need not be served yet.
+
+        Raises:
+            InvalidName: if the name breaks ROS 2's rules.
+        """
+        names = self._action_names(name)
+        type_name = f"{action_type.type_name}_SendGoal"
+        membership = self.transport.join(self._endpoint("client", names.send_goal, type_name))
+        client = ActionClient(self.transport, action_type, names)
+        client.membership = self._own(client, membership)
+        return client
+
+    def publisher(self, message_type: type[M], topic: str, qos: QoS | None = None) -> Publisher[M]:
+        """Open the sending end of a topic.
+
+        Raises:
+            InvalidName: if the topic's name breaks ROS 2's rules.
+        """
+        name = resolve_name(topic, self.namespace, self.name)
+        endpoint = self._endpoint("publisher", name, message_type.type_name, qos)
+        publication = self.transport.advertise(endpoint)
+        publisher = Publisher(name, message_type, publication)
+        publisher.membership = self._own(publisher, publication)
+        return publisher
+
+    def subscription(
+        self, message_type: type[M], topic: str, qos: QoS | None = None
+    ) -> Subscription[M]:
+        """Open the receiving end of a topic: an object for ``async for``.
+
+        Raises:
+            InvalidName: if the topic's name breaks ROS 2's rules.
+        """
+        name = resolve_name(topic, self.namespace, self.name)
+        endpoint = self._endpoint("subscription", name, message_type.type_name, qos)
+        subscription: Subscription[M] = Subscription(name, endpoint.qos.depth, self._tasks.signal())
+        deliver = cast("Callable[[object], None]", subscription.deliver)
+        subscribed = self.transport.subscribe(endpoint, deliver)
+        subscription.membership = self._own(subscription, subscribed)
+        return subscription
+
+    def count_publishers(self, topic: str) -> int:
+        """How many publishers there are of a topic, on all nodes.
+
+        Raises:
+            InvalidName: if the topic's name breaks ROS 2's rules.
+        """
+        name = resolve_name(topic, self.namespace, self.name)
+        return sum(
+            endpoint.kind == "publisher" and endpoint.name == name
+            for endpoint in self.transport.endpoints()
+        )
+
+    def graph(self) -> Graph:
+        """What exists on the graph now."""
+        endpoints = self.transport.endpoints()
+        return Graph(
+            nodes=tuple(sorted({endpoint.node for endpoint in endpoints})),
+            topics=_types_by_name(endpoints, ("publisher", "subscription")),
+            services=_types_by_name(endpoints, ("service",)),
+            actions={
+                name.removesuffix(_SEND_GOAL): tuple(t.removesuffix("_SendGoal") for t in types)
+                for name, types in _types_by_name(endpoints, ("service",), hidden=True).items()
+                if name.endswith(_SEND_GOAL)
+            },
+        )
+
+    async def aclose(self) -> None:
+        """Close everything opened on the node, the newest first; running goals end ABORTED."""
+        with anyio.CancelScope(shield=True):
+            while self._opened:
+                await self._opened[max(self._opened)].aclose()
+
+    def _own(self, thing: _Closing, opened: Closeable) -> Closeable:
+        """Keep something until it is closed, with the node at the latest."""
+        self._count += 1
+        number = self._count
+        self._opened[number] = thing
+        return _Membership(opened, lambda: self._opened.pop(number, None))
+
+    def _action_names(self, name: str) -> ActionNames:
+        return action_names(resolve_name(name, self.namespace, self.name))
+
+    def _endpoint(
+        self, kind: EndpointKind, name: str, type_name: str, qos: QoS | None = None
+    ) -> Endpoint:
+        return Endpoint(kind, name, type_name, self.fully_qualified_name, qos or QoS())
+
+
+@asynccontextmanager
+async def open_node(
+    name: str, *, namespace: str = "/", transport: Transport | None = None
+) -> AsyncIterator[Node]:
+    """A node for the length of a block.
+
+    Args:
+        name: The node's name.
+        namespace: What its relative names begin with.
+        transport: The graph it belongs to; one of its own, inside the process, if left out. Nodes
+            that are given the same transport see each other.
+
+    Raises:
+        InvalidName: if the name or the namespace breaks ROS 2's rules.
+    """
+    node = Node(name, namespace, MemoryTransport() if transport is None else transport)
+    try:
+        yield node
+    finally:
+        await node.aclose()
+
+
+_SEND_GOAL = "/_action/send_goal"
+
+
+def _types_by_name(
+    endpoints: tuple[Endpoint, ...], kinds: tuple[EndpointKind, ...], *, hidden: bool = False
+) -> dict[str, tuple[str, ...]]:
+    found: dict[str, set[str]] = {}
+    for endpoint in endpoints:
+        if endpoint.kind in kinds and (hidden or "/_" not in endpoint.name):
+            found.setdefault(endpoint.name, set()).add(endpoint.type_name)
+    return {name: tuple(sorted(types)) for name, types in sorted(found.items())}

@@ -1,0 +1,275 @@
+"""One step of many turtles, as arrays.
+
+Places and steps are complex numbers, ``x + 1j * depth``. The step of a turtle is worked out when
+its command is taken up, and from then on only turned: ``theta += turn; place += step; step *=
+spin``, without trigonometry. It is worked out anew whenever an angle wraps or a turtle is put
+somewhere; no more than ``COMMAND_TICKS`` turns are ever chained, so nothing drifts.
+
+Angles, straight ways, turns on the spot, walls and the end of a command are those of `Handful` to
+the last bit. Along a curve the chained turns are rounded differently: places differ by some
+1e-15 m.
+
+Knows no names, no ROS and no clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, TypeAlias, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from turtleact.sim.kinematics import (
+    COMMAND_TICKS,
+    DT,
+    SIDE,
+    Hit,
+    State,
+    StepRule,
+    chord,
+    displacement,
+    half_turn,
+    wrap,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from turtleact.sim.kinematics import Command, Hits, Place
+
+__all__ = ["Fleet"]
+
+_Floats: TypeAlias = npt.NDArray[np.float64]
+_Complexes: TypeAlias = npt.NDArray[np.complex128]
+_Indices: TypeAlias = npt.NDArray[np.intp]
+
+_Caught: TypeAlias = tuple[int, _Indices, _Complexes]
+"""The first index of a block, those of the turtles outside counted from there, their places."""
+
+_BLOCK = 4096
+"""Turtles that are stepped together: what one step touches of them fits the second-level cache."""
+
+_NEVER = 2**62
+"""A tick that does not come."""
+
+_FEW = 6
+"""So many turtles are faster wrapped one by one than as arrays."""
+
+# Arrays, since numpy takes them faster than numbers.
+_ZERO = np.array(0.0)
+_ONE = np.array(1)
+_SIDE = np.array(SIDE)
+_SIDE_BITS = _SIDE.view(np.uint64)
+
+
+class Fleet:
+    """Many turtles as arrays, the same `Turtles` as a `Handful`.
+
+    Args:
+        places: Where they stand, by index.
+        rule: How a step turns speeds into motion.
+    """
+
+    def __init__(self, places: Sequence[Place], rule: StepRule) -> None:
+        x, depth, theta = np.array(places, dtype=np.float64).reshape(-1, 3).T
+        count = len(x)
+        self._rule = rule
+        self._half = half_turn(rule)
+        self._place = _complex(x, depth)
+        self._theta = theta.copy()
+        self._speeds = np.zeros((3, count))
+        self._turn = np.zeros(count)
+        self._step = np.zeros(count, np.complex128)
+        self._spin = np.ones(count, np.complex128)
+        self._expires = np.full(count, _NEVER, np.int64)
+        self._next_expiry = _NEVER
+        self._is_awake = True
+        self._blocks = [
+            _Block(self, slice(start, start + _BLOCK)) for start in range(0, count, _BLOCK)
+        ]
+
+    def __len__(self) -> int:
+        return len(self._theta)
+
+    def drive(self, commands: Mapping[int, Command], tick: int) -> None:
+        """Take up commands by index; each lasts from this tick on for ``COMMAND_TICKS``."""
+        at = np.fromiter(commands, np.intp, len(commands))
+        self._take_up(at, np.array(list(commands.values())).T, tick)
+
+    def drive_all(self, speeds: _Floats, tick: int) -> None:
+        """Take up one command for each turtle: an array of shape (3, N), rows as in `Command`."""
+        for block in self._blocks:
+            self._take_up(block.where, speeds[:, block.where], tick)
+
+    def place(self, index: int, place: Place) -> None:
+        """Put a turtle somewhere; the next step wraps its angle and brings it inside the walls."""
+        self._place[index] = complex(place.x, place.depth)
+        self._theta[index] = place.theta
+        at = np.array([index])
+        self._aim(at, self._theta[at] + self._turn[at])
+        self._is_awake = True
+
+    def state(self, index: int) -> State:
+        """The state of one turtle."""
+        return State(*(float(column[index]) for column in self.columns()))
+
+    def columns(self) -> tuple[_Floats, ...]:
+        """The states of all turtles: an array of shape (N,) for each field of `State`."""
+        return self._place.real, self._place.imag, self._theta, *self._speeds
+
+    def step(self, tick: int) -> Hits:
+        """Move all turtles by one step, the one that makes tick ``tick``.
+
+        Returns:
+            The turtles that hit a wall; put together when looked at.
+        """
+        if tick >= self._next_expiry:
+            self._halt(tick)
+        if not self._is_awake:
+            return ()
+        # All turn before any moves: wrapping costs by the call, hardly by the turtle.
+        over = [block.wrapping() for block in self._blocks if block.turn()]
+        if over:
+            self._wrap(np.concatenate(over))
+        caught = [block.clamp() for block in self._blocks if block.move()]
+        self._is_awake = self._next_expiry != _NEVER
+        return _Hits(caught) if caught else ()
+
+    def _take_up(self, at: slice | _Indices, speeds: _Floats, tick: int) -> None:
+        turn = speeds[2] * DT
+        self._speeds[:, at] = speeds
+        self._turn[at] = turn
+        self._spin[at] = _complex(np.cos(turn), -np.sin(turn))
+        self._expires[at] = tick + COMMAND_TICKS
+        self._next_expiry = min(self._next_expiry, tick + COMMAND_TICKS)
+        self._is_awake = True
+        self._aim(at, self._theta[at] + turn)
+
+    def _halt(self, tick: int) -> None:
+        due = np.flatnonzero(self._expires <= tick)
+        self._speeds[:, due] = 0.0
+        self._turn[due] = 0.0
+        self._step[due] = 0.0
+        self._spin[due] = 1.0
+        self._expires[due] = _NEVER
+        self._next_expiry = int(self._expires.min())
+
+    def _wrap(self, at: _Indices) -> None:
+        """`kinematics.wrap` for those turtles, and their steps from there."""
+        if len(at) <= _FEW:
+            for index in at.tolist():
+                self._wrap_one(index)
+            return
+        half, turn = self._half, 2.0 * self._half
+        theta = self._theta[at]
+        wrapped = theta - turn * np.floor((theta + half) / turn)
+        theta = np.where((-half <= wrapped) & (wrapped < half), wrapped, -half)
+        self._theta[at] = theta
+        self._aim(at, theta)
+
+    def _wrap_one(self, index: int) -> None:
+        theta = self._theta[index] = wrap(float(self._theta[index]), self._half)
+        vx, vy, omega = self._speeds[:, index].tolist()
+        dx, dy = displacement(theta, vx, vy, chord(self._rule, omega * DT))
+        self._step[index] = complex(dx, -dy)
+
+    def _aim(self, at: slice | _Indices, theta: _Floats) -> None:
+        """Work out the steps that end at ``theta``: `kinematics.displacement`, for arrays."""
+        vx, vy = self._speeds[0, at], self._speeds[1, at]
+        length: float | _Floats = DT
+        if self._rule is StepRule.ARC:
+            lag = self._turn[at] / 2.0
+            theta = theta - lag
+            length = DT * np.divide(np.sin(lag), lag, out=np.ones_like(lag), where=lag != 0.0)
+        cos, sin = np.cos(theta), np.sin(theta)
+        dx = cos * vx * length - sin * vy * length
+        dy = cos * vy * length + sin * vx * length
+        self._step[at] = _complex(dx, -dy)
+
+
+class _Block:
+    """Some neighbours of a fleet: views of its arrays, and room for intermediate values."""
+
+    def __init__(self, fleet: Fleet, where: slice) -> None:
+        self.where = where
+        self._half = np.array(fleet._half)
+        self._theta, self._turn = fleet._theta[where], fleet._turn[where]
+        self._place, self._step = fleet._place[where], fleet._step[where]
+        self._spin = fleet._spin[where]
+        self._place_parts = self._place.view(np.float64)
+        self._place_bits = self._place.view(np.uint64)
+        self._step_parts = self._step.view(np.float64)
+        self._magnitude = np.empty_like(self._theta)
+        # The flags are bytes, too, since looking for a 1 in bytes is much faster than any().
+        self._wrapping_bytes = bytearray(len(self._theta))
+        self._outside_bytes = bytearray(len(self._place_parts))
+        self._wrapping = np.frombuffer(self._wrapping_bytes, np.bool_)
+        self._outside = np.frombuffer(self._outside_bytes, np.bool_)
+
+    def turn(self) -> bool:
+        """Turn by one step; tells whether an angle has to be wrapped."""
+        np.add(self._theta, self._turn, self._theta)
+        np.absolute(self._theta, self._magnitude)
+        np.greater_equal(self._magnitude, self._half, self._wrapping)
+        return 1 in self._wrapping_bytes
+
+    def wrapping(self) -> _Indices:
+        """The turtles whose angle has to be wrapped."""
+        at: _Indices = self._wrapping.nonzero()[0] + self.where.start
+        return at
+
+    def move(self) -> bool:
+        """Move by one step, turn the next one; tells whether a turtle may be outside the walls."""
+        np.add(self._place_parts, self._step_parts, self._place_parts)
+        np.multiply(self._step, self._spin, self._step)
+        # As unsigned integers, the bits of SIDE are below those of any larger or negative
+        # float: one comparison sees all four walls.
+        np.greater(self._place_bits, _SIDE_BITS, self._outside)
+        return 1 in self._outside_bytes
+
+    def clamp(self) -> _Caught:
+        """Bring the turtles back inside; tells which `move` has flagged, and from where."""
+        at = self._outside.nonzero()[0]
+        np.right_shift(at, _ONE, at)  # two parts a turtle
+        before = self._place[at]
+        np.maximum(self._place_parts, _ZERO, out=self._place_parts)
+        np.minimum(self._place_parts, _SIDE, out=self._place_parts)
+        return self.where.start, at, before
+
+
+class _Hits(Sequence[Hit]):
+    """The hits of a step, put together only for those who look at them."""
+
+    def __init__(self, caught: list[_Caught]) -> None:
+        self._caught = caught
+
+    def __len__(self) -> int:
+        return len(self._hits)
+
+    @overload
+    def __getitem__(self, index: int) -> Hit: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Hit]: ...
+
+    def __getitem__(self, index: int | slice) -> Hit | Sequence[Hit]:
+        return self._hits[index]
+
+    @cached_property
+    def _hits(self) -> list[Hit]:
+        at = np.concatenate([start + at for start, at, _ in self._caught])
+        before = np.concatenate([before for _, _, before in self._caught])
+        at, first = np.unique(at, return_index=True)  # in a corner both parts are flagged
+        x, depth = before[first].real, before[first].imag
+        real = (x < 0.0) | (x > SIDE) | (depth < 0.0) | (depth > SIDE)  # unlike -0.0
+        columns = (column[real].tolist() for column in (at, x, depth))
+        return list(map(Hit, *columns))
+
+
+def _complex(real: _Floats, imag: _Floats) -> _Complexes:
+    number = np.empty(real.shape, np.complex128)
+    number.real = real
+    number.imag = imag
+    return number

@@ -1,0 +1,321 @@
+"""One step of a turtle: turn, move, stop at the walls, forget old commands.
+
+The numbers and the order of the operations are turtlesim's, so that its Poses come out to the
+last bit: y is kept as the depth below the upper edge, a Pose is rounded to float32 only when it is
+read, and half a turn is 3.14159265, as turtlesim has it. `Handful` steps a few turtles in plain
+floats; `turtleact.sim.fleet` steps many as arrays. Knows no names, no ROS and no clock: time is
+the number of a tick.
+
+Source: turtlesim 1.8.2, ``Turtle::update`` in ``turtle.cpp``; for arcs Lynch and Park, Modern
+Robotics, section 13.3.1, the integral of a constant twist.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from math import cos, sin
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    import numpy as np
+    import numpy.typing as npt
+
+__all__ = [
+    "COMMAND_TICKS",
+    "DT",
+    "SIDE",
+    "Command",
+    "Handful",
+    "Hit",
+    "Hits",
+    "Place",
+    "State",
+    "StepRule",
+    "Turtles",
+    "chord",
+    "displacement",
+    "half_turn",
+    "wrap",
+]
+
+DT = 0.016
+"""Length of a step (s)."""
+
+SIDE = 11.088889122009277
+"""Width and height of the world (m): 499/45 in float32."""
+
+COMMAND_TICKS = 63
+"""Ticks that a command lasts: in the 64th it is 1.008 s old, and more than 1.0 s is too old."""
+
+
+class StepRule(enum.Enum):
+    """How a step turns speeds into motion."""
+
+    EULER = "euler"
+    """turtlesim's own: turn first, then move straight along the new heading."""
+
+    ARC = "arc"
+    """The exact motion of a constant twist: along an arc."""
+
+
+class Command(NamedTuple):
+    """The speeds that a turtle is asked for: ahead and to the left (m/s), turning (rad/s)."""
+
+    vx: float
+    vy: float
+    omega: float
+
+
+class Place(NamedTuple):
+    """Where a turtle is put: x (m), depth below the upper edge (m), theta (rad, any angle)."""
+
+    x: float
+    depth: float
+    theta: float
+
+
+class State(NamedTuple):
+    """Where a turtle is and how it moves, unrounded.
+
+    x and depth are in [0, SIDE] and theta is in [-pi, pi) after a step, in m and rad; the speeds
+    are those of its command, or 0.
+    """
+
+    x: float
+    depth: float
+    theta: float
+    vx: float
+    vy: float
+    omega: float
+
+
+class Hit(NamedTuple):
+    """A turtle that a step would have carried out of the world.
+
+    turtle is its index; x and depth (m) are those from which it was brought back to the wall.
+    """
+
+    turtle: int
+    x: float
+    depth: float
+
+
+Hits: TypeAlias = "Sequence[Hit]"
+"""The turtles that hit a wall in one step, in the order of their indices; mostly none."""
+
+
+class Turtles(Protocol):
+    """What `Handful` and ``Fleet`` both are: turtles by index, and one step for all of them."""
+
+    def __len__(self) -> int: ...
+
+    def drive(self, commands: Mapping[int, Command], tick: int) -> None:
+        """Take up commands by index; each lasts from this tick on for ``COMMAND_TICKS``."""
+
+    def drive_all(self, speeds: npt.NDArray[np.float64], tick: int) -> None:
+        """Take up one command for each turtle: an array of shape (3, N), rows as in `Command`."""
+
+    def place(self, index: int, place: Place) -> None:
+        """Put a turtle somewhere; the next step wraps its angle and brings it inside the walls."""
+
+    def state(self, index: int) -> State:
+        """The state of one turtle."""
+
+    def columns(self) -> Sequence[npt.ArrayLike]:
+        """The states of all turtles: N numbers for each field of `State`."""
+
+    def step(self, tick: int) -> Hits:
+        """Move all turtles by one step, the one that makes tick ``tick``.
+
+        Returns:
+            The turtles that hit a wall, in the order of their indices; mostly none.
+        """
+
+
+def displacement(
+    theta: float, vx: float, vy: float, chord: tuple[float, float]
+) -> tuple[float, float]:
+    """How far one step goes in x and y (m).
+
+    Args:
+        theta: The heading in which the step ends (rad).
+        vx: Speed ahead (m/s).
+        vy: Speed to the left (m/s).
+        chord: What `chord` says of the step.
+    """
+    lag, length = chord
+    cos_, sin_ = cos(theta - lag), sin(theta - lag)
+    # In turtlesim's order: another one rounds differently.
+    return cos_ * vx * length - sin_ * vy * length, cos_ * vy * length + sin_ * vx * length
+
+
+def chord(rule: StepRule, turn: float) -> tuple[float, float]:
+    """How a step that turns is made straight.
+
+    Args:
+        rule: The step rule.
+        turn: The turn made in the step (rad).
+
+    Returns:
+        How much further back than the step's last heading its direction is (rad), and how far it
+        goes for each m/s (s).
+    """
+    if rule is StepRule.EULER or not turn:
+        return 0.0, DT
+    half = turn / 2.0
+    return half, DT * (sin(half) / half)
+
+
+def half_turn(rule: StepRule) -> float:
+    """The pi of a rule (rad): exact for arcs, turtlesim's 3.14159265 for its own step."""
+    return _HALF_TURN[rule]
+
+
+def wrap(theta: float, half: float) -> float:
+    """An angle brought into [-half, half) in turtlesim's way: by whole turns, rounded down.
+
+    Args:
+        theta: Any finite angle (rad).
+        half: Half a turn (rad), from `half_turn`.
+
+    Source: ``normalizeAngle`` in ``turtle.cpp``.
+    """
+    turn = 2.0 * half
+    wrapped = theta - turn * math.floor((theta + half) / turn)
+    # Far out, the difference itself is rounded and may miss the range by a bit, or by far.
+    return wrapped if -half <= wrapped < half else -half
+
+
+class Handful:
+    """A few turtles in plain floats; below about ten that is faster than arrays.
+
+    Args:
+        places: Where they stand, by index.
+        rule: How a step turns speeds into motion.
+    """
+
+    def __init__(self, places: Iterable[Place], rule: StepRule) -> None:
+        self._turtles = [_Turtle(index, place) for index, place in enumerate(places)]
+        self._rule = rule
+        self._half = _HALF_TURN[rule]
+
+    def __len__(self) -> int:
+        return len(self._turtles)
+
+    def drive(self, commands: Mapping[int, Command], tick: int) -> None:
+        """Take up commands by index; each lasts from this tick on for ``COMMAND_TICKS``."""
+        for index, command in commands.items():
+            self._turtles[index].take_up(command, self._rule, tick + COMMAND_TICKS)
+
+    def drive_all(self, speeds: npt.NDArray[np.float64], tick: int) -> None:
+        """Take up one command for each turtle: an array of shape (3, N), rows as in `Command`."""
+        self.drive(dict(enumerate(map(Command, *speeds.tolist()))), tick)
+
+    def place(self, index: int, place: Place) -> None:
+        """Put a turtle somewhere; the next step wraps its angle and brings it inside the walls."""
+        turtle = self._turtles[index]
+        turtle.x, turtle.depth, turtle.theta = place
+        turtle.free_until = 0
+
+    def state(self, index: int) -> State:
+        """The state of one turtle."""
+        turtle = self._turtles[index]
+        return State(turtle.x, turtle.depth, turtle.theta, turtle.vx, turtle.vy, turtle.omega)
+
+    def columns(self) -> Sequence[npt.ArrayLike]:
+        """The states of all turtles: N numbers for each field of `State`."""
+        return list(zip(*map(self.state, range(len(self))), strict=True))
+
+    def step(self, tick: int) -> Hits:
+        """Move all turtles by one step, the one that makes tick ``tick``."""
+        hits: Sequence[Hit] = ()
+        for turtle in self._turtles:
+            if tick >= turtle.free_until:
+                hit = turtle.step(tick, self._half)
+                if hit:
+                    hits = [*hits, hit]
+            elif turtle.turn:
+                theta = turtle.theta = turtle.theta + turtle.turn
+                angle, vx, length = theta - turtle.lag, turtle.vx, turtle.length
+                turtle.x += cos(angle) * vx * length
+                turtle.depth -= sin(angle) * vx * length
+            else:
+                turtle.x += turtle.dx
+                turtle.depth -= turtle.dy
+        return hits
+
+
+class _Turtle:
+    """One turtle: its state, and what follows from its command until something changes.
+
+    ``dx`` and ``dy`` are what the last careful step went (m). Before tick ``free_until`` nothing
+    can happen to the turtle, neither wall nor wrap nor the end of its command: `Handful.step`
+    moves it without looking.
+    """
+
+    __slots__ = (
+        "depth", "dx", "dy", "expires", "free_until", "index", "lag", "length", "omega", "theta",
+        "turn", "vx", "vy", "x",
+    )  # fmt: skip
+
+    def __init__(self, index: int, place: Place) -> None:
+        self.index = index
+        self.x, self.depth, self.theta = place
+        self.halt()
+        self.free_until = 0
+
+    def take_up(self, command: Command, rule: StepRule, expires: int) -> None:
+        self.vx, self.vy, self.omega = command
+        self.turn = self.omega * DT
+        self.lag, self.length = chord(rule, self.turn)
+        self.expires = expires
+        self.free_until = 0
+
+    def halt(self) -> None:
+        self.vx = self.vy = self.omega = self.turn = self.lag = 0.0
+        self.length = DT
+        self.expires = _NEVER
+
+    def step(self, tick: int, half: float) -> Hit | None:
+        """One step in which anything may happen."""
+        if tick >= self.expires:
+            self.halt()
+        theta = self.theta + self.turn
+        self.theta = theta if -half <= theta < half else wrap(theta, half)
+        self.dx, self.dy = displacement(self.theta, self.vx, self.vy, (self.lag, self.length))
+        x = self.x + self.dx
+        depth = self.depth - self.dy
+        self.x = min(max(x, 0.0), SIDE)
+        self.depth = min(max(depth, 0.0), SIDE)
+        if x != self.x or depth != self.depth:
+            return Hit(self.index, x, depth)
+        self.free_until = tick + 1 + self._free_ticks(tick, half)
+        return None
+
+    def _free_ticks(self, tick: int, half: float) -> int:
+        """Ticks after this one in which surely nothing happens to the turtle."""
+        if self.expires == _NEVER:
+            return _NEVER
+        if self.vy and self.turn:
+            return 0  # `Handful.step` leaves it out: sideways is rare
+        free = self.expires - tick - 1
+        to_wall = min(self.x, SIDE - self.x, self.depth, SIDE - self.depth) - _SLACK
+        reach = (abs(self.vx) + abs(self.vy)) * DT
+        if reach and free * reach > to_wall:
+            free = int(to_wall / reach)
+        to_wrap = half - abs(self.theta) - _SLACK
+        if self.turn and free * abs(self.turn) > to_wrap:
+            free = int(to_wrap / abs(self.turn))
+        return max(free, 0)
+
+
+_NEVER = 2**62
+"""A tick that does not come."""
+
+_SLACK = 1e-9
+"""More than the roundings of a command's steps can add up to (m, rad)."""
+
+_HALF_TURN = {StepRule.EULER: 3.14159265, StepRule.ARC: math.pi}

@@ -1,0 +1,344 @@
+"""Tasks, wake-ups and borrowed tasks, on asyncio (uvloop too) and on trio.
+
+The few things for which anyio's own are too dear to spend one on each goal or message. A goal's
+body runs in a *bare* task: no task group holds it, the action server that started it does, and
+must cancel it and wait for its end. Nothing here knows what a goal is.
+
+Order and cancellation:
+
+- `Tasks.spawn` runs the first step of a coroutine at once where the loop can do that (asyncio),
+  else soon (trio); the coroutine handles its own exceptions.
+- `Tasks.borrow` runs a coroutine inside the caller's own task, yet lets others cancel the
+  coroutine without canceling the caller (asyncio alone).
+- A `Signal` wakes all that wait for it when it fires; it keeps no memory of earlier fires.
+
+Source: asyncio ``Task(eager_start=...)`` of Python 3.12 for the eager first step;
+``asyncio.timeout`` for how a cancellation of one's own is told from that of others.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import sys
+from collections.abc import Callable, Coroutine, Generator
+from contextvars import Context, copy_context
+from types import coroutine
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+import anyio
+
+from turtleact.goal import Cancelable
+
+if TYPE_CHECKING:
+    import trio
+
+__all__ = ["Background", "Borrowed", "Signal", "Tasks", "current_tasks"]
+
+logger = logging.getLogger("turtleact")
+
+T = TypeVar("T")
+
+
+class Signal(Protocol):
+    """Many wait, one fires, all go on."""
+
+    def fire(self) -> None:
+        """Wake all that wait now."""
+
+    async def wait(self) -> None:
+        """Wait for the next fire. Cancelling: safe, nothing is lost."""
+
+
+class Tasks(Protocol):
+    """What one kind of event loop offers."""
+
+    cancelled: type[BaseException]
+    can_borrow: bool
+
+    def spawn(self, body: Coroutine[object, object, None], name: str) -> Cancelable:
+        """Run a coroutine in a task of its own, in a copy of the current context."""
+
+    def signal(self) -> Signal:
+        """A new signal."""
+
+    async def checkpoint(self) -> None:
+        """Let others run, once."""
+
+
+def current_tasks() -> Tasks:
+    """The tasks of the event loop that runs now."""
+    if anyio.get_cancelled_exc_class() is asyncio.CancelledError:
+        return AsyncioTasks()
+    return TrioTasks()
+
+
+class Background:
+    """A coroutine that runs beside its owner until it is closed; how it fails is logged.
+
+    Args:
+        running: The coroutine.
+        name: What it is called in a log.
+    """
+
+    def __init__(self, running: Coroutine[object, object, None], name: str) -> None:
+        tasks = current_tasks()
+        self._name = name
+        self._has_ended = False
+        self._ended = tasks.signal()
+        self._cancelled = tasks.cancelled
+        self._task = tasks.spawn(self._run(running), name)
+
+    async def aclose(self) -> None:
+        """Cancel it and wait for its end."""
+        self._task.cancel()
+        with anyio.CancelScope(shield=True):
+            while not self._has_ended:
+                await self._ended.wait()
+
+    async def _run(self, running: Coroutine[object, object, None]) -> None:
+        try:
+            await running
+        except self._cancelled:
+            raise
+        except Exception:
+            logger.exception("%s has failed", self._name)
+        finally:
+            self._has_ended = True
+            self._ended.fire()
+
+
+# asyncio and uvloop
+
+_current_tasks = asyncio.tasks._current_tasks  # type: ignore[attr-defined]  # what asyncio's own
+_enter_task = asyncio.tasks._enter_task  # eager tasks use; the only way to
+_leave_task = asyncio.tasks._leave_task  # run a task inside another
+
+
+def _nothing() -> None:
+    """No step has been caught."""
+
+
+class AsyncioTasks:
+    """Bare `asyncio.Task` objects, started eagerly."""
+
+    cancelled: type[BaseException] = asyncio.CancelledError
+    can_borrow = True
+
+    def __init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._step: Callable[[], object] = _nothing
+
+    def spawn(self, body: Coroutine[object, object, None], name: str) -> asyncio.Task[None]:
+        """Run a coroutine in a task of its own; its first step has run when this returns."""
+        if sys.version_info >= (3, 12):
+            return asyncio.Task(body, loop=self._loop, name=name, eager_start=True)
+        return self._start_eagerly(body, name)
+
+    def _start_eagerly(
+        self, body: Coroutine[object, object, None], name: str
+    ) -> asyncio.Task[None]:
+        """What ``eager_start=True`` does from Python 3.12 on.
+
+        A new task asks its loop to call its first step soon; the loop's ``call_soon`` is shadowed
+        for that moment, the step caught and run here, in the task's own context, as the current
+        task.
+        """
+        loop, context = self._loop, copy_context()
+        loop.call_soon = self._catch  # type: ignore[method-assign,assignment]  # for a moment
+        try:
+            task = asyncio.Task(body, loop=loop, name=name, context=context)
+        finally:
+            del loop.call_soon
+        step, self._step = self._step, _nothing
+        current = _current_tasks.get(loop)
+        if current is None:
+            context.run(step)
+            return task
+        _leave_task(loop, current)
+        try:
+            context.run(step)
+        finally:
+            _enter_task(loop, current)
+        return task
+
+    def _catch(self, step: Callable[[], object], *, context: Context) -> None:  # noqa: ARG002
+        self._step = step
+
+    def signal(self) -> AsyncioSignal:
+        """A new signal."""
+        return AsyncioSignal(self._loop)
+
+    async def checkpoint(self) -> None:
+        """Let others run, once."""
+        await asyncio.sleep(0)
+
+
+class AsyncioSignal:
+    """A list of futures; a canceled waiter takes its own out."""
+
+    __slots__ = ("_loop", "_waiting")
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._waiting: list[asyncio.Future[None]] = []
+
+    def fire(self) -> None:
+        """Wake all that wait now."""
+        if self._waiting:
+            waiting, self._waiting = self._waiting, []
+            for future in waiting:
+                if not future.done():
+                    future.set_result(None)
+
+    async def wait(self) -> None:
+        """Wait for the next fire. Cancelling: safe, nothing is lost."""
+        future = self._loop.create_future()
+        self._waiting.append(future)
+        try:
+            await future
+        except asyncio.CancelledError:
+            if future in self._waiting:
+                self._waiting.remove(future)
+            raise
+
+
+class Borrowed:
+    """A coroutine that runs inside the caller's own task (asyncio alone).
+
+    `cancel` cancels the coroutine alone: the caller's task goes on once it has ended. A
+    cancellation of the caller reaches the coroutine too, is told to ``on_cancel`` first, and is
+    raised again at the end, whatever the coroutine made of it.
+
+    Args:
+        on_cancel: Called before a cancellation from outside is passed on.
+    """
+
+    __slots__ = ("_asked", "_on_cancel", "_outer", "_received", "_task")
+
+    def __init__(self, on_cancel: Callable[[], None]) -> None:
+        self._on_cancel = on_cancel
+        self._task = asyncio.current_task()
+        self._asked = 0
+        self._received = False
+        self._outer: BaseException | None = None
+
+    def cancel(self) -> None:
+        """Let a cancellation arrive at the coroutine's next await."""
+        if self._task is not None:
+            self._asked += 1
+            self._task.cancel()
+
+    @coroutine
+    def go_on(
+        self, body: Coroutine[object, object, T], waits_for: object
+    ) -> Generator[object, object, T]:
+        """Run a coroutine that has had its first step, and waits for what it gave out then.
+
+        Args:
+            body: The coroutine.
+            waits_for: What its first ``send`` gave.
+        """
+        task = self._task
+        try:
+            while True:
+                try:
+                    answer = yield waits_for
+                except GeneratorExit:
+                    body.close()
+                    raise
+                except BaseException as thrown:
+                    self._note(thrown)
+                    waits_for = body.throw(thrown)
+                else:
+                    waits_for = body.send(answer)
+        except StopIteration as end:
+            value: T = end.value
+            return value
+        finally:
+            self._task = None
+            if task is not None and (self._asked or self._outer is not None):
+                yield from self._give_back(task)
+
+    def _note(self, thrown: BaseException) -> None:
+        if self._asked and not self._received:
+            self._received = True
+            return
+        self._outer = thrown
+        self._on_cancel()
+
+    def _give_back(self, task: asyncio.Task[object]) -> Generator[None, object, None]:
+        for _ in range(self._asked):
+            task.uncancel()
+        if self._asked and not self._received:  # the end came before the cancellation
+            try:
+                yield None
+            except asyncio.CancelledError as late:
+                if task.cancelling():
+                    self._outer = late
+        if self._outer is not None:
+            raise self._outer
+
+
+# trio
+
+
+class TrioTasks:
+    """System tasks of trio, each in a cancel scope of its own."""
+
+    can_borrow = False
+
+    def __init__(self) -> None:
+        import trio
+
+        self._trio = trio
+        self.cancelled: type[BaseException] = trio.Cancelled
+
+    def spawn(self, body: Coroutine[object, object, None], name: str) -> TrioTask:
+        """Run a coroutine in a task of its own; its first step runs soon."""
+        task = TrioTask(self._trio.CancelScope())
+        self._trio.lowlevel.spawn_system_task(task.run, body, name=name, context=copy_context())
+        return task
+
+    def signal(self) -> TrioSignal:
+        """A new signal."""
+        return TrioSignal(self._trio.lowlevel.ParkingLot())
+
+    async def checkpoint(self) -> None:
+        """Let others run, once."""
+        await self._trio.lowlevel.checkpoint()
+
+
+class TrioTask:
+    """A coroutine in a cancel scope."""
+
+    __slots__ = ("_scope",)
+
+    def __init__(self, scope: trio.CancelScope) -> None:
+        self._scope = scope
+
+    async def run(self, body: Coroutine[object, object, None]) -> None:
+        """Run the coroutine to its end."""
+        with self._scope:
+            await body
+
+    def cancel(self) -> None:
+        """Let a cancellation arrive at the coroutine's next await, and at each one after it."""
+        self._scope.cancel()
+
+
+class TrioSignal:
+    """A parking lot."""
+
+    __slots__ = ("_lot",)
+
+    def __init__(self, lot: trio.lowlevel.ParkingLot) -> None:
+        self._lot = lot
+
+    def fire(self) -> None:
+        """Wake all that wait now."""
+        self._lot.unpark_all()
+
+    async def wait(self) -> None:
+        """Wait for the next fire. Cancelling: safe, nothing is lost."""
+        await self._lot.park()

@@ -1,0 +1,107 @@
+"""Topics as a node's user sees them: a publisher that checks, a subscription that is read.
+
+Knows messages and queues; how they travel stands in `turtleact.transports`.
+
+Source: rclpy ``publisher.py`` and ``subscription.py`` for names and meaning.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Generic, Self, TypeVar
+
+from turtleact.interfaces import Message, snapshotter
+from turtleact.tasks import Signal
+from turtleact.transports.base import Closeable, Publication
+
+__all__ = ["Publisher", "Subscription"]
+
+M = TypeVar("M", bound=Message)
+
+
+class Publisher(Generic[M]):
+    """Sends messages to a topic; made by `turtleact.Node.publisher`.
+
+    Attributes:
+        topic: The fully qualified name of the topic.
+    """
+
+    def __init__(self, topic: str, message_type: type[M], publication: Publication) -> None:
+        self.topic = topic
+        self._check = snapshotter(message_type)
+        self._publication = publication
+        self.membership: Closeable = publication
+
+    @property
+    def has_subscriptions(self) -> bool:
+        """Whether anybody would get a message published now."""
+        return self._publication.has_readers
+
+    def publish(self, message: M) -> None:
+        """Send a snapshot of a message to every subscription.
+
+        Raises:
+            InvalidMessage: if it is not of the topic's type, or a value does not fit its type.
+        """
+        snapshot = self._check(message)
+        if self._publication.has_readers:
+            self._publication.publish(snapshot)
+
+    async def aclose(self) -> None:
+        """Leave the topic."""
+        self.membership.close()
+
+
+class Subscription(Generic[M]):
+    """Receives messages from a topic; made by `turtleact.Node.subscription`.
+
+    ``async for message in subscription`` gives the messages in order. The newest ``depth`` are kept
+    for a reader that lags; `missed` counts those that it lost. The messages are shared with other
+    subscriptions and must not be changed.
+
+    Attributes:
+        topic: The fully qualified name of the topic.
+        latest: The newest message, read or not; None before the first.
+        missed: How many messages were dropped unread.
+    """
+
+    def __init__(self, topic: str, depth: int, signal: Signal) -> None:
+        self.topic = topic
+        self.latest: M | None = None
+        self.missed = 0
+        self.membership: Closeable | None = None
+        self._kept: deque[M] = deque(maxlen=depth)
+        self._signal = signal
+        self._is_open = True
+
+    def deliver(self, message: M) -> None:
+        """Take a message from the transport."""
+        kept = self._kept
+        if len(kept) == kept.maxlen:
+            self.missed += 1
+        kept.append(message)
+        self.latest = message
+        self._signal.fire()
+
+    def drain(self) -> list[M]:
+        """Take all that has come and was not read yet, without waiting."""
+        drained = list(self._kept)
+        self._kept.clear()
+        return drained
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> M:
+        while not self._kept:
+            if not self._is_open:
+                raise StopAsyncIteration
+            await self._signal.wait()
+        return self._kept.popleft()
+
+    async def aclose(self) -> None:
+        """Leave the topic; a reader that waits comes to its end."""
+        self._is_open = False
+        if self.membership is not None:
+            self.membership.close()
+        self._signal.fire()
