@@ -2,8 +2,9 @@
 
     python scripts/record_patrol.py > docs/patrol.svg
 
-The run is in virtual time, so the picture is the same every time, and a test compares the two. The
-colours are turtlesim's. The animation is SMIL, in real time; a reader that knows none shows the end.
+The run is in virtual time, so the picture is the same every time; a test compares the two. The
+colours are those of turtlesim. The animation is SMIL, in real time; where there is none, the end is
+shown.
 """
 
 from __future__ import annotations

@@ -2,17 +2,24 @@
 
 - ``>>>`` blocks of a page are one session: a later block sees the names of an earlier one.
 - A ``python`` block below ``<!-- run -->`` is a whole program: it must end well, without a warning.
-- Every ``$ turtleact …`` line of README.md in a ``console`` or ``sh`` block is run. Lines below it
+  One below ``<!-- run on -->`` goes on where the last one stopped: the two are one program. The
+  block below ``<!-- output -->`` is what the program prints; ``...`` stands for anything.
+- Every ``$ turtleact …`` line of a ``console`` or ``sh`` block is run. Lines below it
   are its output, in which ``...`` stands for anything; without them it must just succeed.
   ``<!-- exit status N -->`` above the block says how its commands end, if not with 0;
   ``<!-- not run: why -->`` leaves the block out.
+- A block below ``<!-- file PATH -->`` is that file, one below ``<!-- made by PATH -->`` what that
+  script prints. ``<!-- layers -->`` stands above the rows of the import contract.
+- No block is left over.
 """
 
 from __future__ import annotations
 
 import ast
+import configparser
 import doctest
 import importlib
+import importlib.util
 import os
 import re
 import subprocess
@@ -25,6 +32,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
+RECORD_PATROL = ROOT / "scripts" / "record_patrol.py"
 PAGES = [README, *sorted((ROOT / "docs").rglob("*.md"))]
 MODULES = [
     path for path in sorted((ROOT / "turtleact").rglob("*.py")) if ">>> " in path.read_text("utf-8")
@@ -55,6 +63,14 @@ class Block(msgspec.Struct, frozen=True):
         return f"{self.page.relative_to(ROOT)}:{self.line}"
 
 
+class Program(msgspec.Struct):
+    """A program that a page shows in one block or several, and what it should print."""
+
+    name: str
+    text: str
+    output: str | None = None
+
+
 class Command(msgspec.Struct, frozen=True):
     """A command line that a page shows, and what it should print and return."""
 
@@ -76,6 +92,19 @@ def blocks_of(page: Path, text: str | None = None) -> list[Block]:
         )
         for found in FENCE.finditer(text)
     ]
+
+
+def programs_of(blocks: list[Block]) -> list[Program]:
+    """The programs of a page, each put together from its blocks."""
+    programs: list[Program] = []
+    for block in blocks:
+        if block.mark == "run":
+            programs.append(Program(block.name, block.text))
+        elif block.mark == "run on":
+            programs[-1].text += f"\n{block.text}"
+        elif block.mark == "output":
+            programs[-1].output = block.text.rstrip()
+    return programs
 
 
 def commands_of(block: Block) -> list[Command]:
@@ -132,10 +161,30 @@ def is_as_shown(output: str, shown: str) -> bool:
     return checker.check_output(f"{shown}\n", f"{output.rstrip()}\n", doctest.ELLIPSIS)
 
 
+def is_checked(block: Block) -> bool:
+    """Whether one of the tests here looks at a block, or its mark says why none does."""
+    return (
+        ">>> " in block.text
+        or block.mark in {"run", "run on", "output", "layers", "install command", "test command"}
+        or block.mark.startswith(("file ", "made by ", "not run: "))
+        or bool(commands_of(block))
+    )
+
+
+def marked(word: str) -> list[Block]:
+    return [block for block in BLOCKS if block.mark.startswith(word)]
+
+
 BLOCKS = [block for page in PAGES for block in blocks_of(page)]
 SESSIONS = [page for page in PAGES if ">>> " in page.read_text("utf-8")]
-PROGRAMS = [block for block in BLOCKS if (block.language, block.mark) == ("python", "run")]
-COMMANDS = [command for block in BLOCKS if block.page == README for command in commands_of(block)]
+PROGRAMS = [program for page in PAGES for program in programs_of(blocks_of(page))]
+COMMANDS = [command for block in BLOCKS for command in commands_of(block)]
+LINKS = [
+    (page, link)
+    for page in PAGES
+    for link in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", page.read_text("utf-8")))
+    if not link.startswith(("https://", "#"))
+]
 
 
 @pytest.mark.parametrize("page", SESSIONS, ids=lambda page: page.name)
@@ -151,11 +200,12 @@ def test_a_session_goes_as_the_docstring_shows(path):
     assert "".join(map(run_session, sessions)) == ""
 
 
-@pytest.mark.parametrize("block", PROGRAMS, ids=lambda block: block.name)
-def test_a_program_of_a_page_runs(block, tmp_path):
-    (tmp_path / "program.py").write_text(block.text, "utf-8")
+@pytest.mark.parametrize("program", PROGRAMS, ids=lambda program: program.name)
+def test_a_program_of_a_page_does_what_it_shows(program, tmp_path):
+    (tmp_path / "program.py").write_text(program.text, "utf-8")
     outcome = run([sys.executable, "-W", "error", "program.py"], tmp_path)
     assert outcome.returncode == 0, outcome.stdout
+    assert program.output is None or is_as_shown(outcome.stdout, program.output), outcome.stdout
 
 
 @pytest.mark.parametrize(
@@ -167,7 +217,7 @@ def test_a_python_block_is_python(block):
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.name)
-def test_a_command_of_the_readme_does_what_it_shows(command, tmp_path):
+def test_a_command_of_a_page_does_what_it_shows(command, tmp_path):
     outcome = run(["bash", "-c", command.line], tmp_path)
     assert outcome.returncode == command.status, outcome.stdout
     assert not command.output or is_as_shown(outcome.stdout, command.output), outcome.stdout
@@ -181,6 +231,61 @@ def test_a_command_of_the_readme_does_what_it_shows(command, tmp_path):
 def test_the_readme_has_the_line_that_takes_a_newcomer_there(mark, line):
     (text,) = [block.text for block in blocks_of(README) if block.mark == mark]
     assert text.startswith(line)
+
+
+def test_the_line_that_installs_leads_to_a_goal_that_succeeds(tmp_path):
+    (block,) = marked("install command")
+    command = block.text.strip().rpartition("&& .venv/bin/")[2]
+    outcome = run(["bash", "-c", f"{command} --speed max"], tmp_path)
+    assert outcome.returncode == 0, outcome.stdout
+    assert outcome.stdout.endswith("Goal finished with status: SUCCEEDED\n")
+
+
+@pytest.mark.parametrize("block", marked("file "), ids=lambda block: block.name)
+def test_a_file_stands_as_the_page_shows(block):
+    path = ROOT / block.mark.removeprefix("file ")
+    assert path.read_text("utf-8").rstrip() == block.text.rstrip()
+
+
+@pytest.mark.parametrize("block", marked("made by "), ids=lambda block: block.name)
+def test_a_block_that_is_made_is_what_its_script_prints(block):
+    outcome = run([sys.executable, block.mark.removeprefix("made by ")], ROOT)
+    assert outcome.stdout == block.text
+
+
+def test_the_layers_are_those_of_the_import_contract():
+    (block,) = marked("layers")
+    contract = configparser.ConfigParser()
+    contract.read(ROOT / ".importlinter", "utf-8")
+    rows = contract["importlinter:contract:layers"]["layers"].strip()
+    shown = [re.split(r"  +", line)[0] for line in block.text.splitlines()]
+    assert shown == re.sub(r"[()]", "", rows).splitlines()
+
+
+def test_the_picture_of_the_patrol_is_what_its_script_draws():
+    outcome = run([sys.executable, "scripts/record_patrol.py"], ROOT)
+    assert outcome.stdout == (ROOT / "docs" / "patrol.svg").read_text("utf-8")
+
+
+def test_the_picture_of_the_patrol_shows_the_goal_of_the_readme():
+    script = importlib.util.spec_from_file_location("record_patrol", RECORD_PATROL)
+    assert script is not None
+    assert script.loader is not None
+    module = importlib.util.module_from_spec(script)
+    script.loader.exec_module(module)
+    (block,) = marked("install command")
+    shown = re.findall(r"\{x: ([\d.]+), y: ([\d.]+)\}", block.text)
+    assert [(float(x), float(y)) for x, y in shown] == list(module.TARGETS)
+
+
+@pytest.mark.parametrize("block", BLOCKS, ids=lambda block: block.name)
+def test_every_block_is_checked(block):
+    assert is_checked(block)
+
+
+@pytest.mark.parametrize(("page", "link"), LINKS, ids=lambda value: getattr(value, "name", value))
+def test_a_link_leads_to_a_file(page, link):
+    assert (page.parent / link.partition("#")[0]).exists()
 
 
 # --- the reading itself ---------------------------------------------------------------------
@@ -224,3 +329,18 @@ def test_the_blocks_of_a_page_are_one_session(tmp_path):
     page.write_text("```python\n>>> a = 20\n```\ntext\n```python\n>>> a + 1\n20\n```\n", "utf-8")
     report = run_session(session_of(page))
     assert re.search(r"line 6,.*Expected:\s+20\s+Got:\s+21", report, re.DOTALL)
+
+
+def test_a_program_may_stand_in_several_blocks():
+    text = (
+        "<!-- run -->\n```python\na = 1\n```\ntext\n"
+        "<!-- run on -->\n```python\nprint(a)\n```\n"
+        "<!-- output -->\n```text\n1\n```\n"
+    )
+    (program,) = programs_of(blocks_of(README, text))
+    assert (program.text, program.output) == ("a = 1\n\nprint(a)\n", "1")
+
+
+def test_a_block_without_a_mark_is_not_checked():
+    (block,) = blocks_of(README, "```text\nwords\n```\n")
+    assert not is_checked(block)

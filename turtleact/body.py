@@ -24,7 +24,7 @@ from turtleact.interfaces import Message
 __all__ = ["ActionDeclaration", "ActionType", "Body", "ServerOptions", "Steps", "action"]
 
 P = ParamSpec("P")
-T = TypeVar("T")
+T = TypeVar("T", covariant=True)
 
 G = TypeVar("G", bound=Message, covariant=True)
 R = TypeVar("R", bound=Message, covariant=True)
@@ -78,11 +78,11 @@ class ActionDeclaration(Generic[P, T]):
         options: ServerOptions,
     ) -> None:
         Body(name, execute)  # complains here, at the function, not when it is served
+        functools.update_wrapper(self, execute)  # first: it copies the attributes of an object
         self.action_type = action_type
         self.name = name
         self.execute = execute
         self.options = options
-        functools.update_wrapper(self, execute)
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T:
         """Call the function itself; no server takes part."""
@@ -136,7 +136,7 @@ class Body:
 
 
 def _is_function(function: Callable[..., object]) -> bool:
-    return inspect.isroutine(function) or isinstance(function, functools.partial)
+    return inspect.isroutine(function) or isinstance(function, functools.partial | type)
 
 
 def _kind_of(function: object) -> str:

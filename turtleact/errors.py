@@ -29,7 +29,7 @@ happened, where, and what to do.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from turtleact.goal import GoalEvent, GoalStatus
@@ -199,7 +199,7 @@ class GoalError(TurtleactError):
     def __init__(self, reason: str = "", result: object = None) -> None:
         super().__init__(reason, result)
         self.reason = reason
-        self.result = result
+        self.result: Any = result  # of the action's own class
 
     def __str__(self) -> str:
         return f"{self.what}: {self.reason}" if self.reason else self.what

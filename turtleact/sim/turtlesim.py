@@ -45,21 +45,21 @@ class Turtlesim:
         self._node = node
         self._world = world
         self._turtles = [_Turtle(node, world, name) for name in world.names]
-        self._ticking = Background(self._run(), "turtlesim")
+        self._tick()  # here, so that the world is a tick old before anybody can send a goal
+        self._ticking = Background(self._run(node.clock.time()), "turtlesim")
 
     async def aclose(self) -> None:
         """Stop ticking."""
         await self._ticking.aclose()
 
-    async def _run(self) -> None:
+    async def _run(self, start: float) -> None:
         clock, world = self._node.clock, self._world
-        start = clock.time()
         while True:
-            self._tick()
             due = start + world.time
             if clock.time() - due > MOST_BEHIND:
                 start = clock.time() - world.time
             await clock.sleep_until(due)
+            self._tick()
 
     def _tick(self) -> None:
         for turtle in self._turtles:
