@@ -1,7 +1,8 @@
 """The command line's door: arguments in, exit status out.
 
 What the verbs take is declared in `turtleact.commands.verbs`; here they are run, and whatever ends
-them becomes a line on stderr and an exit status. Nothing heavy is imported before a verb wants it.
+them becomes a line on stderr and an exit status. Nothing is imported before it is wanted: Typer
+alone takes five times as long as an empty Python program, so ``--help`` does without it.
 
 ====== =================================================
 status meaning
@@ -40,19 +41,19 @@ def main() -> int:
 
         interrupts = Interrupts()
         interrupts.install()
-        return run(sys.argv[1:], interrupts)
+        status = run(sys.argv[1:], interrupts)
+        interrupts.ignore()
     except KeyboardInterrupt:  # in the moment before the handler stood
         _complain("interrupted")
         return INTERRUPTED
+    return status
 
 
 def run(arguments: Sequence[str], interrupts: Interrupts) -> int:
     """Run one command line and give its exit status. Never raises what a user might meet."""
     _make_printable()
     try:
-        from turtleact.commands.verbs import parse
-
-        status = parse(arguments)(interrupts)
+        status = _run(arguments, interrupts)
         if sys.stdout is not None:
             sys.stdout.flush()
     except KeyboardInterrupt:
@@ -63,6 +64,38 @@ def run(arguments: Sequence[str], interrupts: Interrupts) -> int:
     return status
 
 
+def _run(arguments: Sequence[str], interrupts: Interrupts) -> int:
+    match arguments:
+        case [] | ["-h" | "--help", *_]:
+            print(_help())
+        case ["--version", *_]:
+            from turtleact import __version__
+
+            print(f"turtleact {__version__}")
+        case _:
+            from turtleact.commands.verbs import parse
+
+            return parse(arguments)(interrupts)
+    return OK
+
+
+def _help() -> str:
+    from turtleact.commands import VERBS
+
+    options = {"--version": "Print the version.", "-h, --help": "Show this message and exit."}
+    width = max(map(len, [*options, *VERBS]))
+    option_lines, verb_lines = (
+        "\n".join(f"  {name:{width}}  {text}" for name, text in each.items())
+        for each in (options, VERBS)
+    )
+    return f"{_HELP}\n\nOptions:\n{option_lines}\n\nCommands:\n{verb_lines}"
+
+
+_HELP = """Usage: turtleact [OPTIONS] COMMAND [ARGS]...
+
+  ROS 2 actions, without ROS."""
+
+
 def _report(error: BaseException) -> int:
     """Say on stderr what went wrong, and give the exit status of it."""
     from turtleact.errors import InvalidMessage, InvalidName, TurtleactError, UsageError
@@ -70,9 +103,8 @@ def _report(error: BaseException) -> int:
     if isinstance(error, TurtleactError):
         _complain(str(error))
         return USAGE if isinstance(error, UsageError | InvalidName | InvalidMessage) else FAILED
-    if isinstance(error, OSError) and error.errno in _gone():
-        _forget_output()
-        return BROKEN_PIPE
+    if isinstance(error, OSError):
+        return _report_broken_output(error)
     if sys.flags.dev_mode or not isinstance(error, Exception):
         raise error
     name = type(error).__name__
@@ -87,18 +119,18 @@ def _leaf(error: BaseException) -> BaseException:
     return error
 
 
-def _gone() -> tuple[int, ...]:
-    """What the system says of an output that nobody reads: a closed pipe, a closed terminal."""
+def _report_broken_output(error: OSError) -> int:
+    """A pipe or terminal that was closed is nothing to speak of; a disk that is full is."""
     import errno
 
-    return (errno.EPIPE, errno.EIO)
-
-
-def _forget_output() -> None:
-    """Let what is still buffered go nowhere, so that Python's own last flush does not fail."""
+    # What is still buffered goes nowhere, so that Python's own last flush does not fail.
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, sys.stdout.fileno())
     os.close(nowhere)
+    if error.errno in (errno.EPIPE, errno.EIO):
+        return BROKEN_PIPE
+    _complain(f"the output cannot be written: {error.strerror}")
+    return FAILED
 
 
 def _make_printable() -> None:

@@ -53,19 +53,14 @@ Style: TypeAlias = Literal["arc", "forward", "rotate_then_drive"]
 # and by how much a turning circle may miss the target and still count as passing through it.
 _CUT = 0.75
 _MISS = 0.9
-# An approach is shaped once the target is within 60 degrees (the cosine) of the heading, over a
-# third of the way at most.
-_FACING = 0.5
-_SWING = 1.0 / 3.0
-# The aim keeps this far from the edge of the area (m), or a tenth of a smaller tolerance.
-_MARGIN = 1e-3
+_FACING = 0.5  # Cosine of the angle to the target within which an approach is shaped,
+_SWING = 1.0 / 3.0  # and over what share of the way at most.
+_MARGIN = 1e-3  # How far aims keep from the edge of the area (m), or a tenth of the tolerance.
 # In half turns: what a style may spend on turning for one target, and the sharpest corner that it
 # takes without changing gear.
 _TURNING: dict[Style, float] = {"arc": 1.0, "forward": 1.5, "rotate_then_drive": 1.0}
 _CORNER: dict[Style, float] = {"arc": 0.5, "forward": 1.0}
-# Ticks: how near to a tie between two ways to turn the turtle goes on as it turned, and how far
-# from the heading it may drive straight. Commands may be late by as many and do no harm.
-_LATE = 3
+_LATE = 3  # Ticks that a command may come late and do no harm.
 _SPARE = 4  # Ticks for one target lost to rounding up: the end of the turn, the landing.
 _ROUNDS = 6  # Of improving the points of a tour; more would not show in the bound.
 
@@ -87,12 +82,10 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
         max_angular: Highest turn rate, to either side (rad/s).
         tolerance: A target at this distance or nearer is reached (m).
         dt: Length of a tick (s).
-        area: Where the turtle stays, turtlesim's window unless told otherwise; a target outside
-            is driven to all the same.
+        area: Where the turtle stays; a target outside is driven to all the same.
 
     Raises:
-        InvalidMessage: if a number is not finite and above zero, or a tick at ``max_angular``
-            turns more than a quarter turn.
+        InvalidMessage: if a number is not finite and above zero, or a tick turns over pi/2 rad.
     """
 
     max_linear: float = 2.0
@@ -148,8 +141,7 @@ class Steering(msgspec.Struct, frozen=True):
 
     def __post_init__(self) -> None:
         if self.style not in get_args(Style):
-            known = ", ".join(get_args(Style))
-            raise InvalidMessage("style", f"unknown style '{self.style}', there is {known}")
+            raise InvalidMessage("style", f"'{self.style}' is none of {', '.join(get_args(Style))}")
 
     def is_reached(self, pose: Pose, target: Point) -> bool:
         """Whether the target is within the tolerance."""
@@ -183,7 +175,8 @@ class Steering(msgspec.Struct, frozen=True):
         if is_clear and next_target is not None and self.style in _CORNER:
             sharpest = _CORNER[self.style] * math.pi
             after = complex(*next_target)
-            aim = _approach(frame, goal, after, limits, area=area, sharpest=sharpest) or aim
+            shaped = _approach(frame, goal, after, limits, area=area, sharpest=sharpest)
+            aim = aim if shaped is None else shaped
         error = _error(frame.see(aim), turning, limits)
         angular = saturate(error / limits.dt, limits.max_angular) + 0.0
         frame = frame.turned(angular * limits.dt)
@@ -195,7 +188,7 @@ class Steering(msgspec.Struct, frozen=True):
         """1 to drive forwards, -1 in reverse."""
         if self.style != "arc":
             return 1.0
-        if turning and abs(seen.real) < _LATE * self.limits.turn * abs(seen.imag):
+        if turning and abs(seen.real) < _late(self.limits) * abs(seen.imag):
             return math.copysign(1.0, seen.imag * turning)
         return math.copysign(1.0, seen.real)
 
@@ -203,7 +196,7 @@ class Steering(msgspec.Struct, frozen=True):
         """1 to drive on in the gear, -1 to back away, 0 to turn on the spot."""
         if not is_clear:
             return -1.0 if self.style == "arc" else 0.0
-        return float(self.style != "rotate_then_drive" or abs(error) <= _LATE * self.limits.turn)
+        return float(self.style != "rotate_then_drive" or abs(error) <= _late(self.limits))
 
 
 def time_bound(pose: Pose, targets: Sequence[Point], steering: Steering) -> float:
@@ -262,9 +255,14 @@ class _Frame(msgspec.Struct, frozen=True):
 def _error(seen: complex, turning: float, limits: Limits) -> float:
     """The angle to a point (rad), the short way round; as before where that is a tie."""
     error = wrap_angle(cmath.phase(seen))
-    if error * turning < 0.0 and abs(error) > math.pi - _LATE * limits.turn:
+    if error * turning < 0.0 and abs(error) > math.pi - _late(limits):
         return math.copysign(math.pi, turning)
     return error
+
+
+def _late(limits: Limits) -> float:
+    """How far a late command may turn (rad): as near to each other, two ways to turn are equal."""
+    return min(_LATE * limits.turn, math.pi / 8)
 
 
 def _nearest(area: Area, point: complex, limits: Limits) -> complex:
@@ -326,8 +324,7 @@ def _approach(
     corner = aim - _arm(aim - frame.at, after - aim, limits.radius, sharpest)
     if _nearest(area, corner, limits) != corner or not _is_clear(frame.see(corner), limits):
         return aim
-    angle = cmath.phase(frame.see(corner))
-    turned = frame.turned(saturate(angle, limits.turn))
+    turned = frame.turned(saturate(cmath.phase(frame.see(corner)), limits.turn))
     return corner if _is_clear(turned.see(aim) - limits.step, limits) else aim
 
 
@@ -384,15 +381,12 @@ def _proven_length(
 def _turning_losses(
     stops: Sequence[complex], headings: Sequence[complex], limits: Limits
 ) -> Iterator[float]:
-    """The time (s) lost at the start and at each corner; the turn of one tick costs nothing.
-
-    A leg without a direction takes no time, so that nothing counts as lost at its ends.
-    """
+    """The time (s) lost at the start and at each corner; none in a leg without a direction."""
     before, ends = math.inf, limits.tolerance
     for i, (stop, target) in enumerate(pairwise(stops)):
         half = max(0.0, abs(target - stop) - ends) / limits.max_linear / 2
         angle = abs(cmath.phase(headings[i] * headings[i + 1].conjugate()))
-        turn = min(angle, math.pi - angle) - limits.turn
+        turn = max(0.0, min(angle, math.pi - angle) - limits.turn)
         legs = 2 if i else 1  # They share the turn of a corner; at the start there is but one.
         yield legs * _loss(turn / legs, min(before, half), limits)
         before, ends = half, 2.0 * limits.tolerance
@@ -400,6 +394,5 @@ def _turning_losses(
 
 def _loss(angle: float, time: float, limits: Limits) -> float:
     """What turning by an angle, in a time (s), takes from the time for progress."""
-    angle = max(0.0, angle)
     turned = min(angle, limits.max_angular * time)
     return (turned - math.sin(angle) + math.sin(angle - turned)) / limits.max_angular

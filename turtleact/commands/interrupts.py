@@ -6,9 +6,9 @@ it depends on where the program stands:
 - before the event loop runs: nobody; the program looks at `Interrupts.received` before it begins.
   A second signal ends the process at once.
 - while it reads what the user types (`Interrupts.reading`): the signal ends the reading.
-- in the event loop (`Interrupts.listening`): whoever waits in `Interrupts.wait`. A third signal ends
-  the process at once, should the loop itself not come to it.
-- after the loop: nobody. What has ended has ended.
+- in the event loop (`Interrupts.listening`): whoever waits in `Interrupts.wait`. A third signal
+  ends the process at once, should the loop itself not come to it.
+- after the loop: nobody. What has ended has ended; at last they are ignored.
 
 One handler for all of this, set once: the loop's own signal handling would leave Python's default
 behind, and with it a traceback, in the moments before and after the loop. The loop is told by
@@ -64,6 +64,11 @@ class Interrupts:
         for number in SIGNALS:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._arrive)
+
+    def ignore(self) -> None:
+        """Let the system drop the signals: Python, when it ends, would let them kill it."""
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
 
     @contextmanager
     def reading(self) -> Iterator[None]:

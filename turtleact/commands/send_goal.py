@@ -17,26 +17,38 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, NoReturn, cast
 import anyio
 
 from turtleact.commands.interrupts import leave
-from turtleact.commands.transcript import JsonTranscript, PlainTranscript, Sent, Transcript
-from turtleact.errors import GoalRejected, ServerUnavailable
-from turtleact.goal import CancelCode, GoalStatus
+from turtleact.commands.transcript import (
+    WAITING,
+    JsonTranscript,
+    PlainTranscript,
+    Sent,
+    Transcript,
+    say,
+)
+from turtleact.errors import GoalRejected, InvalidInterface, ServerUnavailable, UnknownInterface
+from turtleact.goal import GoalStatus
 from turtleact.interfaces import Action, from_text, get_interface
 from turtleact.interfaces.definition import did_you_mean
 from turtleact.names import resolve_name
 
 if TYPE_CHECKING:
-    from turtleact.client import ClientGoalHandle, Outcome
+    from anyio.abc import TaskGroup
+
+    from turtleact.body import ActionType
+    from turtleact.client import Outcome
     from turtleact.commands.goal_text import GoalText
     from turtleact.commands.interrupts import Interrupts
     from turtleact.interfaces import Message
     from turtleact.node import Node
 
-__all__ = ["Order", "View", "run"]
+__all__ = ["Order", "View", "embedded_world", "run"]
 
 View = Literal["auto", "plain", "json"]
 
 SUCCEEDED, REJECTED, ABORTED, CANCELED, TIMEOUT = 0, 3, 4, 5, 124
-ENDS = {GoalStatus.SUCCEEDED: SUCCEEDED, GoalStatus.ABORTED: ABORTED}
+"""Exit statuses."""
+
+ENDED_WITH_WORLD = "the goal ended with the embedded world; there is nothing to come back to"
 
 PATIENCE = 5.0
 """Wall seconds that a goal has to end in after a timeout has canceled it."""
@@ -73,17 +85,18 @@ def run(order: Order, interrupts: Interrupts) -> int:
         InvalidName: if the action's name is no name.
         InvalidGoal: if the goal does not fit the action.
         UnknownInterface: if the type is not known.
+        InvalidInterface: if it is not an action.
         ServerUnavailable: if nobody serves the action, or not with this type.
     """
-    transcript = choose_transcript(order)
     name = resolve_name(order.name)
     goal = None
     if order.type_name is not None:
-        goal = read_goal(action_class(order.type_name), order.text)
-    transcript.waiting()
-    sending = _Sending(order, name, goal, transcript, interrupts)
+        goal = _read_goal(_known_action_class(order.type_name), order.text)
+    if order.view != "json":
+        say(WAITING)
+    transcript = choose_transcript(order)
     try:
-        return asyncio.run(sending.run())
+        return asyncio.run(_Sending(order, name, goal, transcript, interrupts).run())
     finally:
         transcript.close()
 
@@ -96,29 +109,181 @@ def embedded_world(speed: float | str, seed: int) -> AbstractAsyncContextManager
 
 
 def choose_transcript(order: Order) -> Transcript:
-    """A live display on a terminal that can show it, JSON if asked for, else plain."""
+    """JSON if asked for, a live display on a terminal that can show it, else plain."""
     if order.view == "json":
         return JsonTranscript()
-    if order.view == "auto" and _is_terminal():
+    if order.view == "auto" and _can_move():
         from turtleact.commands.live import LiveTranscript
 
-        return LiveTranscript(wants_feedback=order.feedback)
+        return LiveTranscript(sys.stdout, wants_feedback=order.feedback)
     return PlainTranscript(wants_feedback=order.feedback)
 
 
-def action_class(type_name: str) -> type[Action]:
-    """The class of an action's type.
+class _Sending:
+    """One goal, from the opening of the world to the exit status."""
+
+    def __init__(
+        self,
+        order: Order,
+        name: str,
+        goal: Message | None,
+        transcript: Transcript,
+        interrupts: Interrupts,
+    ) -> None:
+        self._order = order
+        self._name = name
+        self._goal = goal
+        self._transcript = transcript
+        self._interrupts = interrupts
+        self._sent: Sent | None = None
+        self._canceled_by: int | None = None
+
+    async def run(self) -> int:
+        """Open the world, and send the goal into it."""
+        order = self._order
+        with self._interrupts.listening(asyncio.get_running_loop()):
+            async with embedded_world(order.speed, order.seed) as node:
+                self._transcript.note("started an embedded world in this process")
+                if self._interrupts.received:
+                    return self._interrupted()
+                action_type = find_action(node, self._name, order.type_name)
+                goal = self._goal or _read_goal(action_type, order.text)
+                return await self._send(node, action_type, goal)
+
+    async def _send(self, node: Node, action_type: type[Action], goal: Message) -> int:
+        self._transcript.sending(goal)
+        client = node.action_client(
+            cast("ActionType[Message, Message, Message]", action_type), self._name
+        )
+        status = None
+        async with anyio.create_task_group() as beside:
+            beside.start_soon(self._heed_interrupts, beside.cancel_scope)
+            try:
+                async with client.send_goal(goal) as handle:
+                    self._sent = Sent(node, self._name, action_type.type_name, goal, handle)
+                    status = await self._follow(self._sent, beside)
+            except GoalRejected as error:
+                self._transcript.rejected()
+                self._transcript.note(str(error))
+                status = REJECTED
+            beside.cancel_scope.cancel()
+        return self._interrupted() if status is None else status
+
+    async def _follow(self, sent: Sent, beside: TaskGroup) -> int:
+        handle, transcript = sent.handle, self._transcript
+        transcript.accepted(sent)
+        transcript.status(handle.status)
+        if self._order.timeout == 0:
+            handle.detach()
+            transcript.note(ENDED_WITH_WORLD)
+            return SUCCEEDED
+        if self._order.timeout is not None:
+            beside.start_soon(self._time_out, self._order.timeout)
+        beside.start_soon(transcript.animate)
+        if transcript.wants_feedback:
+            async for feedback in handle:
+                transcript.feedback(feedback)
+                transcript.status(handle.status)
+        outcome = await handle.outcome()
+        transcript.ended(outcome)
+        if outcome.status is GoalStatus.ABORTED:
+            transcript.note(f"the goal was aborted: {outcome.reason or 'no reason given'}")
+        return self._exit_status(outcome)
+
+    def _exit_status(self, outcome: Outcome[Message]) -> int:
+        if outcome.status is GoalStatus.CANCELED:
+            return CANCELED if self._canceled_by is None else self._canceled_by
+        return SUCCEEDED if outcome.status is GoalStatus.SUCCEEDED else ABORTED
+
+    # what comes in between
+
+    async def _heed_interrupts(self, scope: anyio.CancelScope) -> None:
+        """The first signal cancels the goal, or the sending of it; the second lets go of it."""
+        await self._interrupts.wait(1)
+        if self._sent is None:
+            scope.cancel()
+            return
+        if not await self._cancel(self._sent, self._interrupts.status):
+            self._transcript.note("the server goes on with the goal; Ctrl-C again lets go of it")
+        await self._interrupts.wait(2)
+        self._let_go(self._interrupts.status)
+
+    async def _time_out(self, seconds: float) -> None:
+        await anyio.sleep(seconds)
+        self._transcript.note(f"no result after {seconds:g} s")
+        if self._sent is not None and await self._cancel(self._sent, TIMEOUT):
+            await anyio.sleep(PATIENCE)
+        self._let_go(TIMEOUT)
+
+    async def _cancel(self, sent: Sent, reason: int) -> bool:
+        """Ask for the goal to be canceled; False if the server refuses."""
+        self._canceled_by = reason
+        self._transcript.canceling()
+        await sent.handle.cancel()
+        status = sent.handle.status
+        self._transcript.status(status)
+        return status is GoalStatus.CANCELING or status.is_terminal
+
+    def _let_go(self, status: int) -> NoReturn:
+        self._transcript.close()
+        self._transcript.note(ENDED_WITH_WORLD)
+        leave(status)
+
+    def _interrupted(self) -> int:
+        self._transcript.note("interrupted before the goal was accepted; there is none")
+        return self._interrupts.status
+
+
+def find_action(node: Node, name: str, type_name: str | None) -> type[Action]:
+    """The class of an action that is served; of several types the first.
 
     Raises:
-        UnknownInterface: if it is not known.
-        ServerUnavailable: if it is a message or a service.
+        ServerUnavailable: if nobody serves it, or not with that type; the text says what there is.
+        UnknownInterface: if its type is not known here.
     """
-    found = get_interface(type_name)
-    if not issubclass(found, Action):
-        raise UsageError(f"'{type_name}' is not an action but a {found.type_name.split('/')[1]}")
+    actions = node.graph().actions
+    types = actions.get(name, ())
+    if not types:
+        there_are = ", ".join(actions) or "none"
+        hint = did_you_mean(name, actions)
+        raise ServerUnavailable(name, f"nobody serves it{hint} (there are: {there_are})")
+    if type_name is None:
+        return _action_class(types[0])
+    found = _action_class(type_name)
+    if found.type_name not in types:
+        raise ServerUnavailable(
+            name, f"it is served as {' and '.join(types)}, not as {found.type_name}"
+        )
     return found
 
 
-def read_goal(action_type: type[Action], text: GoalText) -> Message:
-    """The goal message that a text says."""
+def _known_action_class(type_name: str) -> type[Action]:
+    """The same before the world is there: some interfaces are made known by its modules."""
+    try:
+        return _action_class(type_name)
+    except UnknownInterface:
+        import turtleact.app  # noqa: F401  # for the classes that it declares
+
+        return _action_class(type_name)
+
+
+def _action_class(type_name: str) -> type[Action]:
+    found = get_interface(type_name)
+    if not issubclass(found, Action):
+        raise InvalidInterface("it is not an action", source=found.type_name)
+    return found
+
+
+def _read_goal(action_type: type[Action], text: GoalText) -> Message:
     return from_text(action_type.Goal, text.text, root="goal", source=text.source)
+
+
+def _can_move() -> bool:
+    """Whether stdout is a terminal that can move its cursor and show braille."""
+    stdout = sys.stdout
+    return (
+        stdout is not None
+        and stdout.isatty()
+        and os.environ.get("TERM", "") not in ("", "dumb", "unknown")
+        and stdout.encoding.lower().replace("-", "") == "utf8"
+    )

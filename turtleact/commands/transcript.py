@@ -6,9 +6,10 @@ Each block is flushed as it is printed, so that a pipe sees it at once.
 from __future__ import annotations
 
 import json
+import sys
 import textwrap
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from turtleact.interfaces import to_json, to_yaml
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from turtleact.interfaces import Message
     from turtleact.node import Node
 
-__all__ = ["JsonTranscript", "PlainTranscript", "Sent", "Transcript", "say"]
+__all__ = ["WAITING", "JsonTranscript", "PlainTranscript", "Sent", "Transcript", "note", "say"]
 
 WAITING = "Waiting for an action server to become available...\n"
 
@@ -30,9 +31,6 @@ class Transcript(Protocol):
     def wants_feedback(self) -> bool:
         """Whether each feedback message is to be told."""
 
-    def waiting(self) -> None:
-        """A server is looked for."""
-
     def sending(self, goal: Message) -> None:
         """The goal is about to be sent."""
 
@@ -42,7 +40,7 @@ class Transcript(Protocol):
     def accepted(self, sent: Sent) -> None:
         """The server took the goal."""
 
-    async def animate(self, node: Node) -> None:
+    async def animate(self) -> None:
         """Runs from the acceptance to the end, and is then canceled."""
 
     def feedback(self, feedback: Message) -> None:
@@ -57,34 +55,40 @@ class Transcript(Protocol):
     def ended(self, outcome: Outcome[Message]) -> None:
         """The goal has ended."""
 
+    def note(self, text: str) -> None:
+        """Something that belongs to no goal happened."""
+
     def close(self) -> None:
         """Nothing moves any more; what stands stays."""
 
 
-class Sent:
+class Sent(NamedTuple):
     """A goal that was accepted.
 
     Attributes:
+        node: Where it was sent from.
         name: The action.
         type_name: Its type.
         goal: What was sent.
         handle: What the client holds of it.
     """
 
-    __slots__ = ("goal", "handle", "name", "type_name")
-
-    def __init__(
-        self, name: str, type_name: str, goal: Message, handle: ClientGoalHandle[Message, Message]
-    ) -> None:
-        self.name = name
-        self.type_name = type_name
-        self.goal = goal
-        self.handle = handle
+    node: Node
+    name: str
+    type_name: str
+    goal: Message
+    handle: ClientGoalHandle[Message, Message]
 
 
 def say(text: str) -> None:
     """Print a block on stdout."""
     print(text, end="", flush=True)
+
+
+def note(text: str) -> None:
+    """Print a line on stderr, if there is one."""
+    if sys.stderr is not None:
+        print(f"turtleact: {text}", file=sys.stderr, flush=True)
 
 
 class PlainTranscript:
@@ -99,10 +103,6 @@ class PlainTranscript:
         self.wants_feedback = wants_feedback
         self._say = say
 
-    def waiting(self) -> None:
-        """A server is looked for."""
-        self._say(WAITING)
-
     def sending(self, goal: Message) -> None:
         """The goal is about to be sent."""
         self._say(f"Sending goal:\n{_indented(goal, 5)}\n")
@@ -115,7 +115,7 @@ class PlainTranscript:
         """The server took the goal."""
         self._say(f"Goal accepted with ID: {sent.handle.goal_id.hex()}\n\n")
 
-    async def animate(self, node: Node) -> None:
+    async def animate(self) -> None:
         """Nothing moves here."""
 
     def feedback(self, feedback: Message) -> None:
@@ -134,6 +134,10 @@ class PlainTranscript:
         result = _indented(outcome.result, 4)
         self._say(f"Result:\n{result}\nGoal finished with status: {outcome.status.name}\n")
 
+    def note(self, text: str) -> None:
+        """Something that belongs to no goal happened."""
+        note(text)
+
     def close(self) -> None:
         """Nothing has moved."""
 
@@ -146,9 +150,6 @@ class JsonTranscript:
     def __init__(self) -> None:
         self._goal_id = ""
         self._status: GoalStatus | None = None
-
-    def waiting(self) -> None:
-        """No event."""
 
     def sending(self, goal: Message) -> None:
         """No event."""
@@ -167,7 +168,7 @@ class JsonTranscript:
             goal=to_json(sent.goal),
         )
 
-    async def animate(self, node: Node) -> None:
+    async def animate(self) -> None:
         """Nothing moves here."""
 
     def feedback(self, feedback: Message) -> None:
@@ -192,6 +193,10 @@ class JsonTranscript:
             result=to_json(outcome.result),
             reason=json.dumps(outcome.reason, ensure_ascii=False),
         )
+
+    def note(self, text: str) -> None:
+        """Something that belongs to no goal happened."""
+        note(text)
 
     def close(self) -> None:
         """Nothing has moved."""

@@ -11,12 +11,13 @@ import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Protocol, cast
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
+from turtleact.commands import VERBS
 from turtleact.commands.interrupts import Interrupts
 from turtleact.errors import UsageError
 
@@ -62,7 +63,7 @@ def parse(arguments: Sequence[str]) -> Job:
 class Verb(TyperCommand):
     """A command whose arguments may begin with a dash: ``-5`` or ``- x: 1`` is text."""
 
-    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
         """Mark such arguments, so that they are not taken for options."""
         _keep_as_typed(self.get_params(ctx))
         marked = [
@@ -75,7 +76,7 @@ class Verb(TyperCommand):
 class Verbs(TyperGroup):
     """A group of commands."""
 
-    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
         """Read the group's own options."""
         _keep_as_typed(self.get_params(ctx))
         return super().parse_args(ctx, args)
@@ -85,80 +86,75 @@ app = typer.Typer(
     cls=Verbs,
     rich_markup_mode=None,
     add_completion=False,
-    invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 action = typer.Typer(cls=Verbs, rich_markup_mode=None, invoke_without_command=True)
-app.add_typer(action, name="action")
-
-
-@app.callback()
-def turtleact(
-    ctx: typer.Context,
-    *,
-    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
-) -> None:
-    """ROS 2 actions, without ROS."""
-    if version:
-        from turtleact import __version__
-
-        typer.echo(f"turtleact {__version__}")
-        raise typer.Exit
-    _help_unless_verb(ctx)
+app.add_typer(action, name="action", help=VERBS["action"])
 
 
 @action.callback()
 def action_group(ctx: typer.Context) -> None:
-    """The verbs of 'ros2 action'."""
-    _help_unless_verb(ctx)
+    """Print what there is if no verb is given, as ros2 does."""
+    if ctx.invoked_subcommand is None:
+        typer.echo(ctx.get_help())
 
 
-@app.command("send-goal", cls=Verb, epilog=_EXAMPLES)
-@action.command("send_goal", cls=Verb, epilog=_EXAMPLES)
+_Name = Annotated[str, typer.Argument(metavar="NAME", help="The action, such as /patrol.")]
+_Type = Annotated[
+    str | None,
+    typer.Argument(metavar="TYPE", help="Its type, pkg/action/Name; asked of the graph."),
+]
+_Goal = Annotated[
+    str | None, typer.Argument(metavar="GOAL", help="The goal as YAML or JSON; {} if left out.")
+]
+_Feedback = Annotated[
+    bool, typer.Option("--feedback", "-f", help="Print each feedback message, and let it stand.")
+]
+_Timeout = Annotated[
+    str | None,
+    typer.Option(
+        "--timeout",
+        "-t",
+        metavar="SECONDS",
+        help="Cancel the goal if it takes longer; 0 leaves once it is accepted.",
+    ),
+]
+_Stdin = Annotated[bool, typer.Option("--stdin", help="Read the goal from stdin.")]
+_GoalFile = Annotated[
+    str | None, typer.Option("--goal-file", metavar="PATH", help="Read the goal from a file.")
+]
+_Json = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object a line, feedback included.")
+]
+_Plain = Annotated[bool, typer.Option("--plain", help="No live display, even on a terminal.")]
+_Speed = Annotated[
+    str, typer.Option(metavar="FACTOR", help="How fast time passes in the embedded world, or max.")
+]
+_Seed = Annotated[str, typer.Option(metavar="NUMBER", help="What its random choices begin with.")]
+_Embedded = Annotated[
+    bool, typer.Option("--embedded", help="Use an embedded world, as is done anyway.")
+]
+
+
+@app.command("send-goal", cls=Verb, help=VERBS["send-goal"], epilog=_EXAMPLES)
+@action.command("send_goal", cls=Verb, help=VERBS["send-goal"], epilog=_EXAMPLES)
 def send_goal(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="The action, such as /patrol.")],
-    type_name: Annotated[
-        str | None,
-        typer.Argument(metavar="TYPE", help="Its type, pkg/action/Name; asked of the graph."),
-    ] = None,
-    goal: Annotated[
-        str | None, typer.Argument(metavar="GOAL", help="The goal as YAML or JSON; {} if left out.")
-    ] = None,
+    name: _Name,
+    type_name: _Type = None,
+    goal: _Goal = None,
     *,
-    feedback: Annotated[
-        bool, typer.Option("--feedback", "-f", help="Print each feedback message.")
-    ] = False,
-    timeout: Annotated[
-        str | None,
-        typer.Option(
-            "--timeout",
-            "-t",
-            metavar="SECONDS",
-            help="Cancel the goal if it takes longer; 0 leaves once it is accepted.",
-        ),
-    ] = None,
-    stdin: Annotated[bool, typer.Option("--stdin", help="Read the goal from stdin.")] = False,
-    goal_file: Annotated[
-        str | None, typer.Option("--goal-file", metavar="PATH", help="Read the goal from a file.")
-    ] = None,
-    json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object a line, feedback included.")
-    ] = False,
-    plain: Annotated[
-        bool, typer.Option("--plain", help="No live display, even on a terminal.")
-    ] = False,
-    speed: Annotated[
-        str,
-        typer.Option(metavar="FACTOR", help="How fast time passes in the embedded world, or max."),
-    ] = "1",
-    seed: Annotated[
-        str, typer.Option(metavar="NUMBER", help="What its random choices begin with.")
-    ] = "0",
-    embedded: Annotated[
-        bool, typer.Option("--embedded", help="Use an embedded world, as is done anyway.")
-    ] = False,
+    feedback: _Feedback = False,
+    timeout: _Timeout = None,
+    stdin: _Stdin = False,
+    goal_file: _GoalFile = None,
+    json: _Json = False,
+    plain: _Plain = False,
+    speed: _Speed = "1",
+    seed: _Seed = "0",
+    embedded: _Embedded = False,
 ) -> Job:
-    """Send a goal, follow it to its end, print the result."""
+    """``send-goal`` and ``action send_goal``."""
+    del embedded  # there is no other world to send to
     type_name, goal = _type_and_goal(type_name, goal)
     view = _view(json=json, plain=plain)
     seconds = None if timeout is None else _number("--timeout", timeout, least=0.0)
@@ -190,7 +186,7 @@ def _type_and_goal(type_name: str | None, goal: str | None) -> tuple[str | None,
         return None, type_name
     raise UsageError(
         f"'{type_name}' is not a type such as pkg/action/Name; "
-        f"if it belongs to the goal, quote the goal: \"{type_name} {goal}\""
+        f'if it belongs to the goal, quote the goal: "{type_name} {goal}"'
     )
 
 
@@ -229,23 +225,28 @@ def _whole(option: str, text: str) -> int:
 # getting along with Typer
 
 
-def _keep_as_typed(params: Iterable[Any]) -> None:
+class _Parameter(Protocol):
+    """What Typer's and click's parameters have in common."""
+
+    required: bool
+    process_value: Callable[[typer.Context, object], object]
+
+
+def _keep_as_typed(params: Iterable[object]) -> None:
     """Let no value pass through pydantic that needs no change."""
-    for param in params:
-        param.process_value = partial(_take, param, param.process_value)
+    for param in cast("Iterable[_Parameter]", params):
+        param.process_value = partial(_take, param.process_value, param.required)
 
 
 def _take(
-    param: Any, process: Callable[[typer.Context, Any], Any], ctx: typer.Context, value: Any
-) -> Any:
+    process: Callable[[typer.Context, object], object],
+    is_required: bool,
+    ctx: typer.Context,
+    value: object,
+) -> object:
     if isinstance(value, str):
         return value.removeprefix(_TEXT)
-    return None if value is None and not param.required else process(ctx, value)
-
-
-def _help_unless_verb(ctx: typer.Context) -> None:
-    if ctx.invoked_subcommand is None:
-        typer.echo(ctx.get_help())
+    return None if value is None and not is_required else process(ctx, value)
 
 
 def _explain(error: Exception) -> str:

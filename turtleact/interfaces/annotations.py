@@ -115,7 +115,7 @@ SCALARS: Mapping[str, object] = {
 #: Python's own types, where they leave no doubt. ``int`` does.
 PLAIN = {bool: "bool", float: "float64", str: "string"}
 
-if not TYPE_CHECKING:
+if not TYPE_CHECKING:  # pragma: no branch  it is always so when it runs
 
     class bounded:
         """At most so many: ``bounded[list[int32], 5]``, ``bounded[string, 10]``."""

@@ -9,7 +9,6 @@ Source: ``rosidl_parser/definition.py``, for the types that an action implies.
 
 from __future__ import annotations
 
-import importlib.resources
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -18,7 +17,6 @@ import msgspec
 from turtleact.errors import InvalidInterface, UnknownInterface
 from turtleact.interfaces import standard
 from turtleact.interfaces.definition import (
-    ActionDefinition,
     Field,
     FieldType,
     MessageDefinition,
@@ -181,13 +179,12 @@ def build(definition: Definition, making: tuple[str, ...]) -> Interface:
         return needed(look_up(type_name, (*making, definition.type_name)), type_name)
 
     made: Interface
-    match definition:
-        case MessageDefinition():
-            made = make_message(definition, find)
-        case ServiceDefinition():
-            made = make_service(definition, find)
-        case ActionDefinition():
-            made = make_action(definition, find)
+    if isinstance(definition, MessageDefinition):
+        made = make_message(definition, find)
+    elif isinstance(definition, ServiceDefinition):
+        made = make_service(definition, find)
+    else:
+        made = make_action(definition, find)
     return REGISTRY.get(definition.type_name) or made
 
 
@@ -316,13 +313,20 @@ def read(file: Traversable) -> str:
 def shipped(type_name: str) -> Traversable | None:
     """The file that ships for an interface, or None."""
     package, kind, name = type_name.split("/")
-    file = importlib.resources.files(standard).joinpath(package, kind, f"{name}.{kind}")
+    file = shipped_files().joinpath(package, kind, f"{name}.{kind}")
     return file if file.is_file() else None
+
+
+def shipped_files() -> Traversable:
+    """The folder of the files that ship."""
+    from importlib import resources  # costs a fifth of the package's start
+
+    return resources.files(standard)
 
 
 def shipped_names() -> set[str]:
     """The names of the interfaces that ship."""
-    root = importlib.resources.files(standard)
+    root = shipped_files()
     kinds = [
         (package.name, kind)
         for package in root.iterdir()

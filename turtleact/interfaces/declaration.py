@@ -72,14 +72,17 @@ def read_body(namespace: dict[str, object], frame: FrameType, type_name: str) ->
     scope = scope_of(frame, namespace)
     members: list[tuple[Field, Reading]] = []
     constants: list[Constant] = []
+    meanings: dict[str, object] = {}
     for name, annotation in annotations_of(namespace, source).items():
         with naming(source, name):
-            meaning = resolve(annotation, scope)
+            meaning = meanings[name] = resolve(annotation, scope)
             if meaning is ClassVar or get_origin(meaning) is ClassVar:
                 constants += read_constant(name, meaning, namespace, scope)
             else:
                 reading = read(meaning, scope)
                 members.append((read_field(name, reading, namespace), reading))
+    # With the objects in place of the text, signatures and hints work for local classes too.
+    namespace["__annotations__"] = meanings
     return Shape(
         type_name,
         tuple(field for field, _ in members),

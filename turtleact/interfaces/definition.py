@@ -242,7 +242,11 @@ def definition_text(definition: Definition) -> str:
     Raises:
         InvalidInterface: for a default that such a text cannot say, as one with a line break.
     """
-    return "\n---\n".join(part_text(part) for part in parts_of(definition))
+    first, *rest = parts_of(definition)
+    lines = part_lines(first)
+    for part in rest:
+        lines += ["---", *part_lines(part)]
+    return "\n".join(lines)
 
 
 def parts_of(definition: Definition) -> tuple[MessageDefinition, ...]:
@@ -275,15 +279,15 @@ def check_part(type_name: str, part: MessageDefinition, suffix: str) -> None:
         raise InvalidInterface(problem, source=type_name)
 
 
-def part_text(part: MessageDefinition) -> str:
-    """One part of an interface's text."""
+def part_lines(part: MessageDefinition) -> list[str]:
+    """The lines of one part of an interface."""
     package = part.type_name.partition("/")[0]
     lines = [f"{c.type} {c.name}={literal(c.value)}" for c in part.constants]
     for field in part.fields:
-        said = str(field.type).replace(f"{package}/msg/", "").replace("/msg/", "/")
+        said = str(field.type).removeprefix(f"{package}/msg/").replace("/msg/", "/")
         default = "" if field.default is None else f" {literal(field.default)}"
         lines.append(f"{said} {field.name}{default}")
-    return "\n".join(lines)
+    return lines
 
 
 def literal(value: Primitive | tuple[Primitive, ...]) -> str:

@@ -72,7 +72,7 @@ integer_pattern = re.compile(
 )
 float_pattern = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 quoted = r"""(?:"(?:\\"|[^"])*"|'(?:\\'|[^'])*')"""
-item_pattern = re.compile(rf"\s*({quoted}|[^,]*?)\s*(?:,|$)")
+item_pattern = re.compile(rf"\s*({quoted}|[^,\"'\s][^,]*?)\s*(?:,|$)")
 comment_pattern = re.compile(rf"(?:(?<=[\s=\[,]){quoted}|[^#])*")
 
 
@@ -101,8 +101,8 @@ def parse(text: str, type_name: str, *, source: str = "") -> Definition:
     Raises:
         InvalidInterface: with line, column and caret.
 
-    >>> parse("int32 order 5", "example_msgs/msg/Order").fields
-    (Field(name='order', type=..., default=5),)
+    >>> parse("int32 order 5", "example_msgs/msg/Order").fields[0].default
+    5
     """
     check_type_name(type_name)
     package, kind, _ = type_name.split("/")
@@ -248,7 +248,7 @@ def parse_list(line: Line, text: str, element: FieldType, *, column: int) -> lis
     position = 0
     while position <= len(inner):
         match = item_pattern.match(inner, position)
-        if match is None or not match[1]:
+        if match is None:
             line.refuse("expected values with a comma between each two", column)
         items.append(literal(match[1], element))
         position = match.end() if match[0].endswith(",") else len(inner) + 1

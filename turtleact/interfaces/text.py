@@ -57,7 +57,7 @@ float_pattern = re.compile(
     r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)"
 )
 #: Text that needs no quotes in any YAML, but for the words that YAML 1.1 takes for others.
-plain_pattern = re.compile(r"[A-Za-z_](?:[A-Za-z0-9_ ./()%-]*[A-Za-z0-9_./()%-])?")
+plain_pattern = re.compile(r"[A-Za-z_](?:[A-Za-z0-9_ ./()%!?+=;,-]*[A-Za-z0-9_./()%!?+=;,-])?")
 misread_pattern = re.compile(r"y|n|yes|no|on|off|true|false|null", re.IGNORECASE)
 
 
@@ -332,7 +332,7 @@ def quoted(text: str) -> str:
     """Text in the quotes it needs, if it needs any."""
     if plain_pattern.fullmatch(text) and not misread_pattern.fullmatch(text):
         return text
-    style = '"' if len(text.splitlines()) > 1 else "'"
+    style = "'" if text.isprintable() else '"'
     dumped: str = yaml.dump(text, default_style=style, allow_unicode=True, width=math.inf)
     return dumped.removesuffix("\n")
 

@@ -239,9 +239,9 @@ class Handful:
                     hits = [*hits, hit]
             elif turtle.turn:
                 theta = turtle.theta = turtle.theta + turtle.turn
-                angle, vx, length = theta - turtle.lag, turtle.vx, turtle.length
-                turtle.x += cos(angle) * vx * length
-                turtle.depth -= sin(angle) * vx * length
+                vx = turtle.vx
+                turtle.x += cos(theta) * vx * DT
+                turtle.depth -= sin(theta) * vx * DT
             else:
                 turtle.x += turtle.dx
                 turtle.depth -= turtle.dy
@@ -299,8 +299,8 @@ class _Turtle:
         """Ticks after this one in which surely nothing happens to the turtle."""
         if self.expires == _NEVER:
             return _NEVER
-        if self.vy and self.turn:
-            return 0  # `Handful.step` leaves it out: sideways is rare
+        if self.turn and (self.vy or self.lag):
+            return 0  # `Handful.step` knows no arcs, nor turning while sliding sideways
         free = self.expires - tick - 1
         to_wall = min(self.x, SIDE - self.x, self.depth, SIDE - self.depth) - _SLACK
         reach = (abs(self.vx) + abs(self.vy)) * DT

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Pose", "World"]
 
-_FEW = 8
+_FEW = 16
 """Up to so many turtles plain floats are faster than arrays."""
 
 _MARGIN = 1.0
@@ -55,8 +55,8 @@ class World:
     over the square, a metre or more from the walls, each in a place and direction that follow
     from its number and the seed alone.
 
-    Up to 8 turtles are stepped in plain floats, with turtlesim's own bits; more as arrays, where
-    a place on a curve may differ by some 1e-15 m (`turtleact.sim.fleet`).
+    Up to 16 turtles are stepped in plain floats, with turtlesim's own bits; more as arrays, where
+    places on a curve may differ by 1e-13 m (`turtleact.sim.fleet`).
 
     Args:
         turtles: How many turtles there are, at least one: ``turtle1``, ``turtle2``, …
@@ -154,8 +154,9 @@ class World:
             if given.shape not in ((), row.shape):
                 raise SimError(f"{what} has shape {given.shape}: give one number or {row.shape}")
             row[:] = given
-            for index in np.flatnonzero(~np.isfinite(row)).tolist():
-                self._check_finite(index, **{what: float(row[index])})
+        if not np.isfinite(speeds).all():
+            index = int(np.isfinite(speeds).all(axis=0).argmin())
+            self._check_finite(index, **Command(*speeds[:, index].tolist())._asdict())
         if not self._holonomic:
             speeds[1] = 0.0
         self._commands.clear()

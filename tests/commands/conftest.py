@@ -1,0 +1,114 @@
+"""Runs command lines: in this process, or in one of their own that signals can be sent to."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from turtleact import cli
+from turtleact.commands import send_goal
+from turtleact.commands.interrupts import Interrupts
+
+STAGE = Path(__file__).with_name("stage.py")
+
+
+class Ran(NamedTuple):
+    """How a command line went."""
+
+    status: int
+    out: str
+    err: str
+
+
+class Program:
+    """A command line in a process of its own, on the stage unless ``module`` is given."""
+
+    def __init__(self, *arguments, module=False, warnings="error"):
+        program = ["-m", "turtleact"] if module else [STAGE]
+        self.process = subprocess.Popen(
+            [sys.executable, "-W", warnings, *program, *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"PYTHONUNBUFFERED": ""},
+        )
+        assert self.process.stdout is not None
+        assert self.process.stderr is not None
+        self.stdout, self.stderr = self.process.stdout, self.process.stderr
+        self.out = ""
+
+    def wait_for(self, text):
+        """Read stdout up to a line that holds the text."""
+        while text not in self.out:
+            line = self.stdout.readline()
+            assert line, f"{self.out!r} ended without {text!r}: {self.stderr.read()}"
+            self.out += line
+
+    def send(self, number):
+        self.process.send_signal(number)
+
+    def end(self):
+        out, err = self.process.communicate(timeout=30)
+        return Ran(self.process.returncode, self.out + out, err)
+
+
+@pytest.fixture(scope="session")
+def stage():
+    """The module ``stage.py``."""
+    spec = spec_from_file_location("stage", STAGE)
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules["stage"] = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def interrupts():
+    """Signals, as the program takes them; the test's own handlers come back."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield Interrupts()
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture
+def turtleact(capsys, interrupts):
+    """Runs a command line in this process, in the embedded world."""
+
+    def run(*arguments):
+        status = cli.run(arguments, interrupts)
+        return Ran(status, *capsys.readouterr())
+
+    return run
+
+
+@pytest.fixture
+def on_stage(turtleact, stage, monkeypatch):
+    """The same in the world of ``stage.py``."""
+    monkeypatch.setattr(send_goal, "embedded_world", stage.world)
+    return turtleact
+
+
+@pytest.fixture
+def start():
+    """Starts programs, and leaves none behind."""
+    programs = []
+
+    def begin(*arguments, **options):
+        programs.append(Program(*arguments, **options))
+        return programs[-1]
+
+    yield begin
+    for program in programs:
+        program.process.kill()
+        program.process.wait()
+        program.stdout.close()
+        program.stderr.close()

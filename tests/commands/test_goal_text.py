@@ -1,0 +1,104 @@
+from __future__ import annotations
+
+import io
+import os
+import signal
+import sys
+
+import pytest
+
+from turtleact.commands.goal_text import MOST, GoalText
+from turtleact.errors import UsageError
+
+
+@pytest.fixture
+def read(interrupts):
+    def read(given=None, *, stdin=False, path=None):
+        return GoalText.read(given, stdin=stdin, path=path, interrupts=interrupts)
+
+    return read
+
+
+def stdin_of(monkeypatch, data):
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
+
+
+def test_what_is_given_is_the_text(read):
+    assert read("order: 5") == GoalText("order: 5", "goal")
+
+
+def test_nothing_given_is_the_default_goal(read):
+    assert read() == GoalText("{}", "goal")
+
+
+def test_standard_input_is_read_to_its_end(read, monkeypatch):
+    stdin_of(monkeypatch, b"order: 5\n")
+    assert read(stdin=True) == GoalText("order: 5\n", "stdin")
+
+
+def test_empty_standard_input_is_an_empty_text(read, monkeypatch):
+    stdin_of(monkeypatch, b"")
+    assert read(stdin=True).text == ""
+
+
+def test_closed_standard_input_is_an_error(read, monkeypatch):
+    monkeypatch.setattr(sys, "stdin", None)
+    with pytest.raises(UsageError, match="stdin: is closed"):
+        read(stdin=True)
+
+
+def test_a_file_is_read(read, tmp_path):
+    path = tmp_path / "goal.yaml"
+    path.write_text("order: 5", "utf-8")
+    assert read(path=str(path)) == GoalText("order: 5", str(path))
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        ("missing.yaml", "missing.yaml: cannot be read: No such file or directory"),
+        (".", "cannot be read: Is a directory"),
+        ("null\0", "a path holds no null character"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_an_error(read, tmp_path, name, problem):
+    with pytest.raises(UsageError, match=problem):
+        read(path=str(tmp_path) + "/" + name)
+
+
+def test_a_file_that_is_not_utf8_is_an_error(read, tmp_path):
+    path = tmp_path / "goal"
+    path.write_bytes(b"order: \xff")
+    with pytest.raises(UsageError, match="goal: is not UTF-8: byte 0xFF at 7"):
+        read(path=str(path))
+
+
+def test_an_endless_file_is_an_error(read):
+    with pytest.raises(UsageError, match=f"/dev/zero: is longer than {MOST} bytes"):
+        read(path="/dev/zero")
+
+
+def test_a_signal_ends_the_reading(read, interrupts, monkeypatch):
+    class Waits(io.RawIOBase):
+        def read(self, size=-1):
+            signal.raise_signal(signal.SIGINT)
+
+    class Stdin:
+        buffer = Waits()
+
+    monkeypatch.setattr(sys, "stdin", Stdin())
+    interrupts.install()
+    with pytest.raises(KeyboardInterrupt):
+        read(stdin=True)
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_a_program_that_waits_for_its_goal(start, tmp_path, number, status):
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    program = start("send-goal", "fibonacci", "--goal-file", path, module=True, warnings="ignore")
+    writing = os.open(path, os.O_WRONLY)  # returns once the program reads
+    program.send(number)
+    ran = program.end()
+    os.close(writing)
+    assert ran == (status, "", "turtleact: interrupted\n")

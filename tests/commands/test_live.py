@@ -1,0 +1,384 @@
+"""The live display: its region, what it tells of a goal, and the whole of it on a terminal."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import io
+import os
+import pty
+import re
+import signal
+import struct
+import subprocess
+import sys
+import termios
+from types import SimpleNamespace
+from typing import Any
+
+import anyio
+import pytest
+
+from turtleact import render
+from turtleact.client import Outcome
+from turtleact.commands import live
+from turtleact.commands.live import LiveTranscript, Region
+from turtleact.commands.transcript import Sent
+from turtleact.goal import GoalStatus
+from turtleact.interfaces import Message, float64, int32, string
+from turtleact.interfaces.standard import Fibonacci, PatrolCommandInterface, Point, TurtlePose
+from turtleact.node import open_node
+
+ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
+PATROL = "targets: [{x: 9, y: 7}, {x: 5, y: 1}]"
+
+# --- the region -----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def stream():
+    return io.StringIO()
+
+
+@pytest.fixture
+def region(stream):
+    return Region(stream)
+
+
+def test_a_frame_leaves_the_cursor_at_its_beginning(region, stream):
+    region.draw(["one", "two", "three"])
+    assert stream.getvalue() == (
+        "\x1b[?2026h\x1b[?25l\rone\x1b[K\ntwo\x1b[K\nthree\x1b[K\x1b[J\x1b[2A\r\x1b[?2026l"
+    )
+
+
+def test_a_frame_of_one_line_moves_no_line_up(region, stream):
+    region.draw(["one"])
+    assert "A" not in ESCAPE.sub("", stream.getvalue())
+    assert "\x1b[0A" not in stream.getvalue()
+
+
+def test_text_that_stays_takes_the_place_of_the_frame(region, stream):
+    region.draw(["one"])
+    stream.truncate(0)
+    stream.seek(0)
+    region.say("stays\n")
+    assert stream.getvalue() == "\r\x1b[J\x1b[?25hstays\n"
+
+
+def test_clearing_twice_does_nothing_more(region, stream):
+    region.draw(["one"])
+    region.clear()
+    before = stream.getvalue()
+    region.clear()
+    assert stream.getvalue() == before
+
+
+def test_a_stream_that_is_no_terminal_has_the_usual_size(region, monkeypatch):
+    reading, writing = os.pipe()
+    with os.fdopen(reading), os.fdopen(writing, "w") as pipe:
+        assert Region(pipe).size() == (80, 24)
+
+
+def test_a_terminal_has_the_size_it_has():
+    main, other = terminal(31, 17)
+    with os.fdopen(other, "w") as stream:
+        assert Region(stream).size() == (31, 17)
+    os.close(main)
+
+
+# --- what is told ---------------------------------------------------------------------------
+
+
+class Roll(Message, type_name="live_test_interfaces/msg/Roll"):
+    remaining: float64 = 0.0
+    turns_remaining: string = ""
+
+
+class Drive(Message, type_name="live_test_interfaces/msg/Drive"):
+    targets: list[Point] = []
+    loops: int32 = 0
+    turtle: string = "turtle1"
+
+
+class Handle:
+    """What the display asks of a goal."""
+
+    goal_id = bytes(16)
+    status = GoalStatus.EXECUTING
+    last_feedback: Message | None = None
+
+
+@pytest.fixture
+def anyio_backend():
+    return "asyncio"
+
+
+@contextlib.asynccontextmanager
+async def displayed(goal, name="/drive", turtles=("turtle1",)):
+    """A transcript of an accepted goal, and what publishes where the turtles are."""
+    async with open_node("stage") as node:
+        publishers = {each: node.publisher(TurtlePose, f"/{each}/pose") for each in turtles}
+        handle: Any = Handle()
+        sent = Sent(node, name, "pkg/action/Name", goal, handle)
+        yield live._Picture(sent), handle, publishers
+
+
+def shown(picture, width=79, height=23):
+    content = picture.compose(width=width, height=height)
+    return "\n".join(
+        ESCAPE.sub("", line) for line in render.lines(content, width=width, height=height)
+    )
+
+
+async def test_progress_is_what_no_longer_remains():
+    async with displayed(Fibonacci.Goal()) as (picture, handle, _):
+        handle.last_feedback = Roll(remaining=-4.0)
+        assert " 0%  remaining 4.00" in shown(picture)
+        handle.last_feedback = Roll(remaining=1.0)
+        assert "75%  remaining 1.00" in shown(picture)
+
+
+async def test_without_a_measure_progress_is_how_fresh_the_feedback_is():
+    async with displayed(Fibonacci.Goal()) as (picture, handle, _):
+        handle.last_feedback = Fibonacci.Feedback()
+        assert re.search(r"last feedback 0\.\d s ago", shown(picture))
+
+
+async def test_before_the_first_feedback_there_is_no_progress():
+    async with displayed(Fibonacci.Goal()) as (picture, _, _):
+        assert "no feedback yet" in shown(picture)
+
+
+async def test_places_that_the_turtle_has_passed_are_counted():
+    goal = Drive(targets=[Point(x=1.0, y=1.0), Point(x=9.0, y=9.0)])
+    async with displayed(goal) as (picture, _, turtles):
+        turtles["turtle1"].publish(TurtlePose(x=1.1, y=1.0))
+        assert "50%  1 of 2 places" in shown(picture)
+
+
+async def test_places_behind_the_turtle_leave_the_map():
+    goal = Drive(targets=[Point(x=1.0, y=1.0), Point(x=9.0, y=9.0)])
+    async with displayed(goal) as (picture, _, turtles):
+        turtles["turtle1"].publish(TurtlePose(x=1.0, y=1.0))
+        turtles["turtle1"].publish(TurtlePose(x=5.0, y=5.0))
+        [world] = re.findall(r"┌.*┘", shown(picture), re.DOTALL)
+        assert "2" in world
+        assert "1" not in world
+
+
+async def test_places_of_further_rounds_come_back():
+    goal = Drive(targets=[Point(x=1.0, y=1.0)], loops=1)
+    async with displayed(goal) as (picture, _, turtles):
+        turtles["turtle1"].publish(TurtlePose(x=1.0, y=1.0))
+        assert "1 of 2 places" in shown(picture)
+        turtles["turtle1"].publish(TurtlePose(x=1.0, y=1.0))
+        assert "2 of 2 places" in shown(picture)
+
+
+async def test_a_trail_follows_the_turtle_in_strides(monkeypatch):
+    monkeypatch.setattr(live, "LONGEST_TRAIL", 3)
+    async with displayed(Drive()) as (picture, _, turtles):
+        for step in range(100):
+            turtles["turtle1"].publish(TurtlePose(x=step / 64))
+        world = picture._tracks.look()
+        assert [x * 64 for x, _ in world.trails[0]] == [84, 90, 96]
+
+
+async def test_all_turtles_are_on_the_map():
+    async with displayed(Drive(), turtles=("turtle1", "turtle2")) as (picture, _, turtles):
+        turtles["turtle1"].publish(TurtlePose(x=1.0, y=1.0))
+        turtles["turtle2"].publish(TurtlePose(x=9.0, y=9.0))
+        assert shown(picture).count("→") == 2
+
+
+@pytest.mark.parametrize(
+    ("goal", "name", "has_map"),
+    [
+        (Drive(), "/drive", True),
+        (Drive(turtle="nobody"), "/drive", False),
+        (Fibonacci.Goal(), "/fibonacci", False),
+        (Fibonacci.Goal(), "/turtle1/rotate", True),
+        (PatrolCommandInterface.Goal(targets=[Point()]), "/command_turtle", True),
+        (PatrolCommandInterface.Goal(), "/command_turtle", False),
+        (Point(), "/go", True),
+    ],
+)
+async def test_a_goal_that_drives_a_turtle_has_a_map(goal, name, has_map):
+    async with displayed(goal, name) as (picture, _, _):
+        assert ("┌" in shown(picture)) is has_map
+
+
+async def test_a_map_needs_a_turtle():
+    async with displayed(Point(), "/go", turtles=()) as (picture, _, _):
+        assert "┌" not in shown(picture)
+
+
+@pytest.fixture
+def transcript(stream):
+    return LiveTranscript(stream, wants_feedback=True)
+
+
+def test_before_the_acceptance_there_is_nothing_to_draw(transcript, stream):
+    transcript.sending(Fibonacci.Goal(order=5))
+    transcript.rejected()
+    transcript.close()
+    assert stream.getvalue() == "Sending goal:\n     order: 5\n\nGoal was rejected.\n"
+
+
+def test_a_note_does_not_stand_in_the_display(transcript, stream, capsys):
+    transcript._region.draw(["one"])
+    transcript.note("by the way")
+    assert stream.getvalue().endswith("\x1b[?25h")
+    assert capsys.readouterr().err == "turtleact: by the way\n"
+
+
+async def test_the_last_state_is_drawn_before_the_result_stands(transcript, stream):
+    async with open_node("stage") as node:
+        handle: Any = Handle()
+        transcript.accepted(Sent(node, "/x", "pkg/action/Name", Fibonacci.Goal(), handle))
+        handle.status = GoalStatus.SUCCEEDED
+        transcript.status(handle.status)
+        transcript.ended(Outcome(GoalStatus.SUCCEEDED, Fibonacci.Result()))
+    before, after = stream.getvalue().split("\r\x1b[J\x1b[?25h")
+    assert "SUCCEEDED" in before
+    assert after == "Result:\n    sequence: []\n\nGoal finished with status: SUCCEEDED\n"
+
+
+async def test_drawing_takes_a_fifth_of_the_time_at_most(transcript, monkeypatch):
+    now, slept = [0.0], []
+
+    async def sleep(seconds):
+        slept.append(seconds)
+        if len(slept) == 2:
+            raise ZeroDivisionError
+
+    def draw():
+        now[0] += 0.001 if not slept else 1.0
+
+    monkeypatch.setattr(live, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(anyio, "sleep", sleep)
+    monkeypatch.setattr(transcript, "_draw", draw)
+    with pytest.raises(ZeroDivisionError):
+        await transcript.animate()
+    assert slept == pytest.approx([1 / 15 - 0.001, 4.0])
+
+
+# --- on a terminal --------------------------------------------------------------------------
+
+
+def terminal(columns, rows):
+    """Both ends of a terminal of that size."""
+    main, other = pty.openpty()
+    fcntl.ioctl(other, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
+    return main, other
+
+
+def on_terminal(*arguments, columns=80, rows=24, **environment):
+    """What a command writes to a terminal, and its exit status."""
+    main, other = terminal(columns, rows)
+    settings = {"TERM": "xterm-256color", "PYTHONUTF8": "1"} | environment
+    base = {name: each for name, each in os.environ.items() if name not in ("NO_COLOR", "COLUMNS")}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "turtleact", "send-goal", *arguments],
+        stdin=other,
+        stdout=other,
+        stderr=subprocess.PIPE,
+        env=base | settings,
+    )
+    os.close(other)
+    written = b""
+    while chunk := read(main):
+        written += chunk
+    os.close(main)
+    assert process.stderr is not None
+    process.stderr.close()
+    return written.decode().replace("\r\n", "\n"), process.wait(30)
+
+
+def test_a_signal_cancels_the_goal_and_its_result_stands():
+    main, other = terminal(80, 24)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "turtleact", "send-goal", "fibonacci", "order: 40"],
+        stdout=other,
+        stderr=subprocess.DEVNULL,
+        env=os.environ | {"TERM": "xterm-256color", "PYTHONUTF8": "1"},
+    )
+    os.close(other)
+    written = b""
+    while b"EXECUTING" not in written:
+        written += read(main)
+    process.send_signal(signal.SIGINT)
+    while chunk := read(main):
+        written += chunk
+    os.close(main)
+    assert process.wait(30) == 130
+    text = ESCAPE.sub("", written.decode().replace("\r\n", "\n"))
+    assert "\rCanceling goal...\n\n" in text
+    assert text.endswith("\nGoal finished with status: CANCELED\n")
+
+
+def read(terminal):
+    try:
+        return os.read(terminal, 65536)
+    except OSError as error:  # what Linux says when the other end is closed
+        if error.errno != errno.EIO:
+            raise
+        return b""
+
+
+def last_frame(text):
+    return ESCAPE.sub("", text.rpartition("\x1b[?2026h")[2].partition("\x1b[J")[0])
+
+
+def standing(text):
+    """What stands behind the last frame."""
+    return text.rpartition("\x1b[J\x1b[?25h")[2]
+
+
+def test_the_plain_result_stands_when_the_display_has_gone():
+    text, status = on_terminal("patrol", PATROL, "--speed", "max")
+    assert status == 0
+    assert standing(text).startswith("Result:\n    reached: 2\n")
+    assert standing(text).endswith("\nGoal finished with status: SUCCEEDED\n")
+
+
+def test_the_last_frame_shows_the_last_state_and_the_trail():
+    frame = last_frame(on_terminal("patrol", PATROL, "--speed", "max")[0])
+    assert "● /patrol  SUCCEEDED" in frame
+    assert re.search(r"│.*[⠁-⣿].*│", frame)
+
+
+def test_a_window_of_30_by_10_shows_no_map():
+    text, _ = on_terminal("patrol", PATROL, "--speed", "max", columns=30, rows=10)
+    lines = last_frame(text).strip("\r").split("\n")
+    assert len(lines) < 10
+    assert max(map(len, lines)) < 30
+    assert "┌" not in text
+
+
+def test_feedback_that_was_asked_for_stands_above():
+    text, _ = on_terminal("fibonacci", "order: 2", "-f", "--speed", "max")
+    assert "Feedback:\n    partial_sequence:\n    - 0\n    - 1\n    - 1\n\n" in text
+
+
+def test_no_color_is_respected():
+    text, _ = on_terminal("patrol", PATROL, "--speed", "max", NO_COLOR="1")
+    assert not re.search(r"\x1b\[[0-9;]*3[0-7]", text)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "environment"),
+    [
+        ([], {"TERM": "dumb"}),
+        ([], {"TERM": ""}),
+        ([], {"PYTHONUTF8": "0", "PYTHONIOENCODING": "latin-1"}),
+        (["--plain"], {}),
+        (["--json"], {}),
+    ],
+)
+def test_where_nothing_can_or_shall_move_no_escape_sequence_is_written(arguments, environment):
+    text, status = on_terminal("fibonacci", "--speed", "max", *arguments, **environment)
+    assert status == 0
+    assert "\x1b" not in text

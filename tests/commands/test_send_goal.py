@@ -1,0 +1,313 @@
+"""``send-goal`` from its text to the exit status: the words of ROS 2, errors, signals, timeouts."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import signal
+from pathlib import Path
+
+import pytest
+
+GOLDEN = json.loads(Path(__file__).with_name("golden").joinpath("send_goal.json").read_text())
+EMBEDDED = [case for case in GOLDEN if case["case"] not in ("abort", "reject")]
+GOAL_ID = re.compile(r"ID: [0-9a-f]{32}$", re.MULTILINE)
+WAITING = "Waiting for an action server to become available...\n"
+FIBONACCI = "example_interfaces/action/Fibonacci"
+
+
+def recorded(case):
+    """What ROS 2 printed, with all YAML indented alike, and without the goal's id."""
+    columns, lines = 0, []
+    for line in case["stdout"].splitlines():
+        if line.endswith(":") and line[0].isalpha():
+            columns = 5 if line == "Sending goal:" else 4
+        continues = re.match(r"- |  \w", line)
+        lines.append(" " * columns + line if continues else line)
+    return GOAL_ID.sub("ID:", "\n".join(lines) + "\n")
+
+
+def arguments_of(case, name=None):
+    _, *arguments = shlex.split(case["command"])
+    return [name if name and each == "/fibonacci" else each for each in arguments]
+
+
+@pytest.mark.parametrize("case", EMBEDDED, ids=lambda case: case["case"])
+def test_the_transcript_is_that_of_ros2(turtleact, case):
+    ran = turtleact(*arguments_of(case), "--speed", "max")
+    assert (ran.status, GOAL_ID.sub("ID:", ran.out)) == (case["exit"], recorded(case))
+
+
+@pytest.mark.parametrize("name", ["abort", "reject"])
+def test_the_transcript_of_a_goal_without_success_is_that_of_ros2(on_stage, name):
+    [case] = [case for case in GOLDEN if case["case"] == name]
+    ran = on_stage(*arguments_of(case, {"abort": "/fail"}.get(name, f"/{name}")))
+    assert GOAL_ID.sub("ID:", ran.out) == recorded(case)
+
+
+# --- exit statuses --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "status"), [("now", 0), ("reject", 3), ("fail", 4), ("crash", 4), ("quit", 5)]
+)
+def test_the_exit_status_says_how_the_goal_ended(on_stage, name, status):
+    assert on_stage("send-goal", name).status == status
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("reject", "turtleact: the goal was rejected: not today\n"),
+        ("crash", "turtleact: the goal was aborted: ZeroDivisionError: by hand\n"),
+        ("fail", "turtleact: the goal was aborted: no reason given\n"),
+    ],
+)
+def test_the_reason_of_a_failure_goes_to_stderr(on_stage, name, reason):
+    assert on_stage("send-goal", name).err.endswith(reason)
+
+
+def test_one_line_on_stderr_says_that_a_world_was_started(on_stage):
+    assert on_stage("send-goal", "now").err == (
+        "turtleact: started an embedded world in this process\n"
+    )
+
+
+# --- which action, which type ---------------------------------------------------------------
+
+
+def test_an_unknown_action_is_an_error_that_names_those_there_are(turtleact):
+    ran = turtleact("send-goal", "fibonaci", "--speed", "max")
+    assert ran.status == 1
+    assert ran.err.splitlines()[-1] == (
+        "turtleact: action '/fibonaci': nobody serves it, did you mean '/fibonacci'? "
+        "(there are: /command_turtle, /fibonacci, /go_to, /patrol)"
+    )
+
+
+def test_a_type_with_which_the_action_is_not_served_is_named_with_the_one_it_is(on_stage):
+    ran = on_stage("send-goal", "now", "action_tutorials_interfaces/Fibonacci")
+    assert ran.status == 1
+    assert ran.err.splitlines()[-1] == (
+        f"turtleact: action '/now': it is served as {FIBONACCI}, "
+        "not as action_tutorials_interfaces/action/Fibonacci"
+    )
+
+
+@pytest.mark.parametrize(
+    ("type_name", "message"),
+    [
+        ("example_interfaces/action/Fibonaci", f"did you mean '{FIBONACCI}'?"),
+        ("std_msgs/msg/String", "std_msgs/msg/String: it is not an action"),
+    ],
+)
+def test_a_type_that_is_no_action_is_an_error_before_anything_is_printed(
+    turtleact, type_name, message
+):
+    ran = turtleact("send-goal", "fibonacci", type_name)
+    assert (ran.status, ran.out) == (1, "")
+    assert message in ran.err
+
+
+def test_a_type_that_only_the_world_declares_is_known(start):
+    ran = start("send-goal", "now", "turtleact_interfaces/GoTo").end()
+    assert "not as turtleact_interfaces/action/GoTo" in ran.err
+
+
+def test_a_malformed_name_is_shown_with_a_caret(turtleact):
+    ran = turtleact("send-goal", "/fib onacci", FIBONACCI)
+    assert (ran.status, ran.out) == (2, "")
+    assert ran.err.endswith("\n  /fib onacci\n      ^\n")
+
+
+# --- the goal -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        "{order: 5",
+        "order: : 5",
+        "5",
+        "[5]",
+        "{orderr: 5}",
+        "{order: abc}",
+        "{order: 5.7}",
+        "{order: null}",
+        "{order: true}",
+        "{order: 2147483648}",
+        '{order: "5"}',
+        "-5",
+        "- 1",
+    ],
+)
+def test_a_goal_that_does_not_fit_is_refused_before_anything_is_printed(turtleact, goal):
+    ran = turtleact("action", "send_goal", "/fibonacci", FIBONACCI, goal)
+    assert (ran.status, ran.out) == (2, "")
+    assert ran.err.startswith("turtleact: goal")
+
+
+def test_a_goal_is_checked_with_the_type_that_the_graph_gives(on_stage):
+    ran = on_stage("send-goal", "now", "{orderr: 5}")
+    assert (ran.status, ran.out) == (2, WAITING)
+    assert ran.err.endswith("turtleact: goal: unknown field 'orderr', did you mean 'order'?\n")
+
+
+def test_a_goal_may_begin_with_a_dash(on_stage):
+    assert "\n     order: 7\n" in on_stage("send-goal", "now", "---\norder: 7").out
+
+
+@pytest.mark.parametrize("arguments", [["-f"], ["--feedback"]])
+def test_options_may_stand_before_the_arguments(on_stage, arguments):
+    assert "Feedback:" in on_stage("action", "send_goal", *arguments, "/fail", "order: 2").out
+
+
+# --- JSON -----------------------------------------------------------------------------------
+
+
+def events(text):
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def test_json_tells_each_event_on_a_line_of_its_own(on_stage):
+    told = events(on_stage("send-goal", "fail", "{order: 3}", "--json").out)
+    assert [each["event"] for each in told if each["event"] != "status"] == [
+        "accepted",
+        "feedback",
+        "feedback",
+        "result",
+    ]
+
+
+def test_json_carries_the_messages(on_stage):
+    told = events(on_stage("send-goal", "fail", "{order: 2}", "--json").out)
+    assert told[-1]["result"] == {"sequence": [0, 1, 1]}
+    assert told[-1]["reason"] == "out of paper"
+    [feedback] = [each["feedback"] for each in told if each["event"] == "feedback"]
+    assert feedback == {"sequence": [0, 1, 1]}
+
+
+def test_json_says_which_goal_it_speaks_of(on_stage):
+    told = events(on_stage("send-goal", "now", "--json").out)
+    assert len({each["goal_id"] for each in told}) == 1
+    assert (told[0]["name"], told[0]["type"], told[0]["goal"]) == ("/now", FIBONACCI, {"order": 0})
+
+
+def test_json_of_a_rejected_goal_is_nothing_at_all(on_stage):
+    assert on_stage("send-goal", "reject", "--json")[:2] == (3, "")
+
+
+def test_json_tells_of_a_cancel(on_stage):
+    ran = on_stage("send-goal", "hold", "--json", "-t", "0.01")
+    assert ran.status == 124
+    assert [each["status"] for each in events(ran.out) if each["event"] == "status"] == [
+        "EXECUTING",
+        "CANCELING",
+        "CANCELED",
+    ]
+
+
+# --- timeouts -------------------------------------------------------------------------------
+
+
+def test_a_timeout_cancels_the_goal_and_prints_its_result(on_stage):
+    ran = on_stage("send-goal", "hold", "--timeout", "0.01")
+    assert ran.status == 124
+    assert ran.out.endswith(
+        "Canceling goal...\n\nResult:\n    sequence: []\n\nGoal finished with status: CANCELED\n"
+    )
+
+
+def test_a_timeout_of_zero_leaves_once_the_goal_is_accepted(on_stage):
+    ran = on_stage("send-goal", "hold", "-t0")
+    assert ran.status == 0
+    assert re.search(r"Goal accepted with ID: [0-9a-f]{32}\n\n\Z", ran.out)
+
+
+def test_a_goal_that_ends_in_time_is_not_canceled(on_stage):
+    assert on_stage("send-goal", "now", "-t", "30").status == 0
+
+
+@pytest.mark.parametrize("name", ["stubborn", "refuse"])
+def test_a_goal_that_does_not_end_after_its_timeout_is_left(start, name):
+    ran = start("send-goal", name, "-t", "0.01").end()
+    assert ran.status == 124
+    assert ran.err.splitlines()[1:] == [
+        "turtleact: no result after 0.01 s",
+        "turtleact: the goal ended with the embedded world; there is nothing to come back to",
+    ]
+
+
+# --- signals --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize("module", [True, False], ids=["embedded world", "stage"])
+def test_a_signal_cancels_the_goal_and_its_result_is_printed(start, number, status, module):
+    arguments = ["fibonacci", "order: 40"] if module else ["hold"]
+    program = start("send-goal", *arguments, "-f", module=module)
+    program.wait_for("Feedback:")
+    program.send(number)
+    ran = program.end()
+    assert ran.status == status
+    assert "\nCanceling goal...\n\nResult:\n    sequence:" in ran.out
+    assert ran.out.endswith("Goal finished with status: CANCELED\n")
+    assert ran.err == "turtleact: started an embedded world in this process\n"
+
+
+@pytest.mark.parametrize(("name", "lines"), [("stubborn", []), ("refuse", ["goes on"])])
+def test_a_second_signal_lets_go_of_the_goal(start, name, lines):
+    program = start("send-goal", name)
+    program.wait_for("Goal accepted")
+    program.send(signal.SIGINT)
+    program.wait_for("Canceling goal...")
+    program.send(signal.SIGINT)
+    ran = program.end()
+    assert ran.status == 130
+    assert "turtleact: the goal ended with the embedded world;" in ran.err.splitlines()[-1]
+    assert all(line in ran.err for line in lines)
+
+
+def test_a_signal_before_the_acceptance_leaves_no_goal_behind(start):
+    program = start("send-goal", "consider")
+    program.wait_for("order: 0")
+    program.send(signal.SIGINT)
+    ran = program.end()
+    assert ran.status == 130
+    assert ran.err.endswith("interrupted before the goal was accepted; there is none\n")
+
+
+def test_a_signal_before_the_world_is_there_ends_the_program(start):
+    program = start("send-goal", "fibonacci", "order: 40", module=True)
+    program.wait_for("Waiting")
+    program.send(signal.SIGINT)
+    ran = program.end()
+    assert ran.status == 130
+    assert "Traceback" not in ran.err
+
+
+def test_a_signal_behind_the_end_changes_nothing(on_stage, interrupts):
+    interrupts.install()
+    ran = on_stage("send-goal", "now")
+    signal.raise_signal(signal.SIGINT)
+    assert ran.status == 0
+
+
+# --- pipes ----------------------------------------------------------------------------------
+
+
+def test_each_line_reaches_a_pipe_at_once(start):
+    program = start("send-goal", "hold", "--feedback")
+    program.wait_for("Feedback:")  # else this would wait for ever
+    program.send(signal.SIGINT)
+    assert program.end().status == 130
+
+
+def test_a_reader_that_goes_away_ends_the_program_quietly(start):
+    program = start("send-goal", "fibonacci", "order: 40", "-f", "--speed", "200", module=True)
+    program.wait_for("Waiting")
+    program.stdout.close()
+    err = program.stderr.read()
+    assert program.process.wait(30) == 141
+    assert err == "turtleact: started an embedded world in this process\n"

@@ -1,0 +1,137 @@
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from turtleact.client import Outcome
+from turtleact.commands.transcript import JsonTranscript, PlainTranscript, Sent, note
+from turtleact.goal import GoalStatus
+from turtleact.interfaces.standard import Fibonacci, PatrolCommandInterface, Point, Time
+
+ID = bytes(range(16))
+
+
+@pytest.fixture
+def sent():
+    """A goal that was accepted."""
+    handle: Any = SimpleNamespace(goal_id=ID, stamp=Time(sec=1, nanosec=2))
+    node: Any = None
+    return Sent(node, "/fibonacci", Fibonacci.type_name, Fibonacci.Goal(order=5), handle)
+
+
+@pytest.fixture
+def plain():
+    return PlainTranscript(wants_feedback=True)
+
+
+def outcome(status=GoalStatus.SUCCEEDED, reason=""):
+    return Outcome(status, Fibonacci.Result(sequence=[0, 1]), reason)
+
+
+def test_the_goal_is_indented_by_five(plain, capsys):
+    plain.sending(Fibonacci.Goal(order=5))
+    assert capsys.readouterr().out == "Sending goal:\n     order: 5\n\n"
+
+
+def test_what_goes_on_over_lines_is_indented_alike(plain, capsys):
+    plain.sending(PatrolCommandInterface.Goal(targets=[Point(x=9.0, y=7.0)]))
+    assert capsys.readouterr().out == (
+        "Sending goal:\n     targets:\n     - x: 9.0\n       y: 7.0\n       z: 0.0\n\n"
+    )
+
+
+def test_the_id_is_printed_when_the_goal_is_accepted(plain, sent, capsys):
+    plain.accepted(sent)
+    assert capsys.readouterr().out == (
+        "Goal accepted with ID: 000102030405060708090a0b0c0d0e0f\n\n"
+    )
+
+
+def test_feedback_is_indented_by_four(plain, capsys):
+    plain.feedback(Fibonacci.Feedback(partial_sequence=[0, 1]))
+    assert capsys.readouterr().out == ("Feedback:\n    partial_sequence:\n    - 0\n    - 1\n\n")
+
+
+def test_the_result_is_followed_by_the_status(plain, capsys):
+    plain.ended(outcome(GoalStatus.CANCELED))
+    assert capsys.readouterr().out == (
+        "Result:\n    sequence:\n    - 0\n    - 1\n\nGoal finished with status: CANCELED\n"
+    )
+
+
+def test_a_rejected_goal_has_its_line(plain, capsys):
+    plain.rejected()
+    assert capsys.readouterr().out == "Goal was rejected.\n"
+
+
+def test_plain_text_says_nothing_of_states_on_the_way(plain, capsys):
+    plain.status(GoalStatus.EXECUTING)
+    plain.close()
+    assert capsys.readouterr().out == ""
+
+
+@pytest.fixture
+def told(capsys):
+    """The events that were printed."""
+    return lambda: [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def test_the_acceptance_tells_all_that_was_sent(sent, told):
+    JsonTranscript().accepted(sent)
+    assert told() == [
+        {
+            "event": "accepted",
+            "goal_id": ID.hex(),
+            "name": "/fibonacci",
+            "type": "action_tutorials_interfaces/action/Fibonacci",
+            "stamp": {"sec": 1, "nanosec": 2},
+            "goal": {"order": 5},
+        }
+    ]
+
+
+def test_a_status_is_told_once(told):
+    transcript = JsonTranscript()
+    for status in (GoalStatus.EXECUTING, GoalStatus.EXECUTING, GoalStatus.CANCELING):
+        transcript.status(status)
+    assert [each["status"] for each in told()] == ["EXECUTING", "CANCELING"]
+
+
+def test_the_result_tells_why(told):
+    JsonTranscript().ended(outcome(GoalStatus.ABORTED, 'the "reason" – ⠿'))
+    assert told()[-1] == {
+        "event": "result",
+        "goal_id": "",
+        "status": "ABORTED",
+        "result": {"sequence": [0, 1]},
+        "reason": 'the "reason" – ⠿',
+    }
+
+
+def test_what_is_not_an_event_is_not_printed(told):
+    transcript = JsonTranscript()
+    transcript.sending(Fibonacci.Goal())
+    transcript.canceling()
+    transcript.rejected()
+    transcript.close()
+    assert told() == []
+
+
+@pytest.mark.parametrize("transcript", [JsonTranscript(), PlainTranscript(wants_feedback=False)])
+def test_a_note_goes_to_stderr(transcript, capsys):
+    transcript.note("by the way")
+    assert capsys.readouterr() == ("", "turtleact: by the way\n")
+
+
+def test_a_note_without_stderr_is_dropped(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr", None)
+    note("by the way")
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("transcript", [JsonTranscript(), PlainTranscript(wants_feedback=False)])
+async def test_nothing_moves(transcript):
+    await transcript.animate()

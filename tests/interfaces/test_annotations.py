@@ -1,0 +1,144 @@
+# No `from __future__ import annotations` here: these annotations are objects.
+import sys
+from collections import ChainMap
+from typing import Annotated, ForwardRef
+
+import pytest
+
+from turtleact.errors import InvalidInterface
+from turtleact.interfaces.annotations import (
+    SCALARS,
+    annotation_of,
+    array,
+    bool_,
+    bounded,
+    float64,
+    int32,
+    read,
+    scope_of,
+    string,
+)
+from turtleact.interfaces.definition import PRIMITIVES, ArrayForm, FieldType
+from turtleact.interfaces.standard import Point
+from turtleact.interfaces.types import Message
+
+HERE = ChainMap(globals())
+
+
+@pytest.mark.parametrize(
+    ("annotation", "text"),
+    [
+        (int32, "int32"),
+        (bool_, "bool"),
+        (bool, "bool"),
+        (float, "float64"),
+        (str, "string"),
+        (bytes, "uint8[]"),
+        (list[int32], "int32[]"),
+        (list[Point], "geometry_msgs/msg/Point[]"),
+        (Point, "geometry_msgs/msg/Point"),
+        (bounded[list[int32], 5], "int32[<=5]"),
+        (bounded[string, 10], "string<=10"),
+        (bounded[str, 10], "string<=10"),
+        (bounded[list[bounded[string, 4]], 2], "string<=4[<=2]"),
+        (array[list[float64], 9], "float64[9]"),
+        (array[bytes, 16], "uint8[16]"),
+        ("list[Point]", "geometry_msgs/msg/Point[]"),
+        (list["int32"], "int32[]"),
+        (ForwardRef("int32"), "int32"),
+        (bounded["list[int32]", 2], "int32[<=2]"),
+        (Annotated[Point, "a note of one's own"], "geometry_msgs/msg/Point"),
+    ],
+)
+def test_an_annotation_says_a_type(annotation, text):
+    assert str(read(annotation, HERE).field_type) == text
+
+
+@pytest.mark.parametrize("name", PRIMITIVES)
+def test_each_primitive_has_an_annotation(name):
+    assert read(SCALARS[name], HERE).field_type == FieldType(name)
+
+
+def test_bytes_are_noted():
+    assert read(bytes, HERE).is_bytes
+
+
+class Nameless(Message):
+    x: int32 = 0
+
+
+@pytest.mark.parametrize(
+    ("annotation", "problem"),
+    [
+        (int, "int is no ROS type: say which, from int8 to uint64"),
+        (list, r"list is no ROS type: say of what, as in list\[int32\]"),
+        (dict[str, int], r"dict\[str, int\] is no ROS type"),
+        (int | None, "is no ROS type"),
+        (list[list[int32]], r"no lists of lists: put the int32\[\] into a message"),
+        (bounded[int32, 5], r"bounded\[…\] is for a list, as in bounded\[list\[int32\], 5\]"),
+        (bounded[float, 5], r"bounded\[list\[float64\], 5\]"),
+        (array[string, 5], r"array\[…\] is for a list"),
+        (array[Point, 5], r"array\[list\[geometry_msgs/msg/Point\], 5\]"),
+        ("Missing", "cannot make out 'Missing'.*must be known to the module"),
+        ("bounded[string, 0]", "a number above zero"),
+        (Nameless, 'Nameless has no type name: .*type_name="package_name/msg/Nameless"'),
+        (Message, "Message has no type name"),
+    ],
+)
+def test_what_says_no_type_is_refused(annotation, problem):
+    with pytest.raises(InvalidInterface, match=problem):
+        read(annotation, HERE)
+
+
+def test_a_misspelled_type_class_gets_a_hint():
+    class Int32: ...
+
+    with pytest.raises(InvalidInterface, match="did you mean 'int32'"):
+        read(Int32, HERE)
+
+
+def frame_in(class_body: bool) -> object:
+    local = Point
+    assert local
+
+    class Body:
+        frame = sys._getframe()
+
+    return Body.frame if class_body else sys._getframe()
+
+
+@pytest.mark.parametrize("class_body", [True, False])
+def test_a_scope_reaches_to_the_function_around(class_body):
+    assert read("list[local]", scope_of(frame_in(class_body), {})).nested is Point
+
+
+def test_a_scope_ends_at_the_function():
+    beyond = Point
+    assert beyond
+    with pytest.raises(InvalidInterface, match="cannot make out 'beyond'"):
+        read("beyond", scope_of(frame_in(class_body=False), {}))
+
+
+def test_the_names_of_the_class_itself_come_last():
+    scope = scope_of(frame_in(class_body=False), {"int32": 5, "own": Point})
+    assert (str(read("int32", scope).field_type), read("own", scope).nested) == ("int32", Point)
+
+
+@pytest.mark.parametrize("item", [list[int32], (list[int32], 0), (list[int32], "5")])
+def test_a_length_is_a_number_above_zero(item):
+    with pytest.raises(InvalidInterface, match=r"array: say array\[list\[int32\], 5\]"):
+        array[item]
+
+
+@pytest.mark.parametrize(
+    ("field_type", "nested"),
+    [
+        (FieldType("int32"), None),
+        (FieldType("string", 4, ArrayForm.BOUNDED, 2), None),
+        (FieldType("float64", None, ArrayForm.FIXED, 9), None),
+        (FieldType("geometry_msgs/msg/Point", None, ArrayForm.UNBOUNDED), Point),
+    ],
+)
+def test_what_is_written_as_annotation_is_read_back(field_type, nested):
+    reading = read(annotation_of(field_type, nested), HERE)
+    assert (reading.field_type, reading.nested) == (field_type, nested)

@@ -1,0 +1,225 @@
+from __future__ import annotations
+
+import copy
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from turtleact.errors import InvalidGoal, InvalidMessage
+from turtleact.interfaces.copying import snapshot, snapshotter
+from turtleact.interfaces.standard import PatrolCommandInterface, Point
+from turtleact.interfaces.types import (
+    Message,
+    array,
+    bool_,
+    bounded,
+    byte,
+    char,
+    float32,
+    float64,
+    int8,
+    int16,
+    int32,
+    int64,
+    string,
+    uint8,
+    uint16,
+    uint32,
+    uint64,
+    wstring,
+)
+
+
+class Scalars(Message, type_name="example_msgs/msg/Scalars"):
+    a: bool_ = False
+    b: byte = 0
+    c: char = 0
+    d: int8 = 0
+    e: uint8 = 0
+    f: int16 = 0
+    g: uint16 = 0
+    h: int32 = 0
+    i: uint32 = 0
+    j: int64 = 0
+    k: uint64 = 0
+    m: float32 = 0.0
+    n: float64 = 0.0
+    o: string = ""
+    p: wstring = ""
+    q: bounded[string, 3] = ""
+
+
+class Lists(Message, type_name="example_msgs/msg/Lists"):
+    numbers: list[int32] = []
+    three: array[list[float64], 3]
+    two: bounded[list[string], 2] = []
+    raw: list[uint8] = []
+    key: array[bytes, 2] = bytes(2)
+    flags: list[bool_] = []
+    singles: list[float32] = []
+    points: bounded[list[Point], 2] = []
+    corners: array[list[Point], 2]
+    from_: int8 = 0
+
+
+class Tree(Message, type_name="example_msgs/msg/Tree"):
+    root: Lists
+    twigs: list[Lists] = []
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Point(x=1.0),
+        Scalars(True, 1, 2, -3, 4, -5, 6, -7, 8, -9, 10, 1.5, math.inf, "ą", "🐢", "abc"),
+        Lists([1], [1.0] * 3, ["a"], [1], b"ab", [True], [0.5], [Point(y=1.0)], [Point()] * 2, 5),
+        Lists(raw=b"abc"),
+        Tree(Lists([1]), [Lists([2]), Lists([3])]),
+    ],
+)
+def test_a_snapshot_equals_what_it_was_taken_of(message):
+    assert snapshot(message) == message
+
+
+def test_a_snapshot_shares_nothing_that_changes():
+    message = Tree(Lists([1]), [Lists([2])])
+    before = copy.deepcopy(message)
+    taken = snapshot(message)
+    message.root.numbers.append(2)
+    message.root.corners[0].x = 1.0
+    message.twigs[0].numbers.append(3)
+    message.twigs.append(Lists())
+    assert taken == before
+
+
+def test_a_snapshot_holds_plain_values():
+    numbers = np.array([1, 2])
+    taken = snapshot(Lists(numbers=numbers, three=(1, 2, 3), singles=[np.float32(0.5)]))
+    assert [type(x) for x in (*taken.numbers, *taken.three, *taken.singles)] == [int] * 2 + [
+        float
+    ] * 4
+
+
+@pytest.mark.parametrize("value", [b"abc", bytearray(b"abc")])
+def test_bytes_stay_bytes(value):
+    assert snapshot(Lists(raw=value)).raw == b"abc"
+
+
+def test_nan_is_kept():
+    assert math.isnan(snapshot(Scalars(m=math.nan)).m)
+
+
+@pytest.mark.parametrize(
+    ("message", "text"),
+    [
+        (Scalars(h=2**31), "message.h: 2147483648 is out of range for int32 (-2147483648 to"),
+        (Scalars(h=True), "message.h: expected a whole number (int32), got True"),
+        (Scalars(a=1), "message.a: expected true or false (bool), got 1"),
+        (Scalars(m=1e39), "message.m: 1e+39 is out of range for float32"),
+        (Scalars(n="abc"), "message.n: expected a number (float64), got 'abc'"),
+        (Scalars(o=None), "message.o: expected text (string), got None"),
+        (Scalars(q="abcd"), "message.q: at most 3 characters, got 4"),
+        (Scalars(p="\ud800"), "message.p: character 0 is half a surrogate pair"),
+        (Lists(from_="a"), "message.from: expected a whole number (int8), got 'a'"),
+        (Lists(numbers=[1, 2, "a"]), "message.numbers[2]: expected a whole number"),
+        (Lists(numbers="ab"), "message.numbers: expected a list of int32, got 'ab'"),
+        (Lists(three=[1.0]), "message.three: exactly 3 elements, got 1"),
+        (Lists(two=["a"] * 3), "message.two: at most 2 elements, got 3"),
+        (Lists(key=b"abc"), "message.key: exactly 2 elements, got 3"),
+        (Lists(key=[1, 2, 3]), "message.key: exactly 2 elements, got 3"),
+        (Lists(raw=[256]), "message.raw[0]: 256 is out of range for uint8"),
+        (Lists(points=[Point(), Point(x="a")]), "message.points[1].x: expected a number (float64)"),
+        (Lists(points=[Point()] * 3), "message.points: at most 2 elements, got 3"),
+        (Lists(points=[5]), "message.points[0]: expected a message (geometry_msgs/msg/Point)"),
+        (Lists(points=5), "message.points: expected a list of geometry_msgs/msg/Point, got 5"),
+        (Tree(root=None), "message.root: expected a message (example_msgs/msg/Lists), got None"),
+        (Tree(Lists(numbers=[None])), "message.root.numbers[0]: expected a whole number"),
+        (Tree(twigs=[Lists(points=[Point(z=[])])]), "message.twigs[0].points[0].z: expected"),
+    ],
+)
+def test_a_misfit_is_told_with_its_path(message, text):
+    with pytest.raises(InvalidMessage) as caught:
+        snapshot(message)
+    assert str(caught.value).startswith(text)
+
+
+def test_a_goal_names_its_root():
+    take = snapshotter(PatrolCommandInterface.Goal, root="goal")
+    with pytest.raises(InvalidGoal, match=r"^goal.targets\[2\].x: expected a number \(float64\)"):
+        take(PatrolCommandInterface.Goal([Point(), Point(), Point("abc")]))
+
+
+def test_another_root_is_no_goal():
+    with pytest.raises(InvalidMessage, match=r"^feedback: expected a message") as caught:
+        snapshotter(Point, root="feedback")("abc")
+    assert not isinstance(caught.value, InvalidGoal)
+
+
+def test_a_snapshotter_is_made_once():
+    assert snapshotter(Point, root="goal") is snapshotter(Point, root="goal")
+
+
+@pytest.mark.parametrize("value", [5, None, Point])
+def test_what_is_no_message_is_refused(value):
+    with pytest.raises(InvalidMessage, match="message: expected a message, got"):
+        snapshot(value)
+
+
+def twin(kind: object, *, name: str = "geometry_msgs/msg/Point") -> type[Message]:
+    class Point(Message, type_name=name):
+        x: kind
+        y: kind
+        z: kind
+
+    return Point
+
+
+def test_a_twin_of_the_same_name_and_fields_is_converted():
+    taken = snapshotter(Point)(twin(float64)(x=1))
+    assert (taken, type(taken)) == (Point(x=1.0), Point)
+
+
+def test_a_nested_twin_is_converted():
+    taken = snapshot(PatrolCommandInterface.Goal(targets=[twin(float64)(x=1)]))
+    assert type(taken.targets[0]) is Point
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        lambda: twin(float32),
+        lambda: twin(float64, name="example_msgs/msg/Point"),
+        lambda: Scalars,
+    ],
+)
+def test_a_message_that_says_something_else_is_refused(other):
+    with pytest.raises(
+        InvalidMessage, match=r"expected a message \(geometry_msgs/msg/Point\), got"
+    ):
+        snapshotter(Point)(other()())
+
+
+def test_a_class_without_a_name_can_be_copied():
+    class Nameless(Message):
+        x: int32 = 0
+
+    with pytest.raises(InvalidMessage, match=r"expected a message \(.*Nameless\)"):
+        snapshotter(Nameless)(Point())
+    assert snapshot(Nameless(x=1)) == Nameless(x=1)
+
+
+@given(
+    st.builds(
+        Lists,
+        numbers=st.lists(st.integers(-(2**31), 2**31 - 1)),
+        two=st.lists(st.text(st.characters(exclude_categories=["Cs"])), max_size=2),
+        raw=st.binary(),
+        singles=st.lists(st.floats(width=32, allow_nan=False)),
+        points=st.lists(st.builds(Point, st.floats(allow_nan=False)), max_size=2),
+    )
+)
+def test_a_snapshot_of_any_message_equals_it(message):
+    assert snapshot(message) == message

@@ -1,0 +1,176 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from turtleact.errors import InvalidInterface
+from turtleact.interfaces.definition import (
+    ActionDefinition,
+    ArrayForm,
+    Constant,
+    Field,
+    FieldType,
+    MessageDefinition,
+    ServiceDefinition,
+    definition_text,
+    did_you_mean,
+    zero,
+)
+from turtleact.interfaces.parse import parse
+
+INT32 = FieldType("int32")
+POINT = FieldType("geometry_msgs/msg/Point")
+
+
+def message(*fields: Field, name: str = "example_msgs/msg/Sample") -> MessageDefinition:
+    return MessageDefinition(name, fields)
+
+
+@pytest.mark.parametrize(
+    ("field_type", "text"),
+    [
+        (INT32, "int32"),
+        (FieldType("int32", None, ArrayForm.FIXED, 5), "int32[5]"),
+        (FieldType("int32", None, ArrayForm.BOUNDED, 5), "int32[<=5]"),
+        (FieldType("string", 10, ArrayForm.UNBOUNDED), "string<=10[]"),
+        (POINT, "geometry_msgs/msg/Point"),
+    ],
+)
+def test_a_type_prints_as_in_a_msg(field_type, text):
+    assert str(field_type) == text
+
+
+@pytest.mark.parametrize(
+    ("field_type", "value"),
+    [
+        (INT32, 0),
+        (FieldType("bool"), False),
+        (FieldType("wstring"), ""),
+        (FieldType("float32", None, ArrayForm.FIXED, 2), (0.0, 0.0)),
+        (FieldType("int32", None, ArrayForm.BOUNDED, 2), ()),
+        (POINT, None),
+    ],
+)
+def test_zero_is_what_a_field_holds_without_a_value(field_type, value):
+    assert zero(field_type) == value
+
+
+def test_a_default_of_zero_is_no_default():
+    assert Field("x", INT32, 0) == Field("x", INT32)
+
+
+def test_minus_zero_is_a_default():
+    assert Field("x", FieldType("float64"), -0.0).default is not None
+
+
+@pytest.mark.parametrize("name", ["X", "_x", "x_", "x__y", "1x", "é", ""])
+def test_a_field_name_must_be_lower_case(name):
+    with pytest.raises(InvalidInterface, match="is no field name"):
+        Field(name, INT32)
+
+
+@pytest.mark.parametrize("name", ["x", "_X", "X_", "X__Y", "1X"])
+def test_a_constant_name_must_be_in_capitals(name):
+    with pytest.raises(InvalidInterface, match="is no constant name"):
+        Constant(name, INT32, 1)
+
+
+@pytest.mark.parametrize("field_type", [POINT, FieldType("int8", None, ArrayForm.UNBOUNDED)])
+def test_a_constant_is_one_primitive(field_type):
+    with pytest.raises(InvalidInterface, match="a number, a bool or a string"):
+        Constant("X", field_type, 1)
+
+
+def test_a_keyword_gets_an_underscore_in_python_only():
+    field = Field("from", INT32)
+    assert (field.name, field.attribute) == ("from", "from_")
+
+
+@pytest.mark.parametrize(
+    "name", ["Point", "a/B", "a/msg/b", "A/msg/B", "a/idl/B", "a__b/msg/C", "a/msg/B/C"]
+)
+def test_a_full_name_is_package_kind_and_name(name):
+    with pytest.raises(InvalidInterface, match="is no full interface name"):
+        MessageDefinition(name)
+
+
+def test_a_service_is_not_named_as_a_message():
+    part = message()
+    with pytest.raises(InvalidInterface, match="package_name/action/InterfaceName"):
+        ServiceDefinition("example_msgs/msg/Sample", part, part)
+
+
+def test_a_part_bears_the_name_of_the_whole():
+    name = "example_msgs/action/Go"
+    goal, result = message(name=f"{name}_Goal"), message(name=f"{name}_Result")
+    with pytest.raises(InvalidInterface, match=f"its Feedback is named '{name}_Goal'"):
+        ActionDefinition(name, goal, result, goal)
+
+
+def test_a_name_is_given_once():
+    with pytest.raises(InvalidInterface, match="'x' is given twice"):
+        message(Field("x", INT32), Field("x", INT32))
+
+
+def test_nothing_alike_gives_no_hint():
+    assert did_you_mean("zebra", ["int32"]) == ""
+
+
+@pytest.mark.parametrize("value", ["a\nb", "a\rb", "ends in \\", "\"'\\"])
+def test_a_default_that_no_text_can_say_is_refused(value):
+    with pytest.raises(InvalidInterface, match="cannot be said in the text"):
+        definition_text(message(Field("x", FieldType("string"), value)))
+
+
+def test_text_says_messages_as_short_as_ros_does():
+    names = "geometry_msgs/msg/Point", "example_msgs/msg/Other", "my_example_msgs/msg/Other"
+    fields = [Field(f"f{index}", FieldType(name)) for index, name in enumerate(names)]
+    text = "geometry_msgs/Point f0\nOther f1\nmy_example_msgs/Other f2"
+    assert definition_text(message(*fields)) == text
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        ("srv", "int32 x 5\n---\nbool y true"),
+        ("action", "int8 LIMIT=3\n---\n---\nfloat64[2] z [0.5, 1e+16]"),
+    ],
+)
+def test_parts_are_separated(kind, text):
+    assert definition_text(parse(text, f"example_msgs/{kind}/Sample")) == text
+
+
+texts = st.text(st.characters(exclude_characters="\\\n\r", exclude_categories=["Cs"]))
+floats = st.floats(allow_nan=False, allow_infinity=False)
+ints = st.integers(-(2**31), 2**31 - 1)
+
+
+@given(
+    st.lists(
+        st.one_of(
+            st.builds(Field, st.just("x"), st.just(FieldType("string")), texts),
+            st.builds(Field, st.just("x"), st.just(FieldType("float64")), floats),
+            st.builds(Field, st.just("x"), st.just(FieldType("bool")), st.booleans()),
+            st.builds(
+                Field,
+                st.just("x"),
+                st.just(FieldType("int32", None, ArrayForm.UNBOUNDED)),
+                st.lists(ints).map(tuple),
+            ),
+            st.builds(
+                Field,
+                st.just("x"),
+                st.just(FieldType("string", None, ArrayForm.UNBOUNDED)),
+                st.lists(texts).map(tuple),
+            ),
+        ),
+        max_size=4,
+    ),
+    texts,
+)
+def test_what_is_written_is_read_back(drawn, constant):
+    fields = tuple(Field(f"x{i}", f.type, f.default) for i, f in enumerate(drawn))
+    constants = (Constant("A", FieldType("string"), constant),)
+    written = MessageDefinition("example_msgs/msg/Sample", fields, constants)
+    assert parse(definition_text(written), written.type_name) == written

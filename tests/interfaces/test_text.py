@@ -1,0 +1,382 @@
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import subprocess
+import sys
+
+import pytest
+import yaml
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from turtleact.errors import InvalidGoal, InvalidMessage
+from turtleact.interfaces import from_text, to_json, to_yaml
+from turtleact.interfaces.standard import (
+    Fibonacci,
+    GoalStatusArray,
+    GoalStatusMessage,
+    PatrolCommandInterface,
+    Point,
+    TurtlePose,
+)
+from turtleact.interfaces.text import MOST_JSON, MOST_YAML
+from turtleact.interfaces.types import (
+    Message,
+    bool_,
+    bounded,
+    float64,
+    int32,
+    int64,
+    string,
+)
+
+Targets = PatrolCommandInterface.Goal
+
+
+class Empty(Message, type_name="example_msgs/msg/Empty"):
+    pass
+
+
+class Sample(Message, type_name="example_msgs/msg/Sample"):
+    x: float64 = 0.0
+    y: float64 = 0.0
+    n: int64 = 0
+    on: bool_ = False
+    name: string = ""
+    at: Point
+    path: bounded[list[Point], 2] = []
+    names: list[string] = []
+    raw: bytes = b""
+    nothing: Empty
+    nothings: list[Empty] = []
+
+
+class Orders(Message, type_name="example_msgs/msg/Orders"):
+    order: int32 = 0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", Sample()),
+        ("  # nothing\n", Sample()),
+        ("{}", Sample()),
+        ("{x: 1}", Sample(x=1.0)),
+        ("x: 1e3", Sample(x=1000.0)),
+        ("x: -.5", Sample(x=-0.5)),
+        ("x: 5.", Sample(x=5.0)),
+        ("y: 2\nn: 3", Sample(y=2.0, n=3)),
+        ("n: 0x1F", Sample(n=31)),
+        ("n: +5", Sample(n=5)),
+        ("on: true", Sample(on=True)),
+        ("on: False", Sample()),
+        ("name: no", Sample(name="no")),
+        ("name: y", Sample(name="y")),
+        ("name: 2024-01-01", Sample(name="2024-01-01")),
+        ("name: 1:30", Sample(name="1:30")),
+        ("name: 007", Sample(name="007")),
+        ("name: 1_000", Sample(name="1_000")),
+        ("name: '5'", Sample(name="5")),
+        ("name: 'null'", Sample(name="null")),
+        ("name: |\n  a\n  b\n", Sample(name="a\nb\n")),
+        ("name: <<", Sample(name="<<")),
+        ("\ufeffname: żółw", Sample(name="żółw")),
+        ("path: [{x: 1}]", Sample(path=[Point(1.0)])),
+        ("raw: [1, 2]", Sample(raw=b"\1\2")),
+        ("names: &a [p, q]\nname: r", Sample(names=["p", "q"], name="r")),
+        ("path: [&a {x: 1}, *a]", Sample(path=[Point(1.0), Point(1.0)])),
+        ("%YAML 1.1\n--- {x: 1}\n...", Sample(x=1.0)),
+        ('{"x": 1, "path": [{"y": 2}], "name": "\\ud83d\\udc22"}', None),
+        ('{"x": 1, }', Sample(x=1.0)),
+    ],
+)
+def test_a_text_is_taken_as_meant(text, message):
+    expected = Sample(x=1.0, path=[Point(y=2.0)], name="🐢") if message is None else message
+    assert from_text(Sample, text) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("n: 3.7", "goal.n: expected a whole number (int64), got 3.7"),
+        ("n: 1e3", "goal.n: expected a whole number (int64), got 1000.0"),
+        ('n: "5"', "goal.n: expected a whole number (int64), got '5'"),
+        ("n: true", "goal.n: expected a whole number (int64), got True"),
+        ("n: 017", "goal.n: expected a whole number (int64), got '017'"),
+        ("n: 1_000", "goal.n: expected a whole number (int64), got '1_000'"),
+        ("n: 1:30", "goal.n: expected a whole number (int64), got '1:30'"),
+        ("n: 9223372036854775808", "goal.n: 9223372036854775808 is out of range for int64"),
+        (f"n: {'9' * 5000}", "goal.n: expected a whole number (int64), got 9"),
+        (f'{{"n": {"9" * 5000}}}', "goal.n: expected a whole number (int64), got 9"),
+        ("on: no", "goal.on: expected true or false (bool), got 'no'"),
+        ('on: "no"', "goal.on: expected true or false (bool), got 'no'"),
+        ("on: 1", "goal.on: expected true or false (bool), got 1"),
+        ("name: 5", "goal.name: expected text (string), got 5"),
+        ("name: true", "goal.name: expected text (string), got True"),
+        ("name:", "goal.name: expected text (string), got null"),
+        ("x: .nan", "goal.x: expected a number (float64), got .nan"),
+        ("x: -.inf", "goal.x: expected a number (float64), got -.inf"),
+        ("x: 1e999", "goal.x: expected a number (float64), got 1e999"),
+        ('{"x": 1e999}', "goal.x: expected a number (float64), got inf"),
+        ('{"x": NaN}', "goal.x: expected a number (float64), got nan"),
+        ('{"x": null}', "goal.x: expected a number (float64), got null"),
+        ("x: ~", "goal.x: expected a number (float64), got null"),
+        ("{x}", "goal.x: expected a number (float64), got null"),
+        ("path: [{}, {x: abc}]", "goal.path[1].x: expected a number (float64), got 'abc'"),
+        ("path: [{}, {}, {}]", "goal.path: at most 2 elements, got 3"),
+        ("path: {x: 1}", "goal.path: expected a list of geometry_msgs/msg/Point, got {'x': 1}"),
+        ("names: [a, 5]", "goal.names[1]: expected text (string), got 5"),
+        ("nmae: a", "goal: unknown field 'nmae', did you mean 'name'?"),
+        ("at: {q: 1}", "goal.at: unknown field 'q': the fields are x, y, z"),
+        ("{1: 2}", "goal: unknown field '1': the fields are x, y"),
+        ("nothing: 5", "goal.nothing: expected {}, for it has no fields, got 5"),
+        ('{"name": "\\ud800"}', "goal.name: character 0 is half a surrogate pair"),
+    ],
+)
+def test_what_does_not_fit_is_told_with_its_path(text, problem):
+    with pytest.raises(InvalidGoal) as caught:
+        from_text(Sample, text)
+    assert str(caught.value).startswith(problem)
+
+
+@pytest.mark.parametrize(("text", "got"), [("5", "5"), ("[5]", "[5]"), ("~", "null"), ("a", "'a'")])
+def test_a_goal_is_a_mapping(text, got):
+    with pytest.raises(InvalidGoal) as caught:
+        from_text(Orders, text)
+    assert str(caught.value) == f"goal: expected fields such as {{order: 0}}, got {got}"
+
+
+def test_malformed_text_is_told_with_line_column_and_caret():
+    with pytest.raises(InvalidGoal) as caught:
+        from_text(Orders, "# a goal\n{order: 5")
+    assert str(caught.value) == (
+        "goal:2:10: expected ',' or '}', got '<stream end>'\n  {order: 5\n           ^"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "problem"),
+    [
+        ("x: : 5", "1:4", "mapping values are not allowed here"),
+        ("x: 1\nx: 2", "2:1", "'x' is given twice"),
+        ('{"x": 1, "x": 2}', "1:10", "'x' is given twice"),
+        ("at: {x: 1, x: 1}", "1:12", "'x' is given twice"),
+        ("<<: {x: 1}", "1:1", "a merge key (<<) is not taken"),
+        ("x: !!float 1", "1:4", "a tag (tag:yaml.org,2002:float) is not taken"),
+        ("!!python/object:os.system x", "1:1", "a tag (tag:yaml.org,2002:python/object:os.sy"),
+        ("x: 1\n---\nx: 2", "2:1", "more than one document"),
+        ("x: *a", "1:4", "found undefined alias 'a'"),
+        ("[a]: 1", "1:1", "a field's name is one word"),
+        ("x\0: 1", "1:2", "character U+0000 is not allowed"),
+        ("\0", "1:1", "character U+0000 is not allowed"),
+        ("a\nb: \x07", "2:4", "character U+0007 is not allowed"),
+        ('name: "\\Uffffffff"', "1:10", "a number here is too large"),
+        (f"%YAML {'9' * 5000}", "1:7", "a number here is too large"),
+        ("names: &a [*a]", "1:8", "nested more than 100 levels deep"),
+        ("[" * 5000, "1:102", "nested more than 100 levels deep"),
+        ("- " * 5000, "1:203", "nested more than 100 levels deep"),
+        ('{"x":' * 5000, "1:", "nested more than 100 levels deep"),
+        ("\tx: 1", "1:1", "found character '\\t' that cannot start any token"),
+        ("x: 'a\n", "2:1", "found unexpected end of stream"),
+    ],
+)
+def test_what_is_wrong_with_the_text_is_told_with_its_place(text, place, problem):
+    with pytest.raises(InvalidGoal) as caught:
+        from_text(Sample, text)
+    assert caught.value.path.startswith(f"goal:{place}")
+    assert caught.value.problem.startswith(problem)
+
+
+def test_a_long_line_is_cut_around_the_caret():
+    with pytest.raises(InvalidGoal) as caught:
+        from_text(Sample, f"name: [{'a' * 500}, }}, {'a' * 500}]")
+    line, caret = str(caught.value).splitlines()[1:]
+    assert (len(line), line[caret.index("^")]) == (122, "}")
+
+
+def test_json_nested_too_deeply_is_refused():
+    text = '{"x":' * 150 + "1" + "}" * 150
+    with pytest.raises(InvalidGoal, match=r"^goal: nested more than 100 levels deep"):
+        from_text(Sample, text)
+
+
+def test_aliases_that_blow_up_are_refused():
+    rows = ["a0: &a0 [1]"] + [
+        f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 9)
+    ]
+    with pytest.raises(InvalidGoal, match=r"^goal: too much: more than 100000 values"):
+        from_text(Sample, "\n".join(rows))
+
+
+def test_too_much_yaml_is_refused():
+    with pytest.raises(InvalidGoal, match=rf"of YAML are too many: at most {MOST_YAML}"):
+        from_text(Sample, "x: 1 #" + " " * MOST_YAML)
+
+
+def test_too_much_json_is_refused():
+    with pytest.raises(InvalidGoal, match=rf"are too many: at most {MOST_JSON}"):
+        from_text(Sample, "{}" + " " * MOST_JSON)
+
+
+def test_json_may_be_longer_than_yaml():
+    text = json.dumps({"targets": [{"x": 1.5}] * 20_000})
+    assert len(text) > MOST_YAML
+    assert len(from_text(Targets, text).targets) == 20_000
+
+
+def test_nonfinite_numbers_are_taken_where_they_are_allowed():
+    message = from_text(Point, "{x: .nan, y: -.INF, z: +.inf}", allow_nonfinite=True)
+    assert math.isnan(message.x)
+    assert (message.y, message.z) == (-math.inf, math.inf)
+
+
+def test_another_root_is_no_goal():
+    with pytest.raises(InvalidMessage, match=r"^message.x: expected") as caught:
+        from_text(Point, "x: a", root="message")
+    assert not isinstance(caught.value, InvalidGoal)
+
+
+def test_a_source_is_named_before_the_place():
+    with pytest.raises(InvalidGoal, match=r"^goal.yaml:1:4: "):
+        from_text(Point, "x: : 1", source="goal.yaml")
+
+
+# What ros2 printed; its own mistakes in indenting a second line apart.
+@pytest.mark.parametrize(
+    ("message", "text"),
+    [
+        (Fibonacci.Goal(order=5), "order: 5\n"),
+        (Fibonacci.Result(sequence=[0, 1, 1]), "sequence:\n- 0\n- 1\n- 1\n"),
+        (Fibonacci.Result(), "sequence: []\n"),
+        (
+            Targets(targets=[Point(9.0, 7.0), Point(5.0, 1.0)]),
+            "targets:\n- x: 9.0\n  y: 7.0\n  z: 0.0\n- x: 5.0\n  y: 1.0\n  z: 0.0\n",
+        ),
+        (PatrolCommandInterface.Feedback("Target 1 reached"), "feedback_msg: Target 1 reached\n"),
+        (
+            TurtlePose(5.544444561004639, 5.544444561004639),
+            "x: 5.544444561004639\ny: 5.544444561004639\ntheta: 0.0\n"
+            "linear_velocity: 0.0\nangular_velocity: 0.0\n",
+        ),
+        (Empty(), "{}\n"),
+    ],
+)
+def test_a_message_prints_as_ros2_prints_it(message, text):
+    assert to_yaml(message) == text
+
+
+def test_messages_in_lists_print_as_ros2_prints_them():
+    zeros = "      - 0\n" * 16
+    assert to_yaml(GoalStatusArray([GoalStatusMessage(status=2)])) == (
+        f"status_list:\n- goal_info:\n    goal_id:\n      uuid:\n{zeros}"
+        "    stamp:\n      sec: 0\n      nanosec: 0\n  status: 2\n"
+    )
+
+
+def test_an_empty_message_inside_prints_as_braces():
+    assert to_yaml(Sample(nothings=[Empty()])).endswith("nothing: {}\nnothings:\n- {}\n")
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(1e16, "1.0e+16"), (1.5e-7, "1.5e-07"), (math.nan, ".nan"), (-math.inf, "-.inf")],
+)
+def test_a_float_is_one_in_any_yaml(value, text):
+    assert to_yaml(Point(x=value)).startswith(f"x: {text}\n")
+    assert isinstance(yaml.safe_load(text), float)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        ("turtle1", "turtle1"),
+        ("Target 1 reached", "Target 1 reached"),
+        ("", "''"),
+        ("5", "'5'"),
+        ("1e3", "'1e3'"),
+        ("no", "'no'"),
+        ("Y", "'Y'"),
+        ("a: b", "'a: b'"),
+        (" a ", "' a '"),
+        ("it's", "'it''s'"),
+        ("a\nb", '"a\\nb"'),
+        ("a\n", '"a\\n"'),
+        ("\x85", '"\\N"'),
+        ("żółw 🐢", "'żółw 🐢'"),
+    ],
+)
+def test_text_is_quoted_only_where_yaml_needs_it(value, text):
+    assert to_yaml(PatrolCommandInterface.Feedback(value)) == f"feedback_msg: {text}\n"
+
+
+def test_json_says_bytes_as_numbers_and_nan_as_null():
+    said = json.loads(to_json(Sample(x=math.nan, raw=b"ab", name="żółw", path=[Point(1.0)])))
+    assert (said["x"], said["raw"], said["path"][0]["x"]) == (None, [97, 98], 1.0)
+
+
+def test_json_is_one_line_of_plain_text():
+    assert to_json(PatrolCommandInterface.Feedback("ż\nó")) == '{"feedback_msg": "ż\\nó"}'
+
+
+def test_pyyaml_is_imported_only_when_needed():
+    code = (
+        "import sys, turtleact.interfaces as i; print('yaml' in sys.modules)\n"
+        "i.to_yaml; print('yaml' in sys.modules)"
+    )
+    output = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
+    assert output == "False\nTrue\n"
+
+
+def test_an_unknown_name_of_the_package_is_told():
+    with pytest.raises(ImportError, match="cannot import name 'from_txt'"):
+        from turtleact.interfaces import from_txt  # noqa: F401
+
+
+words = st.text(st.characters(exclude_categories=["Cs"]))
+points = st.builds(Point, st.floats(), st.floats(), st.floats())
+samples = st.builds(
+    Sample,
+    x=st.floats(),
+    n=st.integers(-(2**63), 2**63 - 1),
+    on=st.booleans(),
+    name=words,
+    at=points,
+    path=st.lists(points, max_size=2),
+    names=st.lists(words | st.sampled_from(["5", "~", ".nan", "<<", "0x1", "- a", "#"])),
+    raw=st.binary(),
+    nothings=st.lists(st.builds(Empty)),
+)
+
+
+@given(samples)
+def test_yaml_there_and_back_is_the_same(message):
+    back = from_text(Sample, to_yaml(message), allow_nonfinite=True)
+    assert repr(back) == repr(message)
+
+
+@given(samples)
+def test_yaml_1_1_reads_the_same(message):
+    said = yaml.safe_load(to_yaml(message))
+    assert (said["name"], said["names"], repr(said["x"])) == (
+        message.name,
+        message.names,
+        repr(message.x),
+    )
+
+
+@given(st.builds(Sample, x=st.floats(allow_nan=False, allow_infinity=False), name=words))
+def test_json_there_and_back_is_the_same(message):
+    assert from_text(Sample, to_json(message)) == message
+
+
+@given(st.text() | st.text("{}[]:,-?&*!|>'\"%@`#~<.0159exy \n\t\\"))
+@example("? ")
+@example("%TAG ! x\n---\n!a b")
+@example('"\\x')
+def test_no_text_breaks_the_reader(text):
+    with contextlib.suppress(InvalidGoal):
+        from_text(Sample, text)

@@ -1,0 +1,381 @@
+"""The world: against the real turtlesim's poses, and its own promises."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from turtleact.errors import SimError
+from turtleact.sim.kinematics import DT, SIDE, Hit, StepRule
+from turtleact.sim.world import World
+
+GOLDEN = Path(__file__).parent / "golden"
+POSES = {
+    name: tuple(pose) for name, pose in json.loads((GOLDEN / "poses.json").read_text()).items()
+}
+PROBED_FROM = (5.544445, 5.544445, 0.0)
+
+FEW, MANY = 3, 40
+speeds = st.floats(-5.0, 5.0)
+
+
+def table(name: str) -> list[list[str]]:
+    """The rows of a recorded table: the time, and five numbers as printed."""
+    return [line.split() for line in (GOLDEN / name).read_text().splitlines()[1:]]
+
+
+def printed(world: World) -> list[str]:
+    x, y, theta, linear, angular = world.pose("turtle1")
+    return [f"{x:.6f}", f"{y:.6f}", f"{theta:.6f}", f"{linear:.3f}", f"{angular:.3f}"]
+
+
+def run(world: World, ticks: int) -> World:
+    for _ in range(ticks):
+        world.step()
+    return world
+
+
+def world_at(x: float, y: float, theta: float) -> World:
+    world = World()
+    world.teleport_absolute("turtle1", x, y, theta)
+    return run(world, 1)
+
+
+# --- against the real turtlesim -------------------------------------------------------------
+
+
+def test_turtle1_starts_where_the_real_one_does():
+    assert World().pose("turtle1") == POSES["start"]
+
+
+def test_one_command_gives_the_real_poses_tick_by_tick():
+    world = World()
+    world.set_velocity("turtle1", 2.0, 0.0, 1.8)
+    for _, *row in table("cmd_vel.txt"):
+        world.step()
+        assert printed(world) == row
+
+
+def test_one_command_gives_63_poses_with_a_velocity():
+    world = World()
+    world.set_velocity("turtle1", 2.0, 0.0, 1.8)
+    moving = [run(world, 1).pose("turtle1").linear_velocity > 0.0 for _ in range(100)]
+    assert moving == [True] * 63 + [False] * 37
+
+
+def test_one_command_ends_at_the_real_pose():
+    world = World()
+    world.set_velocity("turtle1", 2.0, 0.0, 1.8)
+    assert run(world, 100).pose("turtle1") == POSES["cmd_vel_end"]
+
+
+def test_three_commands_half_a_second_apart_end_at_the_real_pose():
+    world, moving = world_at(*PROBED_FROM), 0
+    for tick in range(160):
+        if tick in (0, 31, 63):
+            world.set_velocity("turtle1", 2.0, 0.0, 1.8)
+        world.step()
+        moving += world.pose("turtle1").linear_velocity > 0.0
+    assert (moving, world.pose("turtle1")) == (126, POSES["three_cmd_vel_end"])
+
+
+def test_linear_y_is_ignored():
+    world = world_at(*PROBED_FROM)
+    world.set_velocity("turtle1", 0.0, 1.0, 0.0)
+    assert run(world, 10).pose("turtle1") == POSES["linear_y_end"]
+
+
+def test_the_wall_stops_a_turtle_where_it_stops_the_real_one():
+    world = world_at(10.0, 5.0, 0.0)
+    world.set_velocity("turtle1", 2.0)
+    recorded = table("wall.txt")
+    for number, (_, *row) in enumerate(recorded):
+        run(world, 1 if number == 0 else 8)
+        assert printed(world) == row
+    assert world.pose("turtle1") == POSES["wall_end"]
+
+
+def test_a_hit_holds_the_numbers_of_the_real_warning():
+    world = world_at(10.0, 5.0, 0.0)
+    world.set_velocity("turtle1", 2.0)
+    hits = [hit for _ in range(60) for hit in world.step()]
+    assert [f"[x={hit.x:.6f}, y={hit.depth:.6f}]" for hit in hits[:2]] == [
+        "[x=11.120000, y=6.088889]",
+        "[x=11.120889, y=6.088889]",
+    ]
+
+
+def test_a_relative_teleport_ends_at_the_real_pose():
+    world = world_at(*PROBED_FROM)
+    world.teleport_relative("turtle1", 1.0, 1.57)
+    assert run(world, 1).pose("turtle1") == POSES["teleport_relative_1.0_1.57"]
+
+
+def test_an_absolute_teleport_is_clamped_and_wrapped_as_the_real_one():
+    assert world_at(-5.0, 50.0, 10.0).pose("turtle1") == POSES["teleport_absolute_-5_50_10"]
+
+
+# --- figures computed from turtlesim's formulas ---------------------------------------------
+
+
+def test_one_command_straight_ahead_goes_2_016_units():
+    world = World()
+    world.set_velocity("turtle1", 2.0)
+    assert run(world, 100).pose("turtle1").x == pytest.approx(7.5604445, abs=5e-7)
+
+
+def test_from_the_start_at_2_the_wall_is_first_hit_in_tick_174():
+    world = World()
+    world.set_velocity("turtle1", 2.0)
+    while not world.step():
+        world.set_velocity("turtle1", 2.0)
+    assert world.tick == 174
+
+
+def test_the_middle_is_half_of_499_45ths_in_float32():
+    assert World().pose(0).x == float(np.float32(499 / 45) / np.float32(2))
+
+
+# --- time and commands ----------------------------------------------------------------------
+
+
+def test_time_is_the_number_of_ticks():
+    world = run(World(), 125)
+    assert (world.tick, world.time) == (125, 2.0)
+
+
+def test_a_command_waits_for_the_next_step():
+    world = World()
+    world.set_velocity("turtle1", 1.0)
+    assert world.pose("turtle1").linear_velocity == 0.0
+
+
+@pytest.mark.parametrize("turtles", [FEW, MANY])
+def test_the_newest_command_of_a_tick_counts(turtles):
+    world = World(turtles)
+    world.set_velocity(1, 1.0)
+    world.set_velocities(2.0)
+    world.set_velocity(0, 3.0)
+    velocities = run(world, 1).poses()[:, 3].tolist()
+    assert velocities == [3.0] + [2.0] * (turtles - 1)
+
+
+def test_linear_velocity_is_never_negative():
+    world = World()
+    world.set_velocity("turtle1", -2.0)
+    assert run(world, 1).pose("turtle1").linear_velocity == 2.0
+
+
+@pytest.mark.parametrize("turtles", [FEW, MANY])
+def test_a_holonomic_turtle_moves_sideways(turtles):
+    world = World(turtles, holonomic=True)
+    world.set_velocities(0.0, 1.0)
+    world.step()
+    x, y, *_ = world.pose("turtle1")
+    assert (x, y) == pytest.approx((SIDE / 2, SIDE / 2 + DT))
+
+
+def test_commands_for_all_ignore_linear_y_too():
+    world = World(FEW)
+    world.set_velocities(np.zeros(FEW), np.ones(FEW), 0.0)
+    assert not run(world, 1).poses()[:, 3].any()
+
+
+def test_arcs_are_an_option():
+    world = World(rule=StepRule.ARC)
+    world.set_velocity("turtle1", 1.0, 0.0, 1.0)
+    world.step()
+    assert world.pose("turtle1").x == pytest.approx(SIDE / 2 + math.sin(DT))
+
+
+def test_a_speed_beyond_float32_is_reported_as_infinite():
+    world = World()
+    world.set_velocity("turtle1", 1e300)
+    world.step()
+    assert world.pose("turtle1").linear_velocity == math.inf
+
+
+# --- teleports ------------------------------------------------------------------------------
+
+
+def test_teleports_are_made_in_order():
+    world = World()
+    world.teleport_absolute("turtle1", 3.0, 4.0, 0.0)
+    world.teleport_relative("turtle1", 1.0, 0.0)
+    assert run(world, 1).pose("turtle1")[:3] == (4.0, 4.0, 0.0)
+
+
+def test_a_teleport_leaves_the_command_alone():
+    world = World()
+    world.set_velocity("turtle1", 1.0)
+    world.step()
+    world.teleport_absolute("turtle1", 1.0, 1.0, math.pi / 2)
+    world.step()
+    assert world.pose("turtle1").y == pytest.approx(1.0 + DT)
+
+
+def test_a_teleport_through_a_wall_hits_it():
+    world = World()
+    world.teleport_absolute("turtle1", 12.0, 5.0, 0.0)
+    assert list(world.step()) == [Hit(0, 12.0, SIDE - 5.0)]
+
+
+@pytest.mark.parametrize("turtles", [FEW, MANY])
+def test_teleports_are_the_same_for_few_and_many(turtles):
+    world = World(turtles)
+    world.teleport_absolute(2, 3.0, 4.0, 4.0)
+    world.set_velocity(2, 1.0)
+    world.step()
+    alone = World()
+    alone.teleport_absolute(0, 3.0, 4.0, 4.0)
+    alone.set_velocity(0, 1.0)
+    assert world.pose(2) == run(alone, 1).pose(0)
+
+
+# --- many turtles ---------------------------------------------------------------------------
+
+
+def test_names_are_in_name_order():
+    assert World(11).names[:4] == ("turtle1", "turtle10", "turtle11", "turtle2")
+
+
+def test_a_turtle_is_known_by_name_and_by_index():
+    world = World(11)
+    assert world.pose("turtle10") == world.pose(1)
+
+
+@pytest.mark.parametrize("turtles", [1, FEW, MANY])
+def test_turtle1_is_in_the_middle_of_every_world(turtles):
+    assert World(turtles).pose("turtle1") == POSES["start"]
+
+
+@pytest.mark.parametrize("seed", [0, 1, -1, 2**70])
+def test_turtles_start_a_metre_from_the_walls(seed):
+    poses = World(200, seed).poses()
+    assert poses[:, :2].min() >= 1.0
+    assert poses[:, :2].max() <= SIDE - 1.0
+
+
+def test_a_turtle_starts_in_the_same_place_whatever_the_number_of_turtles():
+    assert World(FEW).pose("turtle3") == World(MANY).pose("turtle3")
+
+
+def test_another_seed_spreads_the_turtles_differently():
+    assert (World(FEW, seed=1).poses()[1:, :3] != World(FEW, seed=2).poses()[1:, :3]).all()
+
+
+@pytest.mark.parametrize("turtles", [FEW, MANY])
+def test_poses_are_those_of_each_turtle(turtles):
+    world = World(turtles, holonomic=True)
+    world.set_velocities(1.3, -0.7, 0.3)
+    poses = run(world, 20).poses()
+    assert [tuple(row) for row in poses.tolist()] == [world.pose(i) for i in range(turtles)]
+    assert poses.dtype == np.float32
+
+
+@pytest.mark.parametrize("turtles", [FEW, MANY])
+@settings(max_examples=20)
+@given(st.lists(st.tuples(st.integers(0, FEW - 1), speeds, speeds), max_size=5))
+def test_the_same_calls_give_the_same_run_to_the_last_bit(turtles, calls):
+    worlds = World(turtles, seed=7), World(turtles, seed=7)
+    for index, vx, omega in calls:
+        for world in worlds:
+            world.set_velocity(index, vx, 0.0, omega)
+            run(world, 20)
+    assert worlds[0].poses().tobytes() == worlds[1].poses().tobytes()
+
+
+@settings(max_examples=20)
+@given(st.lists(st.tuples(speeds, speeds), min_size=FEW, max_size=FEW))
+def test_turtles_move_as_each_does_in_a_world_of_its_own(commands):
+    together = World(FEW)
+    alone = [World() for _ in commands]
+    for index, command in enumerate(commands):
+        for world, turtle in ((together, index), (alone[index], 0)):
+            world.teleport_absolute(turtle, 2.0 + index, 3.0, 0.5)
+            world.set_velocity(turtle, command[0], 0.0, command[1])
+    run(together, 80)
+    for index, world in enumerate(alone):
+        assert run(world, 80).pose(0) == together.pose(index)
+
+
+@pytest.mark.parametrize("turtles", [FEW, MANY])
+@settings(max_examples=20)
+@given(vx=st.floats(-1e3, 1e3), vy=st.floats(-1e3, 1e3), omega=st.floats(-1e3, 1e3))
+def test_no_turtle_leaves_the_world(turtles, vx, vy, omega):
+    world = World(turtles, holonomic=True)
+    world.set_velocities(vx, vy, omega)
+    poses = run(world, 70).poses()
+    assert poses[:, :2].min() >= 0.0
+    assert poses[:, :2].max() <= SIDE
+    assert np.abs(poses[:, 2]).max() <= np.float32(math.pi)
+
+
+# --- mistakes -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_speed_that_is_not_finite_is_refused_by_name(value):
+    with pytest.raises(SimError, match=f"^turtle1: omega is {value}: give a finite number$"):
+        World().set_velocity("turtle1", 1.0, 0.0, value)
+
+
+def test_the_error_holds_the_turtle():
+    with pytest.raises(SimError) as caught:
+        World(FEW).set_velocity(1, math.nan)
+    assert (caught.value.turtle, caught.value.problem) == (
+        "turtle2",
+        "vx is nan: give a finite number",
+    )
+
+
+@pytest.mark.parametrize("turtles", [FEW, MANY])
+def test_among_speeds_for_all_the_one_that_is_not_finite_is_named(turtles):
+    world = World(turtles)
+    omega = np.zeros(turtles)
+    omega[world.index("turtle3")] = math.inf
+    with pytest.raises(SimError, match=r"^turtle3: omega is inf"):
+        world.set_velocities(1.0, 0.0, omega)
+
+
+def test_speeds_for_all_must_be_as_many_as_turtles():
+    with pytest.raises(SimError, match=r"vx has shape \(2,\): give one number or \(3,\)"):
+        World(FEW).set_velocities([1.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("numbers", "what"), [((math.nan, 0.0, 0.0), "x is nan"), ((0.0, 0.0, 1e39), "theta is inf")]
+)
+def test_a_teleport_to_no_place_is_refused(numbers, what):
+    with pytest.raises(SimError, match=f"^turtle1: {what}: give a finite number$"):
+        World().teleport_absolute("turtle1", *numbers)
+
+
+def test_a_relative_teleport_by_no_distance_is_refused():
+    with pytest.raises(SimError, match=r"^turtle1: linear is inf"):
+        World().teleport_relative("turtle1", math.inf, 0.0)
+
+
+@pytest.mark.parametrize("turtle", ["turtle4", "", -1, 3])
+def test_an_unknown_turtle_is_refused_with_those_there_are(turtle):
+    with pytest.raises(
+        SimError, match=r"give a name \(turtle1, turtle2, turtle3\) or an index to 2$"
+    ):
+        World(FEW).set_velocity(turtle, 1.0)
+
+
+def test_of_many_turtles_only_some_are_listed():
+    with pytest.raises(SimError, match=r"\(turtle1, turtle10, turtle11, …\)"):
+        World(MANY).pose("bob")
+
+
+@pytest.mark.parametrize("turtles", [0, -1])
+def test_a_world_without_turtles_is_refused(turtles):
+    with pytest.raises(SimError, match=f"^a world of {turtles} turtles: give 1 or more$"):
+        World(turtles)

@@ -1,0 +1,224 @@
+"""The door: exit statuses, one line for every mistake, never a traceback."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import signal
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from turtleact import __version__, cli
+from turtleact.commands import verbs
+from turtleact.commands.interrupts import Interrupts
+from turtleact.errors import InvalidGoal, InvalidName, ServerUnavailable, SimError, UsageError
+
+
+@pytest.fixture
+def ends(monkeypatch, capsys):
+    """Runs a job through the door: its exit status and what stands on stderr."""
+
+    def run(job, interrupts=None):
+        monkeypatch.setattr(verbs, "parse", lambda _: job)
+        return cli.run(["verb"], interrupts or Interrupts()), capsys.readouterr().err
+
+    return run
+
+
+def raises(error):
+    def job(_):
+        raise error
+
+    return job
+
+
+def test_a_verb_says_the_exit_status(ends):
+    assert ends(lambda _: 5) == (5, "")
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (UsageError("no"), 2),
+        (InvalidName("a b", "it has a space", 1), 2),
+        (InvalidGoal("goal.x", "expected a number"), 2),
+        (ServerUnavailable("/x"), 1),
+        (SimError("no"), 1),
+        (ExceptionGroup("", [ExceptionGroup("", [SimError("no")])]), 1),
+        (ZeroDivisionError("by hand"), 1),
+    ],
+    ids=lambda each: type(each).__name__,
+)
+def test_the_exit_status_says_what_kind_of_error_it_was(ends, error, status):
+    assert ends(raises(error))[0] == status
+
+
+def test_an_error_is_its_message(ends):
+    assert ends(raises(ServerUnavailable("/x")))[1] == "turtleact: action '/x': no server answers\n"
+
+
+def test_a_bug_is_one_line_that_says_how_to_see_more(ends):
+    assert ends(raises(ZeroDivisionError("by hand")))[1] == (
+        "turtleact: a bug in turtleact: ZeroDivisionError: by hand; "
+        "'python -X dev -m turtleact …' shows where\n"
+    )
+
+
+def test_in_dev_mode_a_bug_shows_its_traceback():
+    code = (
+        "import sys; from turtleact import cli; from turtleact.commands import verbs;"
+        "verbs.parse = lambda _: 1 / 0; sys.argv = ['turtleact', 'verb']; cli.main()"
+    )
+    outcome = subprocess.run(
+        [sys.executable, "-X", "dev", "-c", code], capture_output=True, text=True, check=False
+    )
+    assert outcome.stderr.splitlines()[-1] == "ZeroDivisionError: division by zero"
+
+
+def test_what_ends_python_ends_the_program(ends):
+    with pytest.raises(SystemExit):
+        ends(raises(SystemExit(3)))
+
+
+def test_ctrl_c_is_one_line(ends):
+    assert ends(raises(KeyboardInterrupt())) == (130, "turtleact: interrupted\n")
+
+
+def test_a_signal_is_told_in_the_exit_status(ends):
+    interrupts = Interrupts()
+    interrupts.received.append(signal.SIGTERM)
+    assert ends(raises(KeyboardInterrupt()), interrupts)[0] == 143
+
+
+@pytest.mark.parametrize("number", [errno.EPIPE, errno.EIO])
+def test_an_output_that_is_gone_is_no_error_to_speak_of(ends, monkeypatch, number):
+    reading, writing = os.pipe()
+    monkeypatch.setattr(sys, "stdout", os.fdopen(writing, "w"))
+    os.close(reading)
+    assert ends(raises(OSError(number, "gone"))) == (141, "")
+    sys.stdout.write("more")
+    sys.stdout.close()
+
+
+def test_a_full_disk_is_an_error():
+    with Path("/dev/full").open("w") as full:
+        outcome = subprocess.run(
+            [sys.executable, "-m", "turtleact", "--version"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert outcome.returncode == 1
+    assert outcome.stderr == ("turtleact: the output cannot be written: No space left on device\n")
+
+
+def test_an_output_that_breaks_at_the_last_flush_is_no_error_to_speak_of(ends, monkeypatch):
+    reading, writing = os.pipe()
+    monkeypatch.setattr(sys, "stdout", os.fdopen(writing, "w"))
+    os.close(reading)
+    assert ends(lambda _: print("text") or 0) == (141, "")
+    sys.stdout.close()
+
+
+def test_characters_that_the_output_cannot_show_are_escaped(ends, monkeypatch):
+    latin = io.TextIOWrapper(io.BytesIO(), "latin-1")
+    monkeypatch.setattr(sys, "stdout", latin)
+    assert ends(lambda _: print("⠿") or 0)[0] == 0
+    assert latin.buffer.getvalue() == b"\\u283f\n"
+
+
+def test_closed_outputs_are_no_reason_to_fail(monkeypatch):
+    monkeypatch.setattr(sys, "stdout", None)
+    monkeypatch.setattr(sys, "stderr", None)
+    monkeypatch.setattr(verbs, "parse", lambda _: raises(UsageError("no")))
+    assert cli.run(["verb"], Interrupts()) == 2
+
+
+def test_a_closed_stdout_is_no_reason_to_fail(monkeypatch, ends):
+    monkeypatch.setattr(sys, "stdout", None)
+    assert ends(lambda _: 0)[0] == 0
+
+
+# --- what needs no verb ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("arguments", [[], ["-h"], ["--help"], ["--help", "send-goal"]])
+def test_help_is_printed(arguments, capsys):
+    assert cli.run(arguments, Interrupts()) == 0
+    assert capsys.readouterr().out == (
+        "Usage: turtleact [OPTIONS] COMMAND [ARGS]...\n\n"
+        "  ROS 2 actions, without ROS.\n\n"
+        "Options:\n"
+        "  --version   Print the version.\n"
+        "  -h, --help  Show this message and exit.\n\n"
+        "Commands:\n"
+        "  send-goal   Send a goal, follow it to its end, print the result.\n"
+        "  action      The verbs of 'ros2 action': send_goal.\n"
+    )
+
+
+def test_the_version_is_printed(capsys):
+    assert cli.run(["--version"], Interrupts()) == 0
+    assert capsys.readouterr().out == f"turtleact {__version__}\n"
+
+
+def test_help_imports_nothing_that_takes_long():
+    code = (
+        "import sys; from turtleact import cli; sys.argv = ['turtleact', '--help']; cli.main();"
+        "print(sorted({'typer', 'asyncio', 'msgspec', 'numpy', 'rich', 'yaml'} & {*sys.modules}))"
+    )
+    out = subprocess.check_output([sys.executable, "-c", code], text=True)
+    assert out.splitlines()[-1] == "[]"
+
+
+# --- the entry point ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("argument", ["--version", "--frobnicate"])
+def test_the_module_is_the_program(argument):
+    outcomes = [
+        subprocess.run([*program, argument], capture_output=True, text=True, check=False)
+        for program in (
+            [sys.executable, "-m", "turtleact"],
+            [sys.executable, "-c", "import sys; from turtleact.cli import main; sys.exit(main())"],
+        )
+    ]
+    assert (outcomes[0].returncode, outcomes[0].stdout, outcomes[0].stderr) == (
+        outcomes[1].returncode,
+        outcomes[1].stdout,
+        outcomes[1].stderr,
+    )
+
+
+def test_importing_the_module_runs_nothing(capsys):
+    import_module("turtleact.__main__")
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.fixture
+def handlers():
+    """Gives the test its signal handlers back."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("handlers")
+def test_main_leaves_signals_ignored_for_the_end_of_the_process(monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["turtleact", "--version"])
+    assert cli.main() == 0
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+@pytest.mark.usefixtures("handlers")
+def test_ctrl_c_before_anything_else_is_one_line(monkeypatch, capsys):
+    monkeypatch.setattr(Interrupts, "install", lambda _: signal.raise_signal(signal.SIGINT))
+    assert cli.main() == 130
+    assert capsys.readouterr().err == "turtleact: interrupted\n"

@@ -1,0 +1,292 @@
+"""Values in, lines out: what stands where, what is cut, what is left out."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.cells import cell_len
+
+from turtleact import render
+from turtleact.goal import GoalStatus
+from turtleact.interfaces import Message, float64, int32, string
+from turtleact.interfaces.standard import Fibonacci, PatrolCommandInterface, Point
+
+SIDE = 11.0
+BLANK = chr(0x2800)
+ESCAPE = re.compile(r"\x1b\[[0-9;]*m")
+
+
+class Feedback(Message, type_name="render_test_interfaces/msg/Feedback"):
+    text: string = ""
+    numbers: list[int32] = []
+    target: Point = Point()
+    remaining: float64 = 0.0
+
+
+class Nothing(Message, type_name="render_test_interfaces/msg/Nothing"):
+    pass
+
+
+def text_of(content, *, width=80, height=24):
+    """The lines of a renderable, without their styling."""
+    return [ESCAPE.sub("", line) for line in render.lines(content, width=width, height=height)]
+
+
+def view(**changes):
+    goal = render.GoalView(
+        name="/patrol",
+        goal=Fibonacci.Goal(order=5),
+        goal_id="0123456789abcdef" * 2,
+        status=GoalStatus.EXECUTING,
+        age=7.31,
+    )
+    return goal._replace(**changes)
+
+
+def world(**changes):
+    middle = render.Turtle(SIDE / 2, SIDE / 2, 0.0)
+    return render.MapView(side=SIDE, turtles=[middle])._replace(**changes)
+
+
+def drawn(map_view, rows=6):
+    """A map's rows, without its walls."""
+    return [line[1:-1] for line in render.world_map(map_view, rows).plain.splitlines()[1:-1]]
+
+
+# --- braille --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "character"),
+    [(0, 0, "⡀"), (1, 0, "⢀"), (0, 1, "⠄"), (1, 1, "⠠"), (0, 2, "⠂"), (0, 3, "⠁"), (1, 3, "⠈")],
+)
+def test_each_dot_of_a_cell_has_its_bit(x, y, character):
+    canvas = render.Braille(1, 1)
+    canvas.dot(x, y)
+    assert canvas.rows() == [character]
+
+
+def test_the_first_row_is_the_highest():
+    canvas = render.Braille(1, 2)
+    canvas.dot(0, 7)
+    assert canvas.rows() == ["⠁", BLANK]
+
+
+@pytest.mark.parametrize(("x", "y"), [(-1, 0), (0, -1), (2, 0), (0, 4)])
+def test_a_dot_beyond_the_edge_is_left_out(x, y):
+    canvas = render.Braille(1, 1)
+    canvas.dot(x, y)
+    assert canvas.rows() == [BLANK]
+
+
+inside = st.integers(0, 7)
+
+
+@given(inside, inside, inside, inside)
+def test_a_line_sets_both_of_its_ends(x0, y0, x1, y1):
+    line, ends = render.Braille(4, 2), render.Braille(4, 2)
+    line.line(x0, y0, x1, y1)
+    ends.dot(x0, y0)
+    ends.dot(x1, y1)
+    pairs = zip("".join(line.rows()), "".join(ends.rows()), strict=True)
+    assert all(ord(some) & ord(few) == ord(few) for some, few in pairs)
+
+
+def test_a_line_from_a_dot_to_itself_is_that_dot():
+    canvas = render.Braille(1, 1)
+    canvas.line(0, 0, 0, 0)
+    assert canvas.rows() == ["⡀"]
+
+
+# --- the map --------------------------------------------------------------------------------
+
+
+def test_the_walls_are_the_border():
+    lines = render.world_map(world(turtles=[]), 5).plain.splitlines()
+    assert lines == ["┌──────────┐", *[f"│{BLANK * 10}│"] * 5, "└──────────┘"]
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "row", "column"),
+    [
+        (0.0, 0.0, -1, 0),
+        (SIDE, 0.0, -1, -1),
+        (0.0, SIDE, 0, 0),
+        (SIDE, SIDE, 0, -1),
+        (99.0, -99.0, -1, -1),
+    ],
+)
+def test_a_turtle_stands_where_it_is(x, y, row, column):
+    assert drawn(world(turtles=[render.Turtle(x, y, 0.0)]))[row][column] == "→"
+
+
+@pytest.mark.parametrize(
+    ("degrees", "arrow"),
+    [(0, "→"), (45, "↗"), (90, "↑"), (135, "↖"), (180, "←"), (-180, "←"), (-90, "↓"), (-44, "↘")],
+)
+def test_a_turtle_points_where_it_looks(degrees, arrow):
+    turtle = render.Turtle(5.0, 5.0, math.radians(degrees))
+    assert arrow in "".join(drawn(world(turtles=[turtle])))
+
+
+def test_targets_are_numbered_from_the_first_ahead():
+    shown = "".join(drawn(world(targets=[(1.0, 1.0), (9.0, 9.0)], first=3)))
+    assert "3" in shown
+    assert "4" in shown
+
+
+def test_a_number_of_two_digits_is_a_cross():
+    assert "×" in "".join(drawn(world(targets=[(1.0, 1.0)], first=10)))
+
+
+def test_a_turtle_hides_the_target_that_it_stands_on():
+    shown = "".join(drawn(world(targets=[(SIDE / 2, SIDE / 2)])))
+    assert "1" not in shown
+
+
+def test_a_trail_is_a_line_of_dots():
+    shown = drawn(world(turtles=[], trails=[[(0.0, 0.0), (SIDE, 0.0)]]), rows=5)
+    assert shown[-1] == "⣀" * 10
+
+
+def test_a_trail_of_one_place_is_nothing_yet():
+    assert set("".join(drawn(world(turtles=[], trails=[[(1.0, 1.0)]])))) == {BLANK}
+
+
+# --- goal, progress, feedback ---------------------------------------------------------------
+
+
+def test_the_goal_is_told_with_its_state_and_age():
+    head, goal = text_of(render.goal_panel(view()))
+    assert re.fullmatch(r"● /patrol  EXECUTING 7\.3 s +01234567", head.rstrip())
+    assert goal.strip() == "order 5"
+
+
+@pytest.mark.parametrize("status", list(GoalStatus))
+def test_every_state_has_its_name_shown(status):
+    assert status.name in text_of(render.goal_panel(view(status=status)))[0]
+
+
+def test_a_long_goal_is_cut_to_the_window():
+    goal = PatrolCommandInterface.Goal(targets=[Point(x=1.0, y=2.0)] * 5)
+    line = text_of(render.goal_panel(view(goal=goal)), width=40)[1]
+    assert line == "  targets [(x 1, y 2, z 0), (x 1, y 2, …"
+
+
+def test_a_known_fraction_is_a_bar():
+    [line] = text_of(render.progress_line(0.5, "3.4 m"), width=40)
+    assert re.fullmatch(r"  ━+.━+ +50%  3\.4 m", line)
+
+
+def test_an_unknown_fraction_is_words():
+    assert text_of(render.progress_line(None, "soon")) == ["  soon"]
+
+
+def table(feedback, width=60, rows=10):
+    content = render.feedback_table(feedback, width=width, rows=rows)
+    return [line.rstrip() for line in text_of(content, width=width)]
+
+
+def test_each_field_of_the_feedback_has_its_row():
+    feedback = Feedback("on", [1, 2], Point(x=1.5), 2.25)
+    assert table(feedback) == [
+        "  text       on",
+        "  numbers    [1, 2]",
+        "  target     x 1.5, y 0, z 0",
+        "  remaining  2.25",
+    ]
+
+
+def test_no_feedback_is_said():
+    assert table(None) == ["  no feedback yet"]
+
+
+def test_a_message_without_fields_is_empty():
+    assert table(Nothing()) == [""]
+
+
+def test_a_long_name_leaves_half_of_the_window_to_its_value():
+    assert table(PatrolCommandInterface.Feedback(feedback_msg="value"), width=20) == [
+        "  feedback_…  value"
+    ]
+
+
+def test_a_long_list_is_cut_in_the_middle():
+    assert table(Fibonacci.Result(sequence=list(range(20)))) == [
+        "  sequence  [0, 1, 2, 3, … 12 more …, 16, 17, 18, 19]"
+    ]
+
+
+def test_a_long_text_is_cut_to_the_window():
+    assert table(PatrolCommandInterface.Feedback(feedback_msg="x" * 1000), width=30) == [
+        "  feedback_msg  " + "x" * 13 + "…"
+    ]
+
+
+def test_more_fields_than_rows_are_counted():
+    assert table(Feedback(), rows=2)[-1] == "  … 2 more"
+
+
+def test_control_characters_do_not_reach_the_terminal():
+    assert table(PatrolCommandInterface.Feedback(feedback_msg="a\x1b[2J\nb")) == [
+        "  feedback_msg  a·[2J·b"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("number", "shown"),
+    [(0.0, "0"), (-1.5, "-1.5"), (1 / 3, "0.333"), (100.0, "100"), (1.5e12, "1.5e+12")],
+)
+def test_a_number_is_rounded(number, shown):
+    assert table(Feedback(remaining=number))[-1].split() == ["remaining", shown]
+
+
+# --- the frame ------------------------------------------------------------------------------
+
+
+def frame(width, height, map_view=None, **changes):
+    content = render.frame(view(**changes), map_view, width=width, height=height)
+    return text_of(content, width=width, height=height)
+
+
+def test_the_map_stands_beside_the_feedback():
+    lines = frame(79, 23, world(), feedback=Feedback(), fraction=0.5, progress="x")
+    assert lines[2].startswith("┌" + "─" * 32 + "┐")
+    assert any(re.match(r"│.*│ +text", line) for line in lines)
+
+
+@pytest.mark.parametrize(("width", "height"), [(39, 24), (80, 10), (30, 10)])
+def test_a_small_window_has_no_map(width, height):
+    assert not any("┌" in line for line in frame(width, height, world(), feedback=Feedback()))
+
+
+def test_a_goal_without_a_turtle_has_no_map():
+    assert not any("┌" in line for line in frame(80, 24))
+
+
+@given(st.integers(1, 120), st.integers(1, 50), st.booleans())
+def test_a_frame_never_leaves_its_window(width, height, has_map):
+    feedback = Feedback("text" * 50, list(range(50)), Point(), 1.0)
+    lines = frame(width, height, world() if has_map else None, feedback=feedback, fraction=0.3)
+    assert len(lines) <= height
+    assert max(map(cell_len, lines)) <= width
+
+
+def test_without_color_there_are_no_colors(monkeypatch):
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm-256color")
+    content = render.frame(view(feedback=Feedback()), world(), width=80, height=24)
+    assert not re.search(
+        r"\x1b\[[0-9;]*3[0-7]", "".join(render.lines(content, width=80, height=24))
+    )
+
+
+def test_with_colors_there_are_some(monkeypatch):
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setenv("TERM", "xterm-256color")
+    content = render.frame(view(feedback=Feedback()), world(), width=80, height=24)
+    assert "\x1b[36m" in "".join(render.lines(content, width=80, height=24))
