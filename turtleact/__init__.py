@@ -5,10 +5,10 @@ The layers, each built on those below it::
     cli                      arguments in, exit status out
     app, render              an embedded world; what a terminal shows
     actions, sim.turtlesim   fibonacci, go_to, patrol; the turtles
-    node                     one participant's topics and actions
+    node                     one participant's topics, services and actions
     server, client           ActionServer, ActionClient and their goal handles
     execution                how a body is run, and how it ends
-    body, topics             declared bodies; publishers and subscriptions
+    body, topics, services   declared bodies; publishers, subscriptions; services and clients
     transports               how messages travel
     clock, tasks             time; tasks and wake-ups of the event loop
     goal                     what may happen to a goal
@@ -39,6 +39,8 @@ if TYPE_CHECKING:
         InvalidTransition,
         Reject,
         ServerUnavailable,
+        ServiceError,
+        ServiceTimeout,
         TurtleactError,
         UnknownGoal,
     )
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
     from turtleact.interfaces import Action, Message, Service, load_interface
     from turtleact.node import Node, open_node
     from turtleact.server import ActionServer, ServerGoalHandle
+    from turtleact.services import ServiceClient, ServiceServer
     from turtleact.transports import QoS
 
 __all__ = [
@@ -57,6 +60,8 @@ __all__ = [
     "ServerGoalHandle",
     "ClientGoalHandle",
     "Outcome",
+    "ServiceServer",
+    "ServiceClient",
     "QoS",
     # bodies and what they answer
     "action",
@@ -79,6 +84,8 @@ __all__ = [
     "GoalCanceled",
     "UnknownGoal",
     "ServerUnavailable",
+    "ServiceError",
+    "ServiceTimeout",
     "InvalidGoal",
     "InvalidMessage",
     "InvalidName",
@@ -94,6 +101,7 @@ _HOMES = {
     "interfaces": ("Action", "Message", "Service", "load_interface"),
     "node": ("Node", "open_node"),
     "server": ("ActionServer", "ServerGoalHandle"),
+    "services": ("ServiceClient", "ServiceServer"),
     "transports": ("QoS",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

@@ -10,7 +10,7 @@ Source: rclpy ``action/client.py`` for names and meaning.
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable, Generator
+from collections.abc import AsyncIterator, Callable, Coroutine, Generator
 from types import TracebackType
 from typing import Generic, Protocol, Self, TypeAlias, TypeVar, cast, runtime_checkable
 
@@ -63,9 +63,9 @@ class LocalServer(Protocol):
         self, request: object, goal_id: bytes | None, on_feedback: OnFeedback | None
     ) -> Goal: ...
 
-    async def call(
+    def call(
         self, request: object, goal_id: bytes | None, on_feedback: OnFeedback | None
-    ) -> object: ...
+    ) -> Generator[object, object, object]: ...
 
     async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response: ...
 
@@ -165,7 +165,7 @@ class ActionClient(Generic[G, R, F]):
         return found if isinstance(found, LocalServer) else None
 
 
-class SendGoal(Generic[G, R, F]):
+class SendGoal(msgspec.Struct, Generic[G, R, F], eq=False):
     """A goal about to be sent.
 
     ``await`` sends it and gives the result; canceling the waiting task cancels the goal, waits for
@@ -173,26 +173,15 @@ class SendGoal(Generic[G, R, F]):
     goal still active cancels it and waits for its end, unless it was detached.
     """
 
-    __slots__ = ("_client", "_goal_id", "_handle", "_on_feedback", "_request")
-
-    _handle: ClientGoalHandle[R, F]
-
-    def __init__(
-        self,
-        client: ActionClient[G, R, F],
-        request: G,
-        goal_id: bytes | None,
-        on_feedback: OnFeedback | None,
-    ) -> None:
-        self._client = client
-        self._request = request
-        self._goal_id = goal_id
-        self._on_feedback = on_feedback
+    _client: ActionClient[G, R, F]
+    _request: G
+    _goal_id: bytes | None
+    _on_feedback: OnFeedback | None
+    _handle: ClientGoalHandle[R, F] | None = None
 
     def __await__(self) -> Generator[object, object, R]:
-        server = self._client.server()
-        calling = server.call(self._request, self._goal_id, self._on_feedback)
-        return calling.__await__()  # type: ignore[return-value]  # the result's class is R
+        calling = self._client.server().call(self._request, self._goal_id, self._on_feedback)
+        return calling  # type: ignore[return-value]  # the result's class is R
 
     async def __aenter__(self) -> ClientGoalHandle[R, F]:
         server = self._client.server()
@@ -209,26 +198,24 @@ class SendGoal(Generic[G, R, F]):
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        if not self._handle.done:
+        if self._handle is not None and not self._handle.done:
             await self._handle.leave()
 
 
-class ClientGoalHandle(Generic[R, F]):
+class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
     """What a client holds of its goal.
 
     ``async for feedback in handle`` gives each feedback message once, in order, those too that were
     published before the iteration began, and ends when the goal does. Nothing is lost to a reader
-    that has begun; before that the newest 1,024 are kept, and `missed` counts the others.
+    while it iterates, and a body that runs far ahead of it waits; before and after that the newest
+    1,024 are kept, and `missed` counts the others.
     """
 
-    __slots__ = ("_detached", "_goal", "_next", "_server", "missed")
-
-    def __init__(self, server: LocalServer, goal: Goal) -> None:
-        self._server = server
-        self._goal = goal
-        self._next = 0
-        self._detached = False
-        self.missed = 0
+    _server: LocalServer
+    _goal: Goal
+    _next: int = 0
+    _detached: bool = False
+    missed: int = 0
 
     @property
     def goal_id(self) -> bytes:
@@ -261,12 +248,12 @@ class ClientGoalHandle(Generic[R, F]):
         """The newest feedback, read or not."""
         return cast("F | None", self._goal.last_feedback)
 
-    def __aiter__(self) -> Self:
+    def __aiter__(self) -> AsyncIterator[F]:
         log = self._goal.feedback
         if log is None:
             log = self._goal.feedback = FeedbackLog()
         log.read = self._next
-        return self
+        return _Reading(self)
 
     async def __anext__(self) -> F:
         goal = self._goal
@@ -278,10 +265,12 @@ class ClientGoalHandle(Generic[R, F]):
                     self._next = log.dropped
                 at = self._next - log.dropped
                 if at < len(log.items):
-                    self._next = log.read = self._next + 1
+                    self._next += 1
+                    if log.read is not None:
+                        log.read = self._next
                     if log.drained is not None and not log.is_full:
                         log.drained.fire()
-                    return cast("F", log.items[at])
+                    return log.items[at]  # type: ignore[return-value]  # the server checked it
             if goal.ended:
                 raise StopAsyncIteration
             await self._server.signal(goal).wait()
@@ -297,7 +286,7 @@ class ClientGoalHandle(Generic[R, F]):
         if not goal.ended:
             await self._server.wait_for_end(goal)
         if goal.status is GoalStatus.SUCCEEDED:
-            return cast("R", goal.result)
+            return goal.result  # type: ignore[return-value]  # the server checked it
         raise failure(goal)
 
     async def outcome(self) -> Outcome[R]:
@@ -317,10 +306,32 @@ class ClientGoalHandle(Generic[R, F]):
 
     async def leave(self) -> None:
         """Stop reading; cancel the goal and wait for its end, unless it is detached."""
+        self.stop_reading()
+        if not self._detached:
+            await self._server.cancel_and_wait(self._goal)
+
+    def stop_reading(self) -> None:
+        """Let the body run ahead: nobody iterates any more."""
         log = self._goal.feedback
         if log is not None:
             log.read = None
             if log.drained is not None:
                 log.drained.fire()
-        if not self._detached:
-            await self._server.cancel_and_wait(self._goal)
+
+
+class _Reading(Generic[F]):
+    """One ``async for``: when it is left, by ``break`` too, the body need not wait for it."""
+
+    __slots__ = ("_handle",)
+
+    def __init__(self, handle: ClientGoalHandle[R, F]) -> None:
+        self._handle = handle
+
+    def __aiter__(self) -> Self:
+        return self
+
+    def __anext__(self) -> Coroutine[object, object, F]:
+        return self._handle.__anext__()
+
+    def __del__(self) -> None:
+        self._handle.stop_reading()

@@ -15,7 +15,9 @@
     │   ├── GoalAborted        the server ended the goal without success
     │   ├── GoalCanceled       the goal was canceled
     │   └── UnknownGoal        the server does not hold a goal of that id
-    ├── ServerUnavailable      nobody serves the action, or the server went away
+    ├── ServerUnavailable      nobody serves the action or service, or the server went away
+    ├── ServiceError           a service's handler failed to respond
+    │   └── ServiceTimeout     … within the time that the caller gave it
     ├── SimError               the world was asked for something impossible
     ├── UsageError             the command line was given something it cannot use
     └── Verdict                what a server's own code raises to end or refuse a goal
@@ -29,7 +31,8 @@ happened, where, and what to do.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import copyreg
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from turtleact.goal import GoalEvent, GoalStatus
@@ -49,17 +52,23 @@ __all__ = [
     "InvalidTransition",
     "Reject",
     "ServerUnavailable",
+    "ServiceError",
+    "ServiceTimeout",
     "SimError",
     "TurtleactError",
     "UnknownGoal",
     "UnknownInterface",
     "UsageError",
     "Verdict",
+    "summary",
 ]
 
 
 class TurtleactError(Exception):
     """The root: ``except TurtleactError`` catches all that turtleact raises on purpose."""
+
+    def __reduce__(self) -> tuple[object, ...]:  # its arguments may be others than ``args``
+        return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]
 
 
 class InvalidName(TurtleactError):
@@ -230,20 +239,57 @@ class UnknownGoal(GoalError):
 
 
 class ServerUnavailable(TurtleactError):
-    """Nobody serves the action, or its server went away.
+    """Nobody serves the action or service, or its server went away.
 
     Attributes:
-        name: The action's name.
+        name: The name of the action or service.
         problem: What was found in its place.
+        kind: Which of the two it is.
     """
 
-    def __init__(self, name: str, problem: str = "no server answers") -> None:
+    def __init__(
+        self,
+        name: str,
+        problem: str = "no server answers",
+        *,
+        kind: Literal["action", "service"] = "action",
+    ) -> None:
         super().__init__(name, problem)
         self.name = name
         self.problem = problem
+        self.kind = kind
 
     def __str__(self) -> str:
-        return f"action '{self.name}': {self.problem}"
+        return f"{self.kind} '{self.name}': {self.problem}"
+
+
+class ServiceError(TurtleactError):
+    """A service's handler failed, or responded with something else than a response.
+
+    Attributes:
+        name: The service's name.
+        reason: Why, in the server's words.
+    """
+
+    def __init__(self, name: str, reason: str) -> None:
+        super().__init__(name, reason)
+        self.name = name
+        self.reason = reason
+
+    def __str__(self) -> str:
+        return f"service '{self.name}': {self.reason}"
+
+
+class ServiceTimeout(ServiceError):
+    """A service has not responded within the time that the caller gave it.
+
+    Attributes:
+        seconds: That time, by the clock of the graph.
+    """
+
+    def __init__(self, name: str, seconds: float) -> None:
+        super().__init__(name, f"no response within {seconds:g} s")
+        self.seconds = seconds
 
 
 class SimError(TurtleactError):
@@ -324,3 +370,11 @@ class Reject(Verdict):
 
     def __str__(self) -> str:
         return self.reason
+
+
+def summary(error: BaseException) -> str:
+    """An exception in one line: the type and the text, those of a group one after the other."""
+    if isinstance(error, BaseExceptionGroup):
+        return "; ".join(summary(each) for each in error.exceptions)
+    text = str(error)
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

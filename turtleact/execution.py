@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Coroutine
-from functools import partial
+from contextvars import Context
 from typing import TypeAlias, cast
 
 from turtleact.body import ActionType, Body, Steps
@@ -91,7 +91,7 @@ class Execution:
             if goal.status is _CANCELING or goal.reason:  # asked for in its own first step
                 task.cancel()
 
-    async def lend(self, goal: Goal, running: Running, waits_for: object) -> None:
+    async def lend(self, goal: Goal, running: Running, waits_for: object, context: Context) -> None:
         """Run a body in the caller's own task, to its end (asyncio alone).
 
         Cancelling: the goal is asked to cancel, its end awaited, the cancellation raised again.
@@ -100,8 +100,9 @@ class Execution:
             goal: The goal.
             running: `run` of that goal, after its first step.
             waits_for: What the first step gave.
+            context: What the first step ran in.
         """
-        borrowed = Borrowed(partial(mark_canceling, goal))
+        borrowed = Borrowed(context)
         goal.body = borrowed
         if goal.status is _CANCELING or goal.reason:  # asked for in its own first step
             borrowed.cancel()
@@ -148,7 +149,12 @@ class Execution:
             while type(item) is not result_type:
                 try:
                     message = goal.last_feedback = check(item)
-                    if goal.is_streamed or goal.listener or goal.on_feedback or goal.ended:
+                    log = goal.feedback
+                    if goal.listener or goal.on_feedback or goal.ended:
+                        self._hand_on(goal, message)
+                    elif log is not None:  # nobody is to be told: a shorter `_hand_on`
+                        log.items.append(message)  # `_pause` trims it
+                    elif goal.is_streamed:
                         self._hand_on(goal, message)
                     countdown -= 1
                     if not countdown:
@@ -160,22 +166,25 @@ class Execution:
                     item = await steps.athrow(error)
                 else:
                     item = await step(None)
-            await _finish(steps)
         except StopAsyncIteration:
             return None
-        else:
-            return item
-        finally:
+        except BaseException:
             await steps.aclose()
+            raise
+        await _finish(steps)
+        return item
 
     async def _pause(self, goal: Goal) -> None:
         """Let others run; if the sender reads and is far behind, let it catch up."""
         await self._tasks.checkpoint()
         log = goal.feedback
-        if log is not None and log.is_full:
+        if log is None:
+            return
+        log.trim()
+        if log.is_full and not goal.waiters:
             drained = self._tasks.signal()
             log.drained = drained
-            while log.is_full:
+            while log.is_full and not goal.waiters:
                 await drained.wait()
             log.drained = None
 
@@ -221,6 +230,8 @@ class Execution:
             self.ended.fire()
 
     def _fail(self, goal: Goal, error: BaseException) -> None:
+        if isinstance(goal.body, Borrowed) and goal.body.is_caller_canceled:
+            mark_canceling(goal)
         canceling = goal.status is _CANCELING
         if isinstance(error, Abort):
             self._end_with(goal, GoalEvent.ABORT, error.result, error.reason)
@@ -272,6 +283,8 @@ async def _finish(steps: Steps) -> None:
     """Let a generator run on behind its result: the result stands, whatever it does."""
     try:
         extra = await steps.asend(None)
+        logger.warning("a body yielded %s after its result; it is closed", type(extra).__name__)
+        await steps.aclose()
     except StopAsyncIteration:
         return
     except (GeneratorExit, KeyboardInterrupt, SystemExit):
@@ -280,5 +293,3 @@ async def _finish(steps: Steps) -> None:
         logger.exception("a body failed after it had yielded its result; the result stands")
     except BaseException:
         logger.info("a body was canceled after it had yielded its result; the result stands")
-    else:
-        logger.warning("a body yielded %s after its result; it is closed", type(extra).__name__)

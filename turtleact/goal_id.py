@@ -60,6 +60,8 @@ def goal_id_bytes(goal_id: bytes | str | uuid.UUID) -> bytes:
             return uuid.UUID(goal_id).bytes
         except ValueError:
             raise InvalidName(goal_id, "a goal id has 32 hexadecimal digits", 0) from None
+    if not isinstance(goal_id, bytes):
+        raise InvalidName(repr(goal_id), "a goal id has 16 bytes, or is a UUID", 0)
     if len(goal_id) != 16:
         raise InvalidName(goal_id.hex(), "a goal id has 16 bytes", 0)
-    return bytes(goal_id)
+    return goal_id

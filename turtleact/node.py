@@ -1,4 +1,4 @@
-"""A node: one participant of a graph, with its topics and actions.
+"""A node: one participant of a graph, with its topics, services and actions.
 
 The one place where the layers below are put together for a user. Everything that is opened on a
 node is closed with it.
@@ -8,7 +8,7 @@ Source: rclpy ``node.py`` for names and meaning.
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import Protocol, TypeVar, Unpack, cast
 
@@ -21,6 +21,7 @@ from turtleact.clock import Clock
 from turtleact.interfaces import Message
 from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
 from turtleact.server import ActionServer
+from turtleact.services import ServiceClient, ServiceServer, ServiceType
 from turtleact.tasks import current_tasks
 from turtleact.topics import Publisher, Subscription
 from turtleact.transports import MemoryTransport, QoS, Transport
@@ -32,6 +33,8 @@ G = TypeVar("G", bound=Message)
 R = TypeVar("R", bound=Message)
 F = TypeVar("F", bound=Message)
 M = TypeVar("M", bound=Message)
+Req = TypeVar("Req", bound=Message)
+Res = TypeVar("Res", bound=Message)
 
 
 class _Closing(Protocol):
@@ -183,6 +186,48 @@ class Node:
         subscribed = self.transport.subscribe(endpoint, deliver)
         subscription.membership = self._own(subscription, subscribed)
         return subscription
+
+    def service(
+        self,
+        service_type: ServiceType[Req, Res],
+        name: str,
+        handler: Callable[[Req], Res | Awaitable[Res]],
+    ) -> ServiceServer[Req, Res]:
+        """Serve a service.
+
+        Args:
+            service_type: The service, a subclass of `turtleact.Service`.
+            name: The service's name; a relative one is put below the node's namespace.
+            handler: A function or coroutine function that takes a request and gives the response.
+                Each request is handled in a task of its own, several side by side. What it raises
+                reaches the caller as `ServiceError`.
+
+        Raises:
+            InvalidName: if the name breaks ROS 2's rules.
+        """
+        full_name = resolve_name(name, self.namespace, self.name)
+        server = ServiceServer(service_type, full_name, handler, tasks=self._tasks)
+        registration = self.transport.serve(
+            self._endpoint("service", full_name, service_type.type_name), server
+        )
+        server.registration = self._own(server, registration)
+        return server
+
+    def service_client(
+        self, service_type: ServiceType[Req, Res], name: str
+    ) -> ServiceClient[Req, Res]:
+        """Open a client of a service; it need not be served yet.
+
+        Raises:
+            InvalidName: if the name breaks ROS 2's rules.
+        """
+        full_name = resolve_name(name, self.namespace, self.name)
+        membership = self.transport.join(
+            self._endpoint("client", full_name, service_type.type_name)
+        )
+        client = ServiceClient(self.transport, service_type, full_name, tasks=self._tasks)
+        client.membership = self._own(client, membership)
+        return client
 
     def count_publishers(self, topic: str) -> int:
         """How many publishers there are of a topic, on all nodes.

@@ -13,7 +13,8 @@ Source: rclpy ``action/server.py`` for names and meaning.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextvars import copy_context
 from functools import partial
 from inspect import isawaitable
 from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar, Unpack, cast
@@ -198,12 +199,13 @@ class ActionServer(Generic[G, R, F]):
         self.execution.start(goal)
         return goal
 
-    async def call(
+    def call(
         self, request: object, goal_id: bytes | None, on_feedback: OnFeedback | None
-    ) -> object:
+    ) -> Generator[object, object, object]:
         """Take up a goal, run its body to its end, in the caller's own task if possible.
 
-        Canceling the caller cancels the goal, and waits for its end.
+        Canceling the caller cancels the goal, and waits for its end. What `SendGoal.__await__`
+        gives: a generator, as a coroutine would have to be wrapped there.
 
         Returns:
             The result.
@@ -214,19 +216,19 @@ class ActionServer(Generic[G, R, F]):
             GoalAborted, GoalCanceled: if it ends so.
         """
         if self.asks_first:
-            await self.ask(request)
+            yield from self.ask(request).__await__()
         goal = self._admit(request, goal_id, on_feedback)
         if self._can_borrow:
-            running = self.execution.run(goal)
+            running, context = self.execution.run(goal), copy_context()
             try:
-                waits_for = running.send(None)
+                waits_for = context.run(running.send, None)
             except StopIteration:
                 pass
             else:
-                await self.execution.lend(goal, running, waits_for)
+                yield from self.execution.lend(goal, running, waits_for, context).__await__()
         else:
             self.execution.start(goal)
-            await self._wait_out(goal)
+            yield from self._wait_out(goal).__await__()
         if goal.status is _SUCCEEDED:
             return goal.result
         raise failure(goal)
@@ -235,6 +237,9 @@ class ActionServer(Generic[G, R, F]):
         """Wait until a goal has ended. Cancelling: safe, the goal goes on."""
         signal = self.signal(goal)
         goal.waiters += 1
+        log = goal.feedback
+        if log is not None and log.drained is not None:
+            log.drained.fire()  # who only waits for the end does not hold the body up
         try:
             while not goal.ended:
                 await signal.wait()
@@ -251,7 +256,7 @@ class ActionServer(Generic[G, R, F]):
         """The signal that fires at each change of a goal."""
         if goal.listener is None:
             goal.listener = self._tasks.signal()
-        return cast("Signal", goal.listener)
+        return goal.listener  # type: ignore[return-value]  # nobody else puts one there
 
     def name_goal(self, goal: Goal) -> bytes:
         """The id of a goal; it can be found by it from now on."""
@@ -260,15 +265,16 @@ class ActionServer(Generic[G, R, F]):
     async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
         """Answer a cancel request: by id, by stamp (ns), by both, or for every goal."""
         wanted = goal_id if goal_id and any(goal_id) else None
-        candidates = select(self._table.active, wanted, stamp)
-        let_go = [goal for goal in candidates if await self._let_go(goal)]
-        asked = [goal for goal in candidates if goal in let_go or goal.status.is_active]
         named = self._table.find(wanted, self._now()) if wanted else None
         by_id = wanted is not None and not stamp
-        code = cancel_code(named, by_id=by_id, asked=len(asked), let_go=len(let_go))
-        return CancelGoal.Response(
-            return_code=int(code), goals_canceling=[self._info(goal) for goal in let_go]
-        )
+        held = self._table.active if not by_id else [] if named is None else [named]
+        let_go: list[Goal] = []
+        kept: list[Goal] = []
+        for goal in select(held, wanted, stamp):
+            (let_go if await self._let_go(goal) else kept).append(goal)
+        asked = len(let_go) + sum(goal.status.is_active for goal in kept)
+        code = cancel_code(named, by_id=by_id, asked=asked, let_go=len(let_go))
+        return CancelGoal.Response(int(code), [self._info(goal) for goal in let_go])
 
     async def aclose(self) -> None:
         """Take no more goals, cancel those that run, and wait for their end.
@@ -281,8 +287,9 @@ class ActionServer(Generic[G, R, F]):
             self.registration.close()
         ended = self.execution.ended = self.execution.ended or self._tasks.signal()
         for goal in self._table.active:
+            is_told = goal.reason or goal.status is GoalStatus.CANCELING  # and may be cleaning up
             goal.reason = goal.reason or "shutdown"
-            if goal.body is not None:
+            if goal.body is not None and not is_told:
                 goal.body.cancel()
         with anyio.move_on_after(GRACE, shield=True):
             while self._table.active:
@@ -323,16 +330,14 @@ class ActionServer(Generic[G, R, F]):
 
     async def _let_go(self, goal: Goal) -> bool:
         """Ask whether a goal may be canceled, and cancel it; False if not, or if it has ended."""
-        if goal.status is GoalStatus.CANCELING:
-            return True
-        if self._cancel_callback is not None and not await self._ask_to_cancel(goal):
+        asks = self._cancel_callback is not None and goal.status is not GoalStatus.CANCELING
+        if asks and not await self._ask_to_cancel(goal):
             return False
-        if not goal.status.is_active:
-            return False
-        mark_canceling(goal)
-        if goal.body is not None:
-            goal.body.cancel()
-        return True
+        if goal.status.is_active and goal.status is not GoalStatus.CANCELING:
+            mark_canceling(goal)
+            if goal.body is not None and not goal.reason:  # else it has been canceled already
+                goal.body.cancel()
+        return goal.status.is_active
 
     async def _ask_to_cancel(self, goal: Goal) -> bool:
         """Put a goal to the user's cancel_callback."""
@@ -347,9 +352,8 @@ class ActionServer(Generic[G, R, F]):
         return answer is CancelResponse.ACCEPT
 
     def _info(self, goal: Goal) -> GoalInfo:
-        return GoalInfo(goal_id=UUID(uuid=self.name_goal(goal)), stamp=_time(goal.stamp))
+        return GoalInfo(UUID(self.name_goal(goal)), _time(goal.stamp))
 
 
 def _time(nanoseconds: int) -> Time:
-    sec, nanosec = divmod(nanoseconds, 1_000_000_000)
-    return Time(sec=sec, nanosec=nanosec)
+    return Time(*divmod(nanoseconds, 1_000_000_000))

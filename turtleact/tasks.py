@@ -24,7 +24,7 @@ import sys
 from collections.abc import Callable, Coroutine, Generator
 from contextvars import Context, copy_context
 from types import coroutine
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar, cast
 
 import anyio
 
@@ -207,27 +207,40 @@ class Borrowed:
     """A coroutine that runs inside the caller's own task (asyncio alone).
 
     `cancel` cancels the coroutine alone: the caller's task goes on once it has ended. A
-    cancellation of the caller reaches the coroutine too, is told to ``on_cancel`` first, and is
-    raised again at the end, whatever the coroutine made of it.
+    cancellation of the caller reaches the coroutine too, and is raised again at the end, whatever
+    the coroutine made of it.
+
+    A timeout or task group within the coroutine cancels the same task. Whose a cancellation was
+    can be told once the coroutine has left these, for they take their own back: what is then left
+    in ``Task.cancelling()`` came from outside.
 
     Args:
-        on_cancel: Called before a cancellation from outside is passed on.
+        context: What the coroutine runs in, a copy of the caller's: what it sets there stays there.
     """
 
-    __slots__ = ("_asked", "_on_cancel", "_outer", "_received", "_task")
+    __slots__ = ("_asked", "_before", "_context", "_is_on_its_way", "_task", "_thrown")
 
-    def __init__(self, on_cancel: Callable[[], None]) -> None:
-        self._on_cancel = on_cancel
-        self._task = asyncio.current_task()
+    def __init__(self, context: Context) -> None:
+        task = cast("asyncio.Task[object]", asyncio.current_task())
+        self._context = context
+        self._task: asyncio.Task[object] | None = task
+        self._before = task.cancelling()
         self._asked = 0
-        self._received = False
-        self._outer: BaseException | None = None
+        self._is_on_its_way = False
+        self._thrown: asyncio.CancelledError | None = None
 
     def cancel(self) -> None:
         """Let a cancellation arrive at the coroutine's next await."""
         if self._task is not None:
             self._asked += 1
+            self._is_on_its_way = True
             self._task.cancel()
+
+    @property
+    def is_caller_canceled(self) -> bool:
+        """Whether somebody else has canceled the task; sure at the coroutine's end, not before."""
+        task = self._task
+        return task is not None and task.cancelling() > self._before + self._asked
 
     @coroutine
     def go_on(
@@ -239,45 +252,49 @@ class Borrowed:
             body: The coroutine.
             waits_for: What its first ``send`` gave.
         """
-        task = self._task
+        in_context = self._context.run
         try:
             while True:
                 try:
                     answer = yield waits_for
                 except GeneratorExit:
-                    body.close()
+                    in_context(body.close)
                     raise
                 except BaseException as thrown:
                     self._note(thrown)
-                    waits_for = body.throw(thrown)
+                    waits_for = in_context(body.throw, thrown)
                 else:
-                    waits_for = body.send(answer)
+                    waits_for = in_context(body.send, answer)
         except StopIteration as end:
             value: T = end.value
-            return value
         finally:
-            self._task = None
-            if task is not None and (self._asked or self._outer is not None):
-                yield from self._give_back(task)
-
-    def _note(self, thrown: BaseException) -> None:
-        if self._asked and not self._received:
-            self._received = True
-            return
-        self._outer = thrown
-        self._on_cancel()
-
-    def _give_back(self, task: asyncio.Task[object]) -> Generator[None, object, None]:
-        for _ in range(self._asked):
-            task.uncancel()
-        if self._asked and not self._received:  # the end came before the cancellation
+            task = self._give_back()
+        if self._is_on_its_way:  # the end came before the cancellation
             try:
                 yield None
             except asyncio.CancelledError as late:
-                if task.cancelling():
-                    self._outer = late
-        if self._outer is not None:
-            raise self._outer
+                self._thrown = late
+        if self._thrown is not None and task.cancelling() > self._before:
+            try:
+                raise self._thrown
+            finally:
+                self._thrown = None  # or the exception would hold itself
+        return value
+
+    def _note(self, thrown: BaseException) -> None:
+        """Remember a cancellation that may be the caller's; a failed future is thrown in too."""
+        if isinstance(thrown, asyncio.CancelledError):
+            self._is_on_its_way = False
+            if self.is_caller_canceled:
+                self._thrown = thrown
+
+    def _give_back(self) -> asyncio.Task[object]:
+        """Take no more requests, and take those back that were made."""
+        task = cast("asyncio.Task[object]", self._task)
+        self._task = None
+        for _ in range(self._asked):
+            task.uncancel()
+        return task
 
 
 # trio

@@ -9,6 +9,11 @@ objects that agree in name and type. Its guarantees:
 - A transient-local publisher's last messages reach a subscription that comes later, first of all.
 - What is closed gets and gives nothing more.
 
+Services, so far, are those of the same process: `Transport.serve` offers an object, and
+`Transport.local` hands that very object to a client, which calls it; no request passes through the
+transport. The calls of an action and of a plain service go this one way, each with its own kind of
+object. A transport that reaches other processes brings calls of encoded messages besides.
+
 Source: ROS 2 ``rmw``; the QoS policies of the ROS 2 documentation.
 """
 
@@ -92,7 +97,7 @@ class Transport(Protocol):
         """Open the receiving end of a topic; ``deliver`` gets each message."""
 
     def serve(self, endpoint: Endpoint, handler: object) -> Closeable:
-        """Offer ``handler`` as the server of a service."""
+        """Offer ``handler`` as the server of a service, and appear in the graph as such."""
 
     def join(self, endpoint: Endpoint) -> Closeable:
         """Appear in the graph as a client of a service."""

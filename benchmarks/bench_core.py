@@ -1,0 +1,399 @@
+"""What does a goal cost, against bare asyncio and against an idiomatic anyio version?
+
+The floor does the same work with nothing but tasks and queues, and makes the same messages. It
+checks none of them. turtleact checks and copies each, since a bad value raises where it is sent
+and a body may go on changing what it has published; the rows "of that, snapshots" say how much of
+the row above them this is. The anyio version is written by the book: one task group, and for each
+goal an event, a cancel scope and a memory object stream; it checks nothing either.
+
+Rounds are interleaved; a ratio is the median of the ratios of the rounds, and a time the median.
+The garbage collector is off while the time is taken. A goal has one public reader, its sender: the
+other watchers of the fan-out are handles, made by hand, of the goal that the first one holds. "One
+by one" means that each message is read before the next is published.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import importlib.util
+import inspect
+import math
+import os
+import platform
+import statistics
+import time
+from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import NamedTuple, cast
+
+import anyio
+import anyio.lowlevel
+from anyio.abc import TaskGroup
+
+import turtleact
+from turtleact import Action, ActionClient, ClientGoalHandle, Message
+from turtleact.interfaces import int32, snapshotter
+
+ROUNDS = 31
+FEEDBACK = 10
+WATCHERS = 1_000
+
+
+class Count(Action, type_name="bench_msgs/action/Count"):
+    class Goal(Message):
+        target: int32 = 0
+
+    class Result(Message):
+        total: int32 = 0
+
+    class Feedback(Message):
+        value: int32 = 0
+
+
+Contender = Callable[[int], Awaitable[None]]
+Body = Callable[[Count.Goal], Coroutine[object, object, Count.Result]]
+Client = ActionClient[Count.Goal, Count.Result, Count.Feedback]
+Handle = ClientGoalHandle[Count.Result, Count.Feedback]
+
+
+# --- what is done for a goal ----------------------------------------------------------------
+
+
+async def answer(goal: Count.Goal) -> Count.Result:
+    return Count.Result(total=goal.target)
+
+
+async def wait_once(goal: Count.Goal) -> Count.Result:
+    await asyncio.sleep(0)
+    return Count.Result(total=goal.target)
+
+
+async def wait_for_ever(goal: Count.Goal) -> Count.Result:
+    await asyncio.get_running_loop().create_future()
+    return Count.Result(total=goal.target)
+
+
+async def count(goal: Count.Goal) -> AsyncGenerator[Message, None]:
+    for value in range(goal.target):
+        yield Count.Feedback(value=value)
+    yield Count.Result(total=goal.target)
+
+
+async def count_in_step(goal: Count.Goal) -> AsyncGenerator[Message, None]:
+    for value in range(goal.target):
+        yield Count.Feedback(value=value)
+        await asyncio.sleep(0)  # all who wait read it now
+    yield Count.Result(total=goal.target)
+
+
+# --- bare asyncio ---------------------------------------------------------------------------
+
+Queue = asyncio.Queue[Count.Feedback | None]
+
+
+async def count_into(queues: list[Queue], goal: Count.Goal, *, in_step: bool) -> Count.Result:
+    for value in range(goal.target):
+        feedback = Count.Feedback(value=value)
+        for queue in queues:
+            queue.put_nowait(feedback)
+        if in_step:
+            await asyncio.sleep(0)
+    for queue in queues:
+        queue.put_nowait(None)
+    return Count.Result(total=goal.target)
+
+
+async def read_queue(queue: Queue) -> int:
+    seen = 0
+    while await queue.get() is not None:
+        seen += 1
+    return seen
+
+
+async def floor_goals(body: Body, times: int) -> None:
+    for number in range(times):
+        await asyncio.create_task(body(Count.Goal(target=number)))
+
+
+async def floor_feedback(watchers: int, in_step: bool, times: int) -> None:
+    for _ in range(times):
+        queues: list[Queue] = [asyncio.Queue() for _ in range(watchers)]
+        others = [asyncio.create_task(read_queue(queue)) for queue in queues[1:]]
+        body = count_into(queues, Count.Goal(target=FEEDBACK), in_step=in_step)
+        task = asyncio.create_task(body)
+        assert await read_queue(queues[0]) == FEEDBACK
+        assert all([await other == FEEDBACK for other in others])
+        await task
+
+
+async def floor_cancel(times: int) -> None:
+    for _ in range(times):
+        task = asyncio.create_task(wait_for_ever(Count.Goal()))
+        await asyncio.sleep(0)
+        task.cancel()
+        try:
+            await task
+        except asyncio.CancelledError:
+            continue
+
+
+# --- anyio by the book ----------------------------------------------------------------------
+
+
+class AnyioGoal:
+    def __init__(self, request: Count.Goal, watchers: int) -> None:
+        self.request = request
+        self.result: Count.Result | None = None
+        self.ended = anyio.Event()
+        self.scope = anyio.CancelScope()
+        streams = [anyio.create_memory_object_stream[Message](math.inf) for _ in range(watchers)]
+        self.writers = [send for send, _ in streams]
+        self.readers = [receive for _, receive in streams]
+
+
+class AnyioServer:
+    def __init__(self, group: TaskGroup, body: Callable[[Count.Goal], object]) -> None:
+        self.group = group
+        self.body = body
+        self.is_generator = inspect.isasyncgenfunction(body)
+
+    def begin(self, request: Count.Goal, watchers: int = 1) -> AnyioGoal:
+        goal = AnyioGoal(request, watchers)
+        self.group.start_soon(self.run, goal)
+        return goal
+
+    async def run(self, goal: AnyioGoal) -> None:
+        try:
+            with goal.scope:
+                if self.is_generator:
+                    await self.drive(goal)
+                else:
+                    goal.result = await cast("Body", self.body)(goal.request)
+        finally:
+            for writer in goal.writers:
+                writer.close()
+            goal.ended.set()
+
+    async def drive(self, goal: AnyioGoal) -> None:
+        async for item in cast("AsyncGenerator[Message, None]", self.body(goal.request)):
+            if isinstance(item, Count.Result):
+                goal.result = item
+            else:
+                for writer in goal.writers:
+                    await writer.send(item)
+
+    async def goals(self, times: int) -> None:
+        for number in range(times):
+            goal = self.begin(Count.Goal(target=number))
+            await goal.ended.wait()
+            goal.readers[0].close()
+
+    async def feedback(self, watchers: int, times: int) -> None:
+        for _ in range(times):
+            goal = self.begin(Count.Goal(target=FEEDBACK), watchers)
+            async with anyio.create_task_group() as readers:
+                for number in range(1, watchers):
+                    readers.start_soon(self.read, goal, number)
+                await self.read(goal, 0)
+            await goal.ended.wait()
+
+    async def read(self, goal: AnyioGoal, number: int) -> None:
+        async with goal.readers[number] as reader:
+            assert len([feedback async for feedback in reader]) == FEEDBACK
+
+    async def cancel(self, times: int) -> None:
+        for _ in range(times):
+            goal = self.begin(Count.Goal())
+            await anyio.lowlevel.checkpoint()
+            goal.scope.cancel()
+            await goal.ended.wait()
+            goal.readers[0].close()
+
+
+# --- turtleact ------------------------------------------------------------------------------
+
+
+async def call(client: Client, times: int) -> None:
+    for number in range(times):
+        await client.send_goal(Count.Goal(target=number))
+
+
+async def send(client: Client, times: int) -> None:
+    for number in range(times):
+        async with client.send_goal(Count.Goal(target=number)) as goal:
+            await goal.result()
+
+
+async def call_with_feedback(client: Client, times: int) -> None:
+    for _ in range(times):
+        seen: list[Count.Feedback] = []
+        await client.send_goal(Count.Goal(target=FEEDBACK), feedback_callback=seen.append)
+        assert len(seen) == FEEDBACK
+
+
+async def send_with_feedback(watchers: int, client: Client, times: int) -> None:
+    for _ in range(times):
+        async with client.send_goal(Count.Goal(target=FEEDBACK)) as goal:
+            others = [
+                asyncio.create_task(read_handle(Handle(goal._server, goal._goal)))
+                for _ in range(1, watchers)
+            ]
+            assert await read_handle(goal) == FEEDBACK
+            assert all([await other == FEEDBACK for other in others])
+            await goal.result()
+
+
+async def read_handle(handle: Handle) -> int:
+    seen = 0
+    async for _ in handle:
+        seen += 1
+    return seen
+
+
+async def cancel(client: Client, times: int) -> None:
+    for _ in range(times):
+        async with client.send_goal(Count.Goal()) as goal:
+            await goal.cancel()
+            await goal.outcome()
+
+
+async def leave(client: Client, times: int) -> None:
+    for _ in range(times):
+        async with client.send_goal(Count.Goal()):
+            pass
+
+
+def snapshots(feedback: int) -> Contender:
+    """Nothing but the checked copies that a goal needs."""
+    goal, result, message = Count.Goal(), Count.Result(), Count.Feedback()
+    copy_goal, copy_result = snapshotter(Count.Goal), snapshotter(Count.Result)
+    copy_feedback = snapshotter(Count.Feedback)
+
+    async def run(times: int) -> None:
+        for _ in range(times):
+            copy_goal(goal)
+            for _ in range(feedback):
+                copy_feedback(message)
+            copy_result(result)
+
+    return run
+
+
+# --- measuring ------------------------------------------------------------------------------
+
+
+class Row(NamedTuple):
+    name: str
+    times: int
+    floor: Contender
+    anyio: Contender | None
+    turtleact: Contender
+    goal: float | None = None
+
+
+async def seconds_each(contender: Contender, times: int) -> float:
+    start = time.perf_counter()
+    await contender(times)
+    return (time.perf_counter() - start) / times
+
+
+async def compare(row: Row) -> str:
+    contenders = [row.floor, row.turtleact] + ([row.anyio] if row.anyio else [])
+    for contender in contenders:
+        await contender(max(1, row.times // 10))
+    rounds: list[list[float]] = []
+    for _ in range(ROUNDS):
+        gc.collect()
+        gc.disable()
+        rounds.append([await seconds_each(contender, row.times) for contender in contenders])
+        gc.enable()
+    floor = statistics.median(times[0] for times in rounds)
+    ratio = statistics.median(times[1] / times[0] for times in rounds)
+    cells = f"{row.name:<28} {floor * 1e6:>10,.1f}"
+    if row.anyio is None:
+        return f"{cells} {'':>7} {ratio:>9.2f}x"
+    peer = statistics.median(times[2] / times[0] for times in rounds)
+    ahead = statistics.median(times[2] / times[1] for times in rounds)
+    return f"{cells} {peer:>6.1f}x {ratio:>9.2f}x {verdict(ratio, row.goal):>17} {ahead:>17.1f}x"
+
+
+def verdict(ratio: float, goal: float | None) -> str:
+    return "" if goal is None else f"<= {goal:.2f}x {'met' if ratio <= goal else 'MISSED'}"
+
+
+def rows(node: turtleact.Node, group: TaskGroup) -> list[Row]:
+    def peer(body: Callable[[Count.Goal], object]) -> AnyioServer:
+        return AnyioServer(group, body)
+
+    def ours(contender: Callable[[Client, int], Awaitable[None]], body: str) -> Contender:
+        return partial(contender, node.action_client(Count, body))
+
+    for body in (answer, wait_once, wait_for_ever, count, count_in_step):
+        node.action_server(Count, body.__name__, body)
+    one, ten = partial(floor_goals, answer), partial(floor_feedback, 1, False)
+    one_peer, ten_peer = peer(answer).goals, partial(peer(count).feedback, 1)
+    waiting, waiting_peer = partial(floor_goals, wait_once), peer(wait_once).goals
+    read_one, read_all = partial(send_with_feedback, 1), partial(send_with_feedback, WATCHERS)
+    step, step_peer = partial(floor_feedback, 1, True), partial(peer(count_in_step).feedback, 1)
+    fan_out = partial(floor_feedback, WATCHERS, False)
+    fan_out_peer = partial(peer(count).feedback, WATCHERS)
+    fan_1 = partial(floor_feedback, WATCHERS, True)
+    fan_1_peer = partial(peer(count_in_step).feedback, WATCHERS)
+    stop, stop_peer = floor_cancel, peer(wait_for_ever).cancel
+    return [
+        Row("call", 500, one, one_peer, ours(call, "answer"), 0.30),
+        Row("send", 500, one, one_peer, ours(send, "answer"), 0.65),
+        Row("   of that, snapshots", 500, one, None, snapshots(0)),
+        Row("call, the body waits", 300, waiting, waiting_peer, ours(call, "wait_once")),
+        Row("send, the body waits", 300, waiting, waiting_peer, ours(send, "wait_once")),
+        Row("10 feedback, call", 200, ten, ten_peer, ours(call_with_feedback, "count"), 0.40),
+        Row("10 feedback, send", 200, ten, ten_peer, ours(read_one, "count"), 0.70),
+        Row("   of that, snapshots", 200, ten, None, snapshots(FEEDBACK)),
+        Row("10 feedback, one by one", 100, step, step_peer, ours(read_one, "count_in_step")),
+        Row("1,000 watchers", 1, fan_out, fan_out_peer, ours(read_all, "count"), 0.33),
+        Row("1,000 watchers, one by one", 1, fan_1, fan_1_peer, ours(read_all, "count_in_step")),
+        Row("cancel", 200, stop, stop_peer, ours(cancel, "wait_for_ever"), 1.60),
+        Row("cancel by leaving the block", 200, stop, stop_peer, ours(leave, "wait_for_ever")),
+    ]
+
+
+# --- one table a loop -----------------------------------------------------------------------
+
+
+async def print_tables(loop: str) -> None:
+    print(
+        f"\n{loop:<28} {'floor (us)':>10} {'anyio':>7} {'turtleact':>10} {'goal':>17}"
+        f" {'anyio / turtleact':>18}"
+    )
+    async with turtleact.open_node("bench") as node, anyio.create_task_group() as group:
+        for row in rows(node, group):
+            print(await compare(row), flush=True)
+
+
+def machine() -> str:
+    path = Path("/proc/cpuinfo")
+    lines = path.read_text().splitlines() if path.exists() else []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    model = models[0] if models else platform.processor() or platform.machine()
+    load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
+    return f"{os.cpu_count()} cores, {model}, load {load}"
+
+
+def main() -> None:
+    print(machine())
+    print(f"Python {platform.python_version()}, anyio {version('anyio')}")
+    asyncio.run(print_tables("asyncio"))
+    if not importlib.util.find_spec("uvloop"):
+        print("\nuvloop is skipped: it is not installed (pip install uvloop)")
+        return
+    import uvloop
+
+    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+        runner.run(print_tables(f"uvloop {version('uvloop')}"))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,383 @@
+"""The law of steering, over a turtle that moves as turtlesim's does."""
+
+from __future__ import annotations
+
+import math
+import random
+import re
+import struct
+from collections import deque
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from turtleact.actions.steering import Area, Limits, Steering, shortest_time, time_bound
+from turtleact.errors import InvalidMessage
+
+SIDE = 11.088889
+START = (5.544445, 5.544445, 0.0)
+PATROL = [(9.0, 7.0), (5.0, 1.0), (1.0, 7.0), (2.0, 9.0)]
+STYLES = ["arc", "forward", "rotate_then_drive"]
+
+coordinates = st.one_of(st.floats(0.0, SIDE), st.sampled_from([0.0, SIDE / 2, SIDE]))
+points = st.tuples(coordinates, coordinates)
+near = st.tuples(st.floats(4.5, 6.5), st.floats(4.5, 6.5))
+headings = st.floats(-math.pi, math.pi, exclude_max=True)
+tours = st.lists(points, min_size=1, max_size=3) | st.lists(near, min_size=1, max_size=4)
+styles = st.sampled_from(STYLES)
+limits = st.builds(
+    Limits,
+    max_linear=st.floats(0.5, 10.0),
+    max_angular=st.floats(0.25, 10.0),
+    tolerance=st.floats(0.01, 1.0),
+)
+
+
+class Tick(msgspec.Struct):
+    """A command, the pose after it, and how far the walls have pushed the turtle back."""
+
+    linear: float
+    angular: float
+    pose: tuple[float, float, float]
+    pushed: float
+
+
+def float32(value):
+    return struct.unpack("f", struct.pack("f", value))[0]
+
+
+def clamp(value):
+    return max(0.0, min(SIDE, value))
+
+
+def tick(pose, linear, angular, dt):
+    """One tick of turtlesim: turn, then move, then the walls; a pose is published as float32."""
+    theta = math.remainder(pose[2] + angular * dt, math.tau)
+    x, y = pose[0] + math.cos(theta) * linear * dt, pose[1] + math.sin(theta) * linear * dt
+    pushed = max(abs(x - clamp(x)), abs(y - clamp(y)))
+    return Tick(linear, angular, (clamp(x), clamp(y), theta), pushed)
+
+
+def drive(steering, pose, targets, *, look_ahead=True, late=0, teleports=None, patience=1.0):
+    """Every tick until all targets are reached, or the time bound is over."""
+    limits, left = steering.limits, list(targets)
+    ticks: list[Tick] = []
+    longest = patience * time_bound(pose, targets, steering) / limits.dt
+    commands = deque([(0.0, 0.0)] * late)
+    turning = 0.0
+    while True:
+        seen = tuple(float32(value) for value in pose)
+        while left and steering.is_reached(seen, left[0]):
+            left.pop(0)
+        if not left:
+            return ticks
+        assert len(ticks) < longest, f"{seen} has not reached {left[0]}"
+        after = left[1] if look_ahead and len(left) > 1 else None
+        commands.append(steering.command(seen, left[0], after, turning))
+        turning = commands[-1][1]
+        ticks.append(tick(pose, *commands.popleft(), limits.dt))
+        pose = (teleports or {}).get(len(ticks), ticks[-1].pose)
+
+
+def seconds(steering, pose, targets, **options):
+    return len(drive(steering, pose, targets, **options)) * steering.limits.dt
+
+
+def angle_between(pose, point):
+    bearing = math.atan2(point[1] - pose[1], point[0] - pose[0])
+    return abs(math.remainder(bearing - pose[2], math.tau))
+
+
+# How fast
+
+
+@pytest.mark.parametrize(
+    ("style", "longest"), [("arc", 10.2), ("forward", 10.8), ("rotate_then_drive", 13.0)]
+)
+def test_the_patrol_of_four_targets_is_driven_in_time(style, longest):
+    assert seconds(Steering(style), START, PATROL) <= longest
+
+
+def test_looking_ahead_saves_time():
+    steering = Steering()
+    blind = seconds(steering, START, PATROL, look_ahead=False)
+    assert seconds(steering, START, PATROL) < blind - 0.2
+
+
+@given(points, headings, tours, styles, limits)
+def test_every_tour_ends_within_the_time_bound(place, theta, targets, style, limits):
+    drive(Steering(style, limits), (*place, theta), targets)
+
+
+@given(points, headings, tours, styles, limits)
+def test_no_tour_ends_before_the_shortest_time(place, theta, targets, style, limits):
+    pose = (*place, theta)
+    least = shortest_time(pose, targets, limits)
+    # Poses are rounded to float32, and may so be reached by a hair too early.
+    assert seconds(Steering(style, limits), pose, targets) >= least - 1e-5
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_random_patrol_takes_at_most_a_quarter_longer_than_the_shortest_time(seed):
+    uniform = random.Random(seed).uniform
+    pose = (uniform(0.0, SIDE), uniform(0.0, SIDE), uniform(-math.pi, math.pi))
+    targets = [(uniform(0.0, SIDE), uniform(0.0, SIDE)) for _ in range(4)]
+    assert seconds(Steering(), pose, targets) <= 1.25 * shortest_time(pose, targets)
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_a_slow_turtle_arrives_within_the_time_bound(style):
+    slow = Limits(max_linear=0.1, max_angular=0.1, tolerance=0.01)
+    drive(Steering(style, slow), START, [(5.0, 5.3), (5.3, 5.6)])
+
+
+@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("dt", [0.001, 0.1, math.pi / 20])
+def test_a_tick_may_have_any_length(style, dt):
+    limits = Limits(max_linear=1.0, max_angular=10.0, dt=dt)
+    drive(Steering(style, limits), START, [(5.0, 5.3), (7.0, 5.6)])
+
+
+# Always arriving
+
+
+@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("theta", [0.0, 1.0, math.pi / 2, -3.0, -math.pi])
+@pytest.mark.parametrize("away", [0.11, 0.3, 0.5, 0.99, 1.5, 2.0])
+def test_a_target_inside_the_turning_circle_is_reached(style, theta, away):
+    drive(Steering(style), (5.0, 5.0, theta), [(5.0, 5.0 + away)])
+
+
+def test_a_target_inside_the_turning_circle_is_backed_away_from_first():
+    linear, angular = Steering().command((5.0, 5.0, 0.0), (5.1, 5.5))
+    assert (linear, angular) == (-2.0, 2.0)
+
+
+def test_a_forward_turtle_turns_on_the_spot_inside_the_turning_circle():
+    assert Steering("forward").command((5.0, 5.0, 0.0), (5.1, 5.5)) == (0.0, 2.0)
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_the_same_target_twice_costs_nothing(style):
+    steering = Steering(style)
+    once, twice = [PATROL[0]], [PATROL[0], PATROL[0]]
+    assert seconds(steering, START, twice) == seconds(steering, START, once)
+
+
+@pytest.mark.parametrize("distance", [0.0, 0.05, 0.1])
+def test_a_target_where_the_turtle_stands_is_reached_at_once(distance):
+    assert drive(Steering(), (5.0, 5.0, 0.0), [(5.0, 5.0 + distance)]) == []
+
+
+def test_a_turtle_at_its_target_stands_still():
+    assert Steering().command((5.0, 5.0, 0.0), (5.0, 5.05), (9.0, 9.0)) == (0.0, 0.0)
+
+
+@given(st.integers(1, 3), headings, st.lists(near, min_size=1, max_size=4), styles)
+def test_commands_that_come_late_still_arrive(late, theta, targets, style):
+    pose = (5.544445, 5.544445, theta)
+    drive(Steering(style), pose, targets, late=late, patience=2.0)
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_a_turtle_that_is_teleported_on_the_way_still_arrives(style):
+    teleports = {50: (1.0, 1.0, 3.0), 150: (10.0, 10.0, -1.0)}
+    drive(Steering(style), START, PATROL, teleports=teleports, patience=2.0)
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_a_target_outside_the_area_is_driven_to(style):
+    steering = Steering(style, Limits(area=Area(0.0, 0.0, 5.0, 5.0)))
+    drive(steering, START, [(9.0, 9.0), (3.0, 3.0)])
+
+
+# Within limits
+
+
+@given(points, headings, tours, styles, limits)
+def test_no_command_is_over_a_limit(place, theta, targets, style, limits):
+    for tick in drive(Steering(style, limits), (*place, theta), targets):
+        assert abs(tick.linear) <= limits.max_linear
+        assert abs(tick.angular) <= limits.max_angular
+
+
+@given(points, headings, tours, styles, limits)
+def test_no_wall_is_ever_hit(place, theta, targets, style, limits):
+    ticks = drive(Steering(style, limits), (*place, theta), targets)
+    # From a pose on the wall, rounding alone may lead outside.
+    assert max((tick.pushed for tick in ticks), default=0.0) < 1e-6
+
+
+@pytest.mark.parametrize("theta", [0.0, math.pi / 4, math.pi / 2])
+def test_a_turtle_that_faces_a_corner_of_the_world_turns_there(theta):
+    ticks = drive(Steering("forward"), (SIDE - 0.2, SIDE - 0.2, theta), [(9.0, SIDE - 0.1)])
+    assert max(tick.pushed for tick in ticks) == 0.0
+
+
+def test_an_approach_does_not_swing_wide_out_of_the_area():
+    targets = [(SIDE - 0.05, 5.0), (5.0, 8.0)]
+    ticks = drive(Steering("forward"), (SIDE - 0.05, 1.0, math.pi / 2), targets)
+    assert max(tick.pose[0] for tick in ticks) < SIDE
+
+
+def test_without_an_area_a_turtle_may_go_anywhere():
+    steering = Steering(limits=Limits(area=Area()))
+    assert steering.command((-70.0, 1e6, 0.0), (-60.0, 1e6)) == (2.0, 0.0)
+
+
+# The way it drives
+
+
+@given(headings, near, st.sampled_from(["forward", "rotate_then_drive"]))
+def test_a_turtle_turns_the_short_way_round(theta, target, style):
+    angular = Steering(style).command((1.0, 1.0, theta), target)[1]
+    bearing = math.atan2(target[1] - 1.0, target[0] - 1.0)
+    assert angular * math.remainder(bearing - theta, math.tau) >= 0.0
+
+
+@given(headings, near)
+def test_a_turtle_that_may_reverse_turns_little_more_than_a_quarter(theta, target):
+    ticks = drive(Steering(), (1.0, 1.0, theta), [target])
+    assert sum(abs(tick.angular) for tick in ticks) * 0.016 <= 1.2 * math.pi / 2
+
+
+def test_exactly_opposite_turns_right():
+    assert Steering("forward").command((5.0, 5.0, 0.0), (1.0, 5.0)) == (0.0, -2.0)
+
+
+@pytest.mark.parametrize("turning", [1.0, -1.0])
+@pytest.mark.parametrize("aside", [0.1, -0.1])
+def test_almost_opposite_goes_on_turning_as_before(turning, aside):
+    command = Steering("forward").command((5.0, 5.0, 0.0), (1.0, 5.0 + aside), turning=turning)
+    assert command == (0.0, 2.0 * turning)
+
+
+@pytest.mark.parametrize("turning", [1.0, -1.0])
+@pytest.mark.parametrize("ahead", [0.1, -0.1])
+def test_square_to_the_heading_goes_on_turning_as_before(turning, ahead):
+    angular = Steering().command((5.0, 5.0, 0.0), (5.0 + ahead, 9.0), turning=turning)[1]
+    assert angular == 2.0 * turning
+
+
+def test_a_target_behind_is_driven_to_in_reverse():
+    assert Steering().command((5.0, 5.0, 0.0), (1.0, 5.0)) == (-2.0, 0.0)
+
+
+@given(points, headings, tours, limits)
+def test_the_forward_style_never_reverses(place, theta, targets, limits):
+    ticks = drive(Steering("forward", limits), (*place, theta), targets)
+    assert all(tick.linear >= 0.0 for tick in ticks)
+
+
+def test_rotate_then_drive_stands_until_it_faces_its_target():
+    ticks = drive(Steering("rotate_then_drive"), START, [(5.0, 9.0)])
+    assert all(tick.linear == 0.0 for tick in ticks if angle_between(tick.pose, (5.0, 9.0)) > 0.1)
+
+
+def test_rotate_then_drive_drives_straight_once_it_faces_its_target():
+    ticks = drive(Steering("rotate_then_drive"), START, [(5.0, 9.0)])
+    start = next(i for i, tick in enumerate(ticks) if tick.linear)
+    assert {tick.linear for tick in ticks[start:]} == {2.0}
+
+
+def test_the_last_turn_ends_exactly_on_the_bearing():
+    target = (9.0, 5.05)
+    pose = tick((5.0, 5.0, 0.0), *Steering().command((5.0, 5.0, 0.0), target), 0.016).pose
+    assert pose[2] == pytest.approx(math.atan2(0.05, 4.0), abs=1e-12)
+
+
+def test_the_last_step_ends_where_the_target_is():
+    fast = Steering(limits=Limits(max_linear=10.0, tolerance=0.01))
+    linear, _ = fast.command((5.0, 5.0, 0.0), (5.08, 5.0))
+    assert linear * 0.016 == pytest.approx(0.08)
+
+
+def test_an_approach_swings_wide_of_the_next_turn():
+    pose, target = (1.0, 5.0, 0.0), (5.0, 5.0)
+    assert Steering().command(pose, target, (5.0, 9.0))[1] < 0.0
+
+
+def test_two_legs_in_one_line_are_driven_straight():
+    assert Steering().command((1.0, 5.0, 0.0), (5.0, 5.0), (9.0, 5.0)) == (2.0, 0.0)
+
+
+def test_a_next_target_in_the_same_place_does_not_shape_the_approach():
+    steering, pose, target = Steering(), (1.0, 5.0, 0.1), (5.0, 5.0)
+    assert steering.command(pose, target, (5.0, 5.05)) == steering.command(pose, target)
+
+
+def test_a_target_far_from_the_heading_is_faced_before_the_approach_is_shaped():
+    steering, pose, target = Steering("forward"), (1.0, 5.0, 1.2), (5.0, 5.0)
+    assert steering.command(pose, target, (5.0, 9.0)) == steering.command(pose, target)
+
+
+def test_the_law_remembers_nothing():
+    steering = Steering()
+    fresh = Steering().command(START, PATROL[0], PATROL[1])
+    drive(steering, (1.0, 1.0, 1.0), PATROL)
+    assert steering.command(START, PATROL[0], PATROL[1]) == fresh
+
+
+# Bounds
+
+
+def test_nothing_to_reach_takes_no_time():
+    assert (shortest_time(START, []), time_bound(START, [], Steering())) == (0.0, 0.0)
+
+
+def test_the_shortest_time_to_targets_in_reach_is_zero():
+    assert shortest_time((5.0, 5.0, 1.0), [(5.0, 5.05), (5.05, 5.0), (5.0, 5.0)]) == 0.0
+
+
+@pytest.mark.parametrize("theta", [0.0, -math.pi])
+def test_the_shortest_time_along_a_line_is_that_of_driving_it_either_way(theta):
+    assert shortest_time((1.0, 5.0, theta), [(5.0, 5.0), (9.1, 5.0)]) == pytest.approx(4.0)
+
+
+def test_the_shortest_time_counts_the_turn_at_the_start():
+    turn = math.pi / 2 - 0.032
+    expected = (4.0 - 0.1) / 2.0 + (turn - math.sin(turn)) / 2.0
+    assert shortest_time((5.0, 1.0, 0.0), [(5.0, 5.0)]) == pytest.approx(expected)
+
+
+def test_the_shortest_time_counts_each_corner_as_two_halves():
+    tiny = Limits(tolerance=1e-6, dt=1e-6)
+    expected = 4.0 + 2 * (math.pi / 4 - math.sin(math.pi / 4)) / 2.0
+    actual = shortest_time((1.0, 1.0, 0.0), [(5.0, 1.0), (5.0, 5.0)], tiny)
+    assert actual == pytest.approx(expected, abs=1e-4)
+
+
+def test_the_shortest_time_of_the_patrol_is_within_two_per_cent_of_what_is_driven():
+    driven = seconds(Steering(), START, PATROL)
+    assert 0.98 * driven < shortest_time(START, PATROL) < driven
+
+
+@given(points, headings, tours)
+def test_the_shortest_time_is_below_the_time_bound(place, theta, targets):
+    pose = (*place, theta)
+    assert shortest_time(pose, targets) <= time_bound(pose, targets, Steering())
+
+
+# Mistakes
+
+
+@pytest.mark.parametrize("name", ["max_linear", "max_angular", "tolerance", "dt"])
+@pytest.mark.parametrize("value", [0.0, -1.0, math.inf, math.nan])
+def test_a_limit_must_be_finite_and_above_zero(name, value):
+    with pytest.raises(
+        InvalidMessage, match=f"^{name}: must be finite and above zero, not {value}$"
+    ):
+        Limits(**{name: value})
+
+
+def test_a_tick_must_not_turn_more_than_a_quarter():
+    with pytest.raises(InvalidMessage, match=re.escape("dt: a tick may turn pi/2 rad at most")):
+        Limits(max_angular=10.0, dt=0.2)
+
+
+def test_an_unknown_style_is_refused_with_the_known_ones():
+    text = "style: 'drift' is none of arc, forward, rotate_then_drive"
+    with pytest.raises(InvalidMessage, match=text):
+        Steering("drift")  # type: ignore[arg-type]  # the mistake in question

@@ -1,0 +1,200 @@
+"""A laboratory for actions: one small action, a node that serves it, and ways to let time pass."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import anyio
+import pytest
+
+import turtleact
+from turtleact.clock import VirtualClock
+from turtleact.interfaces import Action, Message, int32
+from turtleact.tasks import current_tasks
+from turtleact.transports import MemoryTransport
+
+T = TypeVar("T")
+
+ON_ASYNCIO = pytest.mark.parametrize(
+    "anyio_backend",
+    [
+        pytest.param(("asyncio", {"use_uvloop": False}), id="asyncio"),
+        pytest.param(("asyncio", {"use_uvloop": True}), id="uvloop"),
+    ],
+)
+ON_TRIO = pytest.mark.parametrize("anyio_backend", [pytest.param(("trio", {}), id="trio")])
+
+TURNS = 30
+"""More turns of a loop than any chain of wake-ups in these tests takes."""
+
+
+class Count(Action, type_name="lab_interfaces/action/Count"):
+    """Counts up to a number; says every number on its way."""
+
+    class Goal(Message):
+        upto: int32 = 0
+
+    class Result(Message):
+        counted: list[int32] = []
+
+    class Feedback(Message):
+        so_far: list[int32] = []
+
+
+def goal(upto: int = 3) -> Count.Goal:
+    return Count.Goal(upto=upto)
+
+
+def feedback(*numbers: int) -> Count.Feedback:
+    return Count.Feedback(so_far=list(numbers))
+
+
+def result(*numbers: int) -> Count.Result:
+    return Count.Result(counted=list(numbers))
+
+
+async def take_turns() -> None:
+    """Let all others run for a while; some of them may never wait."""
+    tasks = current_tasks()
+    for _ in range(TURNS):
+        await tasks.checkpoint()
+
+
+async def settle() -> None:
+    """Let all others run until they wait for something that none of them brings about."""
+    if anyio.get_cancelled_exc_class() is asyncio.CancelledError:
+        await take_turns()
+    else:
+        await anyio.wait_all_tasks_blocked()
+
+
+def other_tasks() -> set[asyncio.Task[Any]]:
+    """What runs on an asyncio loop besides the test itself."""
+    return {task for task in asyncio.all_tasks() if task is not asyncio.current_task()}
+
+
+class Running(Generic[T]):
+    """A coroutine that runs in a task of its own, and what came of it.
+
+    Attributes:
+        scope: Canceling it cancels the coroutine.
+        value: What it returned.
+        error: What it raised; a cancellation too.
+        done: Set at its end.
+    """
+
+    def __init__(self, call: Callable[[], Any]) -> None:
+        self._call = call
+        self.scope = anyio.CancelScope()
+        self.value: Any = None
+        self.error: BaseException | None = None
+        self.done = anyio.Event()
+
+    async def run(self) -> None:
+        try:
+            with self.scope:
+                self.value = await self._call()
+        except Exception as error:
+            self.error = error
+        finally:
+            self.done.set()
+
+
+@asynccontextmanager
+async def running(call: Callable[[], Any]) -> AsyncIterator[Running[Any]]:
+    """Run ``call()`` beside the block: well under way before it begins, awaited at its end."""
+    beside: Running[Any] = Running(call)
+    async with anyio.create_task_group() as group:
+        group.start_soon(beside.run)
+        await take_turns()
+        yield beside
+
+
+class Lab(NamedTuple):
+    """What a test works with."""
+
+    node: turtleact.Node
+    server: turtleact.ActionServer[Any, Any, Any]
+    client: turtleact.ActionClient[Any, Any, Any]
+
+    @property
+    def active(self) -> list[Any]:
+        """The goals that the server takes for unended."""
+        return self.server._table.active
+
+
+@asynccontextmanager
+async def lab(
+    execute: Callable[..., object], *, transport: MemoryTransport | None = None, **options: Any
+) -> AsyncIterator[Lab]:
+    """A node that serves `Count` with this body, and a client of it."""
+    async with turtleact.open_node("lab", transport=transport) as node:
+        server = node.action_server(Count, "count", execute, **options)
+        yield Lab(node, server, node.action_client(Count, "count"))
+
+
+async def count(goal: Count.Goal) -> AsyncIterator[Message]:
+    """The plain body: a generator that never waits."""
+    numbers: list[int] = []
+    for number in range(goal.upto):
+        numbers.append(number)
+        yield Count.Feedback(so_far=numbers)
+    yield Count.Result(counted=numbers)
+
+
+class Gate:
+    """A body that waits until it is let go on, and notes what happens to it.
+
+    Attributes:
+        started: Set when a body has begun.
+        opened: Set it to let the bodies go on.
+        log: What has happened, in order.
+    """
+
+    def __init__(self) -> None:
+        self.started = anyio.Event()
+        self.opened = anyio.Event()
+        self.log: list[str] = []
+
+    async def wait(self, goal: Count.Goal) -> Count.Result:
+        """A coroutine body."""
+        self.log.append("begun")
+        self.started.set()
+        try:
+            await self.opened.wait()
+        except anyio.get_cancelled_exc_class():
+            self.log.append("canceled")
+            raise
+        finally:
+            self.log.append("over")
+        return Count.Result(counted=[goal.upto])
+
+    async def stream(self, goal: Count.Goal) -> AsyncIterator[Message]:
+        """A generator body."""
+        self.log.append("begun")
+        self.started.set()
+        try:
+            yield Count.Feedback(so_far=[0])
+            await self.opened.wait()
+        except anyio.get_cancelled_exc_class():
+            self.log.append("canceled")
+            raise
+        finally:
+            self.log.append("over")
+        yield Count.Result(counted=[goal.upto])
+
+
+class HandClock(VirtualClock):
+    """A clock that a test sets by hand."""
+
+    def advance(self, seconds: float) -> None:
+        self._time += seconds
+
+
+def hand_lab(execute: Callable[..., object], **options: Any) -> tuple[HandClock, Any]:
+    """A laboratory whose time the test sets by hand."""
+    clock = HandClock()
+    return clock, lab(execute, transport=MemoryTransport(clock), **options)

@@ -1,0 +1,779 @@
+"""What a client may ask of a goal, and that a cancellation at any point leaves nothing behind."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import uuid
+from typing import Any
+
+import anyio
+import anyio.lowlevel
+import pytest
+
+import turtleact
+from turtleact import CancelResponse, GoalResponse, GoalStatus, Outcome
+from turtleact.errors import (
+    Abort,
+    Canceled,
+    GoalAborted,
+    GoalCanceled,
+    GoalRejected,
+    InvalidName,
+    ServerUnavailable,
+)
+from turtleact.goal import CancelCode
+from turtleact.tasks import current_tasks
+from turtleact.transports import MemoryTransport
+
+from .lab import (
+    ON_ASYNCIO,
+    TURNS,
+    Count,
+    Gate,
+    count,
+    feedback,
+    goal,
+    hand_lab,
+    lab,
+    other_tasks,
+    result,
+    running,
+    settle,
+    take_turns,
+)
+
+
+async def abort(request, handle):
+    handle.set_partial_result(result(1))
+    raise Abort("no pen")
+
+
+async def wait_with_partial_result(request, handle):
+    handle.set_partial_result(result(1))
+    await anyio.sleep_forever()
+
+
+# --- awaiting a goal ------------------------------------------------------------------------
+
+
+async def test_awaiting_a_goal_gives_its_result():
+    async with lab(count) as served:
+        assert await served.client.send_goal(goal()) == result(0, 1, 2)
+
+
+async def test_awaiting_an_aborted_goal_raises_its_reason_and_result():
+    async with lab(abort) as served:
+        with pytest.raises(GoalAborted, match=r"^the goal was aborted: no pen$") as caught:
+            await served.client.send_goal(goal())
+        assert (caught.value.reason, caught.value.result) == ("no pen", result(1))
+
+
+async def test_awaiting_a_canceled_goal_raises_its_result():
+    async with (
+        lab(wait_with_partial_result) as served,
+        running(lambda: served.client.send_goal(goal())) as sent,
+    ):
+        await served.client.cancel_all()
+    assert isinstance(sent.error, GoalCanceled)
+    assert (str(sent.error), sent.error.result) == ("the goal was canceled", result(1))
+
+
+async def test_a_goal_that_was_neither_awaited_nor_entered_is_not_sent():
+    gate = Gate()
+    async with lab(gate.wait) as served:
+        served.client.send_goal(goal())
+        await settle()
+        assert (gate.log, served.active) == ([], [])
+
+
+async def test_a_goal_can_be_sent_again():
+    async with lab(count) as served:
+        sending = served.client.send_goal(goal(1))
+        assert [await sending, await sending] == [result(0), result(0)]
+
+
+@ON_ASYNCIO
+async def test_goals_can_be_gathered():
+    async with lab(count) as served:
+        goals = [served.client.send_goal(goal(number)) for number in range(3)]
+        assert await asyncio.gather(*goals) == [result(), result(0), result(0, 1)]
+
+
+async def test_canceling_who_awaits_a_goal_cancels_the_goal():
+    gate = Gate()
+    async with lab(gate.wait) as served:
+        async with running(lambda: served.client.send_goal(goal())) as sent:
+            sent.scope.cancel()
+        assert (gate.log, served.active) == (["begun", "canceled", "over"], [])
+        assert sent.scope.cancelled_caught
+
+
+async def test_canceling_who_awaits_a_goal_ends_it_canceled():
+    async with (
+        lab(wait_with_partial_result) as served,
+        running(lambda: served.client.send_goal(goal(), goal_id=b"1" * 16)) as sent,
+    ):
+        (held,) = served.active
+        sent.scope.cancel()
+        await sent.done.wait()
+        assert (held.status, held.result) == (GoalStatus.CANCELED, result(1))
+
+
+async def test_canceling_who_awaits_a_goal_lets_its_body_report_a_result():
+    async def body(request):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            raise Canceled(result(5))
+
+    async with lab(body) as served, running(lambda: served.client.send_goal(goal())) as sent:
+        (held,) = served.active
+        sent.scope.cancel()
+        await sent.done.wait()
+        assert (held.status, held.result) == (GoalStatus.CANCELED, result(5))
+
+
+async def test_canceling_who_awaits_a_goal_waits_for_the_end_of_its_clean_up():
+    gate, log = Gate(), []
+
+    async def body(request):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await gate.opened.wait()
+            log.append("cleaned up")
+
+    async with lab(body) as served, running(lambda: served.client.send_goal(goal())) as sent:
+        sent.scope.cancel()
+        await settle()
+        assert not sent.done.is_set()
+        gate.opened.set()
+        await sent.done.wait()
+        assert log == ["cleaned up"]
+
+
+async def test_who_awaits_a_goal_stays_canceled_even_if_the_goal_succeeds():
+    async def body(request):
+        try:
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class():
+            return result(7)
+
+    async with lab(body) as served:
+        async with running(lambda: served.client.send_goal(goal())) as sent:
+            sent.scope.cancel()
+        assert (sent.scope.cancelled_caught, sent.value) == (True, None)
+
+
+async def test_a_timeout_around_an_awaited_goal_cancels_the_goal():
+    gate = Gate()
+    async with lab(gate.wait) as served:
+        with pytest.raises(TimeoutError), anyio.fail_after(0):
+            await served.client.send_goal(goal())
+        assert served.active == []
+
+
+@ON_ASYNCIO
+async def test_a_timeout_of_asyncio_around_an_awaited_goal_cancels_the_goal():
+    gate = Gate()
+    async with lab(gate.wait) as served:
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0):
+                await served.client.send_goal(goal())
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(served.client.send_goal(goal()), 0.001)
+        assert served.active == []
+
+
+@pytest.mark.parametrize("ends", ["succeeded", "canceled"])
+async def test_a_scope_around_an_awaited_goal_is_as_before_afterwards(ends):
+    gate = Gate()
+    async with lab(gate.wait) as served, anyio.create_task_group() as group:
+        with anyio.CancelScope() as scope:
+            if ends == "succeeded":
+                gate.opened.set()
+                await served.client.send_goal(goal())
+            else:
+                group.start_soon(cancel_later, served)
+                with pytest.raises(GoalCanceled):
+                    await served.client.send_goal(goal())
+            await take_turns()
+        assert not scope.cancelled_caught
+
+
+async def cancel_later(served) -> None:
+    await take_turns()
+    await served.client.cancel_all()
+
+
+async def test_a_goal_sent_in_the_clean_up_of_a_canceled_task_runs():
+    async with lab(count) as served:
+        values: list[object] = []
+
+        async def call():
+            try:
+                await anyio.sleep_forever()
+            finally:
+                with anyio.CancelScope(shield=True):
+                    values.append(await served.client.send_goal(goal(1)))
+
+        async with running(call) as beside:
+            beside.scope.cancel()
+        assert values == [result(0)]
+
+
+async def test_a_canceled_wait_is_bounded_where_the_server_does_not_let_the_goal_go(monkeypatch):
+    monkeypatch.setattr("turtleact.server.GRACE", 0.01)
+    gate = Gate()
+
+    def hold(handle):
+        return CancelResponse.REJECT
+
+    async with lab(gate.wait, cancel_callback=hold) as served:
+        async with running(lambda: served.client.send_goal(goal())) as sent:
+            sent.scope.cancel()
+        assert (len(served.active), gate.log) == (1, ["begun"])
+        gate.opened.set()
+
+
+async def test_a_goal_within_a_goal_is_canceled_with_it():
+    gate = Gate()
+
+    async def parent(request, handle):
+        await handle.node.action_client(Count, "count").send_goal(goal())
+        return result()
+
+    async with lab(gate.wait) as served:
+        served.node.action_server(Count, "parent", parent)
+        client = served.node.action_client(Count, "parent")
+        async with running(lambda: client.send_goal(goal())) as sent:
+            await client.cancel_all()
+        assert isinstance(sent.error, GoalCanceled)
+        assert (gate.log, served.active) == (["begun", "canceled", "over"], [])
+
+
+async def test_a_goal_within_a_goal_that_is_canceled_by_others_reaches_the_parent_as_such():
+    gate = Gate()
+
+    async def parent(request, handle):
+        with pytest.raises(GoalCanceled):
+            await handle.node.action_client(Count, "count").send_goal(goal())
+        await anyio.lowlevel.checkpoint()
+        return result(7)
+
+    async with lab(gate.wait) as served:
+        served.node.action_server(Count, "parent", parent)
+        client = served.node.action_client(Count, "parent")
+        async with running(lambda: client.send_goal(goal())) as sent:
+            await served.client.cancel_all()
+        assert sent.value == result(7)
+
+
+# --- entering a goal ------------------------------------------------------------------------
+
+
+async def test_a_handle_shows_its_goal():
+    gate = Gate()
+    async with lab(gate.wait) as served, served.client.send_goal(goal()) as handle:
+        assert (handle.accepted, handle.done, handle.status) == (True, False, GoalStatus.EXECUTING)
+        gate.opened.set()
+        await handle.result()
+        assert (handle.done, handle.status) == (True, GoalStatus.SUCCEEDED)
+
+
+async def test_the_result_can_be_asked_for_before_and_after_the_end():
+    gate = Gate()
+    async with lab(gate.wait) as served, served.client.send_goal(goal(7)) as handle:
+        async with running(handle.result) as early:
+            gate.opened.set()
+        assert early.value == await handle.result() == result(7)
+
+
+async def test_any_number_of_tasks_can_wait_for_the_result():
+    gate, results = Gate(), []
+    async with lab(gate.wait) as served, served.client.send_goal(goal(7)) as handle:
+
+        async def wait():
+            results.append(await handle.result())
+
+        async with anyio.create_task_group() as group:
+            for _ in range(10):
+                group.start_soon(wait)
+            await settle()
+            gate.opened.set()
+    assert results == [result(7)] * 10
+
+
+async def test_canceling_who_waits_for_the_result_lets_the_goal_go_on():
+    gate = Gate()
+    async with lab(gate.wait) as served, served.client.send_goal(goal(7)) as handle:
+        async with running(handle.result) as waiter:
+            waiter.scope.cancel()
+        assert handle.status is GoalStatus.EXECUTING
+        gate.opened.set()
+        assert await handle.result() == result(7)
+
+
+async def test_a_waiter_that_was_canceled_does_not_pin_the_goal():
+    async with lab(Gate().wait) as served, served.client.send_goal(goal()) as handle:
+        async with running(handle.result) as waiter:
+            waiter.scope.cancel()
+        assert served.active[0].waiters == 0
+
+
+async def test_the_result_of_an_aborted_goal_raises():
+    async with lab(abort) as served, served.client.send_goal(goal()) as handle:
+        with pytest.raises(GoalAborted, match="no pen"):
+            await handle.result()
+
+
+async def test_the_result_of_a_canceled_goal_raises():
+    async with lab(Gate().wait) as served, served.client.send_goal(goal()) as handle:
+        await handle.cancel()
+        with pytest.raises(GoalCanceled):
+            await handle.result()
+
+
+async def test_the_outcome_of_a_goal_never_raises():
+    async with lab(abort) as served, served.client.send_goal(goal()) as handle:
+        expected = Outcome(GoalStatus.ABORTED, result(1), "no pen")
+        assert [await handle.outcome(), await handle.outcome()] == [expected, expected]
+
+
+async def test_the_outcome_can_be_waited_for():
+    gate = Gate()
+    async with lab(gate.wait) as served, served.client.send_goal(goal(7)) as handle:
+        async with running(handle.outcome) as waiter:
+            gate.opened.set()
+        assert waiter.value == Outcome(GoalStatus.SUCCEEDED, result(7))
+
+
+async def test_reading_ends_when_the_goal_does():
+    gate = Gate()
+    async with lab(gate.stream) as served, served.client.send_goal(goal()) as handle:
+        read = []
+        async for message in handle:
+            read.append(message)
+            gate.opened.set()
+        assert (read, handle.status) == ([feedback(0)], GoalStatus.SUCCEEDED)
+
+
+@pytest.mark.parametrize("body", [abort, count])
+async def test_reading_ends_however_the_goal_ends(body):
+    async with lab(body) as served, served.client.send_goal(goal(0)) as handle:
+        assert [message async for message in handle] == []
+
+
+async def test_a_handle_can_be_read_message_by_message():
+    async with lab(count) as served, served.client.send_goal(goal(2)) as handle:
+        assert [await anext(handle), await anext(handle)] == [feedback(0), feedback(0, 1)]
+        with pytest.raises(StopAsyncIteration):
+            await anext(handle)
+
+
+async def test_canceling_who_reads_loses_nothing():
+    gate = Gate()
+
+    async def body(request, handle):
+        await gate.opened.wait()
+        handle.publish_feedback(feedback(1))
+        return result()
+
+    async with lab(body) as served, served.client.send_goal(goal()) as handle:
+        async with running(lambda: anext(aiter(handle))) as reader:
+            reader.scope.cancel()
+        gate.opened.set()
+        assert [message async for message in handle] == [feedback(1)]
+
+
+async def test_the_newest_feedback_is_nothing_before_the_first():
+    async with lab(Gate().wait) as served, served.client.send_goal(goal()) as handle:
+        assert handle.last_feedback is None
+
+
+async def test_leaving_the_block_cancels_the_goal_and_waits_for_its_end():
+    gate = Gate()
+    async with lab(gate.wait) as served:
+        async with served.client.send_goal(goal()) as handle:
+            await gate.started.wait()
+        assert (handle.status, gate.log) == (
+            GoalStatus.CANCELED,
+            ["begun", "canceled", "over"],
+        )
+
+
+async def test_leaving_the_block_with_an_exception_cancels_the_goal_and_lets_it_pass():
+    gate, mine = Gate(), ValueError("mine")
+    async with lab(gate.wait) as served:
+        with pytest.raises(ValueError, match="mine") as caught:
+            async with served.client.send_goal(goal()) as handle:
+                raise mine
+        assert (caught.value, handle.status) == (mine, GoalStatus.CANCELED)
+
+
+async def test_leaving_the_block_after_the_end_does_nothing():
+    async with lab(count) as served:
+        async with served.client.send_goal(goal()) as handle:
+            await handle.result()
+        assert handle.status is GoalStatus.SUCCEEDED
+
+
+async def test_canceling_the_block_cancels_the_goal_and_waits_for_its_end():
+    gate = Gate()
+    async with lab(gate.wait) as served:
+
+        async def call():
+            async with served.client.send_goal(goal()):
+                await anyio.sleep_forever()
+
+        async with running(call) as beside:
+            beside.scope.cancel()
+        assert (gate.log, served.active) == (["begun", "canceled", "over"], [])
+
+
+async def test_a_detached_goal_goes_on():
+    gate = Gate()
+    async with lab(gate.wait) as served:
+        async with served.client.send_goal(goal(7)) as handle:
+            handle.detach()
+        assert handle.status is GoalStatus.EXECUTING
+        gate.opened.set()
+        assert await handle.result() == result(7)
+
+
+async def test_a_goal_that_cannot_be_sent_leaves_nothing_to_leave():
+    async with turtleact.open_node("lab") as node:
+        sending = node.action_client(Count, "count").send_goal(goal())
+        with pytest.raises(ServerUnavailable):
+            await sending.__aenter__()
+        await sending.__aexit__(None, None, None)
+
+
+async def test_a_goal_whose_result_has_expired_still_answers_its_handle():
+    clock, laboratory = hand_lab(count)
+    async with laboratory as served, served.client.send_goal(goal(1)) as handle:
+        await handle.result()
+        clock.advance(100)
+        assert await handle.result() == result(0)
+
+
+# --- ids ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "goal_id",
+    [
+        pytest.param(bytes(range(16)), id="bytes"),
+        pytest.param(uuid.UUID(bytes=bytes(range(16))), id="uuid"),
+        pytest.param(bytes(range(16)).hex(), id="digits"),
+    ],
+)
+async def test_a_goal_has_the_id_that_it_was_given(goal_id):
+    async with (
+        lab(count) as served,
+        served.client.send_goal(goal(), goal_id=goal_id) as handle,
+    ):
+        assert handle.goal_id == bytes(range(16))
+
+
+@pytest.mark.parametrize("goal_id", [b"", b"1" * 15, b"1" * 17, "xyz", 7])
+async def test_what_is_no_goal_id_is_refused(goal_id):
+    async with lab(count) as served:
+        with pytest.raises(InvalidName, match="a goal id has"):
+            served.client.send_goal(goal(), goal_id=goal_id)
+
+
+async def test_each_goal_has_an_id_of_its_own():
+    async with lab(Gate().wait) as served:
+        seen = set()
+        for _ in range(20):
+            async with served.client.send_goal(goal()) as handle:
+                seen.add(handle.goal_id)
+    assert len(seen) == 20
+
+
+# --- finding a server -----------------------------------------------------------------------
+
+
+async def test_without_a_server_a_goal_cannot_be_sent():
+    async with turtleact.open_node("lab") as node:
+        client = node.action_client(Count, "count")
+        with pytest.raises(ServerUnavailable, match=r"^action '/count': no server answers$"):
+            await client.send_goal(goal())
+        with pytest.raises(ServerUnavailable):
+            await client.send_goal(goal()).__aenter__()
+
+
+@pytest.mark.parametrize("ask", ["cancel_all", "cancel_before"])
+async def test_without_a_server_nothing_can_be_canceled(ask):
+    async with turtleact.open_node("lab") as node:
+        client = node.action_client(Count, "count")
+        arguments = [turtleact.interfaces.standard.Time()] if ask == "cancel_before" else []
+        with pytest.raises(ServerUnavailable):
+            await getattr(client, ask)(*arguments)
+
+
+async def test_a_server_that_is_there_need_not_be_waited_for():
+    async with lab(count) as served:
+        assert await served.client.wait_for_server() is True
+        assert await served.client.wait_for_server(0) is True
+
+
+async def test_a_server_that_does_not_come_is_not_waited_for_for_ever():
+    async with turtleact.open_node("lab") as node:
+        assert await node.action_client(Count, "count").wait_for_server(0) is False
+
+
+async def test_a_server_that_comes_later_is_waited_for():
+    async with turtleact.open_node("lab") as node:
+        client = node.action_client(Count, "count")
+        async with running(client.wait_for_server) as waiter:
+            node.action_server(Count, "other", count)
+            await settle()
+            assert not waiter.done.is_set()
+            node.action_server(Count, "count", count)
+        assert waiter.value is True
+        assert await client.send_goal(goal(1)) == result(0)
+
+
+async def test_waiting_for_a_server_can_be_canceled():
+    async with turtleact.open_node("lab") as node:
+        client = node.action_client(Count, "count")
+        async with running(client.wait_for_server) as waiter:
+            waiter.scope.cancel()
+        node.action_server(Count, "count", count)
+        assert await client.wait_for_server() is True
+
+
+async def test_a_server_of_another_type_is_no_server():
+    class Other(turtleact.Action, type_name="lab_interfaces/action/Other"):
+        class Goal(turtleact.Message):
+            pass
+
+        class Result(turtleact.Message):
+            pass
+
+        class Feedback(turtleact.Message):
+            pass
+
+    async with lab(count) as served:
+        client = served.node.action_client(Other, "count")
+        assert await client.wait_for_server(0) is False
+
+
+async def test_a_client_finds_the_next_server_once_the_first_is_closed():
+    async def other(request):
+        return result(7)
+
+    async with lab(count) as served:
+        await served.client.send_goal(goal(1))
+        await served.server.aclose()
+        served.node.action_server(Count, "count", other)
+        assert await served.client.send_goal(goal(1)) == result(7)
+
+
+async def test_a_client_that_is_closed_lets_its_goals_go_on():
+    gate = Gate()
+    async with lab(gate.wait) as served, served.client.send_goal(goal(7)) as handle:
+        await served.client.aclose()
+        await served.client.aclose()
+        gate.opened.set()
+        assert await handle.result() == result(7)
+
+
+async def test_a_client_that_belongs_to_no_node_can_be_closed():
+    transport = MemoryTransport()
+    names = turtleact.names.action_names("/count")
+    await turtleact.ActionClient(transport, Count, names).aclose()
+
+
+# --- canceled at every point ----------------------------------------------------------------
+
+
+class Busy:
+    """A body and callbacks that wait as often as can be, in their clean-up too."""
+
+    def __init__(self) -> None:
+        self.active = 0
+
+    async def body(self, request, handle):
+        self.active += 1
+        try:
+            await take(2)
+            handle.publish_feedback(feedback(1))
+            await take(2)
+            return result(1)
+        finally:
+            await self.clean_up()
+
+    async def stream(self, request):
+        self.active += 1
+        try:
+            for number in range(20):
+                yield feedback(number)
+            await take(2)
+            yield result(1)
+        finally:
+            await self.clean_up()
+
+    async def clean_up(self):
+        try:
+            with anyio.CancelScope(shield=True):
+                await take(2)
+        finally:
+            self.active -= 1
+
+    async def accept(self, request):
+        await take(2)
+        return GoalResponse.ACCEPT
+
+    async def let_go(self, handle):
+        await take(2)
+        return CancelResponse.ACCEPT
+
+
+async def take(turns: int) -> None:
+    for _ in range(turns):
+        await anyio.lowlevel.checkpoint()
+
+
+async def await_it(client):
+    await client.send_goal(goal())
+
+
+async def read_it(client):
+    async with client.send_goal(goal()) as handle:
+        async for _ in handle:
+            await take(1)
+        await handle.result()
+
+
+async def leave_it(client):
+    async with client.send_goal(goal()):
+        await take(3)
+
+
+async def cancel_it(client):
+    async with client.send_goal(goal()) as handle:
+        await take(3)
+        await handle.cancel()
+        await handle.outcome()
+
+
+async def cancel_them_all(client):
+    async with client.send_goal(goal()):
+        await take(3)
+        await client.cancel_all()
+
+
+async def find_it(client):
+    await client.wait_for_server()
+    await client.send_goal(goal())
+
+
+async def cancel_after(turns: int, call, native: bool) -> bool:
+    """Run a call in a task of its own and cancel it after some turns; whether it was still on."""
+    if native:
+        task = asyncio.create_task(call())
+        await take_native(turns)
+        task.cancel()
+        await asyncio.wait([task])
+        return task.cancelled()
+    scope, ended = anyio.CancelScope(), False
+
+    async def run():
+        nonlocal ended
+        with scope:
+            await call()
+            ended = True
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(run)
+        tasks = current_tasks()
+        for _ in range(turns):
+            await tasks.checkpoint()
+        scope.cancel()
+    return not ended
+
+
+async def take_native(turns: int) -> None:
+    for _ in range(turns):
+        await asyncio.sleep(0)
+
+
+CALLS = pytest.mark.parametrize(
+    "call", [await_it, read_it, leave_it, cancel_it, cancel_them_all, find_it]
+)
+ASKING = pytest.mark.parametrize("asks", [False, True], ids=["plain", "asking"])
+BUSY = pytest.mark.parametrize("style", ["body", "stream"])
+
+
+async def cancel_everywhere(call, style, *, asks, native) -> int:
+    """Cancel a call at each point from its beginning on; answer at how many points it was on."""
+    busy = Busy()
+    callbacks: dict[str, Any] = {"goal_callback": busy.accept, "cancel_callback": busy.let_go}
+    async with lab(getattr(busy, style), **callbacks if asks else {}) as served:
+        before = other_tasks() if on_asyncio() else set()
+        for turns in range(100 * TURNS):
+            was_on = await cancel_after(turns, lambda: call(served.client), native)
+            if native:  # a second scope may be left at once: what was shielded goes on
+                await settle()
+            assert (served.active, busy.active) == ([], 0), f"after {turns} turns"
+            await settle()
+            assert not on_asyncio() or other_tasks() == before, f"after {turns} turns"
+            assert await served.client.send_goal(goal()) == result(1), f"after {turns} turns"
+            if not was_on:
+                return turns
+        pytest.fail("the call never came to its end")
+
+
+def on_asyncio() -> bool:
+    return anyio.get_cancelled_exc_class() is asyncio.CancelledError
+
+
+@CALLS
+@ASKING
+@BUSY
+async def test_a_call_canceled_by_a_scope_at_any_point_leaves_nothing_behind(call, style, asks):
+    assert await cancel_everywhere(call, style, asks=asks, native=False) > 3
+
+
+@ON_ASYNCIO
+@CALLS
+@ASKING
+@BUSY
+async def test_a_call_canceled_as_a_task_at_any_point_leaves_nothing_behind(call, style, asks):
+    assert await cancel_everywhere(call, style, asks=asks, native=True) > 3
+
+
+@CALLS
+@BUSY
+async def test_a_server_closed_at_any_point_of_a_call_answers_it(call, style):
+    async def run(client):
+        with contextlib.suppress(GoalAborted, GoalCanceled, GoalRejected, ServerUnavailable):
+            await call(client)
+
+    for turns in range(40):
+        busy = Busy()
+        async with lab(getattr(busy, style)) as served, anyio.create_task_group() as group:
+            group.start_soon(run, served.client)
+            await take(turns)
+            await served.server.aclose()
+            assert (served.active, busy.active) == ([], 0), f"after {turns} turns"
+            if call is find_it:
+                group.cancel_scope.cancel()  # it may wait for the next server
+
+
+async def test_a_goal_canceled_at_any_point_ends_canceled_or_has_succeeded():
+    for turns in range(40):
+        busy = Busy()
+        async with lab(busy.body) as served, served.client.send_goal(goal()) as handle:
+            await take(turns)
+            response = await handle.cancel()
+            outcome = await handle.outcome()
+            if outcome.status is GoalStatus.CANCELED:
+                assert response.return_code == CancelCode.NONE, f"after {turns} turns"
+            else:  # it may succeed although it is canceling
+                assert outcome.status is GoalStatus.SUCCEEDED, f"after {turns} turns"

@@ -1,0 +1,1432 @@
+"""How a body is carried out and how it ends, in both styles, awaited and entered, on every loop."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextvars import ContextVar
+
+import anyio
+import anyio.lowlevel
+import pytest
+
+from turtleact import GoalStatus, Outcome
+from turtleact.errors import (
+    Abort,
+    Canceled,
+    GoalAborted,
+    GoalCanceled,
+    InvalidMessage,
+    InvalidTransition,
+)
+from turtleact.execution import BURST
+from turtleact.goal import FeedbackLog
+
+from .lab import (
+    ON_ASYNCIO,
+    ON_TRIO,
+    Count,
+    Gate,
+    Lab,
+    count,
+    feedback,
+    goal,
+    lab,
+    other_tasks,
+    result,
+    running,
+    settle,
+)
+
+ENDED_WITHOUT_RESULT = Outcome(GoalStatus.ABORTED, result(), "no result")
+
+
+async def awaited(served: Lab, request: Count.Goal) -> Outcome[Count.Result]:
+    try:
+        return Outcome(GoalStatus.SUCCEEDED, await served.client.send_goal(request))
+    except GoalCanceled as end:
+        return Outcome(GoalStatus.CANCELED, end.result, end.reason)
+    except GoalAborted as end:
+        return Outcome(GoalStatus.ABORTED, end.result, end.reason)
+
+
+async def entered(served: Lab, request: Count.Goal) -> Outcome[Count.Result]:
+    async with served.client.send_goal(request) as handle:
+        return await handle.outcome()
+
+
+@pytest.fixture(params=[awaited, entered])
+def send(request) -> Callable[[Lab, Count.Goal], Awaitable[Outcome[Count.Result]]]:
+    """The two ways to wait for a goal: they must not differ in how it ends."""
+    way: Callable[[Lab, Count.Goal], Awaitable[Outcome[Count.Result]]] = request.param
+    return way
+
+
+async def end_of(body, send, **options):
+    """How a goal with this body ends."""
+    async with lab(body, **options) as served:
+        return await send(served, goal())
+
+
+async def canceled_end_of(body, send, **options):
+    """How a goal with this body ends if a client cancels it once it waits."""
+    async with (
+        lab(body, **options) as served,
+        running(lambda: send(served, goal())) as sent,
+    ):
+        await served.client.cancel_all()
+        await sent.done.wait()
+        return sent.value
+
+
+def in_both_styles(act: Callable[[], Awaitable[object]]) -> list[object]:
+    """Two bodies that do the same, one of each style: what ``act`` returns is the result."""
+
+    async def coroutine(goal):
+        return await act()
+
+    async def generator(goal):
+        outcome = await act()
+        if outcome is not None:
+            yield outcome
+
+    name = getattr(act, "__name__", "act")
+    return [
+        pytest.param(coroutine, id=f"coroutine-{name}"),
+        pytest.param(generator, id=f"generator-{name}"),
+    ]
+
+
+def both_styles(act: Callable[[], Awaitable[object]]) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("body", in_both_styles(act))
+
+
+# --- a result -------------------------------------------------------------------------------
+
+
+async def succeed():
+    await anyio.lowlevel.checkpoint()
+    return result(1, 2)
+
+
+async def succeed_at_once():
+    return result(1, 2)
+
+
+@pytest.mark.parametrize("body", in_both_styles(succeed) + in_both_styles(succeed_at_once))
+async def test_a_body_that_gives_its_result_succeeds(body, send):
+    assert await end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1, 2))
+
+
+async def succeed_all_the_same():
+    try:
+        await anyio.sleep_forever()
+    except anyio.get_cancelled_exc_class():
+        return result(1, 2)
+
+
+@both_styles(succeed_all_the_same)
+async def test_a_body_that_gives_its_result_although_it_was_canceled_succeeds(body, send):
+    assert await canceled_end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1, 2))
+
+
+async def give_nothing():
+    await anyio.lowlevel.checkpoint()
+
+
+async def give_nothing_at_once():
+    pass
+
+
+WITHOUT_RESULT = in_both_styles(give_nothing) + in_both_styles(give_nothing_at_once)
+
+
+@pytest.mark.parametrize("body", WITHOUT_RESULT)
+async def test_a_body_that_ends_without_a_result_is_aborted(body, send):
+    assert await end_of(body, send) == ENDED_WITHOUT_RESULT
+
+
+async def test_a_generator_that_ends_after_its_feedback_is_aborted(send):
+    async def body(goal):
+        yield feedback(1)
+
+    assert await end_of(body, send) == ENDED_WITHOUT_RESULT
+
+
+async def swallow():
+    try:
+        await anyio.sleep_forever()
+    except anyio.get_cancelled_exc_class():
+        pass
+
+
+@both_styles(swallow)
+async def test_a_canceled_body_that_ends_without_a_result_is_aborted(body, send):
+    assert await canceled_end_of(body, send) == ENDED_WITHOUT_RESULT
+
+
+async def test_the_result_is_a_snapshot(send):
+    numbers = [1]
+
+    async def body(goal):
+        return result_of(numbers)
+
+    def result_of(list_):
+        return Count.Result(counted=list_)
+
+    outcome = await end_of(body, send)
+    numbers.append(2)
+    assert outcome.result == result(1)
+
+
+@pytest.mark.parametrize("wrong", [feedback(1), goal(1), "done", 7, [result()]])
+async def test_a_coroutine_that_returns_another_type_is_aborted(send, wrong):
+    async def body(goal):
+        return wrong
+
+    outcome = await end_of(body, send)
+    assert (outcome.status, outcome.result) == (GoalStatus.ABORTED, result())
+
+
+@pytest.mark.parametrize("wrong", [goal(1), "done", 7, None, [result()]])
+async def test_a_generator_that_yields_another_type_is_aborted(send, wrong):
+    async def body(goal):
+        yield wrong
+        yield result(1)
+
+    outcome = await end_of(body, send)
+    assert (outcome.status, outcome.result) == (GoalStatus.ABORTED, result())
+
+
+async def return_feedback(goal):
+    return feedback(1)
+
+
+async def yield_a_goal(goal):
+    yield Count.Goal(upto=1)
+
+
+@pytest.mark.parametrize(
+    ("body", "expected", "found"),
+    [
+        pytest.param(return_feedback, "Count_Result", "Feedback", id="returned"),
+        pytest.param(yield_a_goal, "Count_Feedback", "Goal", id="yielded"),
+    ],
+)
+async def test_the_reason_of_a_wrong_type_names_both(send, body, expected, found):
+    reason = (await end_of(body, send)).reason
+    assert expected in reason
+    assert found in reason
+
+
+async def test_a_result_with_a_value_that_does_not_fit_is_aborted_with_its_path(send):
+    async def body(goal):
+        return Count.Result(counted=[1, "two"])  # type: ignore[list-item]  # on purpose
+
+    outcome = await end_of(body, send)
+    assert outcome.status is GoalStatus.ABORTED
+    assert "result.counted[1]" in outcome.reason
+
+
+# --- behind the result ----------------------------------------------------------------------
+
+
+async def yield_again(goal):
+    yield result(1)
+    yield feedback(2)
+
+
+async def yield_another_result(goal):
+    yield result(1)
+    yield result(2)
+
+
+async def fail_behind(goal):
+    yield result(1)
+    raise ValueError("behind the result")
+
+
+async def wait_behind(goal):
+    yield result(1)
+    await anyio.lowlevel.checkpoint()
+
+
+async def cancel_behind(goal):
+    yield result(1)
+    raise await a_cancellation()
+
+
+async def fail_when_closed(goal):
+    try:
+        yield result(1)
+        yield feedback(2)
+    finally:
+        raise ValueError("in the clean-up")
+
+
+async def wait_when_closed(goal):
+    try:
+        yield result(1)
+        yield feedback(2)
+    finally:
+        await anyio.lowlevel.checkpoint()
+
+
+async def refuse_to_close(goal):
+    try:
+        yield result(1)
+        yield feedback(2)
+    finally:
+        yield feedback(3)
+
+
+async def a_cancellation() -> BaseException:
+    """The exception of a cancellation, taken from a scope that has ended."""
+    caught: list[BaseException] = []
+    with anyio.CancelScope() as scope:
+        scope.cancel()
+        try:
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class() as cancellation:
+            caught.append(cancellation)
+    return caught.pop()
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        yield_again,
+        yield_another_result,
+        fail_behind,
+        wait_behind,
+        cancel_behind,
+        fail_when_closed,
+        wait_when_closed,
+        refuse_to_close,
+    ],
+)
+async def test_a_result_stands_whatever_the_body_does_behind_it(body, send):
+    assert await end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1))
+
+
+@pytest.mark.parametrize(
+    ("body", "level", "said"),
+    [
+        (yield_again, logging.WARNING, "yielded Feedback after its result"),
+        (yield_another_result, logging.WARNING, "yielded Result after its result"),
+        (fail_behind, logging.ERROR, "failed after it had yielded its result"),
+        (cancel_behind, logging.INFO, "canceled after it had yielded its result"),
+        (fail_when_closed, logging.ERROR, "failed after it had yielded its result"),
+        (refuse_to_close, logging.ERROR, "failed after it had yielded its result"),
+    ],
+)
+async def test_what_a_body_does_behind_its_result_is_logged(caplog, body, level, said):
+    caplog.set_level(logging.INFO)
+    await end_of(body, entered)
+    last = caplog.records[-1]
+    assert (last.name, last.levelno) == ("turtleact.server", level)
+    assert said in last.getMessage()
+
+
+async def test_feedback_behind_the_result_is_not_heard(send):
+    heard: list[object] = []
+    async with lab(yield_again) as served:
+        await served.client.send_goal(goal(), feedback_callback=heard.append)
+    assert heard == []
+
+
+async def test_a_body_canceled_behind_its_result_has_succeeded(send):
+    async def body(goal):
+        yield result(1)
+        await anyio.sleep_forever()
+
+    assert await canceled_end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1))
+
+
+async def test_a_body_canceled_in_the_clean_up_behind_its_result_has_succeeded(send):
+    async def body(goal):
+        try:
+            yield result(1)
+            yield feedback(2)
+        finally:
+            await anyio.sleep_forever()
+
+    assert await canceled_end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1))
+
+
+# --- giving up ------------------------------------------------------------------------------
+
+
+async def abort_with_a_result():
+    await anyio.lowlevel.checkpoint()
+    raise Abort("the pen is empty", result(7))
+
+
+@both_styles(abort_with_a_result)
+async def test_a_body_can_abort_with_a_result(body, send):
+    expected = Outcome(GoalStatus.ABORTED, result(7), "the pen is empty")
+    assert await end_of(body, send) == expected
+
+
+async def abort():
+    raise Abort("the pen is empty")
+
+
+@both_styles(abort)
+async def test_a_body_can_abort_without_a_result(body, send):
+    expected = Outcome(GoalStatus.ABORTED, result(), "the pen is empty")
+    assert await end_of(body, send) == expected
+
+
+@both_styles(abort)
+async def test_an_abort_is_not_logged(body, caplog):
+    await end_of(body, entered)
+    assert not caplog.records
+
+
+async def abort_with_a_wrong_result():
+    raise Abort("the pen is empty", feedback(7))
+
+
+@both_styles(abort_with_a_wrong_result)
+async def test_an_abort_with_a_wrong_result_says_so(body, send):
+    outcome = await end_of(body, send)
+    assert (outcome.status, outcome.result) == (GoalStatus.ABORTED, result())
+    assert outcome.reason.startswith("the pen is empty (its result does not fit: ")
+
+
+async def abort_when_canceled():
+    try:
+        await anyio.sleep_forever()
+    finally:
+        raise Abort("half way", result(5))
+
+
+@both_styles(abort_when_canceled)
+async def test_a_canceled_body_can_abort(body, send):
+    expected = Outcome(GoalStatus.ABORTED, result(5), "half way")
+    assert await canceled_end_of(body, send) == expected
+
+
+# --- failing --------------------------------------------------------------------------------
+
+
+async def fail():
+    await anyio.lowlevel.checkpoint()
+    raise ValueError("no pen")
+
+
+async def fail_at_once():
+    raise ValueError("no pen")
+
+
+@pytest.mark.parametrize("body", in_both_styles(fail) + in_both_styles(fail_at_once))
+async def test_a_body_that_fails_is_aborted_with_a_summary(body, send):
+    expected = Outcome(GoalStatus.ABORTED, result(), "ValueError: no pen")
+    assert await end_of(body, send) == expected
+
+
+async def fail_silently():
+    raise ValueError
+
+
+@both_styles(fail_silently)
+async def test_a_failure_without_words_is_named_by_its_type(body, send):
+    assert (await end_of(body, send)).reason == "ValueError"
+
+
+async def fail_in_two_ways():
+    raise ExceptionGroup("two", [ValueError("no pen"), ExceptionGroup("one", [OSError("no ink")])])
+
+
+@both_styles(fail_in_two_ways)
+async def test_a_group_of_failures_is_summed_up(body, send):
+    expected = Outcome(GoalStatus.ABORTED, result(), "ValueError: no pen; OSError: no ink")
+    assert await end_of(body, send) == expected
+
+
+@both_styles(fail)
+async def test_a_failure_is_logged_with_its_traceback(body, send, caplog):
+    await end_of(body, send)
+    (record,) = caplog.records
+    assert (record.name, record.levelno) == ("turtleact.server", logging.ERROR)
+    assert record.getMessage() == "the body of goal (no id) of /count failed"
+    assert record.exc_info is not None
+    assert str(record.exc_info[1]) == "no pen"
+
+
+@both_styles(fail)
+async def test_a_server_lives_on_after_a_failure(body, send):
+    async with lab(body) as served:
+        first = await send(served, goal())
+        assert await send(served, goal()) == first
+
+
+async def test_a_failed_body_reports_its_partial_result(send):
+    async def body(goal, handle):
+        handle.set_partial_result(result(1, 2))
+        raise ValueError("no pen")
+
+    expected = Outcome(GoalStatus.ABORTED, result(1, 2), "ValueError: no pen")
+    assert await end_of(body, send) == expected
+
+
+async def test_an_aborting_body_without_a_result_reports_its_partial_result(send):
+    async def body(goal, handle):
+        handle.set_partial_result(result(1, 2))
+        raise Abort("enough")
+
+    assert await end_of(body, send) == Outcome(GoalStatus.ABORTED, result(1, 2), "enough")
+
+
+async def test_the_partial_result_is_a_snapshot(send):
+    async def body(goal, handle):
+        numbers = [1]
+        handle.set_partial_result(Count.Result(counted=numbers))
+        numbers.append(2)
+        raise Abort("enough")
+
+    assert (await end_of(body, send)).result == result(1)
+
+
+async def test_a_wrong_partial_result_raises_where_it_is_set(send):
+    async def body(goal, handle):
+        with pytest.raises(InvalidMessage, match="Count_Result"):
+            handle.set_partial_result(feedback(1))
+        return result(1)
+
+    assert (await end_of(body, send)).status is GoalStatus.SUCCEEDED
+
+
+async def test_a_full_result_takes_the_place_of_a_partial_one(send):
+    async def body(goal, handle):
+        handle.set_partial_result(result(1))
+        return result(2)
+
+    assert await end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(2))
+
+
+# --- letting the cancellation out -----------------------------------------------------------
+
+
+async def wait():
+    await anyio.sleep_forever()
+
+
+@both_styles(wait)
+async def test_a_body_that_lets_a_requested_cancellation_out_is_canceled(body, send):
+    assert await canceled_end_of(body, send) == Outcome(GoalStatus.CANCELED, result())
+
+
+@both_styles(wait)
+async def test_a_cancellation_is_not_logged(body, send, caplog):
+    await canceled_end_of(body, send)
+    assert not caplog.records
+
+
+async def test_a_canceled_body_reports_its_partial_result(send):
+    async def body(goal, handle):
+        handle.set_partial_result(result(1, 2))
+        await anyio.sleep_forever()
+
+    assert await canceled_end_of(body, send) == Outcome(GoalStatus.CANCELED, result(1, 2))
+
+
+async def canceled_with_a_result():
+    try:
+        await anyio.sleep_forever()
+    finally:
+        raise Canceled(result(5))
+
+
+@both_styles(canceled_with_a_result)
+async def test_a_canceled_body_can_report_a_result_in_its_clean_up(body, send):
+    assert await canceled_end_of(body, send) == Outcome(GoalStatus.CANCELED, result(5))
+
+
+async def canceled_without_a_result():
+    try:
+        await anyio.sleep_forever()
+    finally:
+        raise Canceled
+
+
+@both_styles(canceled_without_a_result)
+async def test_a_canceled_body_need_not_report_a_result(body, send):
+    assert await canceled_end_of(body, send) == Outcome(GoalStatus.CANCELED, result())
+
+
+async def canceled_with_a_wrong_result():
+    try:
+        await anyio.sleep_forever()
+    finally:
+        raise Canceled(feedback(5))
+
+
+@both_styles(canceled_with_a_wrong_result)
+async def test_a_canceled_body_with_a_wrong_result_is_canceled_and_says_so(body, send):
+    outcome = await canceled_end_of(body, send)
+    assert (outcome.status, outcome.result) == (GoalStatus.CANCELED, result())
+    assert "its result does not fit: " in outcome.reason
+
+
+async def canceled_unasked():
+    raise Canceled(result(5))
+
+
+@both_styles(canceled_unasked)
+async def test_a_body_that_was_not_asked_to_cancel_cannot_end_canceled(body, send):
+    expected = Outcome(GoalStatus.ABORTED, result(), "Canceled")
+    outcome = await end_of(body, send)
+    assert (outcome.status, outcome.result) == (expected.status, expected.result)
+    assert outcome.reason.startswith("Canceled")
+
+
+async def cancel_oneself():
+    raise await a_cancellation()
+
+
+@both_styles(cancel_oneself)
+async def test_a_body_that_lets_its_own_cancellation_out_is_aborted(body, send):
+    expected = Outcome(GoalStatus.ABORTED, result(), "canceled from within")
+    assert await end_of(body, send) == expected
+
+
+async def wait_in_a_group():
+    async with anyio.create_task_group() as group:
+        group.start_soon(anyio.sleep_forever)
+        await anyio.sleep_forever()
+
+
+@both_styles(wait_in_a_group)
+async def test_a_body_canceled_within_a_task_group_is_canceled(body, send):
+    assert await canceled_end_of(body, send) == Outcome(GoalStatus.CANCELED, result())
+
+
+async def cancellations_in_a_group():
+    try:
+        await anyio.sleep_forever()
+    except anyio.get_cancelled_exc_class() as cancellation:
+        raise BaseExceptionGroup("only", [cancellation]) from None
+
+
+@both_styles(cancellations_in_a_group)
+async def test_a_group_of_nothing_but_cancellations_is_a_cancellation(body, send):
+    assert (await canceled_end_of(body, send)).status is GoalStatus.CANCELED
+
+
+async def cancellation_and_failure_in_a_group():
+    try:
+        await anyio.sleep_forever()
+    except anyio.get_cancelled_exc_class() as cancellation:
+        raise BaseExceptionGroup("both", [cancellation, ValueError("no pen")]) from None
+
+
+@both_styles(cancellation_and_failure_in_a_group)
+async def test_a_group_with_a_failure_in_it_is_a_failure(body, send):
+    outcome = await canceled_end_of(body, send)
+    assert outcome.status is GoalStatus.ABORTED
+    assert "ValueError: no pen" in outcome.reason
+
+
+# --- where a cancellation lands -------------------------------------------------------------
+
+
+async def test_a_body_is_canceled_at_an_await(send):
+    gate = Gate()
+    outcome = await canceled_end_of(gate.wait, send)
+    assert (outcome.status, gate.log) == (GoalStatus.CANCELED, ["begun", "canceled", "over"])
+
+
+async def test_a_generator_is_canceled_at_an_await_between_its_yields(send):
+    gate = Gate()
+    outcome = await canceled_end_of(gate.stream, send)
+    assert (outcome.status, gate.log) == (GoalStatus.CANCELED, ["begun", "canceled", "over"])
+
+
+async def test_a_generator_that_only_yields_is_canceled_at_a_yield(send):
+    log: list[str] = []
+
+    async def body(goal):
+        try:
+            while True:
+                yield feedback(1)
+        except anyio.get_cancelled_exc_class():
+            log.append("canceled")
+            raise
+
+    outcome = await canceled_end_of(body, send)
+    assert (outcome.status, log) == (GoalStatus.CANCELED, ["canceled"])
+
+
+async def test_a_generator_that_swallows_a_cancellation_at_a_yield_goes_on(send):
+    async def body(goal):
+        try:
+            while True:
+                yield feedback(1)
+        except anyio.get_cancelled_exc_class():
+            yield feedback(2)
+        yield result(3)
+
+    assert await canceled_end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(3))
+
+
+async def test_a_generator_can_give_feedback_in_its_clean_up():
+    heard: list[object] = []
+
+    async def body(goal):
+        try:
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class():
+            yield feedback(2)
+            raise
+
+    async with (
+        lab(body) as served,
+        served.client.send_goal(goal(), feedback_callback=heard.append) as handle,
+    ):
+        await settle()
+        await handle.cancel()
+        assert (await handle.outcome()).status is GoalStatus.CANCELED
+    assert heard == [feedback(2)]
+
+
+async def test_the_clean_up_of_a_body_may_wait_in_a_shielded_scope(send):
+    log: list[str] = []
+
+    async def body(goal):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            with anyio.CancelScope(shield=True):
+                for _ in range(3):
+                    await anyio.lowlevel.checkpoint()
+            log.append("cleaned up")
+        return result()
+
+    outcome = await canceled_end_of(body, send)
+    assert (outcome.status, log) == (GoalStatus.CANCELED, ["cleaned up"])
+
+
+@ON_TRIO  # on asyncio it is `Task.cancel`, which no scope of anyio holds up
+@pytest.mark.parametrize("style", ["coroutine", "generator"])
+async def test_a_cancel_request_does_not_break_into_a_shielded_section(send, style):
+    gate, log = Gate(), []
+
+    async def work():
+        with anyio.CancelScope(shield=True):
+            await gate.opened.wait()
+            log.append("done with what must not be broken off")
+        await anyio.lowlevel.checkpoint()
+        log.append("went on")
+
+    async def coroutine(goal):
+        await work()
+
+    async def generator(goal):
+        await work()
+        yield result()
+
+    body = {"coroutine": coroutine, "generator": generator}[style]
+    async with lab(body) as served, running(lambda: send(served, goal())) as sent:
+        await served.client.cancel_all()
+        await settle()
+        gate.opened.set()
+    assert sent.value.status is GoalStatus.CANCELED
+    assert log == ["done with what must not be broken off"]
+
+
+async def test_the_end_of_a_goal_waits_for_its_clean_up(send):
+    gate = Gate()
+
+    async def body(goal):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await gate.opened.wait()
+
+    async with lab(body) as served, running(lambda: send(served, goal())) as sent:
+        await served.client.cancel_all()
+        await settle()
+        assert not sent.done.is_set()
+        gate.opened.set()
+
+
+async def test_a_second_cancel_request_does_not_disturb_the_clean_up(send):
+    gate, log = Gate(), []
+
+    async def body(goal):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await gate.opened.wait()
+            log.append("cleaned up")
+
+    async with lab(body) as served, running(lambda: send(served, goal())):
+        await served.client.cancel_all()
+        await settle()
+        await served.client.cancel_all()
+        await settle()
+        gate.opened.set()
+    assert log == ["cleaned up"]
+
+
+@ON_TRIO
+async def test_a_body_canceled_before_its_first_step_never_begins():
+    gate = Gate()
+    async with lab(gate.wait) as served, served.client.send_goal(goal()) as handle:
+        await handle.cancel()
+        outcome = await handle.outcome()
+    assert (outcome.status, gate.log) == (GoalStatus.CANCELED, [])
+
+
+@pytest.mark.parametrize("style", ["coroutine", "generator"])
+async def test_a_body_that_cancels_its_own_goal_is_canceled_at_its_next_wait(send, style):
+    log: list[str] = []
+
+    async def coroutine(goal, handle):
+        await client_of(handle).cancel_all()
+        log.append("asked")
+        await anyio.lowlevel.checkpoint()
+        log.append("went on")
+        return result()
+
+    async def generator(goal, handle):
+        await client_of(handle).cancel_all()
+        log.append("asked")
+        for _ in range(BURST):
+            yield feedback(1)
+        log.append("went on")
+
+    def client_of(handle):
+        return handle.node.action_client(Count, "count")
+
+    outcome = await end_of({"coroutine": coroutine, "generator": generator}[style], send)
+    assert (outcome.status, log) == (GoalStatus.CANCELED, ["asked"])
+
+
+async def test_a_body_that_cancels_its_own_goal_and_ends_has_succeeded(send):
+    async def body(goal, handle):
+        await handle.node.action_client(Count, "count").cancel_all()
+        return result(1)
+
+    assert await end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1))
+
+
+# --- scopes and groups around a yield -------------------------------------------------------
+
+
+async def test_a_scope_that_times_out_around_a_yield_ends_there(send):
+    async def body(goal):
+        with anyio.move_on_after(0) as scope:
+            while True:
+                yield feedback(1)
+        yield result(int(scope.cancelled_caught))
+
+    assert await end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1))
+
+
+async def test_a_scope_that_times_out_at_an_await_ends_there(send):
+    async def body(goal):
+        with anyio.move_on_after(0) as scope:
+            yield feedback(1)
+            await anyio.sleep_forever()
+        yield result(int(scope.cancelled_caught))
+
+    assert await end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1))
+
+
+async def test_a_scope_around_a_yield_lets_a_cancel_request_pass(send):
+    caught: list[bool] = []
+
+    async def body(goal):
+        with anyio.move_on_after(3600) as scope:
+            try:
+                while True:
+                    yield feedback(1)
+            finally:
+                caught.append(scope.cancelled_caught)
+
+    outcome = await canceled_end_of(body, send)
+    assert (outcome.status, caught) == (GoalStatus.CANCELED, [False])
+
+
+async def timed_out_scope():
+    with anyio.move_on_after(0):
+        await anyio.sleep_forever()
+    return result(1)
+
+
+@both_styles(timed_out_scope)
+async def test_a_bodys_own_timeout_is_its_own_affair(body, send):
+    assert await end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1))
+
+
+async def native_timeout():
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(0):
+            await asyncio.sleep(3600)
+    return result(1)
+
+
+@ON_ASYNCIO
+@both_styles(native_timeout)
+async def test_a_bodys_own_timeout_of_asyncio_is_its_own_affair(body, send):
+    assert await end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1))
+
+
+async def failed_future():
+    future = asyncio.get_running_loop().create_future()
+    asyncio.get_running_loop().call_soon(future.set_exception, ConnectionRefusedError())
+    with pytest.raises(ConnectionRefusedError):
+        await future
+    return result(1)
+
+
+@ON_ASYNCIO
+@both_styles(failed_future)
+async def test_a_failure_that_a_body_catches_is_its_own_affair(body, send):
+    assert await end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1))
+
+
+async def caught_timeout_then_cancel():
+    with anyio.move_on_after(0):
+        await anyio.sleep_forever()
+    await anyio.sleep_forever()
+
+
+@both_styles(caught_timeout_then_cancel)
+async def test_a_body_is_canceled_after_a_timeout_of_its_own(body, send):
+    assert (await canceled_end_of(body, send)).status is GoalStatus.CANCELED
+
+
+async def failing_group():
+    async with anyio.create_task_group() as group:
+        group.start_soon(fail)
+        await anyio.sleep_forever()
+
+
+@both_styles(failing_group)
+async def test_a_task_group_whose_child_fails_aborts_the_goal(body, send):
+    expected = Outcome(GoalStatus.ABORTED, result(), "ValueError: no pen")
+    assert await end_of(body, send) == expected
+
+
+async def test_a_task_group_around_a_yield_whose_child_fails_aborts_the_goal(send):
+    async def body(goal):
+        async with anyio.create_task_group() as group:
+            group.start_soon(fail)
+            while True:
+                yield feedback(1)
+
+    expected = Outcome(GoalStatus.ABORTED, result(), "ValueError: no pen")
+    assert await end_of(body, send) == expected
+
+
+async def test_the_children_of_a_body_end_with_it(send):
+    log: list[str] = []
+
+    async def child():
+        try:
+            await anyio.sleep_forever()
+        finally:
+            log.append("child over")
+
+    async def body(goal):
+        async with anyio.create_task_group() as group:
+            group.start_soon(child)
+            while True:
+                yield feedback(1)
+
+    outcome = await canceled_end_of(body, send)
+    assert (outcome.status, log) == (GoalStatus.CANCELED, ["child over"])
+
+
+async def test_a_scope_after_a_goal_is_not_canceled(send):
+    async def body(goal):
+        with anyio.move_on_after(0):
+            while True:
+                yield feedback(1)
+        yield result(1)
+
+    async with lab(body) as served:
+        with anyio.CancelScope() as scope:
+            await send(served, goal())
+            await anyio.lowlevel.checkpoint()
+        assert not scope.cancelled_caught
+
+
+# --- a generator is closed on every path ----------------------------------------------------
+
+
+async def end_with_result(goal):
+    yield result()
+
+
+async def end_without_result(goal):
+    yield feedback(1)
+
+
+async def end_with_failure(goal):
+    yield feedback(1)
+    raise ValueError
+
+
+async def end_with_wrong_type(goal):
+    yield 7
+
+
+async def end_canceled(goal):
+    while True:
+        yield feedback(1)
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [
+        end_with_result,
+        end_without_result,
+        end_with_failure,
+        end_with_wrong_type,
+        end_canceled,
+        yield_again,
+    ],
+)
+async def test_a_generator_is_finished_whatever_ended_it(steps, send):
+    log: list[str] = []
+
+    async def body(goal):
+        inner = steps(goal)
+        try:
+            async for item in inner:
+                yield item
+        finally:
+            await inner.aclose()
+            log.append("finally")
+
+    await canceled_end_of(body, send)
+    assert log == ["finally"]
+
+
+@ON_ASYNCIO
+async def test_nothing_is_left_running_after_a_goal(send):
+    before = other_tasks()
+    await canceled_end_of(Gate().stream, send)
+    assert other_tasks() == before
+
+
+# --- feedback -------------------------------------------------------------------------------
+
+
+async def published_by_a_generator(goal):
+    numbers: list[int] = []
+    for number in range(goal.upto):
+        numbers.append(number)
+        yield Count.Feedback(so_far=numbers)
+    yield result()
+
+
+async def published_by_a_coroutine(goal, handle):
+    numbers: list[int] = []
+    for number in range(goal.upto):
+        numbers.append(number)
+        handle.publish_feedback(Count.Feedback(so_far=numbers))
+    return result()
+
+
+STYLES = pytest.mark.parametrize("body", [published_by_a_generator, published_by_a_coroutine])
+SNAPSHOTS = [feedback(0), feedback(0, 1), feedback(0, 1, 2)]
+
+
+@STYLES
+async def test_a_reader_sees_what_was_published_not_what_became_of_it(body):
+    async with lab(body) as served, served.client.send_goal(goal()) as handle:
+        assert [message async for message in handle] == SNAPSHOTS
+
+
+@STYLES
+async def test_a_late_reader_sees_what_was_published_too(body):
+    async with lab(body) as served, served.client.send_goal(goal()) as handle:
+        await handle.result()
+        assert [message async for message in handle] == SNAPSHOTS
+
+
+@STYLES
+async def test_a_listener_hears_what_was_published_in_order(body):
+    heard: list[object] = []
+    async with lab(body) as served:
+        await served.client.send_goal(goal(), feedback_callback=heard.append)
+    assert heard == SNAPSHOTS
+
+
+@STYLES
+async def test_the_newest_feedback_is_known_without_reading(body):
+    async with lab(body) as served, served.client.send_goal(goal()) as handle:
+        await handle.result()
+        assert handle.last_feedback == SNAPSHOTS[-1]
+
+
+@STYLES
+async def test_a_listener_that_raises_does_not_reach_the_body(body, caplog):
+    def listen(message):
+        raise ValueError("deaf")
+
+    async with (
+        lab(body) as served,
+        served.client.send_goal(goal(), feedback_callback=listen) as handle,
+    ):
+        assert (await handle.outcome()).status is GoalStatus.SUCCEEDED
+    assert [record.getMessage() for record in caplog.records] == [
+        "the feedback_callback of goal (no id) failed"
+    ] * 3
+
+
+@pytest.mark.parametrize(
+    ("wrong", "problem"),
+    [
+        pytest.param("done", "Count_Feedback.*'done'", id="another-type"),
+        pytest.param(goal(1), "Count_Feedback.*Goal", id="another-message"),
+        pytest.param(
+            Count.Feedback(so_far=[1, 2**40]), r"feedback\.so_far\[1\]", id="another-value"
+        ),
+    ],
+)
+@pytest.mark.parametrize("style", ["coroutine", "generator"])
+async def test_wrong_feedback_raises_at_the_publishing_line(style, wrong, problem, send):
+    async def coroutine(goal, handle):
+        with pytest.raises(InvalidMessage, match=problem):
+            handle.publish_feedback(wrong)
+        return result(1)
+
+    async def generator(goal):
+        with pytest.raises(InvalidMessage, match=problem):
+            yield wrong
+        yield result(1)
+
+    outcome = await end_of({"coroutine": coroutine, "generator": generator}[style], send)
+    assert outcome == Outcome(GoalStatus.SUCCEEDED, result(1))
+
+
+async def test_wrong_feedback_is_not_heard():
+    heard: list[object] = []
+
+    async def body(goal, handle):
+        with pytest.raises(InvalidMessage):
+            handle.publish_feedback("done")
+        return result(1)
+
+    async with lab(body) as served:
+        await served.client.send_goal(goal(), feedback_callback=heard.append)
+    assert heard == []
+
+
+async def test_feedback_after_the_end_raises(send):
+    handles = []
+
+    async def body(goal, handle):
+        handles.append(handle)
+        return result(1)
+
+    async with lab(body) as served:
+        await send(served, goal())
+        with pytest.raises(InvalidTransition, match="SUCCEEDED: feedback is not allowed"):
+            handles[0].publish_feedback(feedback(1))
+
+
+async def test_feedback_after_the_end_is_not_remembered():
+    handles = []
+
+    async def body(goal, handle):
+        handles.append(handle)
+        handle.publish_feedback(feedback(1))
+        return result(1)
+
+    async with lab(body) as served, served.client.send_goal(goal()) as sent:
+        await sent.result()
+        with pytest.raises(InvalidTransition):
+            handles[0].publish_feedback(feedback(2))
+        assert [message async for message in sent] == [feedback(1)]
+        assert sent.last_feedback == feedback(1)
+
+
+async def test_feedback_flows_while_canceling():
+    async def body(goal, handle):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            handle.publish_feedback(feedback(int(handle.status)))
+
+    async with lab(body) as served, served.client.send_goal(goal()) as handle:
+        await settle()
+        await handle.cancel()
+        assert [message async for message in handle] == [feedback(GoalStatus.CANCELING)]
+
+
+async def test_a_body_sees_that_it_was_asked_to_cancel(send):
+    seen: list[object] = []
+
+    async def body(goal, handle):
+        seen.append((handle.status, handle.is_cancel_requested))
+        try:
+            await anyio.sleep_forever()
+        finally:
+            seen.append((handle.status, handle.is_cancel_requested))
+
+    await canceled_end_of(body, send)
+    assert seen == [(GoalStatus.EXECUTING, False), (GoalStatus.CANCELING, True)]
+
+
+# --- back-pressure --------------------------------------------------------------------------
+
+MANY = 5 * FeedbackLog.KEPT
+
+
+class Source:
+    """A generator body that yields as fast as it is let, and counts."""
+
+    def __init__(self) -> None:
+        self.published = 0
+
+    async def stream(self, goal: Count.Goal) -> AsyncIterator[object]:
+        for number in range(MANY):
+            self.published += 1
+            yield feedback(number)
+        yield result(MANY)
+
+    async def settle(self) -> int:
+        """Let it run until it is held up, or has ended; answer how far it has come."""
+        while True:
+            before = self.published
+            await settle()
+            if self.published == before:
+                return before
+
+
+async def test_a_reader_that_has_begun_loses_nothing():
+    async with lab(Source().stream) as served, served.client.send_goal(goal()) as handle:
+        assert [message.so_far[0] async for message in handle] == list(range(MANY))
+        assert handle.missed == 0
+
+
+async def test_a_body_does_not_run_far_ahead_of_its_reader():
+    source = Source()
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        reading = aiter(handle)
+        await anext(reading)
+        assert await source.settle() <= FeedbackLog.KEPT + BURST
+
+
+async def test_a_body_that_was_held_up_goes_on_with_its_reader():
+    source = Source()
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        read = []
+        async for message in handle:
+            read.append(message.so_far[0])
+            if len(read) in {1, 500, 2000}:
+                await source.settle()
+        assert (read, handle.missed) == (list(range(MANY)), 0)
+
+
+async def test_a_client_that_only_awaits_the_result_does_not_hold_the_body_up(send):
+    source = Source()
+    async with lab(source.stream) as served:
+        assert (await send(served, goal())).result == result(MANY)
+
+
+async def test_a_client_that_begins_to_read_late_misses_only_what_is_old():
+    source = Source()
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        await handle.result()
+        read = [message.so_far[0] async for message in handle]
+        assert read == list(range(MANY - len(read), MANY))
+        assert handle.missed == MANY - len(read)
+        assert FeedbackLog.KEPT <= len(read) < 2 * FeedbackLog.KEPT
+
+
+async def test_a_reader_that_breaks_off_does_not_hold_the_body_up():
+    source = Source()
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        async for _ in handle:
+            await source.settle()
+            break
+        await source.settle()
+        assert handle.done
+
+
+async def test_a_reader_that_is_canceled_does_not_hold_the_body_up():
+    source = Source()
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        with anyio.CancelScope() as scope:
+            async for _ in handle:
+                await source.settle()
+                scope.cancel()
+                await anyio.sleep_forever()
+        await source.settle()
+        assert handle.done
+
+
+async def test_a_reader_that_begins_again_goes_on_where_it_broke_off():
+    async with lab(published_by_a_generator) as served, served.client.send_goal(goal()) as handle:
+        async for message in handle:
+            assert message == SNAPSHOTS[0]
+            break
+        assert [message async for message in handle] == SNAPSHOTS[1:]
+
+
+async def test_a_reader_that_begins_again_is_waited_for_again():
+    source = Source()
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        async for _ in handle:
+            break
+        reading = aiter(handle)
+        first = (await anext(reading)).so_far[0]
+        assert await source.settle() <= first + FeedbackLog.KEPT + BURST
+
+
+async def test_a_reader_that_leaves_the_block_lets_a_detached_body_go_on():
+    source = Source()
+    async with lab(source.stream) as served:
+        async with served.client.send_goal(goal()) as handle:
+            reading = aiter(handle)
+            await anext(reading)
+            await source.settle()
+            handle.detach()
+        await source.settle()
+        assert handle.done
+
+
+async def test_a_body_that_is_held_up_can_be_canceled():
+    source = Source()
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        reading = aiter(handle)
+        await anext(reading)
+        await source.settle()
+        await handle.cancel()
+        assert (await handle.outcome()).status is GoalStatus.CANCELED
+
+
+async def test_without_a_reader_feedback_does_not_pile_up():
+    source = Source()
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        await handle.result()
+        kept = handle._goal.feedback
+        assert kept is not None
+        assert len(kept.items) < 2 * FeedbackLog.KEPT
+
+
+async def test_an_awaited_goal_keeps_no_feedback_at_all():
+    goals = []
+
+    async def body(request, handle):
+        goals.append(handle._goal)
+        handle.publish_feedback(feedback(1))
+        return result()
+
+    async with lab(body) as served:
+        await served.client.send_goal(goal())
+    assert goals[0].feedback is None
+
+
+async def test_a_body_that_only_yields_lets_others_run():
+    turns: list[int] = []
+
+    async def body(goal):
+        for number in range(3 * BURST):
+            yield feedback(number)
+        yield result(len(turns))
+
+    async def take_turns():
+        while True:
+            turns.append(1)
+            await anyio.lowlevel.checkpoint()
+
+    async with lab(body) as served, anyio.create_task_group() as group:
+        group.start_soon(take_turns)
+        outcome = await served.client.send_goal(goal())
+        group.cancel_scope.cancel()
+    assert outcome.counted[0] > 0
+
+
+# --- the caller's task ----------------------------------------------------------------------
+
+PARENT: ContextVar[str] = ContextVar("PARENT", default="nobody")
+
+
+@ON_ASYNCIO
+async def test_an_awaited_body_runs_in_the_task_of_its_caller():
+    seen: list[object] = []
+
+    async def body(goal):
+        await asyncio.sleep(0)
+        seen.append(asyncio.current_task())
+        return result()
+
+    await end_of(body, awaited)
+    assert seen == [asyncio.current_task()]
+
+
+async def test_a_body_sees_the_context_of_its_caller(send):
+    seen: list[str] = []
+
+    async def body(goal):
+        seen.append(PARENT.get())
+        await anyio.lowlevel.checkpoint()
+        seen.append(PARENT.get())
+        return result()
+
+    token = PARENT.set("me")
+    await end_of(body, send)
+    PARENT.reset(token)
+    assert seen == ["me", "me"]
+
+
+@pytest.mark.parametrize("waits", [False, True], ids=["at once", "after a wait"])
+async def test_what_a_body_sets_in_its_context_does_not_reach_the_client(send, waits):
+    async def body(goal):
+        if waits:
+            await anyio.lowlevel.checkpoint()
+        PARENT.set("body")
+        return result()
+
+    async with lab(body) as served:
+        await send(served, goal())
+        assert PARENT.get() == "nobody"
+
+
+# --- what stops the program -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, SystemExit])
+@pytest.mark.parametrize("when", ["at once", "after a wait"])
+@pytest.mark.parametrize("backend", ["asyncio", "trio"])
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_what_stops_the_program_passes_through_the_body(backend, when, stop, send):
+    async def body(goal):
+        if when == "after a wait":
+            await anyio.lowlevel.checkpoint()
+        raise stop
+
+    async def main():
+        async with lab(body) as served:
+            await send(served, goal())
+
+    with pytest.raises(BaseException) as caught:  # noqa: PT011  # trio wraps it
+        anyio.run(main, backend=backend)
+    assert stop in kinds(caught.value)
+
+
+def kinds(error: BaseException | None) -> set[type[BaseException]]:
+    """The types of an exception, of its members and of its causes."""
+    if error is None:
+        return set()
+    members = error.exceptions if isinstance(error, BaseExceptionGroup) else ()
+    return {type(error)}.union(
+        *map(kinds, members), kinds(error.__cause__), kinds(error.__context__)
+    )
+
+
+async def test_the_plain_body_of_the_laboratory_counts(send):
+    assert await end_of(count, send) == Outcome(GoalStatus.SUCCEEDED, result(0, 1, 2))

@@ -1,0 +1,574 @@
+"""What may happen to a goal: every state times every event, cancel selection, retention."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from turtleact.errors import GoalAborted, GoalCanceled, InvalidTransition
+from turtleact.goal import (
+    TRANSITIONS,
+    CancelCode,
+    CancelResponse,
+    FeedbackLog,
+    Goal,
+    GoalEvent,
+    GoalResponse,
+    GoalStatus,
+    GoalTable,
+    cancel_code,
+    failure,
+    select,
+    transition,
+)
+
+SECOND = 1_000_000_000
+START = 1_700_000_000 * SECOND
+
+ID_1, ID_2, ID_3 = (bytes([number]) * 16 for number in (1, 2, 3))
+
+NO = None
+# Written out from the contract, one row a state; the columns are the events in this order.
+EVENTS = ("EXECUTE", "CANCEL_GOAL", "SUCCEED", "ABORT", "CANCELED")
+EXPECTED = {
+    "UNKNOWN": (NO, NO, NO, NO, NO),
+    "ACCEPTED": ("EXECUTING", "CANCELING", NO, NO, NO),
+    "EXECUTING": (NO, "CANCELING", "SUCCEEDED", "ABORTED", NO),
+    "CANCELING": (NO, NO, "SUCCEEDED", "ABORTED", "CANCELED"),
+    "SUCCEEDED": (NO, NO, NO, NO, NO),
+    "CANCELED": (NO, NO, NO, NO, NO),
+    "ABORTED": (NO, NO, NO, NO, NO),
+}
+PRODUCT = [
+    pytest.param(GoalStatus[status], GoalEvent[event], after and GoalStatus[after])
+    for status, row in EXPECTED.items()
+    for event, after in zip(EVENTS, row, strict=True)
+]
+LEGAL = [case for case in PRODUCT if case.values[2]]
+ILLEGAL = [case for case in PRODUCT if not case.values[2]]
+
+
+class Bell:
+    """Counts how often it was rung."""
+
+    def __init__(self) -> None:
+        self.rung = 0
+
+    def fire(self) -> None:
+        self.rung += 1
+
+
+def make_goal(stamp: int = START, status: GoalStatus = GoalStatus.EXECUTING, **facts) -> Goal:
+    return Goal("request", stamp, status, **facts)
+
+
+# --- states and events ----------------------------------------------------------------------
+
+
+def test_the_product_of_states_and_events_is_complete():
+    assert len(PRODUCT) == len(GoalStatus) * len(GoalEvent)
+
+
+@pytest.mark.parametrize(("status", "event", "after"), LEGAL)
+def test_a_legal_event_leads_to(status, event, after):
+    assert transition(status, event) is after
+
+
+@pytest.mark.parametrize(("status", "event", "after"), ILLEGAL)
+def test_an_illegal_event_raises(status, event, after):
+    with pytest.raises(InvalidTransition, match=f"is {status.name}: {event.name} is not allowed"):
+        transition(status, event)
+
+
+@pytest.mark.parametrize(("status", "event", "after"), LEGAL)
+def test_a_goal_moves_with_a_legal_event(status, event, after):
+    goal = make_goal(status=status)
+    goal.apply(event)
+    assert goal.status is after
+
+
+@pytest.mark.parametrize(("status", "event", "after"), ILLEGAL)
+def test_a_goal_stays_as_it_is_with_an_illegal_event(status, event, after):
+    bell = Bell()
+    goal = make_goal(status=status, listener=bell)
+    with pytest.raises(InvalidTransition):
+        goal.apply(event)
+    assert (goal.status, bell.rung) == (status, 0)
+
+
+def test_the_table_of_transitions_holds_the_legal_events_and_no_others():
+    assert dict(TRANSITIONS) == {case.values[:2]: case.values[2] for case in LEGAL}
+
+
+def test_the_table_of_transitions_cannot_be_changed():
+    with pytest.raises(AttributeError):
+        TRANSITIONS.clear()  # type: ignore[attr-defined]  # on purpose
+
+
+def test_an_illegal_event_names_the_goal():
+    goal = make_goal(status=GoalStatus.SUCCEEDED, id=ID_1)
+    with pytest.raises(InvalidTransition, match=f"^goal {ID_1.hex()} is SUCCEEDED: ABORT is not"):
+        goal.apply(GoalEvent.ABORT)
+
+
+def test_the_error_of_an_illegal_event_holds_its_facts():
+    with pytest.raises(InvalidTransition) as caught:
+        transition(GoalStatus.ACCEPTED, GoalEvent.ABORT)
+    assert (caught.value.status, caught.value.event) == (GoalStatus.ACCEPTED, GoalEvent.ABORT)
+
+
+def test_each_event_tells_the_listener_once():
+    bell = Bell()
+    goal = make_goal(listener=bell)
+    goal.apply(GoalEvent.CANCEL_GOAL)
+    goal.apply(GoalEvent.CANCELED)
+    assert bell.rung == 2
+
+
+def test_the_listener_hears_of_an_event_after_the_state_has_changed():
+    seen = []
+
+    class Reader:
+        def fire(self) -> None:
+            seen.append(goal.status)
+
+    goal = make_goal(listener=Reader())
+    goal.apply(GoalEvent.SUCCEED)
+    assert seen == [GoalStatus.SUCCEEDED]
+
+
+def test_the_states_have_the_values_of_action_msgs():
+    assert [GoalStatus(value).name for value in range(7)] == list(EXPECTED)
+
+
+@pytest.mark.parametrize("status", GoalStatus)
+def test_the_active_states_are_those_from_accepted_to_canceling(status):
+    assert status.is_active == (status.name in {"ACCEPTED", "EXECUTING", "CANCELING"})
+
+
+@pytest.mark.parametrize("status", GoalStatus)
+def test_the_terminal_states_are_those_from_succeeded_on(status):
+    assert status.is_terminal == (status.name in {"SUCCEEDED", "CANCELED", "ABORTED"})
+
+
+def test_the_answers_have_the_values_of_rclpy():
+    assert (GoalResponse.REJECT, GoalResponse.ACCEPT) == (1, 2)
+    assert (CancelResponse.REJECT, CancelResponse.ACCEPT) == (1, 2)
+
+
+def test_a_goal_without_an_id_says_so():
+    assert make_goal().hex == "(no id)"
+
+
+def test_a_goal_shows_its_id_in_hexadecimal():
+    assert make_goal(id=ID_2).hex == "02" * 16
+
+
+@pytest.mark.parametrize(
+    ("status", "error"),
+    [(GoalStatus.CANCELED, GoalCanceled), (GoalStatus.ABORTED, GoalAborted)],
+)
+def test_a_failed_goal_tells_its_reason_and_result(status, error):
+    told = failure(make_goal(status=status, reason="too far", result="half"))
+    assert (type(told), told.reason, told.result) == (error, "too far", "half")
+
+
+# --- which goals a cancel request means -----------------------------------------------------
+
+NONE = 0
+
+
+def goals_of_three_times() -> list[Goal]:
+    """Goals 1, 2 and 3, accepted at the seconds 1, 2 and 3, held in another order."""
+    first, second, third = (
+        make_goal(number * SECOND, id=bytes([number]) * 16) for number in (1, 2, 3)
+    )
+    return [second, third, first]
+
+
+@pytest.mark.parametrize(
+    ("goal_id", "stamp", "meant"),
+    [
+        pytest.param(None, NONE, [1, 2, 3], id="neither-means-every-goal"),
+        pytest.param(None, 2 * SECOND, [1, 2], id="stamp-means-at-or-before"),
+        pytest.param(None, 2 * SECOND - 1, [1], id="stamp-just-before"),
+        pytest.param(None, 1, [], id="stamp-before-all"),
+        pytest.param(ID_2, NONE, [2], id="id-means-that-goal"),
+        pytest.param(bytes([9]) * 16, NONE, [], id="unknown-id"),
+        pytest.param(ID_3, 1 * SECOND, [1, 3], id="both-mean-the-union"),
+        pytest.param(ID_1, 2 * SECOND, [1, 2], id="both-overlapping-list-each-once"),
+        pytest.param(bytes([9]) * 16, 2 * SECOND, [1, 2], id="unknown-id-and-stamp"),
+    ],
+)
+def test_a_cancel_request_means(goal_id, stamp, meant):
+    chosen = select(goals_of_three_times(), goal_id, stamp)
+    assert [goal.hex[:2] for goal in chosen] == [f"0{number}" for number in meant]
+
+
+@pytest.mark.parametrize("status", GoalStatus)
+def test_only_active_goals_are_meant(status):
+    assert bool(select([make_goal(status=status)], None, NONE)) == status.is_active
+
+
+def test_a_goal_without_an_id_is_not_meant_by_an_id():
+    assert select([make_goal()], ID_1, NONE) == []
+
+
+def test_an_id_does_not_mean_a_goal_of_the_time_zero():
+    assert select([make_goal(0)], ID_1, NONE) == []
+
+
+def test_goals_of_one_time_are_meant_in_the_order_in_which_they_are_held():
+    goals = [make_goal(START) for _ in range(20)]
+    assert select(goals, None, NONE) == goals
+
+
+@pytest.mark.parametrize(
+    ("held", "by_id", "asked", "let_go", "code"),
+    [
+        pytest.param(False, False, 0, 0, CancelCode.NONE, id="nobody-to-ask"),
+        pytest.param(False, False, 3, 3, CancelCode.NONE, id="all-let-go"),
+        pytest.param(False, False, 3, 1, CancelCode.NONE, id="one-let-go"),
+        pytest.param(False, False, 3, 0, CancelCode.REJECTED, id="none-let-go"),
+        pytest.param(True, True, 1, 1, CancelCode.NONE, id="id-let-go"),
+        pytest.param(True, True, 1, 0, CancelCode.REJECTED, id="id-not-let-go"),
+        pytest.param(False, True, 0, 0, CancelCode.UNKNOWN_GOAL_ID, id="id-not-held"),
+        pytest.param(True, True, 0, 0, CancelCode.GOAL_TERMINATED, id="id-ended"),
+        pytest.param(True, False, 0, 0, CancelCode.NONE, id="id-ended-with-stamp"),
+    ],
+)
+def test_a_cancel_request_is_answered(held, by_id, asked, let_go, code):
+    named = make_goal() if held else None
+    assert cancel_code(named, by_id=by_id, asked=asked, let_go=let_go) is code
+
+
+def test_the_codes_have_the_values_of_action_msgs():
+    assert [CancelCode(value).name for value in range(4)] == [
+        "NONE",
+        "REJECTED",
+        "UNKNOWN_GOAL_ID",
+        "GOAL_TERMINATED",
+    ]
+
+
+# --- how long a goal is held ----------------------------------------------------------------
+
+
+def held(table: GoalTable, goal_id: bytes, seconds: float) -> bool:
+    return table.find(goal_id, START + round(seconds * SECOND)) is not None
+
+
+def ended_goal(table: GoalTable, seconds: float = 0, **facts) -> Goal:
+    goal = make_goal(id=ID_1, **facts)
+    table.add(goal)
+    table.end(goal, START + round(seconds * SECOND))
+    return goal
+
+
+def test_a_result_is_kept_for_ten_seconds_from_the_end():
+    table = GoalTable()
+    ended_goal(table, 100)
+    assert [held(table, ID_1, 100 + after) for after in (0, 9.999, 10)] == [True, True, False]
+
+
+def test_a_goal_is_held_as_long_as_it_is_active():
+    table = GoalTable()
+    table.add(make_goal(id=ID_1))
+    assert held(table, ID_1, 1_000_000)
+
+
+def test_a_result_is_pinned_while_somebody_waits_for_it():
+    table = GoalTable()
+    ended_goal(table, waiters=1)
+    assert held(table, ID_1, 100)
+
+
+def test_a_pinned_result_is_forgotten_once_nobody_waits():
+    table = GoalTable()
+    goal = ended_goal(table, waiters=1)
+    held(table, ID_1, 100)
+    goal.waiters = 0
+    assert not held(table, ID_1, 101)
+
+
+def test_a_pinned_result_holds_no_other_one():
+    table = GoalTable()
+    ended_goal(table, waiters=1)
+    other = make_goal(id=ID_2)
+    table.add(other)
+    table.end(other, START + 1)
+    assert not held(table, ID_2, 11)
+
+
+def test_without_a_timeout_a_result_is_kept_for_ever():
+    table = GoalTable(None)
+    ended_goal(table)
+    assert held(table, ID_1, 1e9)
+
+
+def test_with_a_timeout_of_zero_a_result_is_forgotten_at_its_end():
+    table = GoalTable(0)
+    ended_goal(table)
+    assert not held(table, ID_1, 0)
+
+
+def test_with_a_timeout_of_zero_a_result_serves_those_who_wait():
+    table = GoalTable(0)
+    ended_goal(table, waiters=1)
+    assert held(table, ID_1, 1)
+
+
+def test_an_id_is_refused_while_its_goal_is_active():
+    table = GoalTable()
+    table.add(make_goal(id=ID_1))
+    assert not table.add(make_goal(id=ID_1))
+
+
+def test_a_refused_goal_is_not_held():
+    table = GoalTable()
+    first = make_goal(id=ID_1)
+    table.add(first)
+    table.add(make_goal(id=ID_1))
+    assert (table.active, table.find(ID_1, START)) == ([first], first)
+
+
+def test_an_id_is_refused_while_its_result_is_kept():
+    table = GoalTable()
+    ended_goal(table)
+    assert not table.add(make_goal(START + 9 * SECOND, id=ID_1))
+
+
+def test_an_id_is_taken_again_once_its_result_has_expired():
+    table = GoalTable()
+    ended_goal(table)
+    assert table.add(make_goal(START + 10 * SECOND, id=ID_1))
+
+
+def test_an_id_that_was_taken_again_is_not_forgotten_with_the_goal_before():
+    table = GoalTable()
+    ended_goal(table)
+    again = make_goal(START + 10 * SECOND, id=ID_1)
+    table.add(again)
+    assert table.find(ID_1, START + 1000 * SECOND) is again
+
+
+def test_a_goal_without_an_id_is_forgotten_at_its_end():
+    table = GoalTable(None)
+    goal = make_goal()
+    table.add(goal)
+    table.end(goal, START)
+    assert (table.active, table._named) == ([], {})
+
+
+def test_an_active_goal_can_be_named_and_found():
+    table = GoalTable()
+    goal = make_goal()
+    table.add(goal)
+    table.name(goal, ID_1, START)
+    assert table.find(ID_1, START) is goal
+
+
+def test_a_goal_keeps_its_first_name():
+    table = GoalTable()
+    goal = make_goal()
+    table.add(goal)
+    assert [table.name(goal, name, START) for name in (ID_1, ID_2)] == [ID_1, ID_1]
+
+
+def test_an_ended_goal_that_is_named_is_kept_for_the_rest_of_its_time():
+    table = GoalTable()
+    goal = make_goal()
+    table.add(goal)
+    table.end(goal, START)
+    table.name(goal, ID_1, START + 4 * SECOND)
+    assert [held(table, ID_1, after) for after in (9.9, 10)] == [True, False]
+
+
+def test_an_ended_goal_that_is_named_too_late_is_not_kept():
+    table = GoalTable()
+    goal = make_goal()
+    table.add(goal)
+    table.end(goal, START)
+    table.name(goal, ID_1, START + 20 * SECOND)
+    assert table._named == {}
+
+
+def test_active_goals_are_listed_in_the_order_of_their_acceptance_even_at_one_time():
+    table = GoalTable()
+    goals = [make_goal(START) for _ in range(50)]
+    for goal in goals:
+        table.add(goal)
+    assert table.active == goals
+
+
+class Retention(RuleBasedStateMachine):
+    """The table beside the plainest model: a list of all goals ever, looked through each time."""
+
+    keep_ns: int | None = 2 * SECOND
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.table = GoalTable(None if self.keep_ns is None else self.keep_ns / SECOND)
+        self.now = START
+        self.goals: list[Goal] = []
+        self.names = 100
+
+    def is_held(self, goal: Goal) -> bool:
+        if not goal.ended or self.keep_ns is None:
+            return True
+        return goal.waiters > 0 or self.now < goal.ended + self.keep_ns
+
+    def holder(self, goal_id: bytes) -> Goal | None:
+        """The one of that id that is held; two of them would be a mistake of the model."""
+        found = [goal for goal in self.goals if goal.id == goal_id and self.is_held(goal)]
+        assert len(found) < 2
+        return found[0] if found else None
+
+    @rule(half_seconds=st.integers(1, 6))
+    def let_time_pass(self, half_seconds):
+        self.now += half_seconds * SECOND // 2
+
+    @rule(number=st.integers(1, 4))
+    def accept_with_an_id(self, number):
+        goal_id = bytes([number]) * 16
+        goal = make_goal(self.now, id=goal_id)
+        taken = self.holder(goal_id) is None
+        assert self.table.add(goal) == taken
+        if taken:
+            self.goals.append(goal)
+
+    @rule()
+    def accept_without_an_id(self):
+        goal = make_goal(self.now)
+        assert self.table.add(goal)
+        self.goals.append(goal)
+
+    @precondition(lambda self: self.goals)
+    @rule(data=st.data())
+    def end(self, data):
+        goal = data.draw(st.sampled_from(self.goals))
+        if not goal.ended:
+            self.table.end(goal, self.now)
+            goal.apply(GoalEvent.SUCCEED)
+
+    @precondition(lambda self: self.goals)
+    @rule(data=st.data())
+    def wait(self, data):
+        goal = data.draw(st.sampled_from(self.goals))
+        if self.is_held(goal):
+            goal.waiters += 1
+
+    @precondition(lambda self: self.goals)
+    @rule(data=st.data())
+    def wait_no_more(self, data):
+        data.draw(st.sampled_from(self.goals)).waiters = 0
+
+    @precondition(lambda self: self.goals)
+    @rule(data=st.data())
+    def name(self, data):
+        goal = data.draw(st.sampled_from(self.goals))
+        self.names += 1
+        known, fresh = goal.id, bytes([self.names % 256]) * 15 + bytes([self.names // 256])
+        assert self.table.name(goal, fresh, self.now) == (known or fresh)
+
+    @rule(number=st.integers(1, 4))
+    def find(self, number):
+        goal_id = bytes([number]) * 16
+        assert self.table.find(goal_id, self.now) is self.holder(goal_id)
+
+    @invariant()
+    def the_active_goals_are_those_that_have_not_ended(self):
+        assert self.table.active == [goal for goal in self.goals if not goal.ended]
+
+    @invariant()
+    def nothing_is_held_beyond_what_was_named(self):
+        assert len(self.table._named) <= sum(goal.id is not None for goal in self.goals)
+
+    def teardown(self) -> None:
+        """Everything ended and its time over: nothing is left."""
+        for goal in self.goals:
+            goal.waiters = 0
+            if not goal.ended:
+                self.table.end(goal, self.now)
+        if self.keep_ns is not None:
+            self.table.expire(self.now + self.keep_ns)
+            assert (self.table._named, self.table._expiries) == ({}, [])
+
+
+class RetentionForEver(Retention):
+    keep_ns = None
+
+
+class NoRetention(Retention):
+    keep_ns = 0
+
+
+TestRetention = Retention.TestCase
+TestRetentionForEver = RetentionForEver.TestCase
+TestNoRetention = NoRetention.TestCase
+
+
+# --- feedback -------------------------------------------------------------------------------
+
+KEPT = FeedbackLog.KEPT
+
+
+def filled(count: int, read: int | None = None) -> FeedbackLog:
+    log = FeedbackLog()
+    log.read = read
+    for number in range(count):
+        log.append(number)
+    return log
+
+
+def test_feedback_is_numbered_from_zero():
+    log = filled(3)
+    assert (log.dropped, log.items) == (0, [0, 1, 2])
+
+
+@pytest.mark.parametrize("count", [KEPT, 2 * KEPT - 1, 2 * KEPT, 10 * KEPT + 7])
+def test_each_kept_message_stands_at_its_number(count):
+    log = filled(count)
+    assert log.items == list(range(log.dropped, count))
+
+
+@pytest.mark.parametrize("count", [2 * KEPT, 10 * KEPT + 7])
+def test_without_a_reader_no_more_than_twice_the_newest_are_kept(count):
+    assert KEPT <= len(filled(count).items) < 2 * KEPT
+
+
+def test_nothing_that_a_reader_has_not_read_is_dropped():
+    assert filled(5 * KEPT, read=0).dropped == 0
+
+
+def test_what_a_reader_has_read_is_dropped_in_time():
+    log = filled(0)
+    for number in range(10 * KEPT):
+        log.append(number)
+        log.read = number + 1
+    assert len(log.items) < 2 * KEPT
+
+
+def test_nothing_in_front_of_a_reader_is_dropped():
+    log = filled(2 * KEPT - 1, read=100)
+    log.append("newest")
+    assert (log.dropped, log.items[0]) == (100, 100)
+
+
+def test_a_reader_that_begins_behind_what_was_dropped_drops_nothing_more():
+    log = filled(2 * KEPT)
+    log.read = 0
+    dropped = log.dropped
+    for number in range(2 * KEPT):
+        log.append(number)
+    assert log.dropped == dropped
+
+
+@pytest.mark.parametrize(("unread", "full"), [(KEPT - 1, False), (KEPT, True), (KEPT + 1, True)])
+def test_a_log_is_full_once_its_reader_is_behind_by_what_is_kept(unread, full):
+    assert filled(100 + unread, read=100).is_full is full
+
+
+def test_a_log_without_a_reader_is_never_full():
+    assert not filled(10 * KEPT).is_full

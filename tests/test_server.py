@@ -1,0 +1,997 @@
+"""Which goals a server takes, which it lets go, and what becomes of them when it is closed."""
+
+from __future__ import annotations
+
+import gc
+import logging
+
+import anyio
+import anyio.lowlevel
+import pytest
+
+import turtleact
+from turtleact import CancelResponse, GoalResponse, GoalStatus, Outcome
+from turtleact.errors import (
+    Abort,
+    Canceled,
+    GoalAborted,
+    GoalCanceled,
+    GoalRejected,
+    InvalidGoal,
+    Reject,
+    ServerUnavailable,
+)
+from turtleact.goal import CancelCode
+from turtleact.interfaces.standard import CancelGoal
+
+from .lab import (
+    ON_ASYNCIO,
+    Count,
+    Gate,
+    count,
+    feedback,
+    goal,
+    hand_lab,
+    lab,
+    other_tasks,
+    result,
+    running,
+    settle,
+    take_turns,
+)
+
+SECOND = 1_000_000_000
+SHUTDOWN = Outcome(GoalStatus.ABORTED, result(), "shutdown")
+
+
+def nanoseconds(stamp) -> int:
+    return int(stamp.sec) * SECOND + int(stamp.nanosec)
+
+
+def ids(response: CancelGoal.Response) -> list[bytes]:
+    return [bytes(info.goal_id.uuid) for info in response.goals_canceling]
+
+
+# --- taking a goal --------------------------------------------------------------------------
+
+
+async def test_a_goal_is_taken_unless_something_is_said():
+    async with lab(count) as served:
+        assert await served.client.send_goal(goal()) == result(0, 1, 2)
+
+
+def accept(request):
+    return GoalResponse.ACCEPT
+
+
+async def accept_later(request):
+    await anyio.lowlevel.checkpoint()
+    return GoalResponse.ACCEPT
+
+
+@pytest.mark.parametrize("callback", [accept, accept_later])
+async def test_a_goal_that_the_callback_accepts_is_taken(callback):
+    async with lab(count, goal_callback=callback) as served:
+        assert await served.client.send_goal(goal()) == result(0, 1, 2)
+
+
+def reject(request):
+    return GoalResponse.REJECT
+
+
+async def reject_later(request):
+    await anyio.lowlevel.checkpoint()
+    return GoalResponse.REJECT
+
+
+def reject_with_reason(request):
+    raise Reject(f"{request.upto} is too far")
+
+
+async def reject_with_reason_later(request):
+    await anyio.lowlevel.checkpoint()
+    raise Reject(f"{request.upto} is too far")
+
+
+def break_down(request):
+    raise ValueError("no idea")
+
+
+async def break_down_later(request):
+    await anyio.lowlevel.checkpoint()
+    raise ValueError("no idea")
+
+
+def answer_true(request):
+    return True
+
+
+async def answer_nothing(request):
+    pass
+
+
+REJECTIONS = [
+    (reject, "the goal_callback rejected it"),
+    (reject_later, "the goal_callback rejected it"),
+    (reject_with_reason, "3 is too far"),
+    (reject_with_reason_later, "3 is too far"),
+    (break_down, "the goal_callback failed: ValueError: no idea"),
+    (break_down_later, "the goal_callback failed: ValueError: no idea"),
+    (answer_true, "the goal_callback answered True, not a GoalResponse"),
+    (answer_nothing, "the goal_callback answered None, not a GoalResponse"),
+]
+
+
+@pytest.mark.parametrize(("callback", "reason"), REJECTIONS)
+async def test_a_goal_that_is_not_accepted_is_rejected_when_awaited(callback, reason):
+    async with lab(count, goal_callback=callback) as served:
+        with pytest.raises(GoalRejected) as caught:
+            await served.client.send_goal(goal())
+        assert caught.value.reason == reason
+
+
+@pytest.mark.parametrize(("callback", "reason"), REJECTIONS)
+async def test_a_goal_that_is_not_accepted_is_rejected_when_entered(callback, reason):
+    async with lab(count, goal_callback=callback) as served:
+        with pytest.raises(GoalRejected) as caught:
+            await served.client.send_goal(goal()).__aenter__()
+        assert caught.value.reason == reason
+
+
+async def test_a_rejected_goal_is_not_held():
+    gate = Gate()
+    async with lab(gate.wait, goal_callback=reject) as served:
+        with pytest.raises(GoalRejected, match="the goal was rejected"):
+            await served.client.send_goal(goal())
+        assert (served.active, gate.log) == ([], [])
+
+
+@pytest.mark.parametrize("callback", [break_down, break_down_later])
+async def test_a_goal_callback_that_breaks_is_logged(callback, caplog):
+    async with lab(count, goal_callback=callback) as served:
+        with pytest.raises(GoalRejected):
+            await served.client.send_goal(goal())
+    (record,) = caplog.records
+    assert (record.name, record.levelno) == ("turtleact.server", logging.ERROR)
+    assert record.getMessage() == "the goal_callback of /count failed; the goal is rejected"
+    assert "no idea" in str(record.exc_info)
+
+
+async def test_a_rejection_is_not_logged(caplog):
+    async with lab(count, goal_callback=reject_with_reason) as served:
+        with pytest.raises(GoalRejected):
+            await served.client.send_goal(goal())
+    assert not caplog.records
+
+
+async def test_a_goal_callback_sees_a_snapshot_of_the_goal():
+    seen: list[object] = []
+
+    def callback(request):
+        seen.append(request)
+        return GoalResponse.ACCEPT
+
+    request = goal(2)
+    async with lab(count, goal_callback=callback) as served:
+        await served.client.send_goal(request)
+    assert seen == [request]
+    assert seen[0] is not request
+
+
+async def test_a_goal_callback_is_asked_once_a_goal():
+    asked: list[int] = []
+
+    async def callback(request):
+        asked.append(request.upto)
+        return GoalResponse.ACCEPT
+
+    async with lab(count, goal_callback=callback) as served:
+        await served.client.send_goal(goal(1))
+        async with served.client.send_goal(goal(2)) as handle:
+            await handle.result()
+    assert asked == [1, 2]
+
+
+async def test_a_goal_that_is_canceled_while_it_is_put_to_the_callback_never_begins():
+    gate, asking = Gate(), anyio.Event()
+
+    async def callback(request):
+        asking.set()
+        await anyio.sleep_forever()
+
+    async with lab(gate.wait, goal_callback=callback) as served:
+        async with running(lambda: served.client.send_goal(goal())) as sent:
+            await asking.wait()
+            sent.scope.cancel()
+        await settle()
+        assert (served.active, gate.log) == ([], [])
+
+
+async def test_a_goal_is_rejected_if_the_server_closes_while_it_is_put_to_the_callback():
+    gate = Gate()
+
+    async def callback(request):
+        await gate.opened.wait()
+        return GoalResponse.ACCEPT
+
+    async with lab(count, goal_callback=callback) as served:
+        async with running(lambda: served.client.send_goal(goal())) as sent:
+            await served.server.aclose()
+            gate.opened.set()
+        assert isinstance(sent.error, GoalRejected)
+        assert sent.error.reason == "the server of '/count' is shutting down"
+
+
+@pytest.mark.parametrize(
+    ("request_", "problem"),
+    [
+        pytest.param(Count.Goal(upto=2**40), r"^goal\.upto: ", id="value"),
+        pytest.param(Count.Goal(upto="far"), r"^goal\.upto: ", id="type"),  # type: ignore[arg-type]
+        pytest.param(feedback(1), "Count_Goal", id="message"),
+        pytest.param("far", "Count_Goal", id="no-message"),
+        pytest.param(None, "Count_Goal", id="nothing"),
+    ],
+)
+@pytest.mark.parametrize("callback", [None, accept])
+async def test_a_goal_that_does_not_fit_its_type_is_invalid(request_, problem, callback):
+    gate = Gate()
+    async with lab(gate.wait, goal_callback=callback) as served:
+        with pytest.raises(InvalidGoal, match=problem):
+            await served.client.send_goal(request_)
+        with pytest.raises(InvalidGoal, match=problem):
+            await served.client.send_goal(request_).__aenter__()
+        assert (served.active, gate.log) == ([], [])
+
+
+async def test_a_body_sees_a_snapshot_of_the_goal():
+    request = goal(2)
+
+    async def body(received):
+        await anyio.lowlevel.checkpoint()
+        request.upto = 7
+        return result(received.upto)
+
+    async with lab(body) as served:
+        assert await served.client.send_goal(request) == result(2)
+
+
+# --- ids and stamps -------------------------------------------------------------------------
+
+
+async def test_both_sides_know_a_goal_by_one_id():
+    seen: list[bytes] = []
+
+    async def body(request, handle):
+        seen.append(handle.goal_id)
+        return result()
+
+    async with lab(body) as served, served.client.send_goal(goal()) as handle:
+        await handle.result()
+        assert seen == [handle.goal_id]
+
+
+async def test_an_id_that_is_asked_for_after_the_end_stays_the_same():
+    async with lab(count) as served, served.client.send_goal(goal()) as handle:
+        await handle.result()
+        assert handle.goal_id == handle.goal_id
+        assert len(handle.goal_id) == 16
+
+
+async def test_both_sides_know_a_goal_by_one_stamp():
+    seen: list[object] = []
+
+    async def body(request, handle):
+        seen.append(handle.stamp)
+        return result()
+
+    clock, laboratory = hand_lab(body)
+    clock.advance(1.5)
+    async with laboratory as served, served.client.send_goal(goal()) as handle:
+        await handle.result()
+        assert seen == [handle.stamp]
+        assert nanoseconds(handle.stamp) == clock.now()
+
+
+async def test_an_id_is_refused_while_its_goal_is_active():
+    gate = Gate()
+    async with lab(gate.wait) as served, served.client.send_goal(goal(), goal_id=b"1" * 16):
+        with pytest.raises(GoalRejected, match=f"still holds a goal of the id {'31' * 16}"):
+            await served.client.send_goal(goal(), goal_id=b"1" * 16)
+        assert len(served.active) == 1
+
+
+async def test_an_id_is_refused_while_its_result_is_kept_and_taken_afterwards():
+    clock, laboratory = hand_lab(count)
+    async with laboratory as served:
+        await served.client.send_goal(goal(), goal_id=b"1" * 16)
+        clock.advance(9.9)
+        with pytest.raises(GoalRejected, match="still holds"):
+            await served.client.send_goal(goal(), goal_id=b"1" * 16)
+        clock.advance(0.1)
+        assert await served.client.send_goal(goal(), goal_id=b"1" * 16) == result(0, 1, 2)
+
+
+async def test_with_a_result_timeout_of_zero_an_id_is_taken_again_at_once():
+    async with lab(count, result_timeout=0) as served:
+        for _ in range(3):
+            await served.client.send_goal(goal(), goal_id=b"1" * 16)
+
+
+async def test_without_a_result_timeout_an_id_is_never_taken_again():
+    clock, laboratory = hand_lab(count, result_timeout=None)
+    async with laboratory as served:
+        await served.client.send_goal(goal(), goal_id=b"1" * 16)
+        clock.advance(1e6)
+        with pytest.raises(GoalRejected, match="still holds"):
+            await served.client.send_goal(goal(), goal_id=b"1" * 16)
+
+
+# --- letting a goal go ----------------------------------------------------------------------
+
+
+async def test_a_cancel_request_is_accepted_unless_something_is_said():
+    async with lab(Gate().wait) as served, served.client.send_goal(goal()) as handle:
+        response = await handle.cancel()
+        assert (response.return_code, ids(response)) == (CancelCode.NONE, [handle.goal_id])
+        assert (await handle.outcome()).status is GoalStatus.CANCELED
+
+
+async def test_the_answer_to_a_cancel_request_bears_the_stamps():
+    async with lab(Gate().wait) as served, served.client.send_goal(goal()) as handle:
+        response = await handle.cancel()
+        assert [info.stamp for info in response.goals_canceling] == [handle.stamp]
+
+
+async def test_a_goal_is_canceling_once_the_request_is_answered():
+    gate = Gate()
+
+    async def body(request):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await gate.opened.wait()
+
+    async with lab(body) as served, served.client.send_goal(goal()) as handle:
+        await settle()
+        await handle.cancel()
+        assert handle.status is GoalStatus.CANCELING
+        gate.opened.set()
+
+
+def let_go(handle):
+    return CancelResponse.ACCEPT
+
+
+async def let_go_later(handle):
+    await anyio.lowlevel.checkpoint()
+    return CancelResponse.ACCEPT
+
+
+@pytest.mark.parametrize("callback", [let_go, let_go_later])
+async def test_a_goal_that_the_callback_lets_go_is_canceled(callback):
+    async with (
+        lab(Gate().wait, cancel_callback=callback) as served,
+        served.client.send_goal(goal()) as handle,
+    ):
+        assert (await handle.cancel()).return_code == CancelCode.NONE
+        assert (await handle.outcome()).status is GoalStatus.CANCELED
+
+
+def hold(handle):
+    return CancelResponse.REJECT
+
+
+async def hold_later(handle):
+    await anyio.lowlevel.checkpoint()
+    return CancelResponse.REJECT
+
+
+def hold_by_breaking(handle):
+    raise ValueError("no idea")
+
+
+async def hold_by_breaking_later(handle):
+    await anyio.lowlevel.checkpoint()
+    raise ValueError("no idea")
+
+
+def hold_by_nonsense(handle):
+    return True
+
+
+HOLDING = [hold, hold_later, hold_by_breaking, hold_by_breaking_later, hold_by_nonsense]
+
+
+@pytest.mark.parametrize("callback", HOLDING)
+async def test_a_goal_that_the_callback_does_not_let_go_goes_on(callback):
+    gate = Gate()
+    async with (
+        lab(gate.wait, cancel_callback=callback) as served,
+        served.client.send_goal(goal(7)) as handle,
+    ):
+        response = await handle.cancel()
+        assert (response.return_code, ids(response)) == (CancelCode.REJECTED, [])
+        assert handle.status is GoalStatus.EXECUTING
+        gate.opened.set()
+        assert await handle.result() == result(7)
+
+
+@pytest.mark.parametrize("callback", [hold_by_breaking, hold_by_breaking_later])
+async def test_a_cancel_callback_that_breaks_is_logged(callback, caplog):
+    gate = Gate()
+    async with (
+        lab(gate.wait, cancel_callback=callback) as served,
+        served.client.send_goal(goal(7)) as handle,
+    ):
+        await handle.cancel()
+        gate.opened.set()
+        await handle.result()
+    (record,) = caplog.records
+    assert (record.name, record.levelno) == ("turtleact.server", logging.ERROR)
+    assert record.getMessage() == "the cancel_callback of /count failed; the goal goes on"
+
+
+async def test_a_cancel_callback_gets_the_goals_handle():
+    seen: list[object] = []
+
+    def callback(handle):
+        seen.append((handle.goal_id, handle.request, handle.status))
+        return CancelResponse.ACCEPT
+
+    async with (
+        lab(Gate().wait, cancel_callback=callback) as served,
+        served.client.send_goal(goal(7)) as handle,
+    ):
+        await handle.cancel()
+        assert seen == [(handle.goal_id, goal(7), GoalStatus.EXECUTING)]
+
+
+class Asked:
+    """A cancel_callback that lets go of some goals, by their number, and counts."""
+
+    def __init__(self, *let_go: int) -> None:
+        self.let_go = let_go
+        self.log: list[int] = []
+
+    async def __call__(self, handle):
+        self.log.append(handle.request.upto)
+        await anyio.lowlevel.checkpoint()
+        return CancelResponse(1 + (handle.request.upto in self.let_go))
+
+
+async def test_each_goal_is_asked_for_once():
+    asked = Asked(2)
+    async with (
+        lab(Gate().wait, cancel_callback=asked) as served,
+        running(lambda: served.client.send_goal(goal(1))) as first,
+        running(lambda: served.client.send_goal(goal(2))) as second,
+    ):
+        response = await served.client.cancel_all()
+        await second.done.wait()
+        assert (asked.log, response.return_code) == ([1, 2], CancelCode.NONE)
+        assert isinstance(second.error, GoalCanceled)
+        assert not first.done.is_set()
+        asked.let_go = (1,)
+        await served.client.cancel_all()
+    assert isinstance(first.error, GoalCanceled)
+
+
+async def test_if_none_of_several_is_let_go_the_request_is_rejected():
+    gate = Gate()
+    async with (
+        lab(gate.wait, cancel_callback=hold) as served,
+        running(lambda: served.client.send_goal(goal(1))),
+        running(lambda: served.client.send_goal(goal(2))),
+    ):
+        response = await served.client.cancel_all()
+        assert (response.return_code, ids(response)) == (CancelCode.REJECTED, [])
+        gate.opened.set()
+
+
+async def test_a_goal_that_is_canceling_already_is_listed_again_and_not_asked_for():
+    asked, gate = Asked(3), Gate()
+
+    async def body(request):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await gate.opened.wait()
+
+    async with (
+        lab(body, cancel_callback=asked) as served,
+        served.client.send_goal(goal(3)) as handle,
+    ):
+        await settle()
+        await handle.cancel()
+        response = await handle.cancel()
+        assert (response.return_code, ids(response)) == (CancelCode.NONE, [handle.goal_id])
+        assert asked.log == [3]
+        gate.opened.set()
+
+
+async def test_two_cancel_requests_at_once_cancel_the_body_once():
+    gate, log = Gate(), []
+    agreed = [anyio.Event(), anyio.Event()]
+    asked = iter(agreed)
+
+    async def callback(handle):
+        await next(asked).wait()
+        return CancelResponse.ACCEPT
+
+    async def body(request):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await gate.opened.wait()
+            log.append("cleaned up")
+
+    async with (
+        lab(body, cancel_callback=callback) as served,
+        served.client.send_goal(goal()) as handle,
+    ):
+        await settle()
+        async with running(handle.cancel) as first, running(handle.cancel) as second:
+            for each in agreed:
+                each.set()
+                await settle()
+        assert [each.value.return_code for each in (first, second)] == [CancelCode.NONE] * 2
+        gate.opened.set()
+        await handle.outcome()
+        assert log == ["cleaned up"]
+
+
+async def test_a_goal_that_ends_while_it_is_asked_for_is_answered_as_terminated():
+    gate, asking = Gate(), anyio.Event()
+
+    async def callback(handle):
+        gate.opened.set()
+        await settle()
+        asking.set()
+        return CancelResponse.ACCEPT
+
+    async with (
+        lab(gate.wait, cancel_callback=callback) as served,
+        served.client.send_goal(goal(7)) as handle,
+    ):
+        response = await handle.cancel()
+        assert (response.return_code, ids(response)) == (CancelCode.GOAL_TERMINATED, [])
+        assert await handle.result() == result(7)
+
+
+async def test_a_goal_that_ends_while_it_is_asked_for_is_terminated_even_if_not_kept():
+    gate = Gate()
+
+    async def callback(handle):
+        gate.opened.set()
+        await settle()
+        return CancelResponse.ACCEPT
+
+    async with (
+        lab(gate.wait, cancel_callback=callback, result_timeout=0) as served,
+        served.client.send_goal(goal(7)) as handle,
+    ):
+        assert (await handle.cancel()).return_code == CancelCode.GOAL_TERMINATED
+
+
+async def test_a_goal_that_has_ended_is_answered_as_terminated_while_its_result_is_kept():
+    clock, laboratory = hand_lab(count)
+    async with laboratory as served, served.client.send_goal(goal()) as handle:
+        await handle.result()
+        assert (await handle.cancel()).return_code == CancelCode.GOAL_TERMINATED
+        clock.advance(10)
+        assert (await handle.cancel()).return_code == CancelCode.UNKNOWN_GOAL_ID
+
+
+async def test_an_id_that_was_never_held_is_unknown():
+    async with lab(count) as served:
+        response = await served.server.cancel(b"9" * 16, 0)
+        assert response.return_code == CancelCode.UNKNOWN_GOAL_ID
+
+
+async def test_an_id_of_zeros_means_every_goal():
+    async with lab(Gate().wait) as served, served.client.send_goal(goal()) as handle:
+        assert ids(await served.server.cancel(bytes(16), 0)) == [handle.goal_id]
+
+
+async def test_canceling_everything_where_nothing_runs_is_no_error():
+    async with lab(count) as served:
+        response = await served.client.cancel_all()
+        assert (response.return_code, ids(response)) == (CancelCode.NONE, [])
+
+
+async def test_canceling_before_a_time_means_the_goals_accepted_at_or_before_it():
+    clock, laboratory = hand_lab(Gate().wait)
+    async with laboratory as served, served.client.send_goal(goal(1)) as first:
+        clock.advance(1)
+        async with served.client.send_goal(goal(2)) as second:
+            clock.advance(1)
+            async with served.client.send_goal(goal(3)) as third:
+                response = await served.client.cancel_before(second.stamp)
+                assert ids(response) == [first.goal_id, second.goal_id]
+                assert third.status is GoalStatus.EXECUTING
+
+
+async def test_an_id_and_a_time_mean_both():
+    clock, laboratory = hand_lab(Gate().wait)
+    async with laboratory as served, served.client.send_goal(goal(1)) as first:
+        clock.advance(1)
+        async with served.client.send_goal(goal(2)) as second:
+            stamp = nanoseconds(first.stamp)
+            response = await served.server.cancel(second.goal_id, stamp)
+            assert ids(response) == [first.goal_id, second.goal_id]
+
+
+# --- closing --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("style", ["wait", "stream"])
+async def test_a_closed_server_aborts_the_goals_that_run(style):
+    gate = Gate()
+    async with (
+        lab(getattr(gate, style)) as served,
+        served.client.send_goal(goal()) as handle,
+    ):
+        await gate.started.wait()
+        await served.server.aclose()
+        assert (await handle.outcome(), gate.log[1:]) == (SHUTDOWN, ["canceled", "over"])
+
+
+@pytest.mark.parametrize("style", ["wait", "stream"])
+async def test_a_closed_server_answers_who_awaits_a_goal(style):
+    async with (
+        lab(getattr(Gate(), style)) as served,
+        running(lambda: served.client.send_goal(goal())) as sent,
+    ):
+        await served.server.aclose()
+        await sent.done.wait()
+        assert isinstance(sent.error, GoalAborted)
+        assert (sent.error.reason, sent.error.result) == ("shutdown", result())
+
+
+async def test_a_closed_server_answers_every_waiter():
+    async with lab(Gate().wait) as served, served.client.send_goal(goal()) as handle:
+        async with running(handle.outcome) as first, running(handle.outcome) as second:
+            await served.server.aclose()
+        assert (first.value, second.value) == (SHUTDOWN, SHUTDOWN)
+
+
+async def test_a_closed_server_ends_the_readers_of_feedback():
+    read: list[object] = []
+
+    async with lab(Gate().stream) as served, served.client.send_goal(goal()) as handle:
+
+        async def read_all():
+            read.extend([message async for message in handle])
+
+        async with running(read_all):
+            await served.server.aclose()
+    assert read == [feedback(0)]
+
+
+async def test_a_server_waits_for_the_clean_up_of_its_bodies():
+    log: list[str] = []
+
+    async def body(request):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await take_turns()
+            log.append("cleaned up")
+
+    async with lab(body) as served, running(lambda: served.client.send_goal(goal())):
+        await served.server.aclose()
+        assert log == ["cleaned up"]
+
+
+async def test_a_server_that_is_closed_within_a_canceled_scope_waits_too():
+    gate = Gate()
+    async with lab(gate.wait) as served, running(lambda: served.client.send_goal(goal())):
+        with anyio.CancelScope() as scope:
+            scope.cancel()
+            await served.server.aclose()
+        assert gate.log[-1] == "over"
+
+
+async def test_a_goal_that_was_canceling_already_may_finish_its_clean_up():
+    gate, log = Gate(), []
+
+    async def body(request):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await gate.opened.wait()
+            log.append("cleaned up")
+
+    async with lab(body) as served, served.client.send_goal(goal()) as handle:
+        await settle()
+        await handle.cancel()
+        await settle()
+        async with running(served.server.aclose):
+            gate.opened.set()
+        assert (await handle.outcome()).status is GoalStatus.CANCELED
+    assert log == ["cleaned up"]
+
+
+async def test_closing_a_server_again_does_not_disturb_the_clean_up():
+    gate, log = Gate(), []
+
+    async def body(request):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await gate.opened.wait()
+            log.append("cleaned up")
+
+    async with (
+        lab(body) as served,
+        running(lambda: served.client.send_goal(goal())),
+        running(served.server.aclose),
+        running(served.server.aclose),
+    ):
+        gate.opened.set()
+    assert log == ["cleaned up"]
+
+
+async def succeed_all_the_same(request):
+    try:
+        await anyio.sleep_forever()
+    except anyio.get_cancelled_exc_class():
+        return result(7)
+
+
+async def abort_in_its_own_words(request):
+    try:
+        await anyio.sleep_forever()
+    finally:
+        raise Abort("the pen is up", result(7))
+
+
+async def tell_what_was_reached(request):
+    try:
+        await anyio.sleep_forever()
+    finally:
+        raise Canceled(result(7))
+
+
+async def fail_in_the_clean_up(request):
+    try:
+        await anyio.sleep_forever()
+    finally:
+        raise ValueError("no pen")
+
+
+async def set_a_partial_result(request, handle):
+    handle.set_partial_result(result(7))
+    await anyio.sleep_forever()
+
+
+@pytest.mark.parametrize(
+    ("body", "outcome"),
+    [
+        (succeed_all_the_same, Outcome(GoalStatus.SUCCEEDED, result(7))),
+        (abort_in_its_own_words, Outcome(GoalStatus.ABORTED, result(7), "the pen is up")),
+        (tell_what_was_reached, Outcome(GoalStatus.ABORTED, result(7), "shutdown")),
+        (fail_in_the_clean_up, Outcome(GoalStatus.ABORTED, result(), "ValueError: no pen")),
+        (set_a_partial_result, Outcome(GoalStatus.ABORTED, result(7), "shutdown")),
+    ],
+)
+async def test_what_a_body_says_at_the_shutdown_counts(body, outcome):
+    async with lab(body) as served, served.client.send_goal(goal()) as handle:
+        await settle()
+        await served.server.aclose()
+        assert await handle.outcome() == outcome
+
+
+class Stubborn:
+    """A body that ignores its cancellation until it is let go."""
+
+    def __init__(self) -> None:
+        self.gate = Gate()
+
+    async def body(self, request, handle):
+        with anyio.CancelScope(shield=True):
+            while not self.gate.opened.is_set():
+                try:
+                    await self.gate.opened.wait()
+                except anyio.get_cancelled_exc_class():
+                    self.gate.log.append("ignored")
+        self.gate.log.append("ended")
+        return result(7)
+
+
+@pytest.fixture
+def short_grace(monkeypatch):
+    monkeypatch.setattr("turtleact.server.GRACE", 0.01)
+
+
+@pytest.mark.usefixtures("short_grace")
+async def test_a_body_that_ignores_its_cancellation_is_left_behind(caplog):
+    stubborn = Stubborn()
+    async with lab(stubborn.body) as served, served.client.send_goal(goal()) as handle:
+        await settle()
+        await served.server.aclose()
+        assert (await handle.outcome(), served.active) == (SHUTDOWN, [])
+        stubborn.gate.opened.set()
+        await settle()
+    (record,) = caplog.records
+    assert record.getMessage() == "goal (no id) of /count has not ended; it is left behind"
+
+
+@pytest.mark.usefixtures("short_grace")
+async def test_the_end_of_a_body_that_was_left_behind_changes_nothing():
+    stubborn = Stubborn()
+    async with lab(stubborn.body) as served, served.client.send_goal(goal()) as handle:
+        await settle()
+        await served.server.aclose()
+        stubborn.gate.opened.set()
+        await settle()
+        assert stubborn.gate.log[-1] == "ended"
+        assert await handle.outcome() == SHUTDOWN
+
+
+@pytest.mark.usefixtures("short_grace")
+async def test_leaving_a_block_whose_body_ignores_its_cancellation_is_bounded():
+    stubborn = Stubborn()
+    async with lab(stubborn.body) as served:
+        async with served.client.send_goal(goal()) as handle:
+            await settle()
+        assert handle.status is GoalStatus.CANCELING
+        stubborn.gate.opened.set()
+        assert await handle.result() == result(7)
+
+
+async def test_a_closed_server_takes_no_more_goals():
+    async with lab(count) as served:
+        await served.client.send_goal(goal())
+        await served.server.aclose()
+        with pytest.raises(ServerUnavailable, match="action '/count': no server answers"):
+            await served.client.send_goal(goal())
+        with pytest.raises(ServerUnavailable):
+            await served.client.send_goal(goal()).__aenter__()
+
+
+async def test_a_body_that_sends_a_goal_while_its_server_closes_is_refused():
+    seen: list[BaseException] = []
+
+    async def body(request, handle):
+        client = handle.node.action_client(Count, "count")
+        client.server()
+        try:
+            await anyio.sleep_forever()
+        finally:
+            try:
+                await client.send_goal(goal())
+            except (GoalRejected, ServerUnavailable) as refusal:
+                seen.append(refusal)
+
+    async with lab(body) as served, served.client.send_goal(goal()):
+        await settle()
+        await served.server.aclose()
+    assert len(seen) == 1
+
+
+async def test_a_closed_server_is_gone_from_the_graph():
+    async with lab(count) as served:
+        assert served.node.graph().actions == {"/count": (Count.type_name,)}
+        await served.server.aclose()
+        assert served.node.graph().actions == {}
+
+
+async def test_closing_a_server_twice_is_closing_it_once():
+    async with lab(count) as served:
+        await served.server.aclose()
+        await served.server.aclose()
+
+
+async def test_closing_a_server_without_goals_returns_at_once():
+    async with lab(count) as served:
+        await served.client.send_goal(goal())
+        await served.server.aclose()
+        assert not served.server.is_open
+
+
+async def test_a_server_that_closes_waits_for_each_of_its_goals():
+    gate = Gate()
+    async with lab(gate.wait) as served, anyio.create_task_group() as group:
+
+        async def send(number):
+            with pytest.raises(GoalAborted, match="shutdown"):
+                await served.client.send_goal(goal(number))
+
+        for number in range(10):
+            group.start_soon(send, number)
+        await settle()
+        assert len(served.active) == 10
+        await served.server.aclose()
+        assert (served.active, gate.log.count("over")) == ([], 10)
+
+
+@ON_ASYNCIO
+async def test_nothing_is_left_running_after_a_close():
+    before = other_tasks()
+    async with lab(Gate().wait) as served:
+        async with served.client.send_goal(goal()) as handle:
+            await served.server.aclose()
+            await handle.outcome()
+        await settle()
+        assert other_tasks() == before
+
+
+# --- the handle of a body -------------------------------------------------------------------
+
+
+async def test_a_handle_shows_the_goal():
+    seen: list[object] = []
+
+    async def body(request, handle):
+        seen.append((handle.request, handle.status, handle.is_cancel_requested))
+        return result()
+
+    async with lab(body) as served:
+        await served.client.send_goal(goal(7))
+    assert seen == [(goal(7), GoalStatus.EXECUTING, False)]
+
+
+# --- memory ---------------------------------------------------------------------------------
+
+GOALS = 2_000
+
+
+async def stay_flat(send) -> int:
+    """How many objects more there are after many goals than after a few."""
+    for _ in range(20):
+        await send()
+    gc.collect()
+    before = len(gc.get_objects())
+    for _ in range(GOALS):
+        await send()
+    gc.collect()
+    return len(gc.get_objects()) - before
+
+
+@pytest.mark.parametrize("way", ["awaited", "entered", "given id", "failing"])
+async def test_many_goals_leave_nothing_behind(way, caplog):
+    caplog.set_level(logging.CRITICAL)
+
+    async def fail(request):
+        raise Abort("on purpose")
+
+    clock, laboratory = hand_lab(fail if way == "failing" else count)
+    async with laboratory as served:
+        number = iter(range(10 * GOALS))
+
+        async def send():
+            if way == "entered":
+                async with served.client.send_goal(goal()) as handle:
+                    await handle.result()
+                    assert handle.goal_id
+            elif way == "given id":
+                await served.client.send_goal(goal(), goal_id=next(number).to_bytes(16, "big"))
+            elif way == "failing":
+                with pytest.raises(GoalAborted):
+                    await served.client.send_goal(goal())
+            else:
+                await served.client.send_goal(goal())
+            clock.advance(1)
+
+        assert await stay_flat(send) < GOALS // 10
+        clock.advance(10)
+        table = served.server._table
+        table.expire(clock.now())
+        assert (table.active, table._named, table._expiries) == ([], {}, [])
+
+
+async def test_two_servers_of_one_node_do_not_share_goals():
+    async with turtleact.open_node("lab") as node:
+        for name in ("one", "two"):
+            node.action_server(Count, name, Gate().wait)
+        one, two = (node.action_client(Count, name) for name in ("one", "two"))
+        async with one.send_goal(goal()) as handle:
+            assert ids(await two.cancel_all()) == []
+            assert handle.status is GoalStatus.EXECUTING

@@ -1,0 +1,1046 @@
+"""Services: calls and responses, how a call fails, who cancels whom, and what closing does."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import gc
+import logging
+import weakref
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import aclosing, asynccontextmanager
+from typing import Any, NamedTuple, assert_type
+
+import anyio
+import anyio.lowlevel
+import pytest
+
+import turtleact
+from turtleact import services
+from turtleact.clock import VirtualClock
+from turtleact.errors import (
+    InvalidMessage,
+    InvalidName,
+    ServerUnavailable,
+    ServiceError,
+    ServiceTimeout,
+    TurtleactError,
+)
+from turtleact.interfaces import Message, Service, get_interface, int32
+from turtleact.services import LocalService, ServiceClient, ServiceServer
+from turtleact.tasks import Background
+from turtleact.transports import MemoryTransport
+
+from .lab import ON_ASYNCIO, ON_TRIO, Count, count, other_tasks, running, settle
+
+
+class Add(Service, type_name="lab_interfaces/srv/Add"):
+    """Adds numbers up."""
+
+    class Request(Message):
+        numbers: list[int32] = []
+
+    class Response(Message):
+        total: int32 = 0
+
+
+class Subtract(Service, type_name="lab_interfaces/srv/Subtract"):
+    """Has another type, and may have the same name."""
+
+
+def numbers(*given: Any) -> Add.Request:
+    return Add.Request(numbers=list(given))
+
+
+def total(number: Any) -> Add.Response:
+    return Add.Response(total=number)
+
+
+def add(request: Add.Request) -> Add.Response:
+    """The plain handler."""
+    return total(sum(request.numbers))
+
+
+async def add_later(request: Add.Request) -> Add.Response:
+    await anyio.lowlevel.checkpoint()
+    return add(request)
+
+
+class Desk(NamedTuple):
+    """What a test works with."""
+
+    node: turtleact.Node
+    server: ServiceServer[Add.Request, Add.Response]
+    client: ServiceClient[Add.Request, Add.Response]
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether the server holds no request."""
+        return not self.server._calls
+
+
+@asynccontextmanager
+async def desk(
+    handler: Callable[[Add.Request], Add.Response | Awaitable[Add.Response]] = add,
+    *,
+    transport: MemoryTransport | None = None,
+) -> AsyncIterator[Desk]:
+    """A node that serves `Add` with this handler, and a client of it."""
+    async with turtleact.open_node("desk", transport=transport) as node:
+        server = node.service(Add, "add", handler)
+        yield Desk(node, server, node.service_client(Add, "add"))
+
+
+@asynccontextmanager
+async def virtual_desk(
+    make_handler: Callable[[VirtualClock], Callable[..., Awaitable[Add.Response]]],
+) -> AsyncIterator[tuple[Desk, VirtualClock]]:
+    """The same in virtual time."""
+    clock = VirtualClock()
+    async with (
+        aclosing(Background(clock.run(), "the clock")),
+        desk(make_handler(clock), transport=MemoryTransport(clock)) as served,
+    ):
+        yield served, clock
+
+
+def taking(seconds: float, log: list[str]) -> Callable[[VirtualClock], Any]:
+    """A handler that takes some virtual seconds, and a second more to clean up if canceled."""
+
+    def make(clock: VirtualClock) -> Any:
+        async def handler(request: Add.Request) -> Add.Response:
+            try:
+                await clock.sleep(seconds)
+            except anyio.get_cancelled_exc_class():
+                with anyio.CancelScope(shield=True):
+                    await clock.sleep(1)
+                log.append(f"cleaned up at {clock.time():g}")
+                raise
+            return add(request)
+
+        return handler
+
+    return make
+
+
+class Gate:
+    """A handler that waits until it is let go on, and notes what happens to it."""
+
+    def __init__(self) -> None:
+        self.opened = anyio.Event()
+        self.log: list[str] = []
+
+    async def wait(self, request: Add.Request) -> Add.Response:
+        self.log.append("begun")
+        try:
+            await self.opened.wait()
+        except anyio.get_cancelled_exc_class():
+            self.log.append("canceled")
+            raise
+        return add(request)
+
+    async def hold_on(self, request: Add.Request) -> Add.Response:
+        """Does not let itself be canceled."""
+        self.log.append("begun")
+        try:
+            await self.opened.wait()
+        except anyio.get_cancelled_exc_class():
+            self.log.append("canceled")
+            with anyio.CancelScope(shield=True):
+                await self.opened.wait()
+        self.log.append("over")
+        return add(request)
+
+
+def taken_up(served: Desk, request: Add.Request) -> services._Call:
+    """A call whose handler has no task yet: for what no caller can bring about at will."""
+    call = services._Call(request, served.server._tasks.signal())
+    served.server._calls[call] = None
+    return call
+
+
+@pytest.fixture
+def gate(anyio_backend) -> Gate:
+    return Gate()
+
+
+@pytest.fixture
+def no_grace(monkeypatch):
+    monkeypatch.setattr(services, "GRACE", 0.0)
+
+
+# --- a response -----------------------------------------------------------------------------
+
+
+class Adder:
+    """An object with handlers."""
+
+    def __call__(self, request: Add.Request) -> Add.Response:
+        return add(request)
+
+    async def add(self, request: Add.Request) -> Add.Response:
+        return add(request)
+
+
+HANDLERS = [
+    pytest.param(add, id="function"),
+    pytest.param(add_later, id="coroutine-function"),
+    pytest.param(lambda request: add_later(request), id="function-that-gives-an-awaitable"),
+    pytest.param(functools.partial(add_later), id="partial"),
+    pytest.param(Adder(), id="object"),
+    pytest.param(Adder().add, id="method"),
+]
+
+
+@pytest.mark.parametrize("handler", HANDLERS)
+async def test_a_call_gives_the_response_of_the_handler(handler):
+    async with desk(handler) as served:
+        assert await served.client.call(numbers(2, 3)) == total(5)
+
+
+async def test_a_type_checker_knows_the_response():
+    async with desk() as served:
+        response = await served.client.call(Add.Request(numbers=[1]))
+        assert_type(response, Add.Response)
+
+
+async def test_a_service_whose_type_is_known_by_name_can_be_called():
+    spawn: Any = get_interface("turtlesim/srv/Spawn")
+    async with turtleact.open_node("sim") as node:
+        node.service(spawn, "spawn", lambda request: spawn.Response(name=f"the {request.name}"))
+        response = await node.service_client(spawn, "spawn").call(spawn.Request(name="turtle"))
+        assert response == spawn.Response(name="the turtle")
+
+
+async def test_a_client_may_be_on_another_node_of_the_transport():
+    transport = MemoryTransport()
+    async with desk(transport=transport), turtleact.open_node("b", transport=transport) as other:
+        assert await other.service_client(Add, "add").call(numbers(1, 1)) == total(2)
+
+
+async def test_requests_are_handled_side_by_side(gate):
+    async with (
+        desk(gate.wait) as served,
+        running(lambda: served.client.call(numbers(1))),
+        running(lambda: served.client.call(numbers(2))),
+    ):
+        assert gate.log == ["begun", "begun"]
+        gate.opened.set()
+
+
+async def test_each_of_several_callers_gets_its_own_response(gate):
+    async with (
+        desk(gate.wait) as served,
+        running(lambda: served.client.call(numbers(1))) as first,
+        running(lambda: served.client.call(numbers(2))) as second,
+    ):
+        gate.opened.set()
+        await first.done.wait()
+        await second.done.wait()
+        assert (first.value, second.value) == (total(1), total(2))
+
+
+async def test_a_handler_may_call_its_own_service():
+    async def handler(request: Add.Request) -> Add.Response:
+        if not request.numbers:
+            return total(0)
+        first, *others = request.numbers
+        return total(first + (await client.call(numbers(*others))).total)
+
+    async with desk(handler) as served:
+        client = served.client
+        assert await client.call(numbers(1, 2, 3)) == total(6)
+
+
+async def test_calls_that_never_wait_let_others_run():
+    async with desk() as served:
+        with anyio.CancelScope() as scope:
+            async with anyio.create_task_group() as group:
+                group.start_soon(anyio.lowlevel.checkpoint)
+                group.start_soon(cancel, scope)
+                while True:
+                    await served.client.call(numbers())
+    assert scope.cancelled_caught
+
+
+async def cancel(scope: anyio.CancelScope) -> None:
+    scope.cancel()
+
+
+async def test_a_call_that_is_answered_leaves_nothing_at_the_server():
+    async with desk(add_later) as served:
+        await served.client.call(numbers(1))
+        assert served.is_idle
+
+
+# --- snapshots ------------------------------------------------------------------------------
+
+
+async def test_a_handler_may_change_the_request_without_harm():
+    def handler(request: Add.Request) -> Add.Response:
+        request.numbers.append(4)
+        return add(request)
+
+    async with desk(handler) as served:
+        request = numbers(1)
+        await served.client.call(request)
+        assert request == numbers(1)
+
+
+async def test_the_request_is_taken_as_it_was_when_it_was_sent(gate):
+    request = numbers(1)
+    async with desk(gate.wait) as served, running(lambda: served.client.call(request)) as called:
+        request.numbers.append(4)
+        gate.opened.set()
+        await called.done.wait()
+        assert called.value == total(1)
+
+
+async def test_a_caller_may_change_the_response_without_harm():
+    kept = total(1)
+    async with desk(lambda request: kept) as served:
+        (await served.client.call(numbers())).total = 5
+        assert kept == total(1)
+
+
+async def test_a_request_that_does_not_fit_raises_at_the_caller():
+    async with desk() as served:
+        with pytest.raises(InvalidMessage, match=r"^request\.numbers\[1\]: .*'two'"):
+            await served.client.call(numbers(1, "two"))
+
+
+async def test_a_request_of_another_type_raises_at_the_caller():
+    async with desk() as served:
+        with pytest.raises(InvalidMessage, match=r"^request: .*lab_interfaces/srv/Add_Request"):
+            await served.client.call(total(1))  # type: ignore[arg-type]  # that is the test
+
+
+async def test_a_request_that_does_not_fit_reaches_no_handler(gate):
+    async with desk(gate.wait) as served:
+        with pytest.raises(InvalidMessage):
+            await served.client.call(numbers("one"))
+        await settle()
+        assert gate.log == []
+
+
+# --- a handler that fails -------------------------------------------------------------------
+
+
+def fail(request: Add.Request) -> Add.Response:
+    raise OSError("the abacus is broken")
+
+
+async def fail_later(request: Add.Request) -> Add.Response:
+    await anyio.lowlevel.checkpoint()
+    return fail(request)
+
+
+async def fail_twice(request: Add.Request) -> Add.Response:
+    raise ExceptionGroup("all", [OSError("one"), KeyError()])
+
+
+def stop_iteration(request: Add.Request) -> Add.Response:
+    raise StopIteration
+
+
+@pytest.mark.parametrize(
+    ("handler", "reason"),
+    [
+        (fail, "the handler failed: OSError: the abacus is broken"),
+        (fail_later, "the handler failed: OSError: the abacus is broken"),
+        (fail_twice, "the handler failed: OSError: one; KeyError"),
+        (stop_iteration, "the handler failed: StopIteration"),
+    ],
+)
+async def test_what_a_handler_raises_reaches_the_caller_as_a_service_error(handler, reason):
+    async with desk(handler) as served:
+        with pytest.raises(ServiceError, match=rf"^service '/add': {reason}$"):
+            await served.client.call(numbers())
+
+
+async def test_a_service_error_holds_its_facts():
+    async with desk(fail) as served:
+        with pytest.raises(ServiceError) as caught:
+            await served.client.call(numbers())
+        facts = (caught.value.name, caught.value.reason)
+        assert facts == ("/add", "the handler failed: OSError: the abacus is broken")
+
+
+async def test_the_traceback_of_a_handler_is_logged(caplog):
+    async with desk(fail) as served:
+        with pytest.raises(ServiceError):
+            await served.client.call(numbers())
+    (record,) = caplog.records
+    assert record.exc_info[0] is OSError
+
+
+async def test_a_server_outlives_a_handler_that_fails():
+    def handler(request: Add.Request) -> Add.Response:
+        return add(request) if request.numbers else fail(request)
+
+    async with desk(handler) as served:
+        with pytest.raises(ServiceError):
+            await served.client.call(numbers())
+        assert await served.client.call(numbers(1)) == total(1)
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        (None, r"response: .*lab_interfaces/srv/Add_Response\), got None"),
+        (numbers(1), r"response: .*lab_interfaces/srv/Add_Response\)"),
+        (total("one"), r"response\.total: .*int32.*'one'"),
+        (total(2**31), r"response\.total: .*int32.*2147483648"),
+    ],
+)
+async def test_what_is_no_valid_response_reaches_the_caller_as_a_service_error(answer, reason):
+    async with desk(lambda request: answer) as served:
+        with pytest.raises(ServiceError, match=f"^service '/add': no valid response: {reason}"):
+            await served.client.call(numbers())
+
+
+async def test_what_is_no_valid_response_is_logged(caplog):
+    async with desk(lambda request: total("one")) as served:
+        with pytest.raises(ServiceError):
+            await served.client.call(numbers())
+    assert "/add gave no valid response: response.total" in caplog.text
+
+
+async def test_an_invalid_message_of_the_handlers_own_is_its_failure():
+    async with desk() as inner:
+
+        async def handler(request: Add.Request) -> Add.Response:
+            return await inner.client.call(numbers("one"))
+
+        async with desk(handler) as served:
+            with pytest.raises(ServiceError, match=r"failed: InvalidMessage: request\.numbers"):
+                await served.client.call(numbers())
+
+
+@ON_ASYNCIO
+@pytest.mark.parametrize(
+    "error",
+    [
+        asyncio.CancelledError(),
+        BaseExceptionGroup("", [asyncio.CancelledError(), asyncio.CancelledError()]),
+    ],
+)
+async def test_a_handler_that_is_canceled_from_within_is_a_service_error(error):
+    async def handler(request: Add.Request) -> Add.Response:
+        raise error
+
+    async with desk(handler) as served:
+        with pytest.raises(ServiceError, match="the handler was canceled from within"):
+            await served.client.call(numbers())
+
+
+@ON_ASYNCIO
+async def test_a_cancellation_together_with_a_failure_is_a_failure():
+    async def handler(request: Add.Request) -> Add.Response:
+        raise BaseExceptionGroup("", [asyncio.CancelledError(), OSError("broken")])
+
+    async with desk(handler) as served:
+        with pytest.raises(ServiceError, match=r"the handler failed: .*OSError: broken"):
+            await served.client.call(numbers())
+
+
+async def test_an_error_is_gone_with_its_last_user():
+    async with desk(fail) as served:
+        gc.disable()
+        try:
+            error = await error_of(served)
+            assert error() is None
+        finally:
+            gc.enable()
+
+
+async def error_of(served: Desk) -> weakref.ref[ServiceError]:
+    try:
+        await served.client.call(numbers())
+    except ServiceError as error:
+        return weakref.ref(error)
+    raise AssertionError
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, SystemExit])
+@pytest.mark.parametrize("wait", [False, True])
+@pytest.mark.parametrize("backend", ["asyncio", "trio"])
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_what_stops_the_program_passes_through_the_handler(backend, wait, stop):
+    async def handler(request: Add.Request) -> Add.Response:
+        if wait:
+            await anyio.lowlevel.checkpoint()
+        raise stop
+
+    async def main() -> None:
+        async with desk(handler) as served:
+            await served.client.call(numbers())
+
+    with pytest.raises(BaseException) as caught:  # noqa: PT011  # trio wraps it
+        anyio.run(main, backend=backend)
+    assert stop in kinds(caught.value)
+
+
+def kinds(error: BaseException | None) -> set[type[BaseException]]:
+    """The types of an exception, of its members and of its causes."""
+    if error is None:
+        return set()
+    members = error.exceptions if isinstance(error, BaseExceptionGroup) else ()
+    return {type(error)}.union(
+        *map(kinds, members), kinds(error.__cause__), kinds(error.__context__)
+    )
+
+
+@ON_ASYNCIO
+async def test_a_caller_hears_that_its_handler_has_stopped_the_program():
+    async with desk() as served:
+        call = taken_up(served, numbers())
+        served.server._handler = stop_the_program
+        with pytest.raises(SystemExit):
+            await served.server._run(call)
+        with pytest.raises(ServiceError, match="the program was stopped"):
+            call.take()
+
+
+def stop_the_program(request: Message) -> object:
+    raise SystemExit
+
+
+async def test_a_handler_whose_loop_is_gone_is_closed_quietly(caplog, gate):
+    async with desk(gate.wait) as served:
+        handling = served.server._run(taken_up(served, numbers()))
+        handling.send(None)
+        handling.close()
+        served.server._calls.clear()
+    assert not caplog.records
+
+
+# --- nobody there ---------------------------------------------------------------------------
+
+
+async def test_a_call_of_what_nobody_serves_fails():
+    async with turtleact.open_node("desk") as node:
+        with pytest.raises(ServerUnavailable, match=r"^service '/add': no server answers$"):
+            await node.service_client(Add, "add").call(numbers())
+
+
+async def test_a_call_of_what_nobody_serves_does_not_wait_for_the_timeout():
+    async with turtleact.open_node("desk") as node:
+        with pytest.raises(ServerUnavailable):
+            await node.service_client(Add, "add").call(numbers(), timeout=1e6)
+
+
+async def test_a_service_of_another_type_is_named():
+    text = "it is served as lab_interfaces/srv/Add, not as lab_interfaces/srv/Subtract"
+    async with desk() as served:
+        with pytest.raises(ServerUnavailable, match=f"^service '/add': {text}$"):
+            await served.node.service_client(Subtract, "add").call(Subtract.Request())
+
+
+async def test_a_client_of_another_type_is_no_server():
+    async with turtleact.open_node("desk") as node:
+        node.service_client(Subtract, "add")
+        with pytest.raises(ServerUnavailable, match="no server answers"):
+            await node.service_client(Add, "add").call(numbers())
+
+
+async def test_the_server_of_an_action_is_no_service_yet():
+    send_goal: Any = get_interface(f"{Count.type_name}_SendGoal")
+    async with turtleact.open_node("desk") as node:
+        node.action_server(Count, "count", count)
+        client = node.service_client(send_goal, "count/_action/send_goal")
+        with pytest.raises(ServerUnavailable, match="no server answers"):
+            await client.call(send_goal.Request())
+
+
+async def test_a_server_is_what_a_client_of_the_same_process_asks_for():
+    async with desk() as served:
+        assert isinstance(served.server, LocalService)
+
+
+async def test_of_several_servers_the_first_is_called():
+    async with desk() as served:
+        served.node.service(Add, "add", fail)
+        assert await served.client.call(numbers(1)) == total(1)
+
+
+async def test_once_a_server_is_closed_the_next_one_is_called():
+    async with desk(fail) as served:
+        with pytest.raises(ServiceError):
+            await served.client.call(numbers(1))
+        served.node.service(Add, "add", add)
+        await served.server.aclose()
+        assert await served.client.call(numbers(1)) == total(1)
+
+
+# --- waiting for a service ------------------------------------------------------------------
+
+
+async def test_a_service_that_is_there_is_not_waited_for():
+    async with desk() as served:
+        assert await served.client.wait_for_service(timeout=0)
+
+
+async def test_a_service_is_waited_for_until_it_is_there():
+    async with turtleact.open_node("desk") as node:
+        client = node.service_client(Add, "add")
+        async with running(client.wait_for_service) as waiting:
+            assert not waiting.done.is_set()
+            node.service(Add, "add", add)
+            await waiting.done.wait()
+            assert waiting.value is True
+
+
+async def test_a_service_of_another_type_is_not_what_is_waited_for():
+    async with turtleact.open_node("desk") as node:
+        client = node.service_client(Add, "add")
+        async with running(client.wait_for_service) as waiting:
+            node.service(Subtract, "add", Subtract.Response)
+            await settle()
+            assert not waiting.done.is_set()
+            waiting.scope.cancel()
+
+
+async def test_a_wait_for_a_service_ends_after_its_timeout():
+    async with virtual_desk(taking(0, [])) as (served, clock):
+        await served.server.aclose()
+        assert not await served.client.wait_for_service(timeout=60)
+        assert clock.time() == 60
+
+
+async def test_a_canceled_wait_for_a_service_leaves_nothing_running():
+    before = await tasks_of_asyncio()
+    async with turtleact.open_node("desk") as node:
+        client = node.service_client(Add, "add")
+        async with running(lambda: client.wait_for_service(timeout=1e6)) as waiting:
+            waiting.scope.cancel()
+        assert await tasks_of_asyncio() == before
+
+
+async def tasks_of_asyncio() -> set[asyncio.Task[Any]]:
+    """What runs besides the test; nothing on trio, which would not end with it."""
+    await settle()
+    if anyio.get_cancelled_exc_class() is not asyncio.CancelledError:
+        return set()
+    return other_tasks()
+
+
+# --- timeouts -------------------------------------------------------------------------------
+
+
+async def test_a_call_fails_after_its_timeout():
+    async with virtual_desk(taking(60, [])) as (served, _):
+        text = r"^service '/add': no response within 0\.5 s$"
+        with pytest.raises(ServiceTimeout, match=text):
+            await served.client.call(numbers(), timeout=0.5)
+
+
+async def test_a_timeout_holds_its_facts():
+    async with virtual_desk(taking(60, [])) as (served, _):
+        with pytest.raises(ServiceTimeout) as caught:
+            await served.client.call(numbers(), timeout=2)
+        assert (caught.value.name, caught.value.seconds) == ("/add", 2)
+
+
+async def test_a_timeout_is_a_service_error():
+    assert issubclass(ServiceTimeout, ServiceError)
+
+
+async def test_a_handler_that_runs_into_a_timeout_is_canceled_and_waited_for():
+    log: list[str] = []
+    async with virtual_desk(taking(60, log)) as (served, _):
+        with pytest.raises(ServiceTimeout):
+            await served.client.call(numbers(), timeout=2)
+        assert log == ["cleaned up at 3"]
+
+
+async def test_a_response_within_the_timeout_is_given():
+    async with virtual_desk(taking(1, [])) as (served, _):
+        assert await served.client.call(numbers(4), timeout=2) == total(4)
+
+
+async def test_a_response_is_not_held_back_until_the_timeout():
+    async with virtual_desk(taking(1, [])) as (served, clock):
+        await served.client.call(numbers(4), timeout=2)
+        assert clock.time() == 1
+
+
+async def test_a_failure_within_the_timeout_is_the_handlers():
+    async with desk(fail_later) as served:
+        with pytest.raises(ServiceError, match="the abacus is broken"):
+            await served.client.call(numbers(), timeout=1e6)
+
+
+async def test_a_call_with_a_timeout_leaves_no_timer_behind():
+    before = await tasks_of_asyncio()
+    async with desk() as served:
+        await served.client.call(numbers(), timeout=1e6)
+        assert await tasks_of_asyncio() == before
+
+
+# --- a caller that leaves -------------------------------------------------------------------
+
+
+async def test_a_caller_that_is_canceled_cancels_its_handler(gate):
+    async with desk(gate.wait) as served, running(lambda: served.client.call(numbers())) as called:
+        called.scope.cancel()
+        await called.done.wait()
+        assert gate.log == ["begun", "canceled"]
+
+
+async def test_a_cancellation_goes_on_once_the_handler_has_ended(gate):
+    async with (
+        desk(gate.hold_on) as served,
+        running(lambda: served.client.call(numbers())) as called,
+    ):
+        called.scope.cancel()
+        await settle()
+        assert not called.done.is_set()
+        gate.opened.set()
+        await called.done.wait()
+        assert called.scope.cancelled_caught
+
+
+async def test_a_caller_that_is_canceled_leaves_others_alone(gate):
+    async with (
+        desk(gate.wait) as served,
+        running(lambda: served.client.call(numbers(1))) as first,
+        running(lambda: served.client.call(numbers(2))) as second,
+    ):
+        first.scope.cancel()
+        await first.done.wait()
+        gate.opened.set()
+        await second.done.wait()
+        assert second.value == total(2)
+
+
+async def test_a_caller_that_is_canceled_leaves_nothing_at_the_server(gate):
+    before = await tasks_of_asyncio()
+    async with desk(gate.wait) as served:
+        async with running(lambda: served.client.call(numbers(), timeout=1e6)) as called:
+            called.scope.cancel()
+        assert served.is_idle
+        assert await tasks_of_asyncio() == before
+
+
+@pytest.mark.parametrize("turns", range(12))
+@pytest.mark.parametrize("timeout", [None, 1e6])
+async def test_a_call_canceled_at_any_await_leaves_nothing_behind(turns, timeout):
+    async def handler(request: Add.Request) -> Add.Response:
+        with anyio.move_on_after(1e6):
+            await add_later(request)
+            await add_later(request)
+        return add(request)
+
+    before = await tasks_of_asyncio()
+    async with desk(handler) as served, anyio.create_task_group() as group:
+        group.start_soon(functools.partial(served.client.call, numbers(), timeout=timeout))
+        for _ in range(turns):
+            await anyio.lowlevel.checkpoint()
+        group.cancel_scope.cancel()
+    assert served.is_idle
+    assert await tasks_of_asyncio() == before
+
+
+async def test_a_call_canceled_before_it_is_sent_reaches_no_handler(gate):
+    async with desk(gate.wait) as served:
+        with anyio.CancelScope() as scope:
+            scope.cancel()
+            await served.client.call(numbers())
+        await settle()
+        assert gate.log == []
+
+
+async def test_a_handler_canceled_before_its_first_step_is_not_called(gate):
+    async with desk(gate.wait) as served:
+        call = taken_up(served, numbers())
+        call.cancel()
+        await served.server._run(call)
+        assert gate.log == []
+        assert served.is_idle
+
+
+@ON_TRIO
+async def test_a_call_canceled_as_its_handler_begins_leaves_nothing_at_the_server(gate):
+    async with desk(gate.wait) as served:
+        with anyio.CancelScope() as scope:
+            scope.cancel()
+            await served.server.answer(numbers())
+        assert served.is_idle
+
+
+async def test_a_handler_that_does_not_end_holds_its_caller_for_the_grace_only(gate, no_grace):
+    async with (
+        desk(gate.hold_on) as served,
+        running(lambda: served.client.call(numbers())) as called,
+    ):
+        called.scope.cancel()
+        await called.done.wait()
+        assert gate.log == ["begun", "canceled"]
+        gate.opened.set()
+        await settle()
+
+
+async def test_a_handler_that_its_caller_has_left_is_still_the_servers(gate, no_grace):
+    async with (
+        desk(gate.hold_on) as served,
+        running(lambda: served.client.call(numbers())) as called,
+    ):
+        called.scope.cancel()
+        await called.done.wait()
+        assert not served.is_idle
+        gate.opened.set()
+        await settle()
+        assert served.is_idle
+
+
+async def test_a_handler_that_fails_on_its_way_out_is_logged(caplog):
+    async def handler(request: Add.Request) -> Add.Response:
+        try:
+            await anyio.sleep_forever()
+        finally:
+            raise OSError("the abacus is broken")
+
+    async with desk(handler) as served, running(lambda: served.client.call(numbers())) as called:
+        called.scope.cancel()
+        await called.done.wait()
+    assert "the handler of service /add failed" in caplog.text
+
+
+@ON_ASYNCIO
+async def test_a_task_that_is_canceled_the_way_of_asyncio_cancels_its_handler(gate):
+    async with desk(gate.wait) as served:
+        task = asyncio.create_task(served.client.call(numbers()))
+        await settle()
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        assert gate.log == ["begun", "canceled"]
+
+
+@ON_ASYNCIO
+async def test_a_timeout_of_asyncio_around_a_call_is_a_timeout_of_asyncio(gate):
+    async with desk(gate.wait) as served:
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0):
+                await served.server.answer(numbers())
+        assert gate.log == ["begun", "canceled"]
+
+
+# --- closing --------------------------------------------------------------------------------
+
+
+async def test_a_server_that_is_closed_answers_its_callers(gate):
+    async with desk(gate.wait) as served, running(lambda: served.client.call(numbers())) as called:
+        await served.server.aclose()
+        await called.done.wait()
+        assert isinstance(called.error, ServerUnavailable)
+        assert str(called.error) == "service '/add': the server was closed"
+
+
+async def test_a_server_that_is_closed_cancels_its_handlers(gate):
+    async with desk(gate.wait) as served, running(lambda: served.client.call(numbers())):
+        await served.server.aclose()
+        assert gate.log == ["begun", "canceled"]
+
+
+async def test_callers_are_answered_before_the_handlers_have_ended(gate):
+    async with (
+        desk(gate.hold_on) as served,
+        running(lambda: served.client.call(numbers())) as called,
+        running(served.server.aclose) as closing,
+    ):
+        await called.done.wait()
+        assert not closing.done.is_set()
+        gate.opened.set()
+
+
+async def test_closing_a_server_waits_for_its_handlers(gate):
+    async with (
+        desk(gate.hold_on) as served,
+        running(lambda: served.client.call(numbers())),
+        running(served.server.aclose) as closing,
+    ):
+        gate.opened.set()
+        await closing.done.wait()
+        assert gate.log == ["begun", "canceled", "over"]
+
+
+async def test_closing_a_server_is_not_cut_short_by_a_cancellation(gate):
+    async with (
+        desk(gate.hold_on) as served,
+        running(lambda: served.client.call(numbers())),
+        running(served.server.aclose) as closing,
+    ):
+        closing.scope.cancel()
+        await settle()
+        assert not closing.done.is_set()
+        gate.opened.set()
+
+
+async def test_a_response_that_comes_after_the_closing_changes_nothing(gate):
+    async with (
+        desk(gate.hold_on) as served,
+        running(lambda: served.client.call(numbers())) as called,
+        running(served.server.aclose),
+    ):
+        gate.opened.set()
+        await called.done.wait()
+        assert isinstance(called.error, ServerUnavailable)
+
+
+async def test_the_first_answer_to_a_call_stands():
+    async with desk() as served:
+        call = taken_up(served, numbers())
+        call.answer(error=ServerUnavailable("/add"))
+        await served.server._run(call)
+        with pytest.raises(ServerUnavailable):
+            call.take()
+
+
+async def test_a_handler_that_does_not_end_is_left_behind_and_logged(gate, no_grace, caplog):
+    async with desk(gate.hold_on) as served, running(lambda: served.client.call(numbers())):
+        await served.server.aclose()
+        assert [record.levelno for record in caplog.records] == [logging.ERROR]
+        assert "a handler of service /add has not ended; it is left behind" in caplog.text
+        gate.opened.set()
+        await settle()
+
+
+async def test_a_closed_server_is_called_no_more():
+    async with desk() as served:
+        await served.server.aclose()
+        with pytest.raises(ServerUnavailable, match="no server answers"):
+            await served.client.call(numbers())
+
+
+@ON_ASYNCIO
+async def test_a_server_that_is_closed_while_a_call_is_on_its_way_is_not_called(gate):
+    async with desk(gate.wait) as served, anyio.create_task_group() as group:
+        group.start_soon(served.server.aclose)
+        with pytest.raises(ServerUnavailable, match="no server answers"):
+            await served.client.call(numbers())
+        assert gate.log == []
+
+
+async def test_a_closed_server_takes_no_request_from_one_who_still_holds_it():
+    async with desk() as served:
+        await served.server.aclose()
+        with pytest.raises(ServerUnavailable, match="the server was closed"):
+            await served.server.answer(numbers())
+
+
+async def test_closing_a_server_twice_does_no_harm():
+    async with desk() as served:
+        await served.server.aclose()
+        await served.server.aclose()
+        assert not served.server.is_open
+
+
+async def test_a_server_on_no_transport_can_be_closed():
+    async with desk() as served:
+        server = ServiceServer(Add, "/alone", add, tasks=served.server._tasks)
+        await server.aclose()
+        assert not server.is_open
+
+
+async def test_closing_a_node_closes_its_services(gate):
+    async with desk(gate.wait) as served, running(lambda: served.client.call(numbers())) as called:
+        await served.node.aclose()
+        await called.done.wait()
+        assert isinstance(called.error, ServerUnavailable)
+
+
+@ON_ASYNCIO
+async def test_a_handler_that_closes_its_server_at_once_is_canceled():
+    log: list[str] = []
+
+    async def handler(request: Add.Request) -> Add.Response:
+        try:
+            await served.server.aclose()
+        except asyncio.CancelledError:
+            log.append("canceled")
+            raise
+        return add(request)
+
+    async with desk(handler) as served:
+        with pytest.raises(ServerUnavailable, match="the server was closed"):
+            await served.client.call(numbers())
+        await settle()
+        assert log == ["canceled"]
+
+
+async def test_calls_go_on_when_their_client_is_closed(gate):
+    async with desk(gate.wait) as served, running(lambda: served.client.call(numbers(1))) as called:
+        await served.client.aclose()
+        gate.opened.set()
+        await called.done.wait()
+        assert called.value == total(1)
+
+
+async def test_a_client_on_no_transport_can_be_closed():
+    async with desk() as served:
+        client = ServiceClient(MemoryTransport(), Add, "/alone", tasks=served.server._tasks)
+        await client.aclose()
+        assert client.membership is None
+
+
+# --- the graph ------------------------------------------------------------------------------
+
+
+async def test_the_graph_shows_a_service():
+    async with desk() as served:
+        assert served.node.graph().services == {"/add": ("lab_interfaces/srv/Add",)}
+
+
+async def test_the_graph_shows_no_service_for_a_client_alone():
+    async with turtleact.open_node("desk") as node:
+        node.service_client(Add, "add")
+        assert node.graph().services == {}
+
+
+async def test_a_closed_service_leaves_the_graph():
+    async with desk() as served:
+        await served.server.aclose()
+        assert served.node.graph().services == {}
+
+
+async def test_a_client_is_in_the_graph_until_it_is_closed():
+    transport = MemoryTransport()
+    async with turtleact.open_node("desk", transport=transport) as node:
+        client = node.service_client(Add, "add")
+        assert [(each.kind, each.name) for each in transport.endpoints()] == [("client", "/add")]
+        await client.aclose()
+        assert transport.endpoints() == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "full_name"),
+    [("add", "/shop/add"), ("/add", "/add"), ("~/add", "/shop/desk/add")],
+)
+async def test_a_name_is_resolved_on_both_sides(name, full_name):
+    async with turtleact.open_node("desk", namespace="/shop") as node:
+        server, client = node.service(Add, name, add), node.service_client(Add, name)
+        assert (server.name, client.name) == (full_name, full_name)
+
+
+@pytest.mark.parametrize("open_it", [turtleact.Node.service, turtleact.Node.service_client])
+async def test_a_name_that_breaks_the_rules_is_refused(open_it):
+    async with turtleact.open_node("desk") as node:
+        handler = [add] if open_it is turtleact.Node.service else []
+        with pytest.raises(InvalidName, match="a slash follows a slash"):
+            open_it(node, Add, "a//b", *handler)
+
+
+async def test_both_sides_know_their_type():
+    async with desk() as served:
+        assert served.server.service_type is served.client.service_type is Add
+
+
+@pytest.mark.parametrize("error", [ServiceError("/add", "why"), ServerUnavailable("/add")])
+def test_every_error_is_of_the_one_tree(error):
+    assert isinstance(error, TurtleactError)
+
+
+def test_an_action_that_nobody_serves_is_still_called_an_action():
+    assert str(ServerUnavailable("/count")) == "action '/count': no server answers"

@@ -1,0 +1,368 @@
+"""Services as a node's user sees them: a server that answers requests, a client that calls.
+
+Knows requests, responses and who waits for whom; how they travel stands in `turtleact.transports`.
+A client in the same process is handed the very server (`LocalService`) and calls it.
+
+- Each request is handled in a task of its own, which the server holds; several run side by side.
+- However a handler ends, its caller gets an answer: the response, or the reason why there is none.
+- A caller that leaves cancels the handler of its request; a server that is closed cancels all.
+
+Source: rclpy ``service.py`` and ``client.py`` for names and meaning.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from inspect import isawaitable
+from typing import Any, Generic, Protocol, TypeAlias, TypeVar, cast, runtime_checkable
+
+import anyio
+
+from turtleact.clock import Clock
+from turtleact.errors import (
+    InvalidMessage,
+    ServerUnavailable,
+    ServiceError,
+    ServiceTimeout,
+    TurtleactError,
+    summary,
+)
+from turtleact.goal import Cancelable
+from turtleact.interfaces import Message, snapshotter
+from turtleact.tasks import Background, Signal, Tasks
+from turtleact.transports.base import Closeable, Transport
+
+__all__ = ["ServiceClient", "ServiceServer", "ServiceType"]
+
+logger = logging.getLogger("turtleact.services")
+
+Req = TypeVar("Req", bound=Message)
+Res = TypeVar("Res", bound=Message)
+ReqMade = TypeVar("ReqMade", bound=Message, covariant=True)
+ResMade = TypeVar("ResMade", bound=Message, covariant=True)
+
+Check: TypeAlias = Callable[[object], Message]
+
+GRACE = 5.0
+"""How long a handler that was canceled is waited for (s)."""
+
+
+class ServiceType(Protocol[ReqMade, ResMade]):
+    """What a subclass of `turtleact.Service` is to a type checker: the makers of its messages."""
+
+    @property
+    def type_name(self) -> str:
+        """``pkg/srv/Name``."""
+
+    def Request(self, *args: Any, **kwargs: Any) -> ReqMade:  # noqa: ANN401  # any arguments
+        """Make a request."""
+
+    def Response(self, *args: Any, **kwargs: Any) -> ResMade:  # noqa: ANN401  # any arguments
+        """Make a response."""
+
+
+@runtime_checkable
+class LocalService(Protocol):
+    """What a client asks of a server in its own process; see `ServiceServer`."""
+
+    is_open: bool
+
+    async def answer(self, request: object) -> object: ...
+
+
+class ServiceServer(Generic[Req, Res]):
+    """Answers the requests of one service; made by `turtleact.Node.service`.
+
+    Attributes:
+        name: The fully qualified name of the service.
+        service_type: The service.
+        is_open: Whether it takes requests.
+    """
+
+    def __init__(
+        self,
+        service_type: ServiceType[Req, Res],
+        name: str,
+        handler: Callable[[Req], Res | Awaitable[Res]],
+        *,
+        tasks: Tasks,
+    ) -> None:
+        self.name = name
+        self.service_type = service_type
+        self.is_open = True
+        self.registration: Closeable | None = None
+        self._handler = cast("Callable[[Message], object]", handler)
+        self._check_request = _checker(service_type.Request, "request")
+        self._check_response = _checker(service_type.Response, "response")
+        self._tasks = tasks
+        self._calls: dict[_Call, None] = {}  # in the order of their coming
+        self._ended = tasks.signal()
+
+    async def answer(self, request: object) -> Res:
+        """Have a request handled, and wait for its response; what `ServiceClient.call` calls.
+
+        Cancelling: cancels the handler, and waits for its end, `GRACE` seconds at most.
+
+        Raises:
+            InvalidMessage: if the request does not fit the service; the handler is not called.
+            ServerUnavailable: if the server is closed, or is so before the response.
+            ServiceError: if the handler fails.
+        """
+        if not self.is_open:
+            raise self._closed()
+        call = _Call(self._check_request(request), self._tasks.signal())
+        self._calls[call] = None
+        call.run_in(self._tasks.spawn(self._run(call), f"a handler of {self.name}"))
+        try:
+            while not call.is_answered:
+                await call.changed.wait()
+        except self._tasks.cancelled:
+            call.cancel()
+            with anyio.move_on_after(GRACE, shield=True):
+                while not call.has_ended:
+                    await call.changed.wait()
+            raise
+        return cast("Res", call.take())
+
+    async def aclose(self) -> None:
+        """Take no more requests, answer all who wait, and wait for the end of the handlers.
+
+        The callers get `ServerUnavailable` at once, the handlers a cancellation; one that has not
+        ended after `GRACE` seconds is left behind, and logged. A handler must not await this.
+        """
+        self.is_open = False
+        if self.registration is not None:
+            self.registration.close()
+        for call in self._calls:
+            call.answer(error=self._closed())
+            call.cancel()
+        with anyio.move_on_after(GRACE, shield=True):
+            while self._calls:
+                await self._ended.wait()
+        for _ in self._calls:
+            logger.error("a handler of service %s has not ended; it is left behind", self.name)
+
+    async def _run(self, call: _Call) -> None:
+        """Handle a request and answer its caller; raises only what stops the program."""
+        if call.is_canceled:  # before its first step
+            self._end(call, error=self._closed())
+            return
+        try:
+            response = self._handler(call.request)
+            if isawaitable(response):
+                response = await response
+        except GeneratorExit:  # the event loop is gone
+            raise
+        except (KeyboardInterrupt, SystemExit):
+            self._end(call, error=ServiceError(self.name, "the program was stopped"))
+            raise
+        except BaseException as error:
+            self._end(call, error=ServiceError(self.name, self._reason(error)))
+            return
+        try:
+            checked = self._check_response(response)
+        except InvalidMessage as misfit:
+            logger.error("the handler of service %s gave no valid response: %s", self.name, misfit)
+            self._end(call, error=ServiceError(self.name, f"no valid response: {misfit}"))
+        else:
+            self._end(call, checked)
+
+    def _reason(self, error: BaseException) -> str:
+        """What a caller that still waits is told of a handler's exception."""
+        if _is_cancellation(error, self._tasks.cancelled):
+            return "the handler was canceled from within"
+        logger.error("the handler of service %s failed", self.name, exc_info=error)
+        return f"the handler failed: {summary(error)}"
+
+    def _end(
+        self, call: _Call, response: object = None, *, error: TurtleactError | None = None
+    ) -> None:
+        del self._calls[call]
+        call.has_ended = True
+        call.answer(response, error=error)
+        self._ended.fire()
+
+    def _closed(self) -> ServerUnavailable:
+        return ServerUnavailable(self.name, "the server was closed", kind="service")
+
+
+class ServiceClient(Generic[Req, Res]):
+    """Calls one service; made by `turtleact.Node.service_client`.
+
+    Attributes:
+        name: The fully qualified name of the service.
+        service_type: The service.
+    """
+
+    def __init__(
+        self, transport: Transport, service_type: ServiceType[Req, Res], name: str, *, tasks: Tasks
+    ) -> None:
+        self.name = name
+        self.service_type = service_type
+        self.membership: Closeable | None = None
+        self._transport = transport
+        self._tasks = tasks
+        self._found: LocalService | None = None
+
+    async def call(self, request: Req, timeout: float | None = None) -> Res:
+        """Send a request and wait for its response.
+
+        What is sent and what comes back are checked copies. Any number of calls may be under way.
+        Cancelling: cancels the handler of this request, and waits for its end (bounded).
+
+        Args:
+            request: The request message.
+            timeout: How long to wait for the response (s, by the clock of the graph); what is over
+                then is canceled as above. For ever if left out.
+
+        Raises:
+            InvalidMessage: if a value does not fit its type; nothing was sent.
+            ServerUnavailable: at once if nobody serves the service; if its server is closed before
+                it has responded.
+            ServiceError: if the handler failed; its traceback is in the server's log.
+            ServiceTimeout: if there was no response within ``timeout``.
+        """
+        await self._tasks.checkpoint()  # or a loop of calls that never wait would let nobody run
+        server = self._server()
+        if timeout is None:
+            return cast("Res", await server.answer(request))
+        async with _within(timeout, self._transport.clock):
+            return cast("Res", await server.answer(request))
+        raise ServiceTimeout(self.name, timeout)
+
+    async def wait_for_service(self, timeout: float | None = None) -> bool:
+        """Wait until somebody serves the service. Cancelling: safe.
+
+        Args:
+            timeout: How long to wait (s, by the clock of the graph); for ever if left out.
+
+        Returns:
+            Whether it is served.
+        """
+        async with _within(timeout, self._transport.clock):
+            while self._find() is None:
+                await self._transport.wait_for_change()
+        return self._find() is not None
+
+    async def aclose(self) -> None:
+        """Leave the graph; calls that are under way go on."""
+        if self.membership is not None:
+            self.membership.close()
+
+    def _server(self) -> LocalService:
+        server = self._found
+        if server is None or not server.is_open:
+            server = self._found = self._find()
+            if server is None:
+                raise ServerUnavailable(self.name, self._what_is_there(), kind="service")
+        return server
+
+    def _find(self) -> LocalService | None:
+        found = self._transport.local(self.name, self.service_type.type_name)
+        return found if isinstance(found, LocalService) else None
+
+    def _what_is_there(self) -> str:
+        """Why there is no server to be found."""
+        wanted = self.service_type.type_name
+        types = {
+            endpoint.type_name
+            for endpoint in self._transport.endpoints()
+            if endpoint.kind == "service" and endpoint.name == self.name
+        } - {wanted}
+        if not types:
+            return "no server answers"
+        return f"it is served as {', '.join(sorted(types))}, not as {wanted}"
+
+
+class _Call:
+    """One request and what comes of it.
+
+    Attributes:
+        request: The checked copy.
+        changed: Fires when it is answered, and when its handler has ended.
+        is_answered: Whether there is something for the caller.
+        is_canceled: Whether its handler is to be canceled.
+        has_ended: Whether its handler has ended.
+    """
+
+    __slots__ = (
+        "_error",
+        "_response",
+        "_task",
+        "changed",
+        "has_ended",
+        "is_answered",
+        "is_canceled",
+        "request",
+    )
+
+    def __init__(self, request: Message, changed: Signal) -> None:
+        self.request = request
+        self.changed = changed
+        self.is_answered = False
+        self.is_canceled = False
+        self.has_ended = False
+        self._task: Cancelable | None = None
+        self._response: object = None
+        self._error: TurtleactError | None = None
+
+    def run_in(self, task: Cancelable) -> None:
+        """Note the handler's task; its first step may have run, and asked to cancel it."""
+        self._task = task
+        if self.is_canceled:
+            task.cancel()
+
+    def cancel(self) -> None:
+        """Let a cancellation arrive at the handler's next await."""
+        self.is_canceled = True
+        if self._task is not None:
+            self._task.cancel()
+
+    def answer(self, response: object = None, *, error: TurtleactError | None = None) -> None:
+        """Give the caller its answer, unless it has one, and wake it."""
+        if not self.is_answered:
+            self.is_answered = True
+            self._response = response
+            self._error = error
+        self.changed.fire()
+
+    def take(self) -> object:
+        """The response; raises the error if that is the answer."""
+        error, self._error = self._error, None  # or the exception would hold itself
+        if error is None:
+            return self._response
+        try:
+            raise error
+        finally:
+            del error
+
+
+def _checker(make: Callable[..., Message], root: str) -> Check:
+    return cast("Check", snapshotter(cast("type[Message]", make), root=root))
+
+
+def _is_cancellation(error: BaseException, cancelled: type[BaseException]) -> bool:
+    if isinstance(error, BaseExceptionGroup):
+        return error.split(cancelled)[1] is None
+    return isinstance(error, cancelled)
+
+
+@asynccontextmanager
+async def _within(seconds: float | None, clock: Clock) -> AsyncIterator[None]:
+    """Cancel the block after some seconds of a clock and go on behind it; never, if None."""
+    if seconds is None:
+        yield
+        return
+    with anyio.CancelScope() as scope:
+        timer = Background(_cancel_after(seconds, clock, scope), "a timeout")
+        try:
+            yield
+        finally:
+            await timer.aclose()
+
+
+async def _cancel_after(seconds: float, clock: Clock, scope: anyio.CancelScope) -> None:
+    await clock.sleep(seconds)
+    scope.cancel()
