@@ -9,8 +9,9 @@ Source: rclpy ``node.py`` for names and meaning.
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Protocol, TypeVar, Unpack, cast
+from weakref import WeakValueDictionary
 
 import anyio
 import msgspec
@@ -18,6 +19,7 @@ import msgspec
 from turtleact.body import ActionDeclaration, ActionType, ServerOptions
 from turtleact.client import ActionClient
 from turtleact.clock import Clock
+from turtleact.errors import TurtleactError
 from turtleact.interfaces import Message
 from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
 from turtleact.server import ActionServer
@@ -72,11 +74,14 @@ class Graph(msgspec.Struct, frozen=True):
 class Node:
     """One participant; made by `open_node`.
 
+    Whatever opens something raises `TurtleactError` once the node is closed.
+
     Attributes:
         name: Its name.
         namespace: What its relative names begin with.
         clock: The time of its graph: what a body that waits should wait by.
         transport: How it talks with others.
+        is_open: Whether something can be opened on it.
     """
 
     def __init__(self, name: str, namespace: str, transport: Transport) -> None:
@@ -85,9 +90,12 @@ class Node:
         self.namespace = resolve_name(namespace) if namespace != "/" else "/"
         self.clock: Clock = transport.clock
         self.transport = transport
+        self.is_open = True
         self._tasks = current_tasks()
         self._count = 0
         self._opened: dict[int, _Closing] = {}
+        self._servers: WeakValueDictionary[int, _Closing] = WeakValueDictionary()
+        self._membership = transport.enter(self.fully_qualified_name)
 
     @property
     def fully_qualified_name(self) -> str:
@@ -135,7 +143,10 @@ class Node:
         Raises:
             InvalidName: if the name breaks ROS 2's rules.
             InvalidBody: if the function cannot be a body.
+            TypeError: if there is no such option.
         """
+        for unknown in options.keys() - ServerOptions.__annotations__.keys():
+            raise TypeError(f"an action server has no option '{unknown}'")
         names = self._action_names(name)
         server = ActionServer(self, action_type, names.name, execute, tasks=self._tasks, **options)
         type_name = f"{action_type.type_name}_SendGoal"
@@ -245,7 +256,7 @@ class Node:
         """What exists on the graph now."""
         endpoints = self.transport.endpoints()
         return Graph(
-            nodes=tuple(sorted({endpoint.node for endpoint in endpoints})),
+            nodes=tuple(sorted(set(self.transport.nodes()))),
             topics=_types_by_name(endpoints, ("publisher", "subscription")),
             services=_types_by_name(endpoints, ("service",)),
             actions={
@@ -256,16 +267,38 @@ class Node:
         )
 
     async def aclose(self) -> None:
-        """Close everything opened on the node, the newest first; running goals end ABORTED."""
+        """Close everything opened on the node; running goals end ABORTED, "shutdown".
+
+        First the actions, all at once: their bodies have the rest for their clean-up. Then the
+        services, then the rest, the newest first. A body or handler must not await this.
+        """
         with anyio.CancelScope(shield=True):
-            while self._opened:
-                await self._opened[max(self._opened)].aclose()
+            async with AsyncExitStack() as last_first:  # each is done, whatever becomes of others
+                last_first.callback(self._membership.close)
+                last_first.push_async_callback(self._close_rest)
+                last_first.push_async_callback(self._close_servers, ServiceServer)
+                last_first.push_async_callback(self._close_servers, ActionServer)
+
+    async def _close_servers(self, kind: type[object]) -> None:
+        """Close all servers of a kind, and wait for those that somebody else is closing."""
+        async with anyio.create_task_group() as closing:
+            for server in reversed(list(self._servers.values())):
+                if isinstance(server, kind):
+                    closing.start_soon(server.aclose)
+
+    async def _close_rest(self) -> None:
+        self.is_open = False
+        async with AsyncExitStack() as newest_first:
+            for thing in self._opened.values():
+                newest_first.push_async_callback(thing.aclose)
 
     def _own(self, thing: _Closing, opened: Closeable) -> Closeable:
         """Keep something until it is closed, with the node at the latest."""
         self._count += 1
         number = self._count
         self._opened[number] = thing
+        if isinstance(thing, ActionServer | ServiceServer):
+            self._servers[number] = thing
         return _Membership(opened, lambda: self._opened.pop(number, None))
 
     def _action_names(self, name: str) -> ActionNames:
@@ -274,6 +307,8 @@ class Node:
     def _endpoint(
         self, kind: EndpointKind, name: str, type_name: str, qos: QoS | None = None
     ) -> Endpoint:
+        if not self.is_open:
+            raise TurtleactError(f"node '{self.fully_qualified_name}' is closed: open another")
         return Endpoint(kind, name, type_name, self.fully_qualified_name, qos or QoS())
 
 

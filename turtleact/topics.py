@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Generic, Self, TypeVar
 
+from turtleact.errors import TurtleactError
 from turtleact.interfaces import Message, snapshotter
 from turtleact.tasks import Signal
 from turtleact.transports.base import Closeable, Publication
@@ -24,17 +25,19 @@ class Publisher(Generic[M]):
 
     Attributes:
         topic: The fully qualified name of the topic.
+        is_open: Whether it can publish.
     """
 
     def __init__(self, topic: str, message_type: type[M], publication: Publication) -> None:
         self.topic = topic
+        self.is_open = True
         self._check = snapshotter(message_type)
         self._publication = publication
         self.membership: Closeable = publication
 
     @property
     def has_subscriptions(self) -> bool:
-        """Whether anybody would get a message published now."""
+        """Whether anybody would get a message published now, or may later, as it is latched."""
         return self._publication.has_readers
 
     def publish(self, message: M) -> None:
@@ -42,13 +45,17 @@ class Publisher(Generic[M]):
 
         Raises:
             InvalidMessage: if it is not of the topic's type, or a value does not fit its type.
+            TurtleactError: if the publisher is closed.
         """
         snapshot = self._check(message)
+        if not self.is_open:
+            raise TurtleactError(f"the publisher of topic '{self.topic}' is closed: open another")
         if self._publication.has_readers:
             self._publication.publish(snapshot)
 
     async def aclose(self) -> None:
-        """Leave the topic."""
+        """Leave the topic; a second time does nothing."""
+        self.is_open = False
         self.membership.close()
 
 
@@ -56,8 +63,9 @@ class Subscription(Generic[M]):
     """Receives messages from a topic; made by `turtleact.Node.subscription`.
 
     ``async for message in subscription`` gives the messages in order. The newest ``depth`` are kept
-    for a reader that lags; `missed` counts those that it lost. The messages are shared with other
-    subscriptions and must not be changed.
+    for a reader that lags; `missed` counts those that it lost. Of several readers each message goes
+    to one. The messages are shared with other subscriptions and must not be changed.
+    Cancelling: safe, nothing is lost.
 
     Attributes:
         topic: The fully qualified name of the topic.
@@ -100,7 +108,10 @@ class Subscription(Generic[M]):
         return self._kept.popleft()
 
     async def aclose(self) -> None:
-        """Leave the topic; a reader that waits comes to its end."""
+        """Leave the topic: readers get what has come already, and are at their end.
+
+        A second time does nothing.
+        """
         self._is_open = False
         if self.membership is not None:
             self.membership.close()

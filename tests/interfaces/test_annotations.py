@@ -1,6 +1,7 @@
 # No `from __future__ import annotations` here: these annotations are objects.
 import sys
 from collections import ChainMap
+from types import FrameType
 from typing import Annotated, ForwardRef
 
 import pytest
@@ -97,9 +98,9 @@ def test_a_misspelled_type_class_gets_a_hint():
         read(Int32, HERE)
 
 
-def frame_in(class_body: bool) -> object:
+def frame_in(class_body: bool) -> FrameType:
     local = Point
-    assert local
+    assert local is Point
 
     class Body:
         frame = sys._getframe()
@@ -114,7 +115,7 @@ def test_a_scope_reaches_to_the_function_around(class_body):
 
 def test_a_scope_ends_at_the_function():
     beyond = Point
-    assert beyond
+    assert beyond is Point
     with pytest.raises(InvalidInterface, match="cannot make out 'beyond'"):
         read("beyond", scope_of(frame_in(class_body=False), {}))
 

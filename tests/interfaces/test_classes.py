@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -27,7 +28,7 @@ from turtleact.interfaces.definition import (
 )
 from turtleact.interfaces.parse import parse
 from turtleact.interfaces.standard import UUID, CancelGoal, Fibonacci, Point, Time
-from turtleact.interfaces.types import Action, Message, definition, fields, int32, nested_classes
+from turtleact.interfaces.types import Message, Service, definition, fields, int32, nested_classes
 
 GOLDEN = Path(__file__).parent / "golden"
 
@@ -37,6 +38,12 @@ def write(root: Path, name: str, text: str) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def get_message(type_name: str) -> type[Message]:
+    cls = get_interface(type_name)
+    assert issubclass(cls, Message)
+    return cls
 
 
 def test_an_interface_is_found_by_its_full_name():
@@ -60,7 +67,7 @@ def test_the_same_class_is_given_every_time():
 
 
 def test_a_file_uses_the_classes_that_ship():
-    assert nested_classes(get_interface("std_msgs/msg/Header"))[0] is Time
+    assert nested_classes(get_message("std_msgs/msg/Header"))[0] is Time
 
 
 @pytest.mark.parametrize(
@@ -95,7 +102,7 @@ def test_what_is_no_interface_is_unknown(name):
     ],
 )
 def test_an_action_implies_messages(name, names):
-    cls = get_interface(f"{Fibonacci.type_name}_{name}")
+    cls = get_message(f"{Fibonacci.type_name}_{name}")
     assert [field.name for field in fields(cls)] == names
 
 
@@ -103,6 +110,7 @@ def test_an_action_implies_messages(name, names):
 def test_an_action_implies_services(name):
     full = f"{Fibonacci.type_name}_{name}"
     service = get_interface(full)
+    assert issubclass(service, Service)
     assert get_interface(f"{full}_Request") is service.Request
 
 
@@ -119,13 +127,13 @@ def test_a_service_implies_its_parts():
 
 
 def test_implied_types_follow_a_changed_action():
-    def declare(name: str) -> type[Action]:
+    def declare(name: str) -> Any:
         return load_interface(f"int32 {name}\n---\n---", type_name="example_msgs/action/Go")
 
     declare("x")
     get_interface("example_msgs/action/Go_SendGoal")
     changed = declare("y")
-    request = get_interface("example_msgs/action/Go_SendGoal_Request")
+    request = get_message("example_msgs/action/Go_SendGoal_Request")
     assert nested_classes(request)[1] is changed.Goal
 
 
@@ -146,7 +154,7 @@ def test_implied_names_are_not_listed():
 
 
 def test_a_text_is_loaded():
-    order = load_interface("int32 count 3", type_name="example_msgs/msg/Order")
+    order: Any = load_interface("int32 count 3", type_name="example_msgs/msg/Order")
     assert order().count == 3
 
 
@@ -176,7 +184,8 @@ def test_a_file_anywhere_needs_a_name(tmp_path):
     path.write_text("int32 count")
     with pytest.raises(InvalidInterface, match=r'order.msg: say its full name: type_name="'):
         load_interface(path)
-    assert load_interface(path, type_name="example_msgs/msg/Order")().count == 0
+    order: Any = load_interface(path, type_name="example_msgs/msg/Order")
+    assert order().count == 0
 
 
 def test_a_text_needs_a_name():
@@ -206,7 +215,8 @@ def test_a_folder_is_made_known(tmp_path):
     (tmp_path / "example_msgs" / "msg" / "Inner.idl").touch()
     names = load_interfaces(tmp_path)
     assert names == ("example_msgs/action/Outer", "example_msgs/msg/Inner")
-    assert get_interface("example_msgs/Outer").Goal().inner.x == 0
+    outer: Any = get_interface("example_msgs/Outer")
+    assert outer.Goal().inner.x == 0
 
 
 def test_all_interfaces_of_ros_can_be_had():
@@ -226,7 +236,7 @@ def test_a_folder_that_says_the_same_leaves_the_class(tmp_path):
 def test_a_folder_that_says_something_else_takes_the_name_over(tmp_path):
     write(tmp_path, "geometry_msgs/msg/Point", "float64 x")
     load_interfaces(tmp_path)
-    assert len(fields(get_interface("geometry_msgs/msg/Point"))) == 1
+    assert len(fields(get_message("geometry_msgs/msg/Point"))) == 1
 
 
 def test_a_folder_must_be_there(tmp_path):

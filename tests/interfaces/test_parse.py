@@ -25,7 +25,9 @@ NAME = "example_msgs/msg/Sample"
 
 
 def message(text: str) -> MessageDefinition:
-    return parse(text, NAME, source="sample.msg")
+    said = parse(text, NAME, source="sample.msg")
+    assert isinstance(said, MessageDefinition)
+    return said
 
 
 @pytest.mark.parametrize("path", FILES, ids=[path.stem for path in FILES])

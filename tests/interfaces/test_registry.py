@@ -1,14 +1,14 @@
 from __future__ import annotations
 
+from typing import Any
+
 from turtleact.interfaces.registry import Registry
-from turtleact.interfaces.types import Message, definition, int32, int64
+from turtleact.interfaces.types import Message, MessageMeta, definition, int32, int64
 
 
-def declare(kind: object) -> type[Message]:
-    class Sample(Message, type_name="example_msgs/msg/Sample"):
-        x: kind
-
-    return Sample
+def declare(kind: object) -> Any:
+    body = {"__annotations__": {"x": kind}}
+    return MessageMeta("Sample", (Message,), body, type_name="example_msgs/msg/Sample")
 
 
 def test_an_unknown_name_gives_none():

@@ -45,11 +45,11 @@ class Sample(Message, type_name="example_msgs/msg/Sample"):
     n: int64 = 0
     on: bool_ = False
     name: string = ""
-    at: Point
+    at: Point = Point()
     path: bounded[list[Point], 2] = []
     names: list[string] = []
     raw: bytes = b""
-    nothing: Empty
+    nothing: Empty = Empty()
     nothings: list[Empty] = []
 
 

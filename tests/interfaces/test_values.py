@@ -6,6 +6,7 @@ import fractions
 import math
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ class Name(enum.StrEnum):
     FIRST = "turtle1"
 
 
-def convert(name: str, value: object, **options: object) -> object:
+def convert(name: str, value: object, **options: Any) -> Any:
     return converter(FieldType(name, **options))(value)
 
 

@@ -7,7 +7,8 @@ objects that agree in name and type. Its guarantees:
 - `Transport.subscribe` calls ``deliver`` in the event loop of the subscriber; what ``deliver``
   raises is logged and reaches no publisher.
 - A transient-local publisher's last messages reach a subscription that comes later, first of all.
-- What is closed gets and gives nothing more.
+- What is closed gets and gives nothing more: the latched messages of a publisher go with it.
+- Quality of service never keeps two endpoints apart.
 
 Services, so far, are those of the same process: `Transport.serve` offers an object, and
 `Transport.local` hands that very object to a client, which calls it; no request passes through the
@@ -25,6 +26,7 @@ from typing import Literal, Protocol
 import msgspec
 
 from turtleact.clock import Clock
+from turtleact.errors import InvalidMessage
 
 __all__ = ["Closeable", "Endpoint", "EndpointKind", "Publication", "QoS", "Transport"]
 
@@ -38,11 +40,27 @@ class QoS(msgspec.Struct, frozen=True, kw_only=True):
         depth: How many messages are kept for a reader that lags (keep last), at least 1.
         durability: ``"transient_local"`` keeps them for readers that come later too.
         reliability: ``"best_effort"`` allows the transport to lose messages.
+
+    Raises:
+        InvalidMessage: if one of them is something else.
     """
 
     depth: int = 10
     durability: Literal["volatile", "transient_local"] = "volatile"
     reliability: Literal["reliable", "best_effort"] = "reliable"
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.depth, int) or self.depth < 1:
+            raise InvalidMessage("qos.depth", f"expected a whole number from 1, not {self.depth!r}")
+        for field, words in _POLICIES.items():
+            if (word := getattr(self, field)) not in words:
+                raise InvalidMessage(f"qos.{field}", f"expected {' or '.join(words)}, not {word!r}")
+
+
+_POLICIES = {
+    "durability": ("volatile", "transient_local"),
+    "reliability": ("reliable", "best_effort"),
+}
 
 
 class Endpoint(msgspec.Struct, frozen=True):
@@ -75,7 +93,7 @@ class Publication(Closeable, Protocol):
 
     @property
     def has_readers(self) -> bool:
-        """Whether anybody would get a message published now."""
+        """Whether anybody would get a message published now, or may later, as it is latched."""
 
     def publish(self, message: object) -> None:
         """Send a message to every subscription; it must not be changed afterwards."""
@@ -105,8 +123,14 @@ class Transport(Protocol):
     def local(self, name: str, type_name: str) -> object | None:
         """The handler that serves a service in this very process, if there is one."""
 
+    def enter(self, node: str) -> Closeable:
+        """Appear in the graph as a node of this fully qualified name."""
+
     def endpoints(self) -> tuple[Endpoint, ...]:
         """All endpoints of the graph, in the order of their opening."""
 
+    def nodes(self) -> tuple[str, ...]:
+        """The names of all nodes, in the order of their coming; a name may be there twice."""
+
     async def wait_for_change(self) -> None:
-        """Wait until an endpoint is opened or closed."""
+        """Wait until a node or endpoint comes or goes. Cancelling: safe."""

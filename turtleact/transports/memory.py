@@ -9,16 +9,21 @@ import logging
 from collections import deque
 from collections.abc import Callable
 from functools import partial
+from typing import TypeAlias, TypeVar
 
 from turtleact.clock import Clock, WallClock
 from turtleact.tasks import Signal, current_tasks
-from turtleact.transports.base import Closeable, Endpoint, Publication
+from turtleact.transports.base import Closeable, Endpoint, Publication, QoS
 
 __all__ = ["MemoryTransport"]
 
 logger = logging.getLogger("turtleact.transport")
 
-Deliver = Callable[[object], None]
+T = TypeVar("T")
+
+Deliver: TypeAlias = Callable[[object], None]
+Key: TypeAlias = tuple[str, str]
+Leave: TypeAlias = Callable[[], None]
 
 
 class MemoryTransport:
@@ -32,64 +37,91 @@ class MemoryTransport:
 
     def __init__(self, clock: Clock | None = None) -> None:
         self.clock: Clock = WallClock() if clock is None else clock
-        self._topics: dict[tuple[str, str], _Topic] = {}
-        self._handlers: dict[tuple[str, str], list[object]] = {}
+        self._topics: dict[Key, _Topic] = {}
+        self._handlers: dict[Key, list[_Offer]] = {}
         self._endpoints: dict[int, Endpoint] = {}
+        self._nodes: dict[int, str] = {}
         self._opened = 0
         self._changed: Signal | None = None
 
     def advertise(self, endpoint: Endpoint) -> Publication:
         """Open the sending end of a topic."""
         topic = self._topic(endpoint)
-        publication = _Publication(topic, endpoint)
-        publication.on_close = self._appear(endpoint, partial(topic.retract, publication))
+        publication = _Publication(topic, endpoint.qos)
+        topic.publications.append(publication)
+        leave = partial(self._leave, topic, topic.publications, publication)
+        publication.on_close = self._appear(self._endpoints, endpoint, leave)
         return publication
 
     def subscribe(self, endpoint: Endpoint, deliver: Deliver) -> Closeable:
         """Open the receiving end of a topic; latched messages are delivered before this returns."""
         topic = self._topic(endpoint)
+        reader = _Reader(topic.key[0], deliver)
         if endpoint.qos.durability == "transient_local":
             for message in topic.latched():
-                topic.hand(message, deliver)
-        topic.readers.append(deliver)
-        return _Opened(self._appear(endpoint, partial(topic.readers.remove, deliver)))
+                reader.take(message)
+        topic.readers.append(reader)
+        leave = partial(self._leave, topic, topic.readers, reader)
+        reader.on_close = self._appear(self._endpoints, endpoint, leave)
+        return reader
 
     def serve(self, endpoint: Endpoint, handler: object) -> Closeable:
         """Offer ``handler`` as a server; of several, the one that came first is found."""
-        handlers = self._handlers.setdefault((endpoint.name, endpoint.type_name), [])
-        handlers.append(handler)
-        return _Opened(self._appear(endpoint, partial(handlers.remove, handler)))
+        key, offer = _key(endpoint), _Offer(handler)
+        self._handlers.setdefault(key, []).append(offer)
+        return _Opened(self._appear(self._endpoints, endpoint, partial(self._revoke, key, offer)))
 
     def join(self, endpoint: Endpoint) -> Closeable:
         """Appear in the graph as a client of a service."""
-        return _Opened(self._appear(endpoint, _nothing))
+        return _Opened(self._appear(self._endpoints, endpoint, _nothing))
 
     def local(self, name: str, type_name: str) -> object | None:
         """The handler that serves a service, if there is one."""
-        handlers = self._handlers.get((name, type_name))
-        return handlers[0] if handlers else None
+        offers = self._handlers.get((name, type_name))
+        return offers[0].handler if offers else None
+
+    def enter(self, node: str) -> Closeable:
+        """Appear in the graph as a node."""
+        return _Opened(self._appear(self._nodes, node, _nothing))
 
     def endpoints(self) -> tuple[Endpoint, ...]:
         """All endpoints of the graph, in the order of their opening."""
         return tuple(self._endpoints.values())
 
+    def nodes(self) -> tuple[str, ...]:
+        """The names of all nodes, in the order of their coming; a name may be there twice."""
+        return tuple(self._nodes.values())
+
     async def wait_for_change(self) -> None:
-        """Wait until an endpoint is opened or closed. Cancelling: safe."""
+        """Wait until a node or endpoint comes or goes. Cancelling: safe."""
         if self._changed is None:
             self._changed = current_tasks().signal()
         await self._changed.wait()
 
     def _topic(self, endpoint: Endpoint) -> _Topic:
-        return self._topics.setdefault((endpoint.name, endpoint.type_name), _Topic(endpoint.name))
+        key = _key(endpoint)
+        return self._topics.setdefault(key, _Topic(key))
 
-    def _appear(self, endpoint: Endpoint, leave: Callable[[], None]) -> Callable[[], None]:
+    def _leave(self, topic: _Topic, members: list[T], member: T) -> None:
+        members.remove(member)
+        if topic.is_deserted:
+            del self._topics[topic.key]
+
+    def _revoke(self, key: Key, offer: _Offer) -> None:
+        offers = self._handlers[key]
+        offers.remove(offer)
+        if not offers:
+            del self._handlers[key]
+
+    def _appear(self, table: dict[int, T], entry: T, leave: Callable[[], None]) -> Leave:
+        """Show something in the graph until what is given back is called."""
         self._opened += 1
-        key = self._opened
-        self._endpoints[key] = endpoint
+        number = self._opened
+        table[number] = entry
         self._notify()
 
         def disappear() -> None:
-            if self._endpoints.pop(key, None) is not None:
+            if table.pop(number, None) is not None:
                 leave()
                 self._notify()
 
@@ -101,61 +133,85 @@ class MemoryTransport:
 
 
 class _Topic:
-    """The publishers and readers of one topic."""
+    """The publications and readers of one topic."""
 
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.readers: list[Deliver] = []
+    def __init__(self, key: Key) -> None:
+        self.key = key
+        self.readers: list[_Reader] = []
         self.publications: list[_Publication] = []
+
+    @property
+    def is_deserted(self) -> bool:
+        return not self.readers and not self.publications
 
     def latched(self) -> list[object]:
         return [message for each in self.publications for message in each.latch]
-
-    def hand(self, message: object, deliver: Deliver) -> None:
-        try:
-            deliver(message)
-        except Exception:
-            logger.exception("a subscription of topic %s failed on a message", self.name)
-
-    def retract(self, publication: _Publication) -> None:
-        if publication in self.publications:
-            self.publications.remove(publication)
 
 
 class _Publication:
     """The sending end of a topic."""
 
-    on_close: Callable[[], None]
+    on_close: Leave
 
-    def __init__(self, topic: _Topic, endpoint: Endpoint) -> None:
+    def __init__(self, topic: _Topic, qos: QoS) -> None:
         self._topic = topic
-        self._closed = False
-        latches = endpoint.qos.durability == "transient_local"
-        self.latch: deque[object] = deque(maxlen=endpoint.qos.depth if latches else 0)
-        if latches:
-            topic.publications.append(self)
+        self._is_open = True
+        self._latches = qos.durability == "transient_local"
+        self.latch: deque[object] = deque(maxlen=qos.depth if self._latches else 0)
 
     @property
     def has_readers(self) -> bool:
-        return bool(self._topic.readers) or self.latch.maxlen != 0
+        return self._is_open and (self._latches or bool(self._topic.readers))
 
     def publish(self, message: object) -> None:
-        if self._closed:
-            return
-        self.latch.append(message)
-        for deliver in tuple(self._topic.readers):
-            self._topic.hand(message, deliver)
+        if self._is_open:
+            self.latch.append(message)
+            for reader in tuple(self._topic.readers):
+                reader.take(message)
 
     def close(self) -> None:
-        self._closed = True
+        self._is_open = False
         self.on_close()
+
+
+class _Reader:
+    """The receiving end of a topic."""
+
+    on_close: Leave
+
+    def __init__(self, topic: str, deliver: Deliver) -> None:
+        self._topic = topic
+        self._deliver = deliver
+        self._is_open = True
+
+    def take(self, message: object) -> None:
+        if self._is_open:  # else it was closed by a reader that got the message first
+            try:
+                self._deliver(message)
+            except Exception:
+                logger.exception("a subscription of topic %s failed on a message", self._topic)
+
+    def close(self) -> None:
+        self._is_open = False
+        self.on_close()
+
+
+class _Offer:
+    """A handler that is offered; two offers are never the same."""
+
+    def __init__(self, handler: object) -> None:
+        self.handler = handler
 
 
 class _Opened:
     """Anything else that was opened."""
 
-    def __init__(self, on_close: Callable[[], None]) -> None:
+    def __init__(self, on_close: Leave) -> None:
         self.close = on_close
+
+
+def _key(endpoint: Endpoint) -> Key:
+    return endpoint.name, endpoint.type_name
 
 
 def _nothing() -> None:

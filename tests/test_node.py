@@ -1,0 +1,804 @@
+"""A node: its names, what is opened on it, what others see of it, and how it is left."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+import anyio
+import anyio.lowlevel
+import pytest
+
+import turtleact
+from turtleact import GoalStatus, Outcome, QoS
+from turtleact.clock import VirtualClock
+from turtleact.errors import (
+    GoalAborted,
+    GoalRejected,
+    InvalidBody,
+    InvalidName,
+    ServerUnavailable,
+    TurtleactError,
+)
+from turtleact.interfaces import Action, Message, Service, int32
+from turtleact.tasks import current_tasks
+from turtleact.transports import MemoryTransport
+
+from .lab import (
+    ON_ASYNCIO,
+    Count,
+    Gate,
+    count,
+    feedback,
+    goal,
+    other_tasks,
+    result,
+    running,
+    settle,
+    take_turns,
+)
+
+SHUTDOWN = Outcome(GoalStatus.ABORTED, result(), "shutdown")
+CLOSED = "node '/lab' is closed: open another"
+
+
+class Word(Message, type_name="lab_interfaces/msg/Word"):
+    number: int32 = 0
+
+
+class Other(Message, type_name="lab_interfaces/msg/Other"):
+    pass
+
+
+class Double(Service, type_name="lab_interfaces/srv/Double"):
+    class Request(Message):
+        number: int32 = 0
+
+    class Response(Message):
+        number: int32 = 0
+
+
+class Rest(Action, type_name="lab_interfaces/action/Rest"):
+    class Goal(Message):
+        pass
+
+    class Result(Message):
+        pass
+
+
+def double(request: Double.Request) -> Double.Response:
+    return Double.Response(number=2 * request.number)
+
+
+async def rest(request: Rest.Goal) -> Rest.Result:
+    return Rest.Result()
+
+
+OPENINGS: dict[str, Callable[[turtleact.Node, str], Any]] = {
+    "action_server": lambda node, name: node.action_server(Count, name, count),
+    "action_client": lambda node, name: node.action_client(Count, name),
+    "publisher": lambda node, name: node.publisher(Word, name),
+    "subscription": lambda node, name: node.subscription(Word, name),
+    "service": lambda node, name: node.service(Double, name, double),
+    "service_client": lambda node, name: node.service_client(Double, name),
+}
+EACH_OPENING = pytest.mark.parametrize("open_it", OPENINGS.values(), ids=OPENINGS)
+
+
+@asynccontextmanager
+async def two_nodes() -> AsyncIterator[tuple[turtleact.Node, turtleact.Node]]:
+    """Two nodes, ``lab`` and ``user``, on one transport."""
+    transport = MemoryTransport()
+    async with (
+        turtleact.open_node("lab", transport=transport) as lab,
+        turtleact.open_node("user", transport=transport) as user,
+    ):
+        yield lab, user
+
+
+def is_deserted(transport: MemoryTransport) -> bool:
+    return not transport.endpoints() and not transport.nodes()
+
+
+# --- names ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("namespace", "full_name"),
+    [("/", "/lab"), ("/sim", "/sim/lab"), ("/sim/one", "/sim/one/lab"), ("sim", "/sim/lab")],
+)
+async def test_the_full_name_is_the_namespace_and_the_name(namespace, full_name):
+    async with turtleact.open_node("lab", namespace=namespace) as node:
+        assert (node.name, node.fully_qualified_name) == ("lab", full_name)
+        assert node.graph().nodes == (full_name,)
+
+
+async def test_a_node_is_in_the_root_namespace_unless_something_is_said():
+    async with turtleact.open_node("lab") as node:
+        assert node.namespace == "/"
+
+
+@pytest.mark.parametrize("name", ["", "1lab", "the/lab", "/lab", "~lab", "the lab", "lab-1"])
+async def test_what_is_no_name_of_a_node_is_refused(name):
+    transport = MemoryTransport()
+    with pytest.raises(InvalidName):
+        await turtleact.open_node(name, transport=transport).__aenter__()
+    assert is_deserted(transport)
+
+
+@pytest.mark.parametrize("namespace", ["", "/sim/", "/a//b", "/1", "~", "~/sim", "/the sim"])
+async def test_what_is_no_namespace_is_refused(namespace):
+    transport = MemoryTransport()
+    with pytest.raises(InvalidName):
+        await turtleact.open_node("lab", namespace=namespace, transport=transport).__aenter__()
+    assert is_deserted(transport)
+
+
+@EACH_OPENING
+@pytest.mark.parametrize(
+    ("name", "full_name"),
+    [("it", "/sim/it"), ("a/it", "/sim/a/it"), ("/it", "/it"), ("~/it", "/sim/lab/it")],
+)
+async def test_a_name_is_put_below_the_namespace(open_it, name, full_name):
+    async with turtleact.open_node("lab", namespace="/sim") as node:
+        opened = open_it(node, name)
+        assert (opened.topic if hasattr(opened, "topic") else opened.name) == full_name
+        (endpoint,) = node.transport.endpoints()
+        assert endpoint.name.removesuffix("/_action/send_goal") == full_name
+
+
+@EACH_OPENING
+async def test_an_endpoint_names_its_node(open_it):
+    async with turtleact.open_node("lab", namespace="/sim") as node:
+        open_it(node, "it")
+        assert [endpoint.node for endpoint in node.transport.endpoints()] == ["/sim/lab"]
+
+
+@EACH_OPENING
+@pytest.mark.parametrize("name", ["", "a//b", "1", "it/", "the it", "a/~/b"])
+async def test_what_is_no_name_is_refused_and_nothing_opened(open_it, name):
+    async with turtleact.open_node("lab") as node:
+        with pytest.raises(InvalidName):
+            open_it(node, name)
+        assert node.transport.endpoints() == ()
+
+
+async def test_publishers_are_not_counted_by_what_is_no_name():
+    async with turtleact.open_node("lab") as node:
+        with pytest.raises(InvalidName):
+            node.count_publishers("a//b")
+
+
+# --- actions on a node ----------------------------------------------------------------------
+
+
+@turtleact.action(Count, "count", goal_callback=lambda request: turtleact.GoalResponse.REJECT)
+async def closed_today(request):
+    return result()
+
+
+async def test_a_declared_action_is_served_under_its_own_name():
+    async with turtleact.open_node("lab") as node:
+        assert node.serve(closed_today).name == "/count"
+
+
+async def test_a_declared_action_can_be_served_under_another_name():
+    async with turtleact.open_node("lab", namespace="/sim") as node:
+        assert node.serve(closed_today, name="~/count").name == "/sim/lab/count"
+
+
+async def test_the_declared_options_hold():
+    async with turtleact.open_node("lab") as node:
+        node.serve(closed_today)
+        with pytest.raises(GoalRejected):
+            await node.action_client(Count, "count").send_goal(goal())
+
+
+async def test_other_options_than_the_declared_ones_can_be_given():
+    async with turtleact.open_node("lab") as node:
+        node.serve(closed_today, goal_callback=None)
+        assert await node.action_client(Count, "count").send_goal(goal()) == result()
+        assert closed_today.options.keys() == {"goal_callback"}
+
+
+async def test_an_option_that_there_is_not_is_refused():
+    async with turtleact.open_node("lab") as node:
+        options: Any = {"result_timeuot": 1.0}
+        with pytest.raises(TypeError, match="an action server has no option 'result_timeuot'"):
+            node.action_server(Count, "count", count, **options)
+        assert node.transport.endpoints() == ()
+
+
+async def test_a_function_that_is_no_body_is_refused_and_nothing_opened():
+    async with turtleact.open_node("lab") as node:
+        with pytest.raises(InvalidBody):
+            node.action_server(Count, "count", lambda request: result())
+        assert node.transport.endpoints() == ()
+
+
+async def test_an_action_is_served_to_another_node():
+    async with two_nodes() as (lab, user):
+        lab.action_server(Count, "count", count)
+        assert await user.action_client(Count, "count").send_goal(goal()) == result(0, 1, 2)
+
+
+async def test_nodes_that_share_no_transport_do_not_see_each_other():
+    async with turtleact.open_node("lab") as lab, turtleact.open_node("user") as user:
+        lab.action_server(Count, "count", count)
+        assert user.graph().actions == {}
+        with pytest.raises(ServerUnavailable):
+            await user.action_client(Count, "count").send_goal(goal())
+
+
+async def test_a_node_keeps_the_time_of_its_transport():
+    clock = VirtualClock()
+    async with turtleact.open_node("lab", transport=MemoryTransport(clock)) as node:
+        assert node.clock is clock
+
+
+async def test_of_a_name_served_twice_the_first_server_takes_the_goals():
+    async def seven(request):
+        return result(7)
+
+    async with two_nodes() as (lab, user):
+        first = lab.action_server(Count, "count", count)
+        user.action_server(Count, "count", seven)
+        client = user.action_client(Count, "count")
+        assert user.graph().actions == {"/count": (Count.type_name,)}
+        assert await client.send_goal(goal()) == result(0, 1, 2)
+        await first.aclose()
+        assert await client.send_goal(goal()) == result(7)
+        assert user.graph().actions == {"/count": (Count.type_name,)}
+
+
+# --- the graph ------------------------------------------------------------------------------
+
+
+async def test_a_node_on_which_nothing_is_opened_is_in_the_graph():
+    async with two_nodes() as (lab, user):
+        assert lab.graph() == user.graph()
+        assert lab.graph().nodes == ("/lab", "/user")
+        await lab.aclose()
+        assert user.graph().nodes == ("/user",)
+
+
+async def test_a_name_that_two_nodes_have_is_in_the_graph_once():
+    transport = MemoryTransport()
+    async with (
+        turtleact.open_node("lab", transport=transport) as first,
+        turtleact.open_node("lab", transport=transport) as second,
+    ):
+        assert first.graph().nodes == ("/lab",)
+        await second.aclose()
+        assert first.graph().nodes == ("/lab",)
+
+
+async def test_the_graph_shows_topics_with_all_their_types():
+    async with two_nodes() as (lab, user):
+        lab.publisher(Word, "words")
+        user.subscription(Word, "words")
+        user.subscription(Other, "words")
+        user.subscription(Word, "a/listened")
+        assert lab.graph().topics == {
+            "/a/listened": (Word.type_name,),
+            "/words": (Other.type_name, Word.type_name),
+        }
+        assert list(lab.graph().topics) == ["/a/listened", "/words"]
+
+
+async def test_the_graph_shows_services_and_actions_that_are_served():
+    async with two_nodes() as (lab, user):
+        user.action_client(Rest, "nobody")
+        user.service_client(Double, "nobody")
+        lab.service(Double, "double", double)
+        lab.action_server(Rest, "it", rest)
+        lab.action_server(Count, "it", count)
+        graph = user.graph()
+        assert graph.services == {"/double": (Double.type_name,)}
+        assert graph.actions == {"/it": (Count.type_name, Rest.type_name)}
+
+
+@pytest.mark.parametrize("name", ["_secret", "a/_secret/b"])
+async def test_the_graph_leaves_hidden_names_out(name):
+    async with turtleact.open_node("lab") as node:
+        node.publisher(Word, name)
+        node.service(Double, name, double)
+        assert (node.graph().topics, node.graph().services) == ({}, {})
+        assert node.count_publishers(name) == 1
+
+
+@EACH_OPENING
+async def test_what_was_closed_is_gone_from_the_graph(open_it):
+    async with turtleact.open_node("lab") as node:
+        before = node.graph()
+        await open_it(node, "it").aclose()
+        assert node.graph() == before
+        assert node.transport.endpoints() == ()
+
+
+async def test_the_graph_is_as_it_was_when_it_was_asked_for():
+    async with turtleact.open_node("lab") as node:
+        before = node.graph()
+        node.publisher(Word, "words")
+        assert before.topics == {}
+
+
+async def test_publishers_of_a_topic_are_counted_on_all_nodes():
+    async with two_nodes() as (lab, user):
+        publishers = [lab.publisher(Word, "words"), user.publisher(Word, "/words")]
+        user.subscription(Word, "words")
+        user.publisher(Word, "others")
+        assert lab.count_publishers("words") == 2
+        await publishers[0].aclose()
+        assert user.count_publishers("words") == 1
+
+
+# --- leaving --------------------------------------------------------------------------------
+
+
+async def test_leaving_the_block_closes_all_that_was_opened():
+    transport = MemoryTransport()
+    async with turtleact.open_node("lab", transport=transport) as node:
+        for open_it in OPENINGS.values():
+            open_it(node, "it")
+        assert (node.is_open, len(transport.endpoints())) == (True, len(OPENINGS))
+    assert not node.is_open
+    assert is_deserted(transport)
+
+
+async def test_leaving_a_node_leaves_others_alone():
+    async with two_nodes() as (lab, user):
+        for node in (lab, user):
+            for open_it in OPENINGS.values():
+                open_it(node, "it")
+        await lab.aclose()
+        assert len(user.transport.endpoints()) == len(OPENINGS)
+        assert await user.action_client(Count, "it").send_goal(goal()) == result(0, 1, 2)
+
+
+async def test_an_exception_in_the_block_passes_and_the_node_is_closed():
+    transport, gate, error = MemoryTransport(), Gate(), ValueError("no pen")
+
+    async def fail() -> None:
+        async with turtleact.open_node("lab", transport=transport) as node:
+            node.action_server(Count, "count", gate.wait)
+            await node.action_client(Count, "count").send_goal(goal()).__aenter__()
+            await settle()
+            raise error
+
+    with pytest.raises(ValueError, match="no pen") as caught:
+        await fail()
+    assert caught.value is error
+    assert gate.log == ["begun", "canceled", "over"]
+    assert is_deserted(transport)
+
+
+@pytest.mark.parametrize("style", ["wait", "stream"])
+async def test_leaving_with_goals_ends_them_aborted_and_answers_every_waiter(style):
+    gate, read = Gate(), []
+
+    async def read_all(handle):
+        read.extend([message async for message in handle])
+
+    async with two_nodes() as (lab, user):
+        lab.action_server(Count, "count", getattr(gate, style))
+        client = user.action_client(Count, "count")
+        async with (
+            running(lambda: client.send_goal(goal())) as awaiting,
+            client.send_goal(goal()) as handle,
+            running(handle.result) as wanting,
+            running(handle.outcome) as watching,
+            running(lambda: read_all(handle)) as reading,
+        ):
+            await lab.aclose()
+            for waiting in (awaiting, wanting, watching, reading):
+                await waiting.done.wait()
+            for raising in (awaiting, wanting):
+                assert isinstance(raising.error, GoalAborted)
+                assert raising.error.reason == "shutdown"
+            assert watching.value == await handle.outcome() == SHUTDOWN
+            assert read == ([feedback(0)] if style == "stream" else [])
+    assert sorted(gate.log) == ["begun"] * 2 + ["canceled"] * 2 + ["over"] * 2
+
+
+async def test_leaving_ends_readers_and_callers_that_wait():
+    async def never(request):
+        await anyio.sleep_forever()
+
+    async with two_nodes() as (lab, user):
+        receiving = lab.subscription(Word, "words")
+        lab.service(Double, "double", never)
+        caller = user.service_client(Double, "double")
+
+        async def read():
+            return [message async for message in receiving]
+
+        async with (
+            running(read) as reading,
+            running(lambda: caller.call(Double.Request())) as calling,
+        ):
+            await lab.aclose()
+            await reading.done.wait()
+            await calling.done.wait()
+            assert reading.value == []
+            assert isinstance(calling.error, ServerUnavailable)
+
+
+async def test_leaving_waits_for_the_clean_up_of_bodies():
+    log: list[str] = []
+
+    async def body(request):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await take_turns()
+            log.append("cleaned up")
+
+    async with two_nodes() as (lab, user):
+        lab.action_server(Count, "count", body)
+        async with user.action_client(Count, "count").send_goal(goal()):
+            await settle()
+            with anyio.CancelScope() as scope:
+                scope.cancel()
+                await lab.aclose()
+                log.append("closed")
+            assert log == ["cleaned up", "closed"]
+
+
+async def test_a_body_still_has_its_topics_services_and_clients_for_its_clean_up():
+    log: list[object] = []
+
+    async def body(request, handle):
+        words = handle.node.publisher(Word, "words")
+        doubled = handle.node.service_client(Double, "double")
+        twists = handle.node.subscription(Word, "twists")
+        try:
+            log.append(await anext(twists))
+        finally:
+            words.publish(Word(number=7))
+            with anyio.CancelScope(shield=True):
+                log.append(await doubled.call(Double.Request(number=2)))
+            log.append("cleaned up")
+
+    async with two_nodes() as (lab, user):
+        lab.service(Double, "double", double)
+        lab.action_server(Count, "count", body)
+        heard = user.subscription(Word, "words")
+        async with user.action_client(Count, "count").send_goal(goal()) as handle:
+            await settle()
+            await lab.aclose()
+            assert await handle.outcome() == SHUTDOWN
+        assert log == [Double.Response(number=4), "cleaned up"]
+        assert heard.drain() == [Word(number=7)]
+
+
+async def test_a_handler_still_has_its_topics_for_its_clean_up():
+    async def handler(request):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            words.publish(Word(number=7))
+
+    async with two_nodes() as (lab, user):
+        heard = user.subscription(Word, "words")
+        lab.service(Double, "double", handler)
+        words = lab.publisher(Word, "words")
+        caller = user.service_client(Double, "double")
+        async with running(lambda: caller.call(Double.Request())):
+            await lab.aclose()
+        assert heard.drain() == [Word(number=7)]
+
+
+async def test_what_a_body_opens_in_its_clean_up_is_closed_too():
+    async def body(request, handle):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            handle.node.publisher(Word, "words")
+            handle.node.action_server(Count, "another", count)
+
+    async with two_nodes() as (lab, user):
+        lab.action_server(Count, "count", body)
+        async with user.action_client(Count, "count").send_goal(goal()) as handle:
+            await settle()
+            await lab.aclose()
+            assert await handle.outcome() == SHUTDOWN
+        assert {endpoint.node for endpoint in user.transport.endpoints()} == {"/user"}
+
+
+async def test_all_actions_of_a_node_are_canceled_before_any_is_waited_for():
+    canceled = {name: anyio.Event() for name in ("one", "two")}
+
+    def waits_for(mine, other):
+        async def body(request):
+            try:
+                await anyio.sleep_forever()
+            finally:
+                canceled[mine].set()
+                with anyio.CancelScope(shield=True):
+                    await canceled[other].wait()
+
+        return body
+
+    async with two_nodes() as (lab, user):
+        lab.action_server(Count, "one", waits_for("one", "two"))
+        lab.action_server(Count, "two", waits_for("two", "one"))
+        async with (
+            user.action_client(Count, "one").send_goal(goal()) as one,
+            user.action_client(Count, "two").send_goal(goal()) as two,
+        ):
+            await settle()
+            with anyio.fail_after(2):
+                await lab.aclose()
+            assert await one.outcome() == await two.outcome() == SHUTDOWN
+
+
+@pytest.mark.parametrize("style", ["awaited", "entered"])
+@pytest.mark.parametrize("order", [("outer", "inner"), ("inner", "outer")])
+async def test_a_goal_and_the_goal_that_its_body_sent_both_end_by_the_shutdown(order, style):
+    gate = Gate()
+
+    async def outer(request, handle):
+        client = handle.node.action_client(Count, "inner")
+        if style == "awaited":
+            return await client.send_goal(request)
+        async with client.send_goal(request) as inner:
+            return await inner.result()
+
+    async with two_nodes() as (lab, user):
+        bodies: dict[str, Callable[..., object]] = {"outer": outer, "inner": gate.wait}
+        for name in order:
+            lab.action_server(Count, name, bodies[name])
+        async with user.action_client(Count, "outer").send_goal(goal()) as handle:
+            await settle()
+            await lab.aclose()
+            assert await handle.outcome() == SHUTDOWN
+        assert gate.log == ["begun", "canceled", "over"]
+
+
+async def test_a_server_that_is_being_closed_is_waited_for():
+    gate, log = Gate(), []
+
+    async def body(request):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await gate.opened.wait()
+            log.append("cleaned up")
+
+    async with two_nodes() as (lab, user):
+        server = lab.action_server(Count, "count", body)
+        async with user.action_client(Count, "count").send_goal(goal()):
+            await settle()
+            async with running(server.aclose), running(lab.aclose) as leaving:
+                assert not leaving.done.is_set()
+                gate.opened.set()
+                await leaving.done.wait()
+                assert log == ["cleaned up"]
+
+
+@ON_ASYNCIO
+@pytest.mark.parametrize("style", ["wait", "stream"])
+async def test_leaving_leaves_nothing_running(style):
+    before = other_tasks()
+    async with turtleact.open_node("lab") as node:
+        node.action_server(Count, "count", getattr(Gate(), style))
+        node.service(Double, "double", anyio.sleep_forever)  # type: ignore[arg-type]  # never asked
+        for _ in range(3):
+            await node.action_client(Count, "count").send_goal(goal()).__aenter__()
+        await settle()
+    assert other_tasks() == before
+
+
+async def test_what_is_closed_early_is_not_held_by_the_node():
+    async with turtleact.open_node("lab") as node:
+        for open_it in OPENINGS.values():
+            await open_it(node, "it").aclose()
+        assert not node._opened
+
+
+# --- canceled at every point ----------------------------------------------------------------
+
+
+class Busy:
+    """A body and a handler that wait as often as can be, in their clean-up too."""
+
+    def __init__(self) -> None:
+        self.active = 0
+
+    @asynccontextmanager
+    async def counted(self) -> AsyncIterator[None]:
+        self.active += 1
+        try:
+            yield
+        finally:
+            try:
+                with anyio.CancelScope(shield=True):
+                    await take(2)
+            finally:
+                self.active -= 1
+
+    async def body(self, request, handle):
+        async with self.counted():
+            words = handle.node.publisher(Word, "words")
+            for number in range(3):
+                words.publish(Word(number=number))
+                handle.publish_feedback(feedback(number))
+                await take(1)
+            return result()
+
+    async def handler(self, request):
+        async with self.counted():
+            await take(2)
+            return double(request)
+
+
+async def take(turns: int) -> None:
+    for _ in range(turns):
+        await anyio.lowlevel.checkpoint()
+
+
+async def live(busy: Busy, transport: MemoryTransport) -> None:
+    """A node's life with all that it can wait for."""
+    async with turtleact.open_node("lab", transport=transport) as node:
+        node.action_server(Count, "count", busy.body)
+        node.service(Double, "double", busy.handler)
+        words = node.subscription(Word, "words", QoS(depth=1))
+        client = node.action_client(Count, "count")
+        await client.wait_for_server()
+        async with client.send_goal(goal()) as handle:
+            await anext(words)
+            async for _ in handle:
+                await take(1)
+        await client.send_goal(goal())
+        await node.service_client(Double, "double").call(Double.Request(number=1))
+        left = client.send_goal(goal())
+        (await left.__aenter__()).detach()
+        await take(1)
+
+
+async def cancel_after(turns: int, call: Callable[[], Any], *, is_native: bool) -> bool:
+    """Run a call in a task of its own and cancel it after some turns; whether it was still on."""
+    if is_native:
+        task = asyncio.create_task(call())
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        was_on = task.cancel()
+        await asyncio.wait([task])
+        return was_on
+    scope, is_over = anyio.CancelScope(), anyio.Event()
+
+    async def run() -> None:
+        with scope:
+            await call()
+        is_over.set()
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(run)
+        for _ in range(turns):
+            await current_tasks().checkpoint()
+        was_on = not is_over.is_set()
+        scope.cancel()
+    return was_on
+
+
+async def cancel_everywhere(*, is_native: bool) -> int:
+    """Cancel a node's life at each point from its beginning on; answer how many there were."""
+    on_asyncio = anyio.get_cancelled_exc_class() is asyncio.CancelledError
+    before = other_tasks() if on_asyncio else set()
+    for turns in range(500):
+        busy, transport = Busy(), MemoryTransport()
+        was_on = await cancel_after(turns, lambda: live(busy, transport), is_native=is_native)  # noqa: B023  # it is over before the next turn
+        assert is_deserted(transport), f"after {turns} turns"
+        assert busy.active == 0, f"after {turns} turns"
+        await settle()
+        assert not on_asyncio or other_tasks() == before, f"after {turns} turns"
+        if not was_on:
+            return turns
+    pytest.fail("the node never came to its end")
+
+
+async def test_a_node_canceled_by_a_scope_at_any_point_leaves_nothing_behind():
+    assert await cancel_everywhere(is_native=False) > 20
+
+
+@ON_ASYNCIO
+async def test_a_node_canceled_as_a_task_at_any_point_leaves_nothing_behind():
+    assert await cancel_everywhere(is_native=True) > 20
+
+
+# --- after the closing ----------------------------------------------------------------------
+
+
+@EACH_OPENING
+async def test_nothing_can_be_opened_on_a_closed_node(open_it):
+    async with turtleact.open_node("lab") as node:
+        await node.aclose()
+        with pytest.raises(TurtleactError) as caught:
+            open_it(node, "it")
+        assert str(caught.value) == CLOSED
+        assert is_deserted(node.transport)  # type: ignore[arg-type]  # its own, in this process
+
+
+async def test_a_closed_node_serves_no_declared_action():
+    async with turtleact.open_node("lab") as node:
+        await node.aclose()
+        with pytest.raises(TurtleactError, match=CLOSED):
+            node.serve(closed_today)
+
+
+async def test_a_closed_node_still_sees_the_graph():
+    async with two_nodes() as (lab, user):
+        user.publisher(Word, "words")
+        await lab.aclose()
+        assert lab.graph() == user.graph()
+        assert lab.count_publishers("words") == 1
+
+
+async def test_closing_twice_is_closing_once():
+    async with two_nodes() as (lab, user):
+        lab.action_server(Count, "count", count)
+        await lab.aclose()
+        await lab.aclose()
+        assert user.graph().nodes == ("/user",)
+
+
+async def test_who_closes_a_node_that_is_being_closed_waits_for_its_end():
+    gate = Gate()
+
+    async def body(request):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await gate.opened.wait()
+            gate.log.append("cleaned up")
+
+    async with two_nodes() as (lab, user):
+        lab.action_server(Count, "count", body)
+        async with (
+            user.action_client(Count, "count").send_goal(goal()),
+            running(lab.aclose) as first,
+            running(lab.aclose) as second,
+        ):
+            assert (first.done.is_set(), second.done.is_set()) == (False, False)
+            gate.opened.set()
+            await second.done.wait()
+            assert gate.log == ["cleaned up"]
+
+
+async def test_a_goal_cannot_be_sent_to_an_action_of_a_closed_node():
+    async with two_nodes() as (lab, user):
+        lab.action_server(Count, "count", count)
+        client = user.action_client(Count, "count")
+        await client.send_goal(goal())
+        await lab.aclose()
+        with pytest.raises(ServerUnavailable, match="no server answers"):
+            await client.send_goal(goal())
+        assert not await client.wait_for_server(timeout=0)
+
+
+async def test_a_client_finds_an_action_of_a_node_that_is_opened_again():
+    async with two_nodes() as (lab, user):
+        client = user.action_client(Count, "count")
+        await lab.aclose()
+        async with (
+            running(client.wait_for_server) as waiting,
+            turtleact.open_node("lab", transport=user.transport) as again,
+        ):
+            again.action_server(Count, "count", count)
+            await waiting.done.wait()
+            assert await client.send_goal(goal()) == result(0, 1, 2)
+
+
+async def test_the_result_of_a_goal_outlives_the_node():
+    async with two_nodes() as (lab, user):
+        lab.action_server(Count, "count", count)
+        async with user.action_client(Count, "count").send_goal(goal()) as handle:
+            await handle.result()
+            await lab.aclose()
+            assert await handle.result() == result(0, 1, 2)

@@ -1,0 +1,373 @@
+"""Publishers and subscriptions: what is kept, what is missed, who reads, and what closing does."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any, NamedTuple
+
+import anyio
+import pytest
+
+import turtleact
+from turtleact import QoS
+from turtleact.errors import InvalidMessage, TurtleactError
+from turtleact.interfaces import Message, int32
+from turtleact.tasks import current_tasks
+from turtleact.topics import Publisher, Subscription
+
+from .lab import ON_ASYNCIO, other_tasks, running, settle
+
+LATCHED = QoS(depth=2, durability="transient_local")
+
+
+class Word(Message, type_name="lab_interfaces/msg/Word"):
+    number: int32 = 0
+    letters: list[int32] = []
+
+
+class Other(Message, type_name="lab_interfaces/msg/Other"):
+    number: int32 = 0
+
+
+class Line(NamedTuple):
+    """What a test works with."""
+
+    node: turtleact.Node
+    sending: Publisher[Word]
+    receiving: Subscription[Word]
+
+
+@asynccontextmanager
+async def line(depth: int = 10) -> AsyncIterator[Line]:
+    """A topic with one publisher, and one subscription of some depth."""
+    async with turtleact.open_node("lab") as node:
+        receiving = node.subscription(Word, "words", QoS(depth=depth))
+        yield Line(node, node.publisher(Word, "words"), receiving)
+
+
+def say(sending: Publisher[Word], *numbers: int) -> None:
+    for number in numbers:
+        sending.publish(Word(number=number))
+
+
+async def read(receiving: Subscription[Word], count: int) -> list[int]:
+    return [(await anext(receiving)).number for _ in range(count)]
+
+
+async def read_to_the_end(receiving: Subscription[Word]) -> list[int]:
+    return [message.number async for message in receiving]
+
+
+# --- publishing and reading -----------------------------------------------------------------
+
+
+async def test_messages_are_read_in_order():
+    async with line() as words:
+        say(words.sending, 1, 2, 3)
+        assert await read(words.receiving, 3) == [1, 2, 3]
+
+
+async def test_a_message_is_waited_for():
+    async with line() as words, running(lambda: read(words.receiving, 1)) as reading:
+        assert not reading.done.is_set()
+        say(words.sending, 7)
+        await reading.done.wait()
+        assert reading.value == [7]
+
+
+async def test_a_message_reaches_the_subscriptions_of_other_nodes():
+    async with line() as words, turtleact.open_node("other", transport=words.node.transport) as far:
+        receiving = far.subscription(Word, "words")
+        say(words.sending, 7)
+        assert await read(receiving, 1) == [7]
+
+
+async def test_each_subscription_gets_each_message():
+    async with line() as words:
+        other = words.node.subscription(Word, "words")
+        say(words.sending, 1, 2)
+        assert await read(words.receiving, 2) == await read(other, 2) == [1, 2]
+
+
+async def test_what_was_published_is_what_is_read():
+    async with line() as words:
+        message = Word(letters=[1])
+        words.sending.publish(message)
+        message.letters.append(2)
+        assert (await anext(words.receiving)).letters == [1]
+
+
+async def test_a_publisher_knows_whether_anybody_listens():
+    async with turtleact.open_node("lab") as node:
+        sending = node.publisher(Word, "words")
+        assert not sending.has_subscriptions
+        receiving = node.subscription(Word, "words")
+        assert sending.has_subscriptions
+        await receiving.aclose()
+        assert not sending.has_subscriptions
+
+
+@pytest.mark.parametrize("is_heard", [False, True])
+async def test_a_message_of_another_type_is_refused_whether_anybody_listens_or_not(is_heard):
+    async with turtleact.open_node("lab") as node:
+        sending: Publisher[Any] = node.publisher(Word, "words")
+        receiving = node.subscription(Word, "words") if is_heard else None
+        with pytest.raises(InvalidMessage, match="Other"):
+            sending.publish(Other(number=1))
+        assert receiving is None or receiving.drain() == []
+
+
+@pytest.mark.parametrize("is_heard", [False, True])
+async def test_a_value_that_does_not_fit_is_refused_with_its_path(is_heard):
+    async with turtleact.open_node("lab") as node:
+        sending = node.publisher(Word, "words")
+        receiving = node.subscription(Word, "words") if is_heard else None
+        message = Word()
+        message.letters.append(2**40)
+        with pytest.raises(InvalidMessage, match=r"letters\[0\]"):
+            sending.publish(message)
+        assert receiving is None or receiving.drain() == []
+
+
+async def test_a_subscription_of_another_type_hears_nothing():
+    async with line() as words:
+        other = words.node.subscription(Other, "words")
+        say(words.sending, 1)
+        assert (other.drain(), other.latest) == ([], None)
+
+
+# --- keep last ------------------------------------------------------------------------------
+
+
+async def test_the_newest_messages_are_kept_and_the_others_counted():
+    async with line(depth=3) as words:
+        say(words.sending, *range(10))
+        assert await read(words.receiving, 3) == [7, 8, 9]
+        assert words.receiving.missed == 7
+
+
+async def test_a_reader_that_keeps_up_misses_nothing():
+    async with line(depth=1) as words:
+        for number in range(5):
+            say(words.sending, number)
+            assert await read(words.receiving, 1) == [number]
+        assert words.receiving.missed == 0
+
+
+async def test_exactly_as_many_as_the_depth_are_no_loss():
+    async with line(depth=3) as words:
+        say(words.sending, 1, 2, 3)
+        assert words.receiving.missed == 0
+        say(words.sending, 4)
+        assert words.receiving.missed == 1
+
+
+async def test_ten_are_kept_unless_something_is_said():
+    async with turtleact.open_node("lab") as node:
+        receiving = node.subscription(Word, "words")
+        say(node.publisher(Word, "words"), *range(12))
+        assert [message.number for message in receiving.drain()] == list(range(2, 12))
+
+
+async def test_the_latest_is_the_newest_read_or_not():
+    async with line(depth=1) as words:
+        assert words.receiving.latest is None
+        say(words.sending, 1, 2)
+        assert words.receiving.latest == Word(number=2)
+        await read(words.receiving, 1)
+        assert words.receiving.latest == Word(number=2)
+
+
+async def test_draining_takes_what_is_there_and_no_more():
+    async with line() as words:
+        assert words.receiving.drain() == []
+        say(words.sending, 1, 2)
+        assert words.receiving.drain() == [Word(number=1), Word(number=2)]
+        assert words.receiving.drain() == []
+        say(words.sending, 3)
+        assert await read(words.receiving, 1) == [3]
+
+
+async def test_a_reader_whose_message_was_drained_goes_on_waiting():
+    async with line() as words, running(lambda: read(words.receiving, 1)) as reading:
+        say(words.sending, 1)
+        words.receiving.drain()
+        await settle()
+        assert not reading.done.is_set()
+        say(words.sending, 2)
+        await reading.done.wait()
+        assert reading.value == [2]
+
+
+# --- latched --------------------------------------------------------------------------------
+
+
+async def test_a_late_subscription_gets_the_latched_messages():
+    async with turtleact.open_node("lab") as node:
+        say(node.publisher(Word, "words", LATCHED), 1, 2, 3)
+        assert await read(node.subscription(Word, "words", LATCHED), 2) == [2, 3]
+
+
+async def test_a_late_subscription_keeps_no_more_latched_messages_than_its_depth():
+    async with turtleact.open_node("lab") as node:
+        say(node.publisher(Word, "words", LATCHED), 1, 2)
+        late = node.subscription(Word, "words", QoS(depth=1, durability="transient_local"))
+        assert (await read(late, 1), late.missed) == ([2], 1)
+
+
+async def test_a_publisher_that_latches_publishes_for_those_to_come():
+    async with turtleact.open_node("lab") as node:
+        assert node.publisher(Word, "words", LATCHED).has_subscriptions
+
+
+async def test_a_subscription_that_does_not_ask_for_latched_messages_gets_none():
+    async with turtleact.open_node("lab") as node:
+        say(node.publisher(Word, "words", LATCHED), 1)
+        assert node.subscription(Word, "words").drain() == []
+
+
+# --- several readers ------------------------------------------------------------------------
+
+
+async def test_of_two_readers_each_message_goes_to_one():
+    async with (
+        line() as words,
+        running(lambda: read_to_the_end(words.receiving)) as first,
+        running(lambda: read_to_the_end(words.receiving)) as second,
+    ):
+        for number in range(6):
+            say(words.sending, number)
+            await settle()
+        await words.receiving.aclose()
+        await first.done.wait()
+        await second.done.wait()
+        assert sorted(first.value + second.value) == list(range(6))
+
+
+async def test_two_waiting_readers_each_get_one_of_two_messages():
+    async with (
+        line() as words,
+        running(lambda: read(words.receiving, 1)) as first,
+        running(lambda: read(words.receiving, 1)) as second,
+    ):
+        say(words.sending, 1, 2)
+        await first.done.wait()
+        await second.done.wait()
+        assert sorted(first.value + second.value) == [1, 2]
+
+
+# --- canceled -------------------------------------------------------------------------------
+
+
+async def test_a_canceled_reader_loses_no_message():
+    async with line() as words:
+        for turns in range(6):
+            async with running(lambda: read(words.receiving, 1)) as reading:
+                say(words.sending, turns)
+                for _ in range(turns):
+                    await current_tasks().checkpoint()
+                reading.scope.cancel()
+            taken = reading.value or []
+            left = [message.number for message in words.receiving.drain()]
+            assert taken + left == [turns], f"after {turns} turns"
+
+
+async def test_a_message_passes_from_a_canceled_reader_to_the_next():
+    async with (
+        line() as words,
+        running(lambda: read(words.receiving, 1)) as first,
+        running(lambda: read(words.receiving, 1)) as second,
+    ):
+        first.scope.cancel()
+        say(words.sending, 7)
+        await first.done.wait()
+        if first.value is not None:  # it was faster than its cancellation
+            say(words.sending, 8)
+        await second.done.wait()
+        assert (first.value or []) + second.value in ([7], [7, 8])
+
+
+@ON_ASYNCIO
+async def test_a_canceled_reader_leaves_nothing_behind():
+    async with line() as words:
+        before = other_tasks()
+        async with running(lambda: read(words.receiving, 1)) as reading:
+            reading.scope.cancel()
+        assert other_tasks() == before
+
+
+# --- closing --------------------------------------------------------------------------------
+
+
+async def test_closing_ends_every_reader_that_waits():
+    async with (
+        line() as words,
+        running(lambda: read_to_the_end(words.receiving)) as first,
+        running(lambda: read_to_the_end(words.receiving)) as second,
+    ):
+        await words.receiving.aclose()
+        await first.done.wait()
+        await second.done.wait()
+        assert (first.value, second.value) == ([], [])
+
+
+async def test_what_has_come_before_the_closing_can_be_read():
+    async with line() as words:
+        say(words.sending, 1, 2)
+        await words.receiving.aclose()
+        say(words.sending, 3)
+        assert await read_to_the_end(words.receiving) == [1, 2]
+
+
+async def test_reading_a_closed_subscription_is_at_its_end_again_and_again():
+    async with line() as words:
+        await words.receiving.aclose()
+        assert await read_to_the_end(words.receiving) == []
+        with pytest.raises(StopAsyncIteration):
+            await anext(words.receiving)
+
+
+async def test_publishing_where_a_subscription_was_closed_goes_on():
+    async with line() as words:
+        other = words.node.subscription(Word, "words")
+        await words.receiving.aclose()
+        say(words.sending, 1)
+        assert await read(other, 1) == [1]
+
+
+async def test_publishing_on_a_closed_publisher_raises():
+    async with line() as words:
+        await words.sending.aclose()
+        with pytest.raises(
+            TurtleactError, match="the publisher of topic '/words' is closed: open another"
+        ):
+            say(words.sending, 1)
+        assert words.receiving.drain() == []
+
+
+async def test_nobody_listens_to_a_closed_publisher():
+    async with line() as words:
+        await words.sending.aclose()
+        assert not words.sending.is_open
+        assert not words.sending.has_subscriptions
+
+
+async def test_closing_twice_does_no_harm():
+    async with line() as words:
+        for _ in range(2):
+            await words.sending.aclose()
+            await words.receiving.aclose()
+        assert words.node.graph().topics == {}
+
+
+async def test_both_ends_know_the_full_name_of_their_topic():
+    async with line() as words:
+        assert words.sending.topic == words.receiving.topic == "/words"
+
+
+async def test_a_subscription_of_no_transport_can_be_closed():
+    receiving: Subscription[Word] = Subscription("/words", 10, current_tasks().signal())
+    await receiving.aclose()
+    with anyio.fail_after(10):
+        assert await read_to_the_end(receiving) == []

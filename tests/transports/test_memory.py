@@ -1,0 +1,73 @@
+"""The transport inside one process: the common suite, and what is its own."""
+
+from __future__ import annotations
+
+from contextlib import asynccontextmanager
+
+import pytest
+
+from turtleact.clock import VirtualClock, WallClock
+from turtleact.transports import MemoryTransport, Transport
+
+from ..lab import feedback, settle
+from .conformance import (
+    KINDS,
+    LATCHED,
+    Peers,
+    TransportConformance,
+    of_kind,
+    open_it,
+    publisher,
+    subscription,
+)
+
+
+class TestMemoryTransport(TransportConformance):
+    @pytest.fixture
+    def transport(self):
+        @asynccontextmanager
+        async def open_peers():
+            transport: Transport = MemoryTransport()
+            yield Peers(transport, transport, settle)
+
+        return open_peers
+
+
+async def test_a_message_is_handed_on_as_it_is_in_the_publishers_own_call():
+    seen: list[object] = []
+    transport, message = MemoryTransport(), feedback(1)
+    transport.subscribe(subscription(), seen.append)
+    transport.advertise(publisher()).publish(message)
+    assert seen[0] is message
+
+
+async def test_a_latched_message_is_there_when_subscribing_returns():
+    seen: list[object] = []
+    transport = MemoryTransport()
+    transport.advertise(publisher(qos=LATCHED)).publish(feedback(1))
+    transport.subscribe(subscription(qos=LATCHED), seen.append)
+    assert seen == [feedback(1)]
+
+
+async def test_two_transports_are_two_graphs():
+    seen: list[object] = []
+    one, other = MemoryTransport(), MemoryTransport()
+    one.subscribe(subscription(), seen.append)
+    other.advertise(publisher()).publish(feedback(1))
+    assert (seen, one.endpoints()) == ([], (subscription(),))
+
+
+async def test_what_was_opened_and_closed_leaves_nothing_behind():
+    transport = MemoryTransport()
+    for number in range(3):
+        for opened in [open_it(transport, of_kind(kind, f"/it{number}")) for kind in KINDS]:
+            opened.close()
+        transport.enter(f"/lab{number}").close()
+    tables = (transport._topics, transport._handlers, transport._endpoints, transport._nodes)
+    assert tables == ({}, {}, {}, {})
+
+
+def test_its_time_is_the_walls_unless_it_is_given_another():
+    clock = VirtualClock()
+    assert isinstance(MemoryTransport().clock, WallClock)
+    assert MemoryTransport(clock).clock is clock
