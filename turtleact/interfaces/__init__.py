@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 from turtleact.interfaces.classes import (
     get_interface,
-    implied_types,
     interface_text,
     known_interfaces,
     load_interface,
     load_interfaces,
 )
 from turtleact.interfaces.copying import snapshot, snapshotter
+from turtleact.interfaces.implying import Implied, implied
 from turtleact.interfaces.mapping import from_dict, to_dict
 from turtleact.interfaces.types import (
     Action,
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Action",
+    "Implied",
     "Message",
     "Service",
     "array",
@@ -59,7 +60,7 @@ __all__ = [
     "from_dict",
     "from_text",
     "get_interface",
-    "implied_types",
+    "implied",
     "int8",
     "int16",
     "int32",

@@ -3,32 +3,27 @@
 An interface that no Python class declares is made from its text when it is first asked for: from
 the folders given to ``load_interfaces``, then from the files that ship in ``standard``. The one
 module of its row that opens files.
-
-Source: ``rosidl_parser/definition.py``, for the types that an action implies.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
-
-import msgspec
+from typing import TYPE_CHECKING
 
 from turtleact.errors import InvalidInterface, UnknownInterface
 from turtleact.interfaces import standard
 from turtleact.interfaces.definition import (
-    Field,
-    FieldType,
     MessageDefinition,
     ServiceDefinition,
     definition_text,
     nearest,
     type_name_pattern,
 )
+from turtleact.interfaces.implying import implied, owner_and_part, part_of
 from turtleact.interfaces.making import make_action, make_message, make_service
 from turtleact.interfaces.parse import parse
 from turtleact.interfaces.registry import REGISTRY
-from turtleact.interfaces.types import Action, Message, Service, definition
+from turtleact.interfaces.types import definition
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
@@ -37,7 +32,6 @@ if TYPE_CHECKING:
     from turtleact.interfaces.registry import Interface
 
 __all__ = [
-    "ImpliedTypes",
     "class_of",
     "get_interface",
     "implied_types",
@@ -49,19 +43,8 @@ __all__ = [
 
 KINDS = ("msg", "srv", "action")
 
-
-class ImpliedTypes(msgspec.Struct, frozen=True):
-    """What an action sends besides its parts.
-
-    Attributes:
-        send_goal: Service: goal id and goal, answered by whether and when it was accepted.
-        get_result: Service: goal id, answered by status and result.
-        feedback_message: Message: goal id and feedback.
-    """
-
-    send_goal: type[Service]
-    get_result: type[Service]
-    feedback_message: type[Message]
+#: The former name of ``implied``.
+implied_types = implied
 
 
 def get_interface(type_name: str) -> Interface:
@@ -133,15 +116,7 @@ def load_interfaces(folder: str | Path) -> tuple[str, ...]:
 def known_interfaces() -> tuple[str, ...]:
     """The names of all interfaces that can be had, without the types that others imply."""
     names = {*REGISTRY.names(), *REGISTRY.files, *shipped_names()}
-    return tuple(sorted(name for name in names if "_" not in name.rpartition("/")[2]))
-
-
-def implied_types(action: type[Action]) -> ImpliedTypes:
-    """What this action sends besides its parts, as classes: the same ones every time."""
-    held = vars(action).get("_implied")
-    if held is None:
-        held = action._implied = make_implied_types(action)
-    return cast("ImpliedTypes", held)
+    return tuple(sorted(name for name in names if owner_and_part(name)[0] not in names))
 
 
 def interface_text(cls: Interface) -> str:
@@ -188,71 +163,18 @@ def build(definition: Definition, making: tuple[str, ...]) -> Interface:
     return REGISTRY.get(definition.type_name) or made
 
 
-def make_implied_types(action: type[Action]) -> ImpliedTypes:
-    """Makes the classes that an action implies."""
-    name = action.type_name
-    own = {part.type_name: part for part in (action.Goal, action.Result, action.Feedback)}
-
-    def find(type_name: str) -> Interface:
-        return own.get(type_name) or needed(look_up(type_name, ()), type_name)
-
-    def message(suffix: str, *fields: Field) -> MessageDefinition:
-        return MessageDefinition(f"{name}_{suffix}", fields)
-
-    def service(suffix: str, request: list[Field], response: list[Field]) -> type[Service]:
-        parts = message(f"{suffix}_Request", *request), message(f"{suffix}_Response", *response)
-        return make_service(ServiceDefinition(f"{name}_{suffix}", *parts), find)
-
-    goal_id = Field("goal_id", FieldType("unique_identifier_msgs/msg/UUID"))
-    goal = Field("goal", FieldType(f"{name}_Goal"))
-    accepted = Field("accepted", FieldType("bool"))
-    stamp = Field("stamp", FieldType("builtin_interfaces/msg/Time"))
-    status = Field("status", FieldType("int8"))
-    result = Field("result", FieldType(f"{name}_Result"))
-    feedback = Field("feedback", FieldType(f"{name}_Feedback"))
-    return ImpliedTypes(
-        service("SendGoal", [goal_id, goal], [accepted, stamp]),
-        service("GetResult", [goal_id], [status, result]),
-        make_message(message("FeedbackMessage", goal_id, feedback), find),
-    )
-
-
 def look_up(type_name: str, making: tuple[str, ...]) -> Interface | None:
     """The class of that full name, known, read from its file, or None."""
     if type_name in making:
         circle = " in ".join([type_name, *reversed(making[making.index(type_name) :])])
         raise InvalidInterface(f"a message contains itself: {circle}", source=making[0])
-    folder, _, name = type_name.rpartition("/")
-    whole, _, part = name.partition("_")
-    if part:
-        owner = look_up(f"{folder}/{whole}", making)
-        return members(owner).get(part) or REGISTRY.get(type_name)
-    held = REGISTRY.get(type_name)
+    owner, part = owner_and_part(type_name)
+    found = part_of(look_up(owner, making), part) if part else None
+    found = found or REGISTRY.get(type_name)
+    if found is not None:
+        return found
     file = REGISTRY.files.get(type_name) or shipped(type_name)
-    if held is not None or file is None:
-        return held
-    return build(parse(read(file), type_name, source=str(file)), making)
-
-
-def members(owner: Interface | None) -> dict[str, Interface]:
-    """The types that belong to a service or action, by what stands behind its name."""
-    if owner is None or issubclass(owner, Message):
-        return {}
-    if issubclass(owner, Service):
-        return {"Request": owner.Request, "Response": owner.Response}
-    implied = implied_types(owner)
-    return {
-        "Goal": owner.Goal,
-        "Result": owner.Result,
-        "Feedback": owner.Feedback,
-        "FeedbackMessage": implied.feedback_message,
-        "SendGoal": implied.send_goal,
-        "SendGoal_Request": implied.send_goal.Request,
-        "SendGoal_Response": implied.send_goal.Response,
-        "GetResult": implied.get_result,
-        "GetResult_Request": implied.get_result.Request,
-        "GetResult_Response": implied.get_result.Response,
-    }
+    return None if file is None else build(parse(read(file), type_name, source=str(file)), making)
 
 
 def full_names(type_name: str) -> list[str]:
