@@ -7,29 +7,35 @@ of them from target to target. Both know topics only, so any robot that has ``<t
 
 from __future__ import annotations
 
+import math
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, cast
 
-import anyio
-
-from turtleact.actions.steering import Area, Limits, Steering, Style, time_bound
+from turtleact.actions.steering import Area, Limits, Steering, time_bound
 from turtleact.errors import Abort, InvalidMessage, InvalidName, Reject
 from turtleact.geometry import distance
 from turtleact.interfaces.standard import Point, TurtlePose, Twist, Vector3
+from turtleact.names import resolve_name
+from turtleact.tasks import Background
 
 if TYPE_CHECKING:
+    from turtleact.actions.steering import Style
+    from turtleact.clock import Clock
     from turtleact.node import Node
     from turtleact.topics import Publisher, Subscription
 
 __all__ = ["Drive", "Turtles"]
 
 SILENCE: Final = 2.0
-"""A turtle whose pose has not been heard of for so long (s) is given up."""
+"""A turtle is given up after so long (s) without a pose, or twice that: it is checked as often."""
 
 PATIENCE: Final = 2.0
 """A target is given up after so many times the longest time that the law of steering needs."""
+
+FASTEST: Final = math.pi / 2 / Limits().dt
+"""The highest turn rate (rad/s) that the law of steering knows what to do with."""
 
 
 class Turtles:
@@ -53,6 +59,8 @@ class Turtles:
         Raises:
             Reject: if there is no such style, or a number is out of its range.
         """
+        if max_angular > FASTEST:
+            raise Reject(f"max_angular: must be {FASTEST:.4g} rad/s at most, not {max_angular}")
         try:
             limits = Limits(
                 max_linear=max_linear,
@@ -60,7 +68,7 @@ class Turtles:
                 tolerance=tolerance,
                 area=self._area,
             )
-            return Steering(_style(style), limits)
+            return Steering(cast("Style", style), limits)
         except InvalidMessage as error:
             raise Reject(str(error)) from None
 
@@ -76,47 +84,56 @@ class Turtles:
             raise Reject(f"'{turtle}' is no name of a turtle: {error.problem}") from None
         if not publishers:
             raise Reject(f"there is no turtle '{turtle}': nobody publishes {turtle}/pose")
-        if turtle in self._driven:
-            raise Reject(f"turtle '{turtle}' is being driven by another goal")
+        if self._topic(turtle) in self._driven:
+            raise Reject(_taken(turtle))
 
-    def check_targets(self, targets: Sequence[Point], *, name: str = "targets") -> None:
-        """See to it that there are targets, and that they are inside the area.
+    def check_target(self, target: Point, *, path: str = "") -> None:
+        """See to it that a target is inside the area.
+
+        Args:
+            target: The target.
+            path: What to put before the name of a coordinate: ``targets[2].``.
 
         Raises:
-            Reject: otherwise, with the name of the first target that is not.
+            Reject: otherwise, with the name of the first coordinate that is not.
         """
-        if not targets:
-            raise Reject(f"{name} is empty: give at least one, such as {{x: 9.0, y: 7.0}}")
         area = self._area
-        for index, target in enumerate(targets):
-            inside = area.left <= target.x <= area.right and area.bottom <= target.y <= area.top
-            if not inside:
-                raise Reject(
-                    f"{name}[{index}] (x: {target.x:g}, y: {target.y:g}) is outside the world: "
-                    f"x from {area.left:g} to {area.right:g}, "
-                    f"y from {area.bottom:g} to {area.top:g}"
-                )
+        ranges = {"x": (area.left, area.right), "y": (area.bottom, area.top)}
+        for name, (low, high) in ranges.items():
+            value = getattr(target, name)
+            if not low <= value <= high:
+                problem = f"is {value}, outside the world: from {low:.9g} to {high:.9g}"
+                raise Reject(f"{path}{name} {problem}")
 
     @asynccontextmanager
     async def drive(self, turtle: str, steering: Steering) -> AsyncIterator[Drive]:
         """Hold a turtle for the length of a block; it stands still at the end, whatever ended it.
 
         Raises:
-            Abort: if nothing is heard of its pose.
+            Abort: if nothing is heard of its pose, or another goal has come first.
         """
-        self._driven.add(turtle)
+        topic = self._topic(turtle)
+        if topic in self._driven:  # two goals may have been accepted before either has begun
+            raise Abort(_taken(turtle))
         poses = self._node.subscription(TurtlePose, f"{turtle}/pose")
         twists = self._node.publisher(Twist, f"{turtle}/cmd_vel")
+        self._driven.add(topic)
+        watch = Background(_close_when_silent(poses, self._node.clock), f"the watch over {topic}")
         try:
             drive = Drive(self._node, turtle, steering, poses, twists)
             await drive.wait_for_pose()
             drive.travelled = 0.0
             yield drive
         finally:
+            self._driven.discard(topic)
             twists.publish(Twist())
-            self._driven.discard(turtle)
             await twists.aclose()
             await poses.aclose()
+            await watch.aclose()
+
+    def _topic(self, turtle: str) -> str:
+        """The full name of its pose: a turtle may be called by several names."""
+        return resolve_name(f"{turtle}/pose", self._node.namespace, self._node.name)
 
 
 class Drive:
@@ -178,26 +195,31 @@ class Drive:
         Raises:
             Abort: if nothing is heard of the turtle's pose.
         """
-        with anyio.move_on_after(self._clock.wall_seconds(SILENCE)):
+        try:
             pose = await anext(self._poses)
-            for pose in self._poses.drain():  # noqa: B007  # the newest counts
-                pass
-            self.travelled += distance(self.pose.x, self.pose.y, pose.x, pose.y)
-            self.pose = pose
-            return
-        raise Abort(f"nothing was heard of {self._turtle}/pose for {SILENCE:g} s")
+        except StopAsyncIteration:
+            why = f"nothing was heard of {self._turtle}/pose for {SILENCE:g} s"
+            raise Abort(why) from None
+        for pose in self._poses.drain():  # noqa: B007  # the newest counts
+            pass
+        self.travelled += distance(self.pose.x, self.pose.y, pose.x, pose.y)
+        self.pose = pose
 
     @property
     def _place(self) -> tuple[float, float, float]:
         return self.pose.x, self.pose.y, self.pose.theta
 
 
-def _style(style: str) -> Style:
-    known: dict[str, Style] = {
-        "arc": "arc",
-        "forward": "forward",
-        "rotate_then_drive": "rotate_then_drive",
-    }
-    if style not in known:
-        raise Reject(f"there is no style '{style}': choose one of {', '.join(known)}")
-    return known[style]
+async def _close_when_silent(poses: Subscription[TurtlePose], clock: Clock) -> None:
+    """End whoever waits for a pose once none has come for a while."""
+    last: TurtlePose | None = None
+    while True:
+        await clock.sleep(SILENCE)
+        if poses.latest is last:
+            await poses.aclose()
+            return
+        last = poses.latest
+
+
+def _taken(turtle: str) -> str:
+    return f"turtle '{turtle}' is being driven by another goal"

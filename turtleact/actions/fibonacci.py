@@ -45,8 +45,9 @@ async def fibonacci(
 ) -> AsyncIterator[Fibonacci.Feedback | Fibonacci.Result]:
     """Work out the sequence up to number ``order``, a number a second."""
     sequence = [0, 1]
-    for i in range(1, goal.order):
-        sequence.append(sequence[i] + sequence[i - 1])
+    while len(sequence) <= goal.order:
+        sequence.append(sequence[-1] + sequence[-2])
+        handle.set_partial_result(Fibonacci.Result(sequence=sequence))
         yield Fibonacci.Feedback(partial_sequence=sequence)
         await handle.node.clock.sleep(PACE)
     yield Fibonacci.Result(sequence=sequence)
@@ -60,8 +61,9 @@ async def example_fibonacci(
 ) -> AsyncIterator[ExampleFibonacci.Feedback | ExampleFibonacci.Result]:
     """The same under the name and fields of example_interfaces."""
     sequence = [0, 1]
-    for i in range(1, goal.order):
-        sequence.append(sequence[i] + sequence[i - 1])
+    while len(sequence) <= goal.order:
+        sequence.append(sequence[-1] + sequence[-2])
+        handle.set_partial_result(ExampleFibonacci.Result(sequence=sequence))
         yield ExampleFibonacci.Feedback(sequence=sequence)
         await handle.node.clock.sleep(PACE)
     yield ExampleFibonacci.Result(sequence=sequence)

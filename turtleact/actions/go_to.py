@@ -83,7 +83,7 @@ class _GoTo:
     def check(self, goal: GoTo.Goal) -> GoalResponse:
         self._steering(goal)
         self._turtles.check_turtle(goal.turtle)
-        self._turtles.check_targets([Point(x=goal.x, y=goal.y)], name="target")
+        self._turtles.check_target(Point(x=goal.x, y=goal.y))
         return GoalResponse.ACCEPT
 
     async def execute(
@@ -94,19 +94,20 @@ class _GoTo:
         target = Point(x=goal.x, y=goal.y)
         async with self._turtles.drive(goal.turtle, self._steering(goal)) as drive:
             deadline, due = drive.deadline(target), started
-            while not drive.has_reached(target):
-                if clock.time() > deadline:
-                    raise Abort(f"x: {goal.x:g}, y: {goal.y:g} was not reached in time")
-                if clock.time() >= due:
-                    due = clock.time() + PERIOD
-                    yield GoTo.Feedback(
-                        pose=drive.pose, distance_remaining=drive.distance_to([target])
-                    )
-                await drive.towards(target)
-                handle.set_partial_result(
-                    GoTo.Result(distance=drive.travelled, duration=clock.time() - started)
-                )
-        yield GoTo.Result(distance=drive.travelled, duration=clock.time() - started)
+            try:
+                while not drive.has_reached(target):
+                    if clock.time() > deadline:
+                        raise Abort(f"x: {goal.x:g}, y: {goal.y:g} was not reached in time")
+                    if clock.time() >= due:
+                        due = clock.time() + PERIOD
+                        yield GoTo.Feedback(
+                            pose=drive.pose, distance_remaining=drive.distance_to([target])
+                        )
+                    await drive.towards(target)
+            finally:
+                result = GoTo.Result(distance=drive.travelled, duration=clock.time() - started)
+                handle.set_partial_result(result)
+        yield result
 
     def _steering(self, goal: GoTo.Goal) -> Steering:
         return self._turtles.steering(

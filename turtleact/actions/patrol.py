@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
+import anyio.lowlevel
+
 from turtleact.errors import Abort, Reject
 from turtleact.geometry import distance
 from turtleact.goal import GoalResponse
@@ -142,7 +144,10 @@ class _Patrol:
         if goal.loops < 0:
             raise Reject(f"loops is {goal.loops}: it is a number of extra rounds, 0 or more")
         self._turtles.check_turtle(goal.turtle)
-        self._turtles.check_targets(goal.targets)
+        if not goal.targets:
+            raise Reject("targets is empty: give at least one, such as {x: 9.0, y: 7.0}")
+        for index, target in enumerate(goal.targets):
+            self._turtles.check_target(target, path=f"targets[{index}].")
         return GoalResponse.ACCEPT
 
     def check_command(self, command: PatrolCommandInterface.Goal) -> GoalResponse:
@@ -186,25 +191,26 @@ class _Patrol:
         tell: Callable[[Patrol.Feedback], None],
         note: Callable[[Patrol.Result], None],
     ) -> Patrol.Result:
-        """Visit all stops; tell of each one, and note what has been done so far."""
+        """Visit all stops; tell of each one, and note what has been done, at any end."""
         tour = _Tour(goal.targets, 1 + goal.loops)
         result = Patrol.Result()
         started = clock.time()
         async with self._turtles.drive(goal.turtle, self._steering(goal)) as drive:
-            for stop in range(tour.stops):
-                leg = _Leg(tour, stop, drive, clock, result, tell)
-                is_reached = await leg.run()
+            try:
+                for stop in range(tour.stops):
+                    await anyio.lowlevel.checkpoint()  # a stop where it stands makes no other
+                    leg = _Leg(tour, stop, drive, clock, result, tell)
+                    if await leg.run():
+                        result.reached += 1
+                        leg.tell(is_reached=True)
+                        continue
+                    result.missed.append(tour.index(stop))
+                    if goal.stop_on_failure:
+                        raise Abort(f"targets[{tour.index(stop)}] was not reached in time")
+            finally:
                 result.distance = drive.travelled
                 result.duration = clock.time() - started
-                if is_reached:
-                    result.reached += 1
-                else:
-                    result.missed.append(tour.index(stop))
                 note(result)
-                if is_reached:
-                    leg.tell(is_reached=True)
-                elif goal.stop_on_failure:
-                    raise Abort(f"targets[{tour.index(stop)}] was not reached in time")
         return result
 
     def _steering(self, goal: Patrol.Goal) -> Steering:

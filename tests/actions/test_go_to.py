@@ -1,0 +1,154 @@
+"""``/go_to``, in the world's own time."""
+
+from __future__ import annotations
+
+import pytest
+
+from turtleact.actions.go_to import GoTo
+from turtleact.errors import GoalAborted, GoalRejected
+from turtleact.geometry import distance
+from turtleact.goal import GoalStatus
+
+from .arena import STYLES, arena
+
+MIDDLE = 11.088889122009277 / 2
+FAR = GoTo.Goal(x=9.0, y=MIDDLE, max_linear=1.0)
+
+
+def client_of(stage):
+    return stage.node.action_client(GoTo, "go_to")
+
+
+def away(stage, x, y):
+    """How far the turtle is from a place."""
+    return distance(stage.place[0], stage.place[1], x, y)
+
+
+@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("target", [(9.0, 7.0), (1.0, 5.0), (MIDDLE, 5.9), (0.0, 0.0)])
+async def test_a_turtle_goes_where_it_is_told(style, target):
+    async with arena() as stage:
+        x, y = target
+        await client_of(stage).send_goal(GoTo.Goal(x=x, y=y, style=style))
+        assert away(stage, x, y) <= 0.1
+        assert await stage.stands_still()
+
+
+async def test_the_result_tells_how_far_it_was_and_how_long_it_took():
+    async with arena() as stage:
+        start = stage.node.clock.time()
+        result = await client_of(stage).send_goal(FAR)
+        assert result.duration == pytest.approx(stage.node.clock.time() - start, abs=0.02)
+        assert result.distance == pytest.approx(stage.place[0] - MIDDLE, abs=1e-5)
+
+
+async def test_a_target_where_the_turtle_stands_is_reached_at_once_and_in_silence():
+    async with arena() as stage, client_of(stage).send_goal(GoTo.Goal(x=MIDDLE, y=MIDDLE)) as goal:
+        told = [feedback async for feedback in goal]
+        result = await goal.result()
+    assert (told, result.distance) == ([], 0.0)
+    assert result.duration <= 0.016
+
+
+async def test_there_is_feedback_at_the_start_and_once_a_second():
+    async with arena() as stage, client_of(stage).send_goal(FAR) as goal:
+        start = stage.node.clock.time()
+        told = [(stage.node.clock.time() - start, feedback) async for feedback in goal]
+    assert [time for time, _ in told] == pytest.approx([0.016, 1.0, 2.0, 3.0], abs=0.07)
+    left = [feedback.distance_remaining for _, feedback in told]
+    assert left == pytest.approx([9.0 - feedback.pose.x for _, feedback in told])
+
+
+async def test_speeds_and_tolerance_are_those_of_the_goal():
+    goal = GoTo.Goal(x=8.0, y=8.0, max_linear=0.5, max_angular=0.25, tolerance=0.5)
+    async with arena() as stage:
+        await client_of(stage).send_goal(goal)
+        commands = stage.commands()
+        assert away(stage, 8.0, 8.0) == pytest.approx(0.5, abs=0.01)
+    assert max(abs(linear) for linear, _ in commands) == 0.5
+    assert max(abs(angular) for _, angular in commands) == 0.25
+
+
+NO = "must be finite and above zero, not"
+REFUSED = [
+    ({"x": 12.0}, "x is 12.0, outside the world: from 0 to 11.0888891"),
+    ({"y": -1.0}, "y is -1.0, outside the world: from 0 to 11.0888891"),
+    ({"x": float("nan")}, "x is nan, outside the world: from 0 to 11.0888891"),
+    ({"turtle": "turtle2"}, "there is no turtle 'turtle2': nobody publishes turtle2/pose"),
+    ({"style": ""}, "style: '' is none of arc, forward, rotate_then_drive"),
+    ({"tolerance": -0.1}, f"tolerance: {NO} -0.1"),
+    ({"max_linear": 0.0}, f"max_linear: {NO} 0.0"),
+]
+
+
+@pytest.mark.parametrize(("options", "reason"), REFUSED, ids=[str(o) for o, _ in REFUSED])
+async def test_what_cannot_be_done_is_rejected_by_name(options, reason):
+    async with arena() as stage:
+        with pytest.raises(GoalRejected) as caught:
+            await client_of(stage).send_goal(GoTo.Goal(**options))
+        assert stage.twists.latest is None
+    assert caught.value.reason == reason
+
+
+async def test_a_turtle_that_is_going_somewhere_is_rejected():
+    async with arena() as stage, client_of(stage).send_goal(FAR):
+        await stage.node.clock.sleep(1.0)
+        with pytest.raises(GoalRejected, match="turtle 'turtle1' is being driven by another goal"):
+            await client_of(stage).send_goal(GoTo.Goal(x=1.0, y=1.0))
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.5, 2.0])
+async def test_a_canceled_goal_stops_the_turtle(seconds):
+    async with arena() as stage, client_of(stage).send_goal(FAR) as goal:
+        await stage.node.clock.sleep(seconds)
+        await goal.cancel()
+        assert (await goal.outcome()).status is GoalStatus.CANCELED
+        assert await stage.stands_still()
+
+
+async def test_a_canceled_goal_tells_how_far_the_turtle_got():
+    async with arena() as stage, client_of(stage).send_goal(FAR) as goal:
+        await stage.node.clock.sleep(2.0)
+        await goal.cancel()
+        result = (await goal.outcome()).result
+    assert (result.distance, result.duration) == pytest.approx((2.0, 2.0), abs=0.04)
+
+
+async def test_a_place_that_is_never_reached_aborts_the_goal():
+    async with arena() as stage, client_of(stage).send_goal(FAR) as goal:
+        async for feedback in goal:
+            assert feedback.pose.x < 9.0
+            stage.world.teleport_absolute("turtle1", 1.0, 1.0, 0.0)
+        with pytest.raises(GoalAborted) as caught:
+            await goal.result()
+        assert await stage.stands_still()
+    assert caught.value.reason == "x: 9, y: 5.54444 was not reached in time"
+    assert caught.value.result.duration > 2 * 3.0
+
+
+async def test_a_teleported_turtle_goes_on_from_where_it_is():
+    async with arena() as stage, client_of(stage).send_goal(GoTo.Goal(x=9.0, y=7.0)) as goal:
+        await stage.node.clock.sleep(1.0)
+        stage.world.teleport_absolute("turtle1", 6.0, 9.0, 3.0)
+        await goal.result()
+        assert away(stage, 9.0, 7.0) <= 0.1
+
+
+async def test_closing_the_server_stops_the_turtle():
+    async with arena() as stage, client_of(stage).send_goal(FAR) as goal:
+        await stage.node.clock.sleep(1.0)
+        await stage.actions.aclose()
+        outcome = await goal.outcome()
+        assert (outcome.status, outcome.reason) == (GoalStatus.ABORTED, "shutdown")
+        assert outcome.result.distance == pytest.approx(1.0, abs=0.04)
+        assert await stage.stands_still()
+
+
+async def test_a_turtle_that_is_heard_of_no_more_is_given_up():
+    async with arena() as stage, client_of(stage).send_goal(FAR) as goal:
+        await stage.node.clock.sleep(1.0)
+        await stage.sim.aclose()
+        outcome = await goal.outcome()
+        assert stage.commands()[-1] == (0.0, 0.0)
+    assert outcome.status is GoalStatus.ABORTED
+    assert outcome.reason == "nothing was heard of turtle1/pose for 2 s"

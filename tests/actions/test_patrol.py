@@ -1,0 +1,593 @@
+"""``/patrol`` and ``/command_turtle``, in the world's own time."""
+
+from __future__ import annotations
+
+from contextlib import aclosing, asynccontextmanager
+from itertools import pairwise
+from pathlib import Path
+
+import anyio
+import pytest
+
+from turtleact.actions.patrol import Patrol
+from turtleact.actions.steering import Steering, time_bound
+from turtleact.errors import GoalAborted, GoalRejected
+from turtleact.goal import GoalStatus
+from turtleact.interfaces import load_interface
+from turtleact.interfaces import standard as standard_interfaces
+from turtleact.interfaces.standard import PatrolCommandInterface, Point, Twist, Vector3
+from turtleact.tasks import Background
+
+from .arena import MARK, STYLES, arena
+
+TARGETS = [(9.0, 7.0), (5.0, 1.0), (1.0, 7.0), (2.0, 9.0)]
+MIDDLE = 11.088889122009277 / 2
+LOOPS = [("asyncio", {"use_uvloop": False}), ("asyncio", {"use_uvloop": True}), ("trio", {})]
+BEHIND = {"to the left": (1.0, 6.5), "to the right": (1.0, 4.5)}
+
+
+def points(*targets):
+    return [Point(x=x, y=y) for x, y in targets]
+
+
+def patrol(*targets, **options):
+    return Patrol.Goal(targets=points(*targets), **options)
+
+
+def client_of(stage):
+    return stage.node.action_client(Patrol, "patrol")
+
+
+async def feedback_of(stage, goal):
+    """All feedback, each with the time since the start, and the result."""
+    clock = stage.node.clock
+    start = clock.time()
+    async with client_of(stage).send_goal(goal) as sent:
+        told = [(clock.time() - start, feedback) async for feedback in sent]
+        return told, await sent.result()
+
+
+async def rejection(goal, **options):
+    async with arena(**options) as stage:
+        with pytest.raises(GoalRejected) as caught:
+            await client_of(stage).send_goal(goal)
+        assert stage.twists.latest is None
+    return caught.value.reason
+
+
+# The patrol of the README
+
+
+async def test_the_patrol_of_four_targets_takes_at_most_10_6_seconds():
+    async with arena() as stage:
+        result = await client_of(stage).send_goal(patrol(*TARGETS))
+    assert (result.reached, result.missed) == (4, [])
+    assert result.duration <= 10.6
+
+
+async def test_the_duration_of_a_result_is_the_clocks():
+    async with arena() as stage:
+        start = stage.node.clock.time()
+        result = await client_of(stage).send_goal(patrol(*TARGETS))
+        assert result.duration == pytest.approx(stage.node.clock.time() - start, abs=0.1)
+
+
+async def test_the_distance_of_a_result_is_the_way_that_the_turtle_was_seen_to_go():
+    async with arena() as stage:
+        result = await client_of(stage).send_goal(patrol((9.0, MIDDLE)))
+        assert result.distance == pytest.approx(stage.place[0] - MIDDLE, abs=1e-5)
+
+
+async def test_each_target_is_told_when_it_is_reached():
+    async with arena() as stage:
+        told, _ = await feedback_of(stage, patrol(*TARGETS))
+    reached = [feedback for _, feedback in told if feedback.is_reached]
+    assert [each.index for each in reached] == [0, 1, 2, 3]
+    assert [each.reached for each in reached] == [1, 2, 3, 4]
+    assert [each.target for each in reached] == points(*TARGETS)
+
+
+async def test_a_target_is_told_as_reached_where_the_turtle_is_near_it():
+    async with arena() as stage:
+        told, _ = await feedback_of(stage, patrol(*TARGETS))
+    reached = [feedback for _, feedback in told if feedback.is_reached]
+    away = [abs(complex(f.pose.x - f.target.x, f.pose.y - f.target.y)) for f in reached]
+    assert max(away) <= 0.1
+
+
+async def test_on_the_way_there_is_feedback_once_a_second():
+    async with arena() as stage:
+        told, _ = await feedback_of(stage, patrol((11.0, MIDDLE), max_linear=1.0))
+    times = [time for time, feedback in told if not feedback.is_reached]
+    assert times == pytest.approx([1.0, 2.0, 3.0, 4.0, 5.0], abs=0.033)
+
+
+async def test_feedback_on_the_way_tells_of_the_target_that_is_headed_for():
+    async with arena() as stage:
+        told, _ = await feedback_of(stage, patrol((11.0, MIDDLE), (5.0, MIDDLE), max_linear=1.0))
+    first, *_, last = [feedback for _, feedback in told if not feedback.is_reached]
+    assert (first.index, first.target.x, first.reached) == (0, 11.0, 0)
+    assert (last.index, last.target.x, last.reached) == (1, 5.0, 1)
+
+
+async def test_the_distance_remaining_goes_through_all_targets_and_rounds():
+    goal = patrol((9.0, MIDDLE), (7.0, MIDDLE), loops=1, max_linear=1.0)
+    async with arena() as stage:
+        told, _ = await feedback_of(stage, goal)
+    first = told[0][1]
+    assert first.distance_remaining == pytest.approx(9.0 - first.pose.x + 2.0 + 2.0 + 2.0)
+    left = [feedback.distance_remaining for _, feedback in told if feedback.is_reached]
+    assert left == pytest.approx([6.0, 4.0, 2.0, 0.0])
+
+
+async def test_the_distance_remaining_never_grows():
+    async with arena() as stage:
+        told, _ = await feedback_of(stage, patrol(*TARGETS, loops=1))
+    left = [feedback.distance_remaining for _, feedback in told]
+    assert all(a >= b - 0.1 for a, b in pairwise(left))
+
+
+def test_a_patrol_is_the_same_on_every_loop_to_the_last_bit():
+    async def run():
+        async with arena() as stage:
+            told, result = await feedback_of(stage, patrol(*TARGETS, loops=1))
+            return repr((told, result, stage.commands(), stage.place, stage.world.tick))
+
+    runs = {anyio.run(run, backend=name, backend_options=how) for name, how in LOOPS}
+    assert len(runs) == 1
+
+
+# Where targets are
+
+
+@pytest.mark.parametrize("side", BEHIND)
+@pytest.mark.parametrize("style", ["forward", "rotate_then_drive"])
+async def test_a_target_behind_is_turned_to_the_short_way_round(side, style):
+    async with arena() as stage:
+        await client_of(stage).send_goal(patrol(BEHIND[side], style=style))
+        turns = [angular for _, angular in stage.commands() if abs(angular) > 0.01]
+    assert {turn > 0.0 for turn in turns} == {side == "to the left"}
+    assert sum(map(abs, turns)) * 0.016 < 3.2
+
+
+@pytest.mark.parametrize("side", BEHIND)
+async def test_a_target_behind_is_driven_to_in_reverse(side):
+    async with arena() as stage:
+        await client_of(stage).send_goal(patrol(BEHIND[side]))
+        commands = stage.commands()
+    assert all(linear < 0.0 for linear, _ in commands[:-1])
+    assert sum(abs(angular) for _, angular in commands) * 0.016 < 0.5
+
+
+async def test_a_target_where_the_turtle_stands_is_reached_at_once():
+    async with arena() as stage:
+        ticks = stage.world.tick
+        result = await client_of(stage).send_goal(patrol((MIDDLE, MIDDLE)))
+        assert stage.world.tick <= ticks + 1
+    assert (result.reached, result.distance) == (1, 0.0)
+    assert result.duration <= 0.016
+
+
+@pytest.mark.parametrize("style", STYLES)
+async def test_two_equal_targets_in_a_row_count_twice_and_cost_nothing(style):
+    results = []
+    for targets in ([(9.0, 7.0)], [(9.0, 7.0), (9.0, 7.0)]):
+        async with arena() as stage:
+            goal = patrol(*targets, style=style)
+            results.append(await client_of(stage).send_goal(goal))
+    once, twice = results
+    assert (once.reached, twice.reached) == (1, 2)
+    assert twice.duration == once.duration
+
+
+async def test_targets_in_all_corners_are_reached():
+    side = MIDDLE * 2
+    corners = [(0.0, 0.0), (side, side), (0.0, side), (side, 0.0)]
+    async with arena() as stage:
+        result = await client_of(stage).send_goal(patrol(*corners))
+    assert result.reached == 4
+
+
+async def test_extra_rounds_visit_all_targets_again():
+    async with arena() as stage:
+        told, result = await feedback_of(stage, patrol((9.0, 7.0), (5.0, 1.0), loops=2))
+    assert result.reached == 6
+    assert [f.index for _, f in told if f.is_reached] == [0, 1, 0, 1, 0, 1]
+
+
+async def test_the_approach_to_a_target_swings_wide_of_the_turn_behind_it():
+    async with arena() as stage:
+        await client_of(stage).send_goal(patrol((9.0, MIDDLE), (9.0, 9.0)))
+        assert stage.commands()[0][1] < 0.0
+
+
+# What a goal may choose
+
+
+@pytest.mark.parametrize("style", STYLES)
+async def test_every_style_reaches_all_targets(style):
+    async with arena() as stage:
+        result = await client_of(stage).send_goal(patrol(*TARGETS, style=style))
+    assert (result.reached, result.missed) == (4, [])
+
+
+async def test_the_forward_style_never_reverses():
+    async with arena() as stage:
+        await client_of(stage).send_goal(patrol(*TARGETS, style="forward"))
+        assert all(linear >= 0.0 for linear, _ in stage.commands())
+
+
+async def test_rotate_then_drive_turns_on_the_spot_first():
+    async with arena() as stage:
+        await client_of(stage).send_goal(patrol((MIDDLE, 9.0), style="rotate_then_drive"))
+        linear = [linear for linear, _ in stage.commands()[:-1]]
+    assert linear[:40] == [0.0] * 40
+    assert linear[-40:-1] == [2.0] * 39
+
+
+async def test_speeds_stay_within_the_limits_of_the_goal():
+    async with arena() as stage:
+        await client_of(stage).send_goal(patrol(*TARGETS, max_linear=1.5, max_angular=0.75))
+        commands = stage.commands()
+    assert max(abs(linear) for linear, _ in commands) == 1.5
+    assert max(abs(angular) for _, angular in commands) == 0.75
+
+
+@pytest.mark.parametrize("tolerance", [0.02, 1.0])
+async def test_a_target_is_reached_within_the_tolerance_of_the_goal(tolerance):
+    async with arena() as stage:
+        await client_of(stage).send_goal(patrol((9.0, MIDDLE), tolerance=tolerance))
+        away = 9.0 - stage.place[0]
+    assert tolerance - 0.033 <= away <= tolerance
+
+
+async def test_a_patrol_may_be_of_another_turtle():
+    async with arena(turtles=3) as stage:
+        start = stage.place
+        result = await client_of(stage).send_goal(patrol((5.0, 1.0), turtle="turtle3"))
+        pose = stage.world.pose("turtle3")
+        assert (result.reached, stage.place) == (1, start)
+        assert abs(complex(pose.x - 5.0, pose.y - 1.0)) <= 0.1 + 0.033
+
+
+async def test_two_turtles_patrol_side_by_side():
+    async with arena(turtles=2) as stage:
+        client = client_of(stage)
+        start = stage.node.clock.time()
+        async with (
+            client.send_goal(patrol(*TARGETS)) as one,
+            client.send_goal(patrol(*TARGETS, turtle="turtle2")) as two,
+        ):
+            results = [await one.result(), await two.result()]
+        took = stage.node.clock.time() - start
+    assert [result.reached for result in results] == [4, 4]
+    assert took < sum(result.duration for result in results) - 5.0
+
+
+# What is refused
+
+NO = "must be finite and above zero, not"
+REFUSED = [
+    ({"targets": []}, "targets is empty: give at least one, such as {x: 9.0, y: 7.0}"),
+    (
+        {"targets": points((1.0, 1.0), (20.0, 3.0))},
+        "targets[1].x is 20.0, outside the world: from 0 to 11.0888891",
+    ),
+    (
+        {"targets": points((1.0, 1.0), (2.0, 2.0), (3.0, -0.5))},
+        "targets[2].y is -0.5, outside the world: from 0 to 11.0888891",
+    ),
+    (
+        {"targets": points((1.0, float("nan")))},
+        "targets[0].y is nan, outside the world: from 0 to 11.0888891",
+    ),
+    (
+        {"targets": points((float("inf"), 1.0))},
+        "targets[0].x is inf, outside the world: from 0 to 11.0888891",
+    ),
+    ({"loops": -1}, "loops is -1: it is a number of extra rounds, 0 or more"),
+    (
+        {"turtle": "turtle7"},
+        "there is no turtle 'turtle7': nobody publishes turtle7/pose",
+    ),
+    ({"turtle": ""}, "there is no turtle '': nobody publishes /pose"),
+    ({"style": "drift"}, "style: 'drift' is none of arc, forward, rotate_then_drive"),
+    ({"tolerance": 0.0}, f"tolerance: {NO} 0.0"),
+    ({"max_linear": -1.0}, f"max_linear: {NO} -1.0"),
+    ({"max_angular": float("nan")}, f"max_angular: {NO} nan"),
+    ({"max_angular": 99.0}, "max_angular: must be 98.17 rad/s at most, not 99.0"),
+]
+
+
+@pytest.mark.parametrize(("options", "reason"), REFUSED, ids=[str(o) for o, _ in REFUSED])
+async def test_what_cannot_be_done_is_rejected_by_name(options, reason):
+    goal = Patrol.Goal(**({"targets": points((1.0, 1.0))} | options))
+    assert await rejection(goal) == reason
+
+
+async def test_a_name_that_no_turtle_can_have_is_rejected():
+    reason = await rejection(patrol((1.0, 1.0), turtle="my turtle"))
+    assert reason.startswith("'my turtle' is no name of a turtle: ")
+
+
+@pytest.mark.parametrize("name", ["turtle1", "/turtle1"])
+async def test_a_turtle_that_is_being_driven_is_rejected_by_any_of_its_names(name):
+    async with arena() as stage, client_of(stage).send_goal(patrol(*TARGETS)):
+        await stage.node.clock.sleep(1.0)
+        reason = f"turtle '{name}' is being driven by another goal"
+        with pytest.raises(GoalRejected, match=f"^the goal was rejected: {reason}$"):
+            await client_of(stage).send_goal(patrol((1.0, 1.0), turtle=name))
+
+
+async def test_of_two_goals_sent_at_once_one_drives_the_turtle():
+    reasons, results = [], []
+
+    async def send(client):
+        try:
+            results.append(await client.send_goal(patrol(*TARGETS)))
+        except (GoalRejected, GoalAborted) as error:
+            reasons.append(error.reason)
+
+    async with arena() as stage, anyio.create_task_group() as group:
+        group.start_soon(send, client_of(stage))
+        group.start_soon(send, client_of(stage))
+    assert [result.reached for result in results] == [4]
+    assert reasons == ["turtle 'turtle1' is being driven by another goal"]
+
+
+# How it ends
+
+
+async def test_a_turtle_stands_still_after_its_patrol():
+    async with arena() as stage:
+        await client_of(stage).send_goal(patrol(*TARGETS))
+        assert await stage.stands_still()
+
+
+async def test_the_turtle_is_free_once_its_patrol_is_over():
+    async with arena() as stage:
+        for target in TARGETS[:2]:
+            assert (await client_of(stage).send_goal(patrol(target))).reached == 1
+
+
+MOMENTS = {"at the start": 0.0, "in the middle": 5.0, "during the last target": 9.6}
+
+
+@pytest.mark.parametrize("moment", MOMENTS)
+async def test_a_canceled_patrol_stops_the_turtle(moment):
+    async with arena() as stage, client_of(stage).send_goal(patrol(*TARGETS)) as goal:
+        await stage.node.clock.sleep(MOMENTS[moment])
+        await goal.cancel()
+        assert (await goal.outcome()).status is GoalStatus.CANCELED
+        assert await stage.stands_still()
+
+
+async def test_a_canceled_patrol_tells_what_it_has_done():
+    async with arena() as stage, client_of(stage).send_goal(patrol(*TARGETS)) as goal:
+        async for feedback in goal:
+            if feedback.reached == 2:
+                break
+        await stage.node.clock.sleep(1.0)
+        await goal.cancel()
+        result = (await goal.outcome()).result
+        took = stage.node.clock.time()
+    assert (result.reached, result.missed) == (2, [])
+    assert result.duration == pytest.approx(took, abs=0.04)
+    assert result.distance == pytest.approx(2.0 * took, abs=0.4)
+
+
+async def test_a_patrol_canceled_on_its_first_leg_tells_how_far_it_got():
+    goal = patrol((9.0, MIDDLE), max_linear=1.0)
+    async with arena() as stage, client_of(stage).send_goal(goal) as sent:
+        await stage.node.clock.sleep(2.0)
+        await sent.cancel()
+        result = (await sent.outcome()).result
+    assert result.reached == 0
+    assert (result.distance, result.duration) == pytest.approx((2.0, 2.0), abs=0.04)
+
+
+async def test_leaving_the_block_of_a_goal_stops_the_turtle():
+    async with arena() as stage:
+        async with client_of(stage).send_goal(patrol(*TARGETS)):
+            await stage.node.clock.sleep(3.0)
+        assert await stage.stands_still()
+
+
+async def test_canceling_the_task_that_awaits_a_patrol_stops_the_turtle():
+    async with arena() as stage:
+
+        async def wait():
+            await client_of(stage).send_goal(patrol(*TARGETS))
+
+        async with anyio.create_task_group() as group:
+            group.start_soon(wait)
+            await stage.node.clock.sleep(3.0)
+            group.cancel_scope.cancel()
+        assert await stage.stands_still()
+
+
+async def test_closing_the_server_stops_the_turtle():
+    async with arena() as stage, client_of(stage).send_goal(patrol(*TARGETS)) as goal:
+        await stage.node.clock.sleep(3.0)
+        await stage.actions.aclose()
+        outcome = await goal.outcome()
+        assert (outcome.status, outcome.reason) == (GoalStatus.ABORTED, "shutdown")
+        assert await stage.stands_still()
+
+
+async def test_stops_where_the_turtle_stands_let_others_run():
+    endless = patrol((MIDDLE, MIDDLE), loops=2**31 - 1)
+    async with arena() as stage, client_of(stage).send_goal(endless) as goal:
+        async for feedback in goal:
+            if feedback.reached == 3:
+                await goal.cancel()
+        outcome = await goal.outcome()
+    assert outcome.status is GoalStatus.CANCELED
+    assert outcome.result.reached >= 3
+
+
+# What others do to the turtle
+
+
+async def push_back(stage, *, to, every):
+    """Teleport the turtle again and again."""
+    while True:
+        await stage.node.clock.sleep(every)
+        stage.world.teleport_absolute("turtle1", *to, 0.0)
+
+
+async def drive_too(stage, *, speed, every):
+    """Somebody else publishes commands; the turtle follows the last one before a tick."""
+    twists = stage.node.publisher(Twist, "turtle1/cmd_vel")
+    while True:
+        twists.publish(Twist(linear=Vector3(y=MARK), angular=Vector3(z=speed)))
+        await stage.node.clock.sleep(every)
+
+
+@asynccontextmanager
+async def disturbed(disturb, **how):
+    """An arena in which somebody disturbs ``turtle1``."""
+    async with arena() as stage, aclosing(Background(disturb(stage, **how), "a disturber")):
+        yield stage
+
+
+async def test_a_turtle_that_is_teleported_is_driven_on_from_where_it_is():
+    async with arena() as stage, client_of(stage).send_goal(patrol(*TARGETS)) as goal:
+        await stage.node.clock.sleep(3.0)
+        stage.world.teleport_absolute("turtle1", 1.0, 1.0, 2.0)
+        result = await goal.result()
+    assert (result.reached, result.missed) == (4, [])
+
+
+async def test_a_turtle_that_is_pushed_now_and_then_reaches_its_targets():
+    async with disturbed(drive_too, speed=-3.0, every=0.5) as stage:
+        result = await client_of(stage).send_goal(patrol(*TARGETS))
+    assert (result.reached, result.missed) == (4, [])
+
+
+async def test_a_target_that_is_never_reached_is_missed_and_the_next_headed_for():
+    async with disturbed(push_back, to=(1.0, 1.0), every=0.5) as stage:
+        result = await client_of(stage).send_goal(patrol((9.0, 7.0), (1.5, 1.0), (8.0, 8.0)))
+        assert await stage.stands_still()
+    assert (result.reached, result.missed) == (1, [0, 2])
+
+
+async def test_a_missed_target_is_given_up_after_twice_the_time_that_it_may_take():
+    async with disturbed(push_back, to=(1.0, 1.0), every=0.5) as stage:
+        result = await client_of(stage).send_goal(patrol((9.0, MIDDLE)))
+        bound = time_bound((MIDDLE, MIDDLE, 0.0), [(9.0, MIDDLE)], Steering())
+    assert result.duration == pytest.approx(2 * bound, abs=0.05)
+
+
+async def test_targets_missed_in_extra_rounds_are_told_a_round_after_the_other():
+    async with disturbed(push_back, to=(1.0, 1.0), every=0.5) as stage:
+        result = await client_of(stage).send_goal(patrol((1.5, 1.0), (8.0, 8.0), loops=1))
+    assert (result.reached, result.missed) == (2, [1, 1])
+
+
+async def test_a_turtle_that_somebody_else_drives_does_not_keep_its_patrol_for_ever():
+    async with disturbed(drive_too, speed=3.0, every=0.016) as stage:
+        result = await client_of(stage).send_goal(patrol((9.0, 7.0)))
+        assert (result.reached, result.missed) == (0, [0])
+        assert stage.commands()[-1] == (0.0, 0.0)
+
+
+async def test_a_patrol_may_stop_on_failure():
+    async with disturbed(push_back, to=(1.0, 1.0), every=0.5) as stage:
+        goal = patrol((1.5, 1.0), (8.0, 8.0), (1.5, 1.0), stop_on_failure=True)
+        with pytest.raises(GoalAborted) as caught:
+            await client_of(stage).send_goal(goal)
+        assert await stage.stands_still()
+    assert caught.value.reason == "targets[1] was not reached in time"
+    result = caught.value.result
+    assert (result.reached, result.missed) == (1, [1])
+    assert result.duration > 0.0
+
+
+async def test_a_turtle_that_is_heard_of_no_more_is_given_up():
+    async with arena() as stage, client_of(stage).send_goal(patrol(*TARGETS)) as goal:
+        await stage.node.clock.sleep(3.0)
+        await stage.sim.aclose()
+        outcome = await goal.outcome()
+        assert stage.node.clock.time() <= 3.0 + 2 * 2.0
+        assert stage.commands()[-1] == (0.0, 0.0)
+    assert outcome.status is GoalStatus.ABORTED
+    assert outcome.reason == "nothing was heard of turtle1/pose for 2 s"
+    assert outcome.result.duration > 3.0
+
+
+# The lecture's
+
+FILE = "patrol_interfaces/action/PatrolCommandInterface.action"
+
+
+def command(*targets):
+    return PatrolCommandInterface.Goal(targets=points(*targets))
+
+
+def lecture_client_of(stage):
+    return stage.node.action_client(PatrolCommandInterface, "command_turtle")
+
+
+def test_the_lectures_interface_is_its_file():
+    file = Path(standard_interfaces.__file__).parent / FILE
+    text = "geometry_msgs/Point[] targets --- string result_msg --- string feedback_msg"
+    assert " ".join(file.read_text("utf-8").split()) == text
+    lecture = load_interface(file)
+    for part in ("Goal", "Result", "Feedback"):
+        ours = getattr(PatrolCommandInterface, part)
+        assert ours.__struct_fields__ == getattr(lecture, part).__struct_fields__
+
+
+async def test_the_lectures_patrol_is_served_under_its_name_and_type():
+    async with arena() as stage:
+        types = stage.node.graph().actions["/command_turtle"]
+    assert types == ("patrol_interfaces/action/PatrolCommandInterface",)
+
+
+async def test_the_lectures_patrol_says_the_lectures_words():
+    async with arena() as stage:
+        async with lecture_client_of(stage).send_goal(command(*TARGETS)) as goal:
+            told = [feedback.feedback_msg async for feedback in goal]
+            result = await goal.result()
+        assert await stage.stands_still()
+    assert told == [f"Target {number} reached" for number in (1, 2, 3, 4)]
+    assert result == PatrolCommandInterface.Result(result_msg="Patrolling complete!")
+
+
+async def test_the_lectures_patrol_can_be_canceled():
+    async with arena() as stage, lecture_client_of(stage).send_goal(command(*TARGETS)) as goal:
+        await stage.node.clock.sleep(3.0)
+        await goal.cancel()
+        outcome = await goal.outcome()
+        assert await stage.stands_still()
+    assert outcome.status is GoalStatus.CANCELED
+    assert outcome.result.result_msg == ""
+
+
+async def test_the_lectures_patrol_ends_at_the_first_target_that_is_not_reached():
+    async with disturbed(push_back, to=(1.0, 1.0), every=0.5) as stage:
+        with pytest.raises(GoalAborted) as caught:
+            await lecture_client_of(stage).send_goal(command((8.0, 8.0), (1.0, 1.0)))
+        assert await stage.stands_still()
+    assert caught.value.reason == "targets[0] was not reached in time"
+
+
+@pytest.mark.parametrize(
+    ("targets", "reason"),
+    [
+        ([], "targets is empty"),
+        ([(1.0, 1.0), (1.0, 12.0)], r"targets\[1\].y is 12.0, outside the world"),
+    ],
+)
+async def test_the_lectures_patrol_rejects_the_same_targets(targets, reason):
+    async with arena() as stage:
+        with pytest.raises(GoalRejected, match=reason):
+            await lecture_client_of(stage).send_goal(command(*targets))
+
+
+async def test_the_lectures_patrol_and_the_other_do_not_share_a_turtle():
+    async with arena() as stage, client_of(stage).send_goal(patrol(*TARGETS)):
+        await stage.node.clock.sleep(1.0)
+        with pytest.raises(GoalRejected, match="being driven by another goal"):
+            await lecture_client_of(stage).send_goal(command(*TARGETS))

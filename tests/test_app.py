@@ -1,0 +1,186 @@
+"""A whole world in a block: what it opens, and that it leaves nothing behind."""
+
+from __future__ import annotations
+
+from contextlib import asynccontextmanager
+
+import anyio
+import pytest
+
+from turtleact.actions.patrol import Patrol
+from turtleact.app import open_world
+from turtleact.clock import ScaledClock, VirtualClock, WallClock
+from turtleact.errors import SimError
+from turtleact.goal import GoalStatus
+from turtleact.interfaces.standard import Point, TurtlePose
+
+from .actions.arena import tasks_alive
+from .lab import settle
+
+TARGETS = [Point(x=9.0, y=7.0), Point(x=5.0, y=1.0)]
+
+
+@asynccontextmanager
+async def nothing_left_behind():
+    """Fails if a task that was begun in the block is alive after it."""
+    before = tasks_alive()
+    yield
+    await settle()
+    assert tasks_alive() == before
+
+
+async def poses(node, turtles):
+    """Where the turtles are after the next tick."""
+    opened = [node.subscription(TurtlePose, f"turtle{n}/pose") for n in range(1, turtles + 1)]
+    return [await anext(subscription) for subscription in opened]
+
+
+# What it opens
+
+
+async def test_a_world_has_one_turtle_and_the_built_in_actions():
+    async with open_world(speed="max") as node:
+        graph = node.graph()
+    assert list(graph.topics) == ["/turtle1/cmd_vel", "/turtle1/pose"]
+    assert graph.actions == {
+        "/command_turtle": ("patrol_interfaces/action/PatrolCommandInterface",),
+        "/fibonacci": (
+            "action_tutorials_interfaces/action/Fibonacci",
+            "example_interfaces/action/Fibonacci",
+        ),
+        "/go_to": ("turtleact_interfaces/action/GoTo",),
+        "/patrol": ("turtleact_interfaces/action/Patrol",),
+    }
+
+
+async def test_its_nodes_are_the_simulator_the_actions_and_the_users():
+    async with open_world(speed="max") as node:
+        node.publisher(TurtlePose, "my_pose")
+        assert node.name == "turtleact"
+        assert node.graph().nodes == ("/turtle_actions", "/turtleact", "/turtlesim")
+
+
+async def test_turtle1_starts_in_the_middle_whatever_the_seed():
+    async with open_world(speed="max", seed=7, turtles=3) as node:
+        (first, *_) = await poses(node, 1)
+    assert (first.x, first.y, first.theta) == (5.544444561004639, 5.544444561004639, 0.0)
+
+
+async def test_the_seed_alone_says_where_the_others_start():
+    starts = []
+    for seed in (1, 1, 2):
+        async with open_world(speed="max", seed=seed, turtles=4) as node:
+            starts.append((await poses(node, 4))[1:])
+    assert starts[0] == starts[1]
+    assert all(one != other for one, other in zip(starts[0], starts[2], strict=True))
+
+
+async def test_two_worlds_do_not_see_each_other():
+    async with open_world(speed="max") as one, open_world(speed="max", turtles=2) as other:
+        assert len(one.graph().topics) == 2
+        assert len(other.graph().topics) == 4
+
+
+@pytest.mark.parametrize(
+    ("speed", "clock", "factor"),
+    [(1.0, WallClock, 1.0), (2, ScaledClock, 2.0), ("0.5", ScaledClock, 0.5)],
+)
+async def test_a_speed_is_a_factor_of_wall_time(speed, clock, factor):
+    async with open_world(speed=speed) as node:
+        assert type(node.clock) is clock
+        assert node.clock.wall_seconds(1.0) == 1.0 / factor
+
+
+async def test_the_speed_is_that_of_the_wall_unless_given():
+    async with open_world() as node:
+        assert type(node.clock) is WallClock
+
+
+async def test_at_speed_max_time_leaps():
+    async with open_world(speed="max") as node:
+        assert type(node.clock) is VirtualClock
+        await node.clock.sleep(30.0)
+        assert node.clock.time() == 30.0
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        ({"speed": 0}, "a clock's speed must be a number above zero, not 0.0"),
+        ({"speed": -1.0}, "a clock's speed must be a number above zero, not -1.0"),
+        ({"speed": float("nan")}, "a clock's speed must be a number above zero, not nan"),
+        ({"speed": float("inf")}, "a clock's speed must be a number above zero, not inf"),
+        ({"speed": "fast"}, "a speed is a number above zero or 'max', not 'fast'"),
+        ({"turtles": 0}, "a world of 0 turtles: give 1 or more"),
+    ],
+)
+async def test_a_world_that_cannot_be_is_refused_and_nothing_opened(options, problem):
+    async with nothing_left_behind():
+        with pytest.raises(SimError) as caught:
+            async with open_world(**options):
+                pytest.fail("it was opened")
+    assert str(caught.value) == problem
+
+
+# What it leaves behind
+
+
+@pytest.mark.parametrize("speed", [1.0, "max"])
+async def test_nothing_is_left_running(speed):
+    async with nothing_left_behind(), open_world(speed=speed, turtles=3):
+        assert tasks_alive() > 0
+
+
+async def test_nothing_is_left_open():
+    async with open_world(speed="max") as node:
+        node.subscription(TurtlePose, "turtle1/pose")
+        assert node.transport.endpoints() != ()
+    assert node.transport.endpoints() == ()
+
+
+async def test_goals_that_still_run_end_with_the_world():
+    async with nothing_left_behind():
+        async with open_world(speed="max") as node:
+            sending = node.action_client(Patrol, "patrol").send_goal(Patrol.Goal(targets=TARGETS))
+            goal = await sending.__aenter__()
+            await node.clock.sleep(1.0)
+        outcome = await goal.outcome()
+    assert (outcome.status, outcome.reason) == (GoalStatus.ABORTED, "shutdown")
+
+
+async def test_an_error_inside_comes_out_as_it_is():
+    error = ZeroDivisionError("mine")
+
+    async def fail():
+        async with open_world(speed="max") as node:
+            await node.clock.sleep(1.0)
+            raise error
+
+    async with nothing_left_behind():
+        with pytest.raises(ZeroDivisionError) as caught:
+            await fail()
+    assert caught.value is error
+
+
+async def test_an_error_while_a_goal_runs_comes_out_as_it_is():
+    async def fail():
+        async with open_world(speed="max") as node:
+            client = node.action_client(Patrol, "patrol")
+            async with client.send_goal(Patrol.Goal(targets=TARGETS)):
+                await node.clock.sleep(1.0)
+                raise ZeroDivisionError
+
+    async with nothing_left_behind():
+        with pytest.raises(ZeroDivisionError):
+            await fail()
+
+
+async def test_a_world_can_be_left_by_a_cancellation():
+    async with nothing_left_behind():
+        with anyio.CancelScope() as scope:
+            async with open_world(speed="max") as node:
+                client = node.action_client(Patrol, "patrol")
+                scope.cancel()
+                await client.send_goal(Patrol.Goal(targets=TARGETS))
+        assert scope.cancelled_caught
+        assert node.transport.endpoints() == ()
