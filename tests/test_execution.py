@@ -21,7 +21,7 @@ from turtleact.errors import (
     InvalidTransition,
 )
 from turtleact.execution import BURST
-from turtleact.goal import FeedbackLog
+from turtleact.feedback import FeedbackLog
 
 from .lab import (
     ON_ASYNCIO,

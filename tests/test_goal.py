@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from turtleact.errors import GoalAborted, GoalCanceled, InvalidTransition
+from turtleact.feedback import FeedbackLog
 from turtleact.goal import (
     TRANSITIONS,
     CancelCode,
     CancelResponse,
-    FeedbackLog,
     Goal,
     GoalEvent,
     GoalResponse,

@@ -13,7 +13,8 @@ from typing import Any
 import anyio
 import pytest
 
-from turtleact.tasks import AsyncioTasks, Background, Borrowed, TrioTasks, current_tasks
+from turtleact.stepping import Borrowed
+from turtleact.tasks import AsyncioTasks, Background, TrioTasks, current_tasks
 
 from .lab import ON_ASYNCIO, ON_TRIO, other_tasks, settle
 
@@ -410,12 +411,14 @@ class Loan:
 
     Attributes:
         log: What happened to the coroutine, in its own words.
+        slow: How long each step took that blocked the loop (s).
         borrowed: The one that runs it; None before it has waited.
         was_canceled: Whether, at the end of the coroutine, the caller counted as canceled.
     """
 
     def __init__(self) -> None:
         self.log: list[object] = []
+        self.slow: list[float] = []
         self.borrowed: Any = None
         self.was_canceled = False
 
@@ -431,7 +434,7 @@ class Loan:
             waits_for = context.run(coroutine.send, None)
         except StopIteration as end:
             return end.value
-        self.borrowed = Borrowed(context)
+        self.borrowed = Borrowed(context, self.slow.append)
         return await self.borrowed.go_on(coroutine, waits_for)
 
     async def wait(self) -> str:

@@ -25,7 +25,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from turtleact.body import action
-    from turtleact.client import ActionClient, ClientGoalHandle, Outcome
+    from turtleact.client import ActionClient
+    from turtleact.client_goal import ClientGoalHandle, Outcome
     from turtleact.errors import (
         Abort,
         Canceled,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
         InvalidGoal,
         InvalidMessage,
         InvalidName,
+        InvalidOption,
         InvalidTransition,
         Reject,
         ServerUnavailable,
@@ -47,7 +49,8 @@ if TYPE_CHECKING:
     from turtleact.goal import CancelResponse, GoalResponse, GoalStatus
     from turtleact.interfaces import Action, Message, Service, load_interface
     from turtleact.node import Node, open_node
-    from turtleact.server import ActionServer, ServerGoalHandle
+    from turtleact.server import ActionServer
+    from turtleact.server_goal import ServerGoalHandle
     from turtleact.services import ServiceClient, ServiceServer
     from turtleact.transports import QoS
 
@@ -89,6 +92,7 @@ __all__ = [
     "InvalidGoal",
     "InvalidMessage",
     "InvalidName",
+    "InvalidOption",
     "InvalidTransition",
 ]
 
@@ -96,11 +100,13 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "body": ("action",),
-    "client": ("ActionClient", "ClientGoalHandle", "Outcome"),
+    "client": ("ActionClient",),
+    "client_goal": ("ClientGoalHandle", "Outcome"),
     "goal": ("CancelResponse", "GoalResponse", "GoalStatus"),
     "interfaces": ("Action", "Message", "Service", "load_interface"),
     "node": ("Node", "open_node"),
-    "server": ("ActionServer", "ServerGoalHandle"),
+    "server": ("ActionServer",),
+    "server_goal": ("ServerGoalHandle",),
     "services": ("ServiceClient", "ServiceServer"),
     "transports": ("QoS",),
 }

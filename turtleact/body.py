@@ -15,11 +15,12 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
-from typing import Any, Generic, ParamSpec, Protocol, TypedDict, TypeVar, Unpack, cast
+from typing import Any, Generic, Literal, ParamSpec, Protocol, TypedDict, TypeVar, Unpack, cast
 
 from turtleact.errors import InvalidBody
 from turtleact.goal import CancelResponse, GoalResponse
 from turtleact.interfaces import Message
+from turtleact.slot import Policy
 
 __all__ = ["ActionDeclaration", "ActionType", "Body", "ServerOptions", "Steps", "action"]
 
@@ -55,7 +56,12 @@ class ServerOptions(TypedDict, total=False):
 
     goal_callback: Callable[..., GoalResponse | Awaitable[GoalResponse]] | None
     cancel_callback: Callable[..., CancelResponse | Awaitable[CancelResponse]] | None
+    policy: Policy
+    max_active: int | None
+    queue_limit: int | None
+    slot: str | None
     result_timeout: float | None
+    on_client_lost: Literal["keep", "cancel"]
 
 
 class ActionDeclaration(Generic[P, T]):

@@ -9,6 +9,7 @@
     ├── InvalidMessage         a value does not fit its field's type
     │   └── InvalidGoal        … in the goal of an action
     ├── InvalidBody            a function cannot be the body of an action
+    ├── InvalidOption          an option has a value that it cannot have
     ├── InvalidTransition      an event is not allowed in a goal's state
     ├── GoalError              what a goal's end tells the one who waits for it
     │   ├── GoalRejected       the server did not take the goal
@@ -49,6 +50,7 @@ __all__ = [
     "InvalidInterface",
     "InvalidMessage",
     "InvalidName",
+    "InvalidOption",
     "InvalidTransition",
     "Reject",
     "ServerUnavailable",
@@ -172,6 +174,23 @@ class InvalidBody(TurtleactError):
 
     def __str__(self) -> str:
         return f"the body of action '{self.name}' {self.problem}"
+
+
+class InvalidOption(TurtleactError):
+    """An option of a server has a value that it cannot have.
+
+    Attributes:
+        name: The option.
+        problem: What was expected and what was found.
+    """
+
+    def __init__(self, name: str, problem: str) -> None:
+        super().__init__(name, problem)
+        self.name = name
+        self.problem = problem
+
+    def __str__(self) -> str:
+        return f"option '{self.name}': {self.problem}"
 
 
 class InvalidTransition(TurtleactError):

@@ -14,22 +14,29 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Coroutine
-from contextvars import Context
-from typing import TypeAlias, cast
+from contextvars import Context, ContextVar
+from functools import partial
+from typing import Protocol, TypeAlias, cast
 
 from turtleact.body import ActionType, Body, Steps
 from turtleact.clock import Clock
-from turtleact.errors import Abort, Canceled, InvalidMessage, InvalidTransition
-from turtleact.goal import FeedbackLog, Goal, GoalEvent, GoalStatus, GoalTable
+from turtleact.errors import Abort, Canceled, InvalidMessage, InvalidTransition, summary
+from turtleact.feedback import FeedbackLog
+from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable
 from turtleact.interfaces import Message, snapshotter
-from turtleact.tasks import Borrowed, Signal, Tasks
+from turtleact.stepping import Borrowed, timed
+from turtleact.tasks import Signal, Tasks
 
-__all__ = ["Execution"]
+__all__ = ["CURRENT_GOAL", "Execution", "FeedbackTopic", "Watch"]
 
 logger = logging.getLogger("turtleact.server")
 
 Check: TypeAlias = Callable[[object], Message]
 Running: TypeAlias = Coroutine[object, object, None]
+Watch: TypeAlias = Callable[[Goal, GoalStatus, GoalStatus], object]
+
+CURRENT_GOAL: ContextVar[Goal | None] = ContextVar("CURRENT_GOAL", default=None)
+"""The goal whose body runs here: the parent of those that it sends."""
 
 BURST = 16
 """After so many messages in a row, a generator that never waits lets others run."""
@@ -37,6 +44,15 @@ BURST = 16
 _EXECUTING = GoalStatus.EXECUTING
 _CANCELING = GoalStatus.CANCELING
 _SUCCEED = GoalEvent.SUCCEED
+
+
+class FeedbackTopic(Protocol):
+    """Where the feedback of all goals goes, besides to those who sent them."""
+
+    has_readers: bool
+
+    def publish(self, goal: Goal, message: object) -> None:
+        """Send the feedback of a goal to every reader."""
 
 
 class Execution:
@@ -53,7 +69,10 @@ class Execution:
 
     Attributes:
         check_result: The checked copy of a result.
-        ended: Fires whenever a goal has ended, once somebody has put it there.
+        topic: Where feedback goes besides, while it has readers.
+        watch: Told of each change of a goal's state, before and after; must not raise.
+        release: Told of each goal that has ended.
+        ended: Fires whenever a goal has ended. Like the three above None, until somebody wants it.
     """
 
     def __init__(
@@ -79,13 +98,21 @@ class Execution:
         feedback_type = cast("type[Message]", action_type.Feedback)
         self._check_feedback = cast("Check", snapshotter(feedback_type, root="feedback"))
         self.check_result = cast("Check", snapshotter(self._result_type, root="result"))
+        self.topic: FeedbackTopic | None = None
+        self.watch: Watch | None = None
+        self.release: Callable[[Goal], object] | None = None
         self.ended: Signal | None = None
 
     # starting
 
-    def start(self, goal: Goal) -> None:
-        """Run a goal's body in a task of its own; on asyncio its first step has run then."""
-        task = self._tasks.spawn(self.run(goal), self._name)
+    def start(self, goal: Goal, context: Context | None = None) -> None:
+        """Run a goal's body in a task of its own; on asyncio its first step has run then.
+
+        Args:
+            goal: The goal.
+            context: What the task runs in; a copy of the current context if left out.
+        """
+        task = self._tasks.spawn(self.run(goal, is_timed=True), self._name, context)
         if not goal.ended:
             goal.body = task
             if goal.status is _CANCELING or goal.reason:  # asked for in its own first step
@@ -102,7 +129,7 @@ class Execution:
             waits_for: What the first step gave.
             context: What the first step ran in.
         """
-        borrowed = Borrowed(context)
+        borrowed = Borrowed(context, partial(self.report_blocking, goal))
         goal.body = borrowed
         if goal.status is _CANCELING or goal.reason:  # asked for in its own first step
             borrowed.cancel()
@@ -110,8 +137,14 @@ class Execution:
 
     # running
 
-    async def run(self, goal: Goal) -> None:
-        """Run a body and make its end the goal's end; raises only what stops the program."""
+    async def run(self, goal: Goal, *, is_timed: bool = False) -> None:
+        """Run a body and make its end the goal's end; raises only what stops the program.
+
+        Args:
+            goal: The goal.
+            is_timed: Whether to report what blocks the loop; else who calls this does.
+        """
+        CURRENT_GOAL.set(goal)
         if goal.status is _CANCELING or goal.reason:  # before its first step
             self._end_canceled(goal)
             return
@@ -121,9 +154,10 @@ class Execution:
             else:
                 running = self._call(goal.request)
             if self._is_generator:
-                result = await self._drive(goal, running)  # type: ignore[arg-type]  # see Body
-            else:
-                result = await running  # type: ignore[misc]  # see Body
+                running = self._drive(goal, running)  # type: ignore[arg-type]  # see Body
+            if is_timed:
+                running = timed(running, partial(self.report_blocking, goal))  # type: ignore[arg-type]
+            result = await running  # type: ignore[misc]  # see Body
         except GeneratorExit:  # the event loop is gone
             raise
         except (KeyboardInterrupt, SystemExit):
@@ -143,14 +177,19 @@ class Execution:
     async def _drive(self, goal: Goal, steps: Steps) -> object:
         """Run a generator to its end; the answer is its result, or None if it gave none."""
         result_type, check, step = self._result_type, self._check_feedback, steps.asend
-        countdown = BURST
+        topic, countdown = self.topic, BURST
         try:
             item = await step(None)
             while type(item) is not result_type:
                 try:
                     message = goal.last_feedback = check(item)
                     log = goal.feedback
-                    if goal.listener or goal.on_feedback or goal.ended:
+                    if (
+                        goal.listener
+                        or goal.on_feedback
+                        or goal.ended
+                        or (topic is not None and topic.has_readers)
+                    ):
                         self._hand_on(goal, message)
                     elif log is not None:  # nobody is to be told: a shorter `_hand_on`
                         log.items.append(message)  # `_pause` trims it
@@ -181,10 +220,12 @@ class Execution:
         if log is None:
             return
         log.trim()
-        if log.is_full and not goal.waiters:
+        if log.read is not None:
+            log.weigh()
+        if log.is_full:
             drained = self._tasks.signal()
             log.drained = drained
-            while log.is_full and not goal.waiters:
+            while log.is_full:
                 await drained.wait()
             log.drained = None
 
@@ -209,8 +250,42 @@ class Execution:
                 goal.on_feedback(message)
             except Exception:
                 logger.exception("the feedback_callback of goal %s failed", goal.hex)
+        if self.topic is not None and self.topic.has_readers:
+            self.topic.publish(goal, message)
 
-    # ending
+    def report_blocking(self, goal: Goal, seconds: float) -> None:
+        """Warn of a body that has kept everybody else from running."""
+        logger.warning(
+            "the body of %s has blocked the event loop for %.1f s (goal %s): nothing else could run"
+            " meanwhile; await what waits, and move long work to anyio.to_thread.run_sync",
+            self._name,
+            seconds,
+            goal.hex,
+        )
+
+    # changing and ending
+
+    def move(self, goal: Goal, event: GoalEvent) -> None:
+        """Change a goal's state, and tell who watches.
+
+        Raises:
+            InvalidTransition: if the event is not allowed now; nothing has changed.
+        """
+        before = goal.status
+        goal.apply(event)
+        if self.watch is not None:
+            self.watch(goal, before, goal.status)
+
+    def mark_canceling(self, goal: Goal) -> None:
+        """Make a goal CANCELING, unless it is so already or has ended."""
+        if goal.status.is_active and goal.status is not _CANCELING:
+            self.move(goal, GoalEvent.CANCEL_GOAL)
+
+    def drop(self, goal: Goal) -> None:
+        """End a goal that waits to be started and never will be."""
+        if goal.status is GoalStatus.ACCEPTED:
+            self.move(goal, GoalEvent.EXECUTE)
+        self._end_canceled(goal)
 
     def end(self, goal: Goal, event: GoalEvent, result: object, reason: str = "") -> None:
         """End a goal; one that was left behind at the shutdown has been answered already."""
@@ -224,14 +299,18 @@ class Execution:
             goal.reason = reason
         if goal.body is not None:
             goal.body = None
+        if goal.parent is not None:
+            goal.parent = None  # or a chain of goals that send each other would never be forgotten
         self._table.end(goal, self._now())
-        goal.apply(event)
+        self.move(goal, event)
+        if self.release is not None:
+            self.release(goal)
         if self.ended is not None:
             self.ended.fire()
 
     def _fail(self, goal: Goal, error: BaseException) -> None:
         if isinstance(goal.body, Borrowed) and goal.body.is_caller_canceled:
-            mark_canceling(goal)
+            self.mark_canceling(goal)
         canceling = goal.status is _CANCELING
         if isinstance(error, Abort):
             self._end_with(goal, GoalEvent.ABORT, error.result, error.reason)
@@ -263,20 +342,6 @@ class Execution:
         if isinstance(error, BaseExceptionGroup):
             return error.split(self._tasks.cancelled)[1] is None
         return isinstance(error, self._tasks.cancelled)
-
-
-def mark_canceling(goal: Goal) -> None:
-    """Make a goal CANCELING, unless it is so already or has ended."""
-    if goal.status.is_active and goal.status is not _CANCELING:
-        goal.apply(GoalEvent.CANCEL_GOAL)
-
-
-def summary(error: BaseException) -> str:
-    """An exception in one line: the type and the text, those of a group one after the other."""
-    if isinstance(error, BaseExceptionGroup):
-        return "; ".join(summary(each) for each in error.exceptions)
-    text = str(error)
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 async def _finish(steps: Steps) -> None:

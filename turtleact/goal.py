@@ -26,19 +26,18 @@ from typing import Final, Protocol
 import msgspec
 
 from turtleact.errors import GoalAborted, GoalCanceled, GoalError, InvalidTransition
+from turtleact.feedback import FeedbackLog, Listener
 
 __all__ = [
     "TRANSITIONS",
     "CancelCode",
     "CancelResponse",
     "Cancelable",
-    "FeedbackLog",
     "Goal",
     "GoalEvent",
     "GoalResponse",
     "GoalStatus",
     "GoalTable",
-    "Listener",
     "cancel_code",
     "failure",
     "select",
@@ -115,6 +114,12 @@ TRANSITIONS: Final[Mapping[tuple[GoalStatus, GoalEvent], GoalStatus]] = MappingP
 )
 
 
+#: The same by number, ``[status][event]``: members of an enum are slow keys.
+_NEXT: Final = tuple(
+    (None, *(TRANSITIONS.get((status, event)) for event in GoalEvent)) for status in GoalStatus
+)
+
+
 def transition(status: GoalStatus, event: GoalEvent) -> GoalStatus:
     """The state that ``event`` leads to from ``status``.
 
@@ -130,63 +135,11 @@ def transition(status: GoalStatus, event: GoalEvent) -> GoalStatus:
         raise InvalidTransition(status, event) from None
 
 
-class Listener(Protocol):
-    """What wants to know that something has changed."""
-
-    def fire(self) -> None:
-        """Called after each change; must not raise."""
-
-
 class Cancelable(Protocol):
     """Something running that can be asked to stop."""
 
     def cancel(self) -> object:
         """Ask it; it may still take its time."""
-
-
-class FeedbackLog:
-    """The feedback of one goal, numbered from 0; any number of readers go by the number.
-
-    The sender's own stream loses nothing: what it has not read yet is kept once it has begun to
-    read. Before that, and behind it, only the newest `KEPT` messages are kept.
-
-    Attributes:
-        items: The messages still kept, oldest first.
-        dropped: How many older ones are gone: ``items[i]`` is number ``dropped + i``.
-        read: The number that the sender's stream reads next; None before it begins.
-        drained: Whom to tell once the sender has caught up, if somebody waits for that.
-    """
-
-    KEPT: Final = 1024
-
-    __slots__ = ("drained", "dropped", "items", "read")
-
-    def __init__(self) -> None:
-        self.items: list[object] = []
-        self.dropped = 0
-        self.read: int | None = None
-        self.drained: Listener | None = None
-
-    def append(self, message: object) -> None:
-        """Add the newest message."""
-        items = self.items
-        items.append(message)
-        if len(items) >= 2 * self.KEPT:
-            self.trim()
-
-    @property
-    def is_full(self) -> bool:
-        """Whether the sender reads, and is behind by so much that the body should wait."""
-        return self.read is not None and self.dropped + len(self.items) - self.read >= self.KEPT
-
-    def trim(self) -> None:
-        """Forget what need not be kept; not done for each message, as it moves all the others."""
-        needless = len(self.items) - self.KEPT
-        if self.read is not None:
-            needless = min(needless, self.read - self.dropped)
-        if needless > 0:
-            del self.items[:needless]
-            self.dropped += needless
 
 
 class Goal(msgspec.Struct, eq=False):
@@ -196,6 +149,8 @@ class Goal(msgspec.Struct, eq=False):
         request: The goal message.
         stamp: When it was accepted (ns since the epoch).
         status: Its state. One that starts at once is made EXECUTING; then `apply` changes it.
+        history: The states that it has entered since its acceptance, but for the last one, each
+            with the number of feedback messages that went before.
         id: Its 16 bytes, or None as long as nobody has asked for them.
         on_feedback: The sender's callback for feedback.
         is_streamed: Whether feedback is to be kept for a reader.
@@ -207,11 +162,14 @@ class Goal(msgspec.Struct, eq=False):
         body: What runs for it, while it can be canceled.
         ended: When it ended (ns since the epoch); 0 before.
         waiters: How many wait for its result; the table keeps it as long as there are any.
+        parent: The goal whose body has sent it, if one has.
+        sender: The client that has sent it.
     """
 
     request: object
     stamp: int
     status: GoalStatus = GoalStatus.ACCEPTED
+    history: tuple[tuple[GoalStatus, int], ...] = ()
     id: bytes | None = None
     on_feedback: Callable[[object], object] | None = None
     is_streamed: bool = False
@@ -223,6 +181,8 @@ class Goal(msgspec.Struct, eq=False):
     body: Cancelable | None = None
     ended: int = 0
     waiters: int = 0
+    parent: Goal | None = None
+    sender: object = None
 
     @property
     def hex(self) -> str:
@@ -235,10 +195,13 @@ class Goal(msgspec.Struct, eq=False):
         Raises:
             InvalidTransition: if the event is not allowed now; nothing has changed.
         """
-        try:
-            self.status = TRANSITIONS[self.status, event]
-        except KeyError:
-            raise InvalidTransition(self.status, event, self.hex) from None
+        status = _NEXT[self.status][event]
+        if status is None:
+            raise InvalidTransition(self.status, event, self.hex)
+        self.status = status
+        if event <= GoalEvent.CANCEL_GOAL:  # the last state is told by the status itself
+            count = 0 if self.feedback is None else self.feedback.count
+            self.history = (*self.history, (status, count))
         if self.listener is not None:
             self.listener.fire()
 
@@ -324,6 +287,12 @@ class GoalTable:
             self._named[goal.id] = goal
         self._active[goal] = None
         return True
+
+    def forget(self, goal: Goal) -> None:
+        """Take back what `add` has done: the goal is not accepted after all."""
+        self._active.pop(goal, None)
+        if goal.id is not None:
+            del self._named[goal.id]
 
     def name(self, goal: Goal, goal_id: bytes, now: int) -> bytes:
         """Give a goal its id, unless it has one, so that it can be found; answer the id."""

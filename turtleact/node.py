@@ -17,13 +17,15 @@ import anyio
 import msgspec
 
 from turtleact.body import ActionDeclaration, ActionType, ServerOptions
+from turtleact.claim import Claim
 from turtleact.client import ActionClient
 from turtleact.clock import Clock
-from turtleact.errors import TurtleactError
+from turtleact.errors import InvalidOption, TurtleactError
 from turtleact.interfaces import Message
 from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
-from turtleact.server import ActionServer
+from turtleact.server import ActionServer, Transition
 from turtleact.services import ServiceClient, ServiceServer, ServiceType
+from turtleact.slot import Rules, Slot
 from turtleact.tasks import current_tasks
 from turtleact.topics import Publisher, Subscription
 from turtleact.transports import MemoryTransport, QoS, Transport
@@ -95,6 +97,8 @@ class Node:
         self._count = 0
         self._opened: dict[int, _Closing] = {}
         self._servers: WeakValueDictionary[int, _Closing] = WeakValueDictionary()
+        self._slots: WeakValueDictionary[str, Slot[Claim]] = WeakValueDictionary()
+        self._hooks: list[Transition] = []
         self._membership = transport.enter(self.fully_qualified_name)
 
     @property
@@ -137,24 +141,54 @@ class Node:
                 and, if it wants, the `ServerGoalHandle`.
             **options: ``goal_callback(goal)`` answers a `GoalResponse` or raises
                 `turtleact.Reject`; ``cancel_callback(handle)`` answers a `CancelResponse`; both may
-                be coroutine functions. ``result_timeout`` is how long a result is kept from the
-                goal's end (s, 10 unless given; None keeps it for ever).
+                be coroutine functions. ``policy`` says what becomes of a goal while another runs:
+                "parallel", "reject", "queue" or "preempt"; under "parallel" at most ``max_active``
+                run and the others wait; at most ``queue_limit`` wait. Servers of this node that
+                are given the same ``slot`` share one policy and one place. ``result_timeout`` is
+                how long a result is kept from the goal's end (s, 10 unless given; None keeps it
+                for ever). ``on_client_lost`` is "keep", or "cancel" to cancel the goals of a client
+                that is closed.
 
         Raises:
             InvalidName: if the name breaks ROS 2's rules.
             InvalidBody: if the function cannot be a body.
+            InvalidOption: if an option has a value that it cannot have.
             TypeError: if there is no such option.
         """
         for unknown in options.keys() - ServerOptions.__annotations__.keys():
             raise TypeError(f"an action server has no option '{unknown}'")
         names = self._action_names(name)
-        server = ActionServer(self, action_type, names.name, execute, tasks=self._tasks, **options)
+        server = ActionServer(
+            self,
+            action_type,
+            names.name,
+            execute,
+            tasks=self._tasks,
+            place=self._slot(options),
+            **options,
+        )
+        for hook in self._hooks:
+            server.watch(hook)
         type_name = f"{action_type.type_name}_SendGoal"
         registration = self.transport.serve(
             self._endpoint("service", names.send_goal, type_name), server
         )
         server.registration = self._own(server, registration)
         return server
+
+    def on_transition(self, hook: Transition) -> None:
+        """Have ``hook(goal, old, new)`` called at each change of a goal served on this node.
+
+        From now on, in the order of the changes, in the event loop; a goal comes from UNKNOWN. One
+        hook for logs, metrics, journals and tests. What it raises is logged and does no harm.
+
+        Args:
+            hook: Takes the goal's `ServerGoalHandle` and two `GoalStatus`.
+        """
+        self._hooks.append(hook)
+        for server in self._servers.values():
+            if isinstance(server, ActionServer):
+                server.watch(hook)
 
     def action_client(self, action_type: ActionType[G, R, F], name: str) -> ActionClient[G, R, F]:
         """Open a client of an action; it need not be served yet.
@@ -300,6 +334,21 @@ class Node:
         if isinstance(thing, ActionServer | ServiceServer):
             self._servers[number] = thing
         return _Membership(opened, lambda: self._opened.pop(number, None))
+
+    def _slot(self, options: ServerOptions) -> Slot[Claim] | None:
+        """The slot that a server with these options uses; None if its goals need none."""
+        rules = Rules(
+            options.get("policy", "parallel"), options.get("max_active"), options.get("queue_limit")
+        )
+        name = options.get("slot")
+        if name is None:
+            return None if rules.is_free else Slot(rules)
+        if rules.is_free:
+            raise InvalidOption("slot", "goes with another policy than 'parallel', or max_active")
+        slot = self._slots.setdefault(name, Slot(rules))
+        if slot.rules != rules:
+            raise InvalidOption("slot", f"'{name}' is shared under other rules: {slot.rules}")
+        return slot
 
     def _action_names(self, name: str) -> ActionNames:
         return action_names(resolve_name(name, self.namespace, self.name))

@@ -1,9 +1,9 @@
 """An action's server: takes goals, runs their bodies in tasks of its own, and outlives them.
 
 It decides which goals are taken and which are let go; what may happen to a goal stands in
-`turtleact.goal`, how its body is run in `turtleact.execution`, how messages travel in
-`turtleact.transports`. It holds every body that runs, cancels it, and waits for its end when it is
-closed.
+`turtleact.goal`, who may run in `turtleact.slot`, how a body is run in `turtleact.execution`, how
+messages travel in `turtleact.transports`. It holds every body that runs, cancels it, and waits for
+its end when it is closed.
 
 A client in the same process is handed this very object, and the `Goal` that it made.
 
@@ -16,19 +16,18 @@ import logging
 from collections.abc import Callable, Generator
 from contextvars import copy_context
 from functools import partial
-from inspect import isawaitable
-from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar, Unpack, cast
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, Unpack, cast
 
 import anyio
 
 from turtleact.body import ActionType, Body, ServerOptions
-from turtleact.errors import GoalRejected, Reject
-from turtleact.execution import Execution, mark_canceling, summary
+from turtleact.callbacks import GoalCallback, ask_for_cancel, ask_for_goal
+from turtleact.claim import Claim
+from turtleact.errors import GoalRejected, InvalidOption
+from turtleact.execution import CURRENT_GOAL, Execution
 from turtleact.goal import (
-    CancelResponse,
     Goal,
     GoalEvent,
-    GoalResponse,
     GoalStatus,
     GoalTable,
     cancel_code,
@@ -38,13 +37,16 @@ from turtleact.goal import (
 from turtleact.goal_id import new_goal_id
 from turtleact.interfaces import Message, snapshotter
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo, Time
+from turtleact.local import OnFeedback
+from turtleact.server_goal import ServerGoalHandle
+from turtleact.slot import Admission, Slot
 from turtleact.tasks import Signal, Tasks
 from turtleact.transports.base import Closeable
 
 if TYPE_CHECKING:
     from turtleact.node import Node
 
-__all__ = ["ActionServer", "ServerGoalHandle"]
+__all__ = ["ActionServer", "Transition"]
 
 logger = logging.getLogger("turtleact.server")
 
@@ -52,70 +54,16 @@ G = TypeVar("G", bound=Message)
 R = TypeVar("R", bound=Message)
 F = TypeVar("F", bound=Message)
 
-OnFeedback: TypeAlias = Callable[[object], object]
+Transition: TypeAlias = Callable[[ServerGoalHandle[Any, Any, Any], GoalStatus, GoalStatus], object]
 
+_ACCEPTED = GoalStatus.ACCEPTED
 _EXECUTING = GoalStatus.EXECUTING
+_CANCELING = GoalStatus.CANCELING
 _SUCCEEDED = GoalStatus.SUCCEEDED
+_AT_ONCE = ((_EXECUTING, 0),)  # the history of a goal that did not wait to be started
 
 GRACE = 5.0
 """How long a server that is closed waits for its bodies (s)."""
-
-
-class ServerGoalHandle(Generic[G, R, F]):
-    """What a body holds of its goal.
-
-    Attributes:
-        node: The node that serves the goal.
-    """
-
-    __slots__ = ("_goal", "_server", "node")
-
-    def __init__(self, server: ActionServer[G, R, F], goal: Goal) -> None:
-        self._server = server
-        self._goal = goal
-        self.node = server.node
-
-    @property
-    def goal_id(self) -> bytes:
-        """The goal's 16 bytes."""
-        return self._server.name_goal(self._goal)
-
-    @property
-    def stamp(self) -> Time:
-        """When the goal was accepted."""
-        return _time(self._goal.stamp)
-
-    @property
-    def status(self) -> GoalStatus:
-        """The goal's state."""
-        return self._goal.status
-
-    @property
-    def request(self) -> G:
-        """The goal message."""
-        return cast("G", self._goal.request)
-
-    @property
-    def is_cancel_requested(self) -> bool:
-        """Whether a client has asked to cancel the goal, and the server agreed."""
-        return self._goal.status is GoalStatus.CANCELING
-
-    def publish_feedback(self, feedback: F) -> None:
-        """Send feedback: a snapshot is taken, so the message may be changed and sent again.
-
-        Raises:
-            InvalidMessage: if it is not this action's Feedback, or a value does not fit its type.
-            InvalidTransition: if the goal is neither EXECUTING nor CANCELING.
-        """
-        self._server.execution.publish(self._goal, feedback)
-
-    def set_partial_result(self, result: R) -> None:
-        """Set what is reported should the goal be canceled or aborted.
-
-        Raises:
-            InvalidMessage: if it is not this action's Result, or a value does not fit its type.
-        """
-        self._goal.result = self._server.execution.check_result(result)
 
 
 class ActionServer(Generic[G, R, F]):
@@ -137,6 +85,7 @@ class ActionServer(Generic[G, R, F]):
         execute: Callable[..., object],
         *,
         tasks: Tasks,
+        place: Slot[Claim] | None = None,
         **options: Unpack[ServerOptions],
     ) -> None:
         self.node = node
@@ -146,11 +95,17 @@ class ActionServer(Generic[G, R, F]):
         self.registration: Closeable | None = None
         self._now = node.clock.now
         self._tasks = tasks
-        self.asks_first = options.get("goal_callback") is not None
         self._goal_callback = options.get("goal_callback")
         self._cancel_callback = options.get("cancel_callback")
+        self._on_client_lost = options.get("on_client_lost", "keep")
+        if self._on_client_lost not in ("keep", "cancel"):
+            problem = f"expected 'keep' or 'cancel', not {self._on_client_lost!r}"
+            raise InvalidOption("on_client_lost", problem)
+        self._slot = place
+        self.asks_first = self._goal_callback is not None
         self._can_borrow = tasks.can_borrow and self._cancel_callback is None
         self._table = GoalTable(options.get("result_timeout", 10.0))
+        self._hooks: list[Transition] = []
         goal_type = cast("type[Message]", action_type.Goal)
         self._check_goal = cast("Callable[[object], Message]", snapshotter(goal_type, root="goal"))
         self.execution = Execution(
@@ -162,6 +117,8 @@ class ActionServer(Generic[G, R, F]):
             table=self._table,
             make_handle=partial(ServerGoalHandle, self),
         )
+        if place is not None:
+            self.execution.release = self._release
 
     # what a client in the same process calls
 
@@ -173,34 +130,32 @@ class ActionServer(Generic[G, R, F]):
             GoalRejected: if it is not taken.
         """
         message = self._check_goal(request)
-        callback = cast("Callable[[Message], object]", self._goal_callback)
-        try:
-            answer = callback(message)
-            if isawaitable(answer):
-                answer = await answer
-        except Reject as verdict:
-            raise GoalRejected(verdict.reason) from None
-        except Exception as error:
-            logger.exception("the goal_callback of %s failed; the goal is rejected", self.name)
-            raise GoalRejected(f"the goal_callback failed: {summary(error)}") from None
-        if answer is GoalResponse.REJECT:
-            raise GoalRejected("the goal_callback rejected it")
-        if answer is not GoalResponse.ACCEPT:
-            raise GoalRejected(f"the goal_callback answered {answer!r}, not a GoalResponse")
+        await ask_for_goal(self.name, cast("GoalCallback", self._goal_callback), message)
 
-    def begin(self, request: object, goal_id: bytes | None, on_feedback: OnFeedback | None) -> Goal:
-        """Take up a goal and start its body; its feedback is kept for a reader.
+    def begin(
+        self,
+        request: object,
+        goal_id: bytes | None,
+        on_feedback: OnFeedback | None,
+        sender: object = None,
+    ) -> Goal:
+        """Take up a goal, and start its body unless it has to wait; feedback is kept for a reader.
 
         Raises:
             InvalidGoal: if the request does not fit the action.
             GoalRejected: if it is not taken.
         """
-        goal = self._admit(request, goal_id, on_feedback, is_streamed=True)
-        self.execution.start(goal)
+        goal = self._admit(request, goal_id, on_feedback, sender, is_streamed=True)
+        if goal.status is not _ACCEPTED:
+            self.execution.start(goal)
         return goal
 
     def call(
-        self, request: object, goal_id: bytes | None, on_feedback: OnFeedback | None
+        self,
+        request: object,
+        goal_id: bytes | None,
+        on_feedback: OnFeedback | None,
+        sender: object = None,
     ) -> Generator[object, object, object]:
         """Take up a goal, run its body to its end, in the caller's own task if possible.
 
@@ -217,8 +172,8 @@ class ActionServer(Generic[G, R, F]):
         """
         if self.asks_first:
             yield from self.ask(request).__await__()
-        goal = self._admit(request, goal_id, on_feedback)
-        if self._can_borrow:
+        goal = self._admit(request, goal_id, on_feedback, sender)
+        if self._can_borrow and goal.status is not _ACCEPTED:
             running, context = self.execution.run(goal), copy_context()
             try:
                 waits_for = context.run(running.send, None)
@@ -227,19 +182,21 @@ class ActionServer(Generic[G, R, F]):
             else:
                 yield from self.execution.lend(goal, running, waits_for, context).__await__()
         else:
-            self.execution.start(goal)
+            if goal.status is not _ACCEPTED:
+                self.execution.start(goal)
             yield from self._wait_out(goal).__await__()
         if goal.status is _SUCCEEDED:
             return goal.result
         raise failure(goal)
 
+    def find(self, goal_id: bytes) -> Goal | None:
+        """The goal of that id; None if it was never held, or is not held any more."""
+        return self._table.find(goal_id, self._now())
+
     async def wait_for_end(self, goal: Goal) -> None:
         """Wait until a goal has ended. Cancelling: safe, the goal goes on."""
         signal = self.signal(goal)
         goal.waiters += 1
-        log = goal.feedback
-        if log is not None and log.drained is not None:
-            log.drained.fire()  # who only waits for the end does not hold the body up
         try:
             while not goal.ended:
                 await signal.wait()
@@ -251,6 +208,13 @@ class ActionServer(Generic[G, R, F]):
         with anyio.move_on_after(GRACE, shield=True):
             await self._let_go(goal)
             await self.wait_for_end(goal)
+
+    def cancel_nowait(self, goal: Goal) -> None:
+        """Ask a goal to cancel; a ``cancel_callback`` answers in its own time."""
+        if self._cancel_callback is None:
+            self._cancel_body(goal)
+        else:
+            self._tasks.spawn(self._cancel_in_background(goal), f"a cancel of {self.name}")
 
     def signal(self, goal: Goal) -> Signal:
         """The signal that fires at each change of a goal."""
@@ -276,8 +240,28 @@ class ActionServer(Generic[G, R, F]):
         code = cancel_code(named, by_id=by_id, asked=asked, let_go=len(let_go))
         return CancelGoal.Response(int(code), [self._info(goal) for goal in let_go])
 
+    def client_lost(self, sender: object) -> None:
+        """Note that a client has gone: its goals go on, unless ``on_client_lost`` is "cancel"."""
+        if self._on_client_lost == "cancel":
+            for goal in self._table.active:
+                if goal.sender is sender:
+                    self._cancel_body(goal)
+
+    # watching, and the end
+
+    def watch(self, hook: Transition) -> None:
+        """Have ``hook(goal, old, new)`` called at each change of a goal from now on."""
+        self._hooks.append(hook)
+        self.execution.watch = self._tell
+
+    def unwatch(self, hook: Transition) -> None:
+        """Call it no more."""
+        self._hooks.remove(hook)
+        if not self._hooks:
+            self.execution.watch = None
+
     async def aclose(self) -> None:
-        """Take no more goals, cancel those that run, and wait for their end.
+        """Take no more goals, cancel those that run, drop those that wait, and wait for their end.
 
         They end ABORTED with the reason "shutdown"; a body that has not ended after `GRACE`
         seconds is left behind, and logged. Every waiter gets its answer.
@@ -287,10 +271,7 @@ class ActionServer(Generic[G, R, F]):
             self.registration.close()
         ended = self.execution.ended = self.execution.ended or self._tasks.signal()
         for goal in self._table.active:
-            is_told = goal.reason or goal.status is GoalStatus.CANCELING  # and may be cleaning up
-            goal.reason = goal.reason or "shutdown"
-            if goal.body is not None and not is_told:
-                goal.body.cancel()
+            self.evict(goal, "shutdown")
         with anyio.move_on_after(GRACE, shield=True):
             while self._table.active:
                 await ended.wait()
@@ -305,20 +286,77 @@ class ActionServer(Generic[G, R, F]):
         request: object,
         goal_id: bytes | None,
         on_feedback: OnFeedback | None,
+        sender: object,
         *,
         is_streamed: bool = False,
     ) -> Goal:
-        """Hold a goal that is to start at once."""
+        """Hold a goal; it is ACCEPTED if it has to wait, else EXECUTING, and to be started."""
         if not self.is_open:
             raise GoalRejected(f"the server of '{self.name}' is shutting down")
+        if on_feedback is not None:  # in the sender's context, not in that of the body
+            on_feedback = partial(copy_context().run, on_feedback)  # type: ignore[call-arg]
         goal = Goal(
-            self._check_goal(request), self._now(), _EXECUTING, goal_id, on_feedback, is_streamed
+            self._check_goal(request),
+            self._now(),
+            _EXECUTING,
+            _AT_ONCE,
+            goal_id,
+            on_feedback,
+            is_streamed,
+            parent=CURRENT_GOAL.get(),
+            sender=sender,
         )
         if not self._table.add(goal):
             raise GoalRejected(f"the server still holds a goal of the id {goal.hex}")
+        if self._slot is not None or self._hooks:
+            goal.status, goal.history = _ACCEPTED, ()
+            self._enter(goal)
         return goal
 
-    # canceling a goal
+    def _enter(self, goal: Goal) -> None:
+        """Give a goal its place, or a place to wait in."""
+        claim = Claim(self, goal)
+        entry = None if self._slot is None else self._slot.enter(claim)
+        if entry is not None and entry.admission is Admission.REFUSE:
+            self._table.forget(goal)
+            raise GoalRejected(entry.reason)
+        if self._hooks:
+            self._tell(goal, GoalStatus.UNKNOWN, _ACCEPTED)
+        if entry is None or entry.admission is Admission.START:
+            self.execution.move(goal, GoalEvent.EXECUTE)
+            return
+        goal.body = claim
+        if entry.displaced is not None or entry.evicted:
+            reason = f"preempted by {claim.label}"
+            for each in (entry.displaced, *entry.evicted):
+                if each is not None:
+                    each.evict(reason)
+
+    def drop(self, goal: Goal) -> None:
+        """End a goal that waits to be started."""
+        self.execution.drop(goal)
+
+    def start_waiting(self, goal: Goal, claim: Claim) -> None:
+        """Start a goal whose turn has come, unless it has ended meanwhile."""
+        if goal.body is claim:
+            goal.body = None
+            self.execution.move(goal, GoalEvent.EXECUTE)
+            self.execution.start(goal, claim.context)
+
+    def _release(self, goal: Goal) -> None:
+        """Give a goal's place to the next one."""
+        following = cast("Slot[Claim]", self._slot).leave(goal)
+        if following is not None:
+            self._tasks.soon(following.start)
+
+    # ending a goal from outside
+
+    def evict(self, goal: Goal, reason: str) -> None:
+        """Cancel a goal by the server's own decision, unless it is being canceled already."""
+        if not goal.reason and goal.status is not _CANCELING:
+            goal.reason = reason
+            if goal.body is not None:
+                goal.body.cancel()
 
     async def _wait_out(self, goal: Goal) -> None:
         """Wait until a goal has ended. Cancelling: cancels the goal, and waits for its end."""
@@ -330,30 +368,33 @@ class ActionServer(Generic[G, R, F]):
 
     async def _let_go(self, goal: Goal) -> bool:
         """Ask whether a goal may be canceled, and cancel it; False if not, or if it has ended."""
-        asks = self._cancel_callback is not None and goal.status is not GoalStatus.CANCELING
-        if asks and not await self._ask_to_cancel(goal):
+        callback = self._cancel_callback
+        if callback is None or goal.status is _CANCELING:
+            return self._cancel_body(goal)
+        agreed = await ask_for_cancel(self.name, callback, ServerGoalHandle(self, goal))
+        return agreed and self._cancel_body(goal)
+
+    def _cancel_body(self, goal: Goal) -> bool:
+        """Cancel a goal; False if it has ended before."""
+        if not goal.status.is_active:
             return False
-        if goal.status.is_active and goal.status is not GoalStatus.CANCELING:
-            mark_canceling(goal)
+        if goal.status is not _CANCELING:
+            self.execution.move(goal, GoalEvent.CANCEL_GOAL)
             if goal.body is not None and not goal.reason:  # else it has been canceled already
                 goal.body.cancel()
-        return goal.status.is_active
+        return True
 
-    async def _ask_to_cancel(self, goal: Goal) -> bool:
-        """Put a goal to the user's cancel_callback."""
-        callback = cast("Callable[..., object]", self._cancel_callback)
-        try:
-            answer = callback(ServerGoalHandle(self, goal))
-            if isawaitable(answer):
-                answer = await answer
-        except Exception:
-            logger.exception("the cancel_callback of %s failed; the goal goes on", self.name)
-            return False
-        return answer is CancelResponse.ACCEPT
+    async def _cancel_in_background(self, goal: Goal) -> None:
+        await self._let_go(goal)
+
+    def _tell(self, goal: Goal, old: GoalStatus, new: GoalStatus) -> None:
+        """Tell all hooks of a change; what they raise is logged and does no harm."""
+        handle = ServerGoalHandle(self, goal)
+        for hook in tuple(self._hooks):
+            try:
+                hook(handle, old, new)
+            except Exception:
+                logger.exception("a hook on the transitions of %s failed", self.name)
 
     def _info(self, goal: Goal) -> GoalInfo:
-        return GoalInfo(UUID(self.name_goal(goal)), _time(goal.stamp))
-
-
-def _time(nanoseconds: int) -> Time:
-    return Time(*divmod(nanoseconds, 1_000_000_000))
+        return GoalInfo(UUID(self.name_goal(goal)), Time(*divmod(goal.stamp, 1_000_000_000)))

@@ -1,4 +1,4 @@
-"""Tasks, wake-ups and borrowed tasks, on asyncio (uvloop too) and on trio.
+"""Tasks and wake-ups, on asyncio (uvloop too) and on trio.
 
 The few things for which anyio's own are too dear to spend one on each goal or message. A goal's
 body runs in a *bare* task: no task group holds it, the action server that started it does, and
@@ -8,12 +8,9 @@ Order and cancellation:
 
 - `Tasks.spawn` runs the first step of a coroutine at once where the loop can do that (asyncio),
   else soon (trio); the coroutine handles its own exceptions.
-- `Tasks.borrow` runs a coroutine inside the caller's own task, yet lets others cancel the
-  coroutine without canceling the caller (asyncio alone).
 - A `Signal` wakes all that wait for it when it fires; it keeps no memory of earlier fires.
 
-Source: asyncio ``Task(eager_start=...)`` of Python 3.12 for the eager first step;
-``asyncio.timeout`` for how a cancellation of one's own is told from that of others.
+Source: asyncio ``Task(eager_start=...)`` of Python 3.12 for the eager first step.
 """
 
 from __future__ import annotations
@@ -21,10 +18,9 @@ from __future__ import annotations
 import asyncio
 import logging
 import sys
-from collections.abc import Callable, Coroutine, Generator
+from collections.abc import Callable, Coroutine
 from contextvars import Context, copy_context
-from types import coroutine
-from typing import TYPE_CHECKING, Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, Protocol
 
 import anyio
 
@@ -33,11 +29,9 @@ from turtleact.goal import Cancelable
 if TYPE_CHECKING:
     import trio
 
-__all__ = ["Background", "Borrowed", "Signal", "Tasks", "current_tasks"]
+__all__ = ["Background", "Signal", "Tasks", "current_tasks"]
 
 logger = logging.getLogger("turtleact")
-
-T = TypeVar("T")
 
 
 class Signal(Protocol):
@@ -56,8 +50,13 @@ class Tasks(Protocol):
     cancelled: type[BaseException]
     can_borrow: bool
 
-    def spawn(self, body: Coroutine[object, object, None], name: str) -> Cancelable:
-        """Run a coroutine in a task of its own, in a copy of the current context."""
+    def spawn(
+        self, body: Coroutine[object, object, None], name: str, context: Context | None = None
+    ) -> Cancelable:
+        """Run a coroutine in a task of its own, in a copy of the current context unless given."""
+
+    def soon(self, callback: Callable[[], object]) -> None:
+        """Call something, not within this call if it may run a body's first step."""
 
     def signal(self) -> Signal:
         """A new signal."""
@@ -129,14 +128,16 @@ class AsyncioTasks:
         self._loop = asyncio.get_running_loop()
         self._step: Callable[[], object] = _nothing
 
-    def spawn(self, body: Coroutine[object, object, None], name: str) -> asyncio.Task[None]:
+    def spawn(
+        self, body: Coroutine[object, object, None], name: str, context: Context | None = None
+    ) -> asyncio.Task[None]:
         """Run a coroutine in a task of its own; its first step has run when this returns."""
         if sys.version_info >= (3, 12):
-            return asyncio.Task(body, loop=self._loop, name=name, eager_start=True)
-        return self._start_eagerly(body, name)
+            return asyncio.Task(body, loop=self._loop, name=name, context=context, eager_start=True)
+        return self._start_eagerly(body, name, copy_context() if context is None else context)
 
     def _start_eagerly(
-        self, body: Coroutine[object, object, None], name: str
+        self, body: Coroutine[object, object, None], name: str, context: Context
     ) -> asyncio.Task[None]:
         """What ``eager_start=True`` does from Python 3.12 on.
 
@@ -144,7 +145,7 @@ class AsyncioTasks:
         for that moment, the step caught and run here, in the task's own context, as the current
         task.
         """
-        loop, context = self._loop, copy_context()
+        loop = self._loop
         loop.call_soon = self._catch  # type: ignore[method-assign,assignment]  # for a moment
         try:
             task = asyncio.Task(body, loop=loop, name=name, context=context)
@@ -164,6 +165,10 @@ class AsyncioTasks:
 
     def _catch(self, step: Callable[[], object], *, context: Context) -> None:  # noqa: ARG002
         self._step = step
+
+    def soon(self, callback: Callable[[], object]) -> None:
+        """Call something in the loop's next turn: it may run a body's first step."""
+        self._loop.call_soon(callback)
 
     def signal(self) -> AsyncioSignal:
         """A new signal."""
@@ -203,100 +208,6 @@ class AsyncioSignal:
             raise
 
 
-class Borrowed:
-    """A coroutine that runs inside the caller's own task (asyncio alone).
-
-    `cancel` cancels the coroutine alone: the caller's task goes on once it has ended. A
-    cancellation of the caller reaches the coroutine too, and is raised again at the end, whatever
-    the coroutine made of it.
-
-    A timeout or task group within the coroutine cancels the same task. Whose a cancellation was
-    can be told once the coroutine has left these, for they take their own back: what is then left
-    in ``Task.cancelling()`` came from outside.
-
-    Args:
-        context: What the coroutine runs in, a copy of the caller's: what it sets there stays there.
-    """
-
-    __slots__ = ("_asked", "_before", "_context", "_is_on_its_way", "_task", "_thrown")
-
-    def __init__(self, context: Context) -> None:
-        task = cast("asyncio.Task[object]", asyncio.current_task())
-        self._context = context
-        self._task: asyncio.Task[object] | None = task
-        self._before = task.cancelling()
-        self._asked = 0
-        self._is_on_its_way = False
-        self._thrown: asyncio.CancelledError | None = None
-
-    def cancel(self) -> None:
-        """Let a cancellation arrive at the coroutine's next await."""
-        if self._task is not None:
-            self._asked += 1
-            self._is_on_its_way = True
-            self._task.cancel()
-
-    @property
-    def is_caller_canceled(self) -> bool:
-        """Whether somebody else has canceled the task; sure at the coroutine's end, not before."""
-        task = self._task
-        return task is not None and task.cancelling() > self._before + self._asked
-
-    @coroutine
-    def go_on(
-        self, body: Coroutine[object, object, T], waits_for: object
-    ) -> Generator[object, object, T]:
-        """Run a coroutine that has had its first step, and waits for what it gave out then.
-
-        Args:
-            body: The coroutine.
-            waits_for: What its first ``send`` gave.
-        """
-        in_context = self._context.run
-        try:
-            while True:
-                try:
-                    answer = yield waits_for
-                except GeneratorExit:
-                    in_context(body.close)
-                    raise
-                except BaseException as thrown:
-                    self._note(thrown)
-                    waits_for = in_context(body.throw, thrown)
-                else:
-                    waits_for = in_context(body.send, answer)
-        except StopIteration as end:
-            value: T = end.value
-        finally:
-            task = self._give_back()
-        if self._is_on_its_way:  # the end came before the cancellation
-            try:
-                yield None
-            except asyncio.CancelledError as late:
-                self._thrown = late
-        if self._thrown is not None and task.cancelling() > self._before:
-            try:
-                raise self._thrown
-            finally:
-                self._thrown = None  # or the exception would hold itself
-        return value
-
-    def _note(self, thrown: BaseException) -> None:
-        """Remember a cancellation that may be the caller's; a failed future is thrown in too."""
-        if isinstance(thrown, asyncio.CancelledError):
-            self._is_on_its_way = False
-            if self.is_caller_canceled:
-                self._thrown = thrown
-
-    def _give_back(self) -> asyncio.Task[object]:
-        """Take no more requests, and take those back that were made."""
-        task = cast("asyncio.Task[object]", self._task)
-        self._task = None
-        for _ in range(self._asked):
-            task.uncancel()
-        return task
-
-
 # trio
 
 
@@ -311,11 +222,19 @@ class TrioTasks:
         self._trio = trio
         self.cancelled: type[BaseException] = trio.Cancelled
 
-    def spawn(self, body: Coroutine[object, object, None], name: str) -> TrioTask:
+    def spawn(
+        self, body: Coroutine[object, object, None], name: str, context: Context | None = None
+    ) -> TrioTask:
         """Run a coroutine in a task of its own; its first step runs soon."""
         task = TrioTask(self._trio.CancelScope())
-        self._trio.lowlevel.spawn_system_task(task.run, body, name=name, context=copy_context())
+        self._trio.lowlevel.spawn_system_task(
+            task.run, body, name=name, context=copy_context() if context is None else context
+        )
         return task
+
+    def soon(self, callback: Callable[[], object]) -> None:
+        """Call something now: what it spawns begins later."""
+        callback()
 
     def signal(self) -> TrioSignal:
         """A new signal."""

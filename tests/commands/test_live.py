@@ -21,7 +21,7 @@ import anyio
 import pytest
 
 from turtleact import render
-from turtleact.client import Outcome
+from turtleact.client_goal import Outcome
 from turtleact.commands import live
 from turtleact.commands.live import LiveTranscript, Region
 from turtleact.commands.transcript import Sent

@@ -1,0 +1,67 @@
+"""What clients ask of a server in their own process: no message travels, objects are shared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from typing import Protocol, TypeAlias, runtime_checkable
+
+from turtleact.goal import Goal
+from turtleact.interfaces.standard import CancelGoal
+from turtleact.tasks import Signal
+
+__all__ = ["LocalServer", "OnFeedback"]
+
+OnFeedback: TypeAlias = Callable[[object], object]
+
+
+@runtime_checkable
+class LocalServer(Protocol):
+    """What a client asks of a server in its own process; see `turtleact.server.ActionServer`."""
+
+    is_open: bool
+    asks_first: bool
+
+    async def ask(self, request: object) -> None:
+        """Ask the server's user whether to take a goal; only if `asks_first`."""
+
+    def begin(
+        self,
+        request: object,
+        goal_id: bytes | None,
+        on_feedback: OnFeedback | None,
+        sender: object,
+    ) -> Goal:
+        """Take up a goal, start its body, keep its feedback."""
+
+    def call(
+        self,
+        request: object,
+        goal_id: bytes | None,
+        on_feedback: OnFeedback | None,
+        sender: object,
+    ) -> Generator[object, object, object]:
+        """Take up a goal and run it to its end."""
+
+    def find(self, goal_id: bytes) -> Goal | None:
+        """The goal of that id, if it is held."""
+
+    def cancel_nowait(self, goal: Goal) -> None:
+        """Ask for a goal to be canceled, without waiting."""
+
+    def client_lost(self, sender: object) -> None:
+        """Note that a client has gone."""
+
+    async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
+        """Answer a cancel request: by id, by stamp (ns), by both, or for every goal."""
+
+    async def cancel_and_wait(self, goal: Goal) -> None:
+        """Ask for a goal to be canceled and wait for its end."""
+
+    async def wait_for_end(self, goal: Goal) -> None:
+        """Wait until a goal has ended."""
+
+    def name_goal(self, goal: Goal) -> bytes:
+        """The id of a goal; it gets one if it has none."""
+
+    def signal(self, goal: Goal) -> Signal:
+        """The signal that fires at each change of a goal."""

@@ -1,0 +1,78 @@
+"""A goal as its body and the server's callbacks see it.
+
+Source: rclpy ``action/server.py`` for names and meaning.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Generic, TypeVar, cast
+
+from turtleact.goal import Goal, GoalStatus
+from turtleact.interfaces import Message
+from turtleact.interfaces.standard import Time
+
+if TYPE_CHECKING:
+    from turtleact.server import ActionServer
+
+__all__ = ["ServerGoalHandle"]
+
+G = TypeVar("G", bound=Message)
+R = TypeVar("R", bound=Message)
+F = TypeVar("F", bound=Message)
+
+
+class ServerGoalHandle(Generic[G, R, F]):
+    """What a body holds of its goal.
+
+    Attributes:
+        node: The node that serves the goal.
+    """
+
+    __slots__ = ("_goal", "_server", "node")
+
+    def __init__(self, server: ActionServer[G, R, F], goal: Goal) -> None:
+        self._server = server
+        self._goal = goal
+        self.node = server.node
+
+    @property
+    def goal_id(self) -> bytes:
+        """The goal's 16 bytes."""
+        return self._server.name_goal(self._goal)
+
+    @property
+    def stamp(self) -> Time:
+        """When the goal was accepted."""
+        return Time(*divmod(self._goal.stamp, 1_000_000_000))
+
+    @property
+    def status(self) -> GoalStatus:
+        """The goal's state."""
+        return self._goal.status
+
+    @property
+    def request(self) -> G:
+        """The goal message."""
+        return cast("G", self._goal.request)
+
+    @property
+    def is_cancel_requested(self) -> bool:
+        """Whether a client has asked to cancel the goal, and the server agreed."""
+        return self._goal.status is GoalStatus.CANCELING
+
+    def publish_feedback(self, feedback: F) -> None:
+        """Send feedback: a snapshot is taken, so the message may be changed and sent again.
+
+        Raises:
+            InvalidMessage: if it is not this action's Feedback, or a value does not fit its type.
+            InvalidTransition: if the goal is neither EXECUTING nor CANCELING.
+        """
+        self._server.execution.publish(self._goal, feedback)
+
+    def set_partial_result(self, result: R) -> None:
+        """Set what is reported should the goal be canceled or aborted.
+
+        Raises:
+            InvalidMessage: if it is not this action's Result, or a value does not fit its type.
+        """
+        self._goal.result = self._server.execution.check_result(result)

@@ -1,0 +1,159 @@
+"""Coroutines run step by step: in the caller's own task, and with an eye on the clock.
+
+A step is what happens between two waits. One that takes long has blocked the event loop, and
+everybody in it.
+
+Source: ``asyncio.timeout`` for how a cancellation of one's own is told from that of others;
+asyncio's debug mode for what is told of slow callbacks.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine, Generator
+from contextvars import Context
+from math import inf
+from time import monotonic
+from types import coroutine
+from typing import TypeAlias, TypeVar, cast
+
+__all__ = ["BLOCKING", "Borrowed", "timed"]
+
+T = TypeVar("T")
+
+OnSlow: TypeAlias = Callable[[float], None]
+
+BLOCKING = 0.5
+"""A step that takes longer is reported (s)."""
+
+
+@coroutine
+def timed(body: Coroutine[object, object, T], on_slow: OnSlow) -> Generator[object, object, T]:
+    """Run a coroutine as ``await`` does; ``on_slow`` is told how long a step took (s)."""
+    began = monotonic()
+    try:
+        waits_for = body.send(None)
+        while True:
+            if (took := monotonic() - began) > BLOCKING:
+                on_slow(took)
+            began = inf  # of a wait
+            try:
+                answer = yield waits_for
+            except GeneratorExit:
+                body.close()
+                raise
+            except BaseException as thrown:
+                began = monotonic()
+                waits_for = body.throw(thrown)
+            else:
+                began = monotonic()
+                waits_for = body.send(answer)
+    except StopIteration as end:
+        return cast("T", end.value)
+    finally:
+        if (took := monotonic() - began) > BLOCKING:
+            on_slow(took)
+
+
+class Borrowed:
+    """A coroutine that runs inside the caller's own task (asyncio alone).
+
+    `cancel` cancels the coroutine alone: the caller's task goes on once it has ended. A
+    cancellation of the caller reaches the coroutine too, and is raised again at the end, whatever
+    the coroutine made of it.
+
+    A timeout or task group within the coroutine cancels the same task. Whose a cancellation was
+    can be told once the coroutine has left these, for they take their own back: what is then left
+    in ``Task.cancelling()`` came from outside.
+
+    Args:
+        context: What the coroutine runs in, a copy of the caller's: what it sets there stays there.
+        on_slow: Told of each step that has blocked the loop.
+    """
+
+    __slots__ = ("_asked", "_before", "_context", "_is_on_its_way", "_on_slow", "_task", "_thrown")
+
+    def __init__(self, context: Context, on_slow: OnSlow) -> None:
+        task = cast("asyncio.Task[object]", asyncio.current_task())
+        self._context = context
+        self._on_slow = on_slow
+        self._task: asyncio.Task[object] | None = task
+        self._before = task.cancelling()
+        self._asked = 0
+        self._is_on_its_way = False
+        self._thrown: asyncio.CancelledError | None = None
+
+    def cancel(self) -> None:
+        """Let a cancellation arrive at the coroutine's next await."""
+        if self._task is not None:
+            self._asked += 1
+            self._is_on_its_way = True
+            self._task.cancel()
+
+    @property
+    def is_caller_canceled(self) -> bool:
+        """Whether somebody else has canceled the task; sure at the coroutine's end, not before."""
+        task = self._task
+        return task is not None and task.cancelling() > self._before + self._asked
+
+    @coroutine
+    def go_on(
+        self, body: Coroutine[object, object, T], waits_for: object
+    ) -> Generator[object, object, T]:
+        """Run a coroutine that has had its first step, and waits for what it gave out then.
+
+        Args:
+            body: The coroutine.
+            waits_for: What its first ``send`` gave.
+        """
+        in_context = self._context.run
+        began = inf
+        try:
+            while True:
+                try:
+                    answer = yield waits_for
+                except GeneratorExit:
+                    in_context(body.close)
+                    raise
+                except BaseException as thrown:
+                    self._note(thrown)
+                    began = monotonic()
+                    waits_for = in_context(body.throw, thrown)
+                else:
+                    began = monotonic()
+                    waits_for = in_context(body.send, answer)
+                if (took := monotonic() - began) > BLOCKING:
+                    self._on_slow(took)
+                began = inf
+        except StopIteration as end:
+            value: T = end.value
+        finally:
+            task = self._give_back()
+            if (took := monotonic() - began) > BLOCKING:
+                self._on_slow(took)
+        if self._is_on_its_way:  # the end came before the cancellation
+            try:
+                yield None
+            except asyncio.CancelledError as late:
+                self._thrown = late
+        if self._thrown is not None and task.cancelling() > self._before:
+            try:
+                raise self._thrown
+            finally:
+                self._thrown = None  # or the exception would hold itself
+        return value
+
+    def _note(self, thrown: BaseException) -> None:
+        """Remember a cancellation that may be the caller's; a failed future is thrown in too."""
+        if isinstance(thrown, asyncio.CancelledError):
+            self._is_on_its_way = False
+            if self.is_caller_canceled:
+                self._thrown = thrown
+
+    def _give_back(self) -> asyncio.Task[object]:
+        """Take no more requests, and take those back that were made."""
+        task = cast("asyncio.Task[object]", self._task)
+        self._task = None
+        for _ in range(self._asked):
+            task.uncancel()
+        return task
