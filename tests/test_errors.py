@@ -8,8 +8,9 @@ import pickle
 import pytest
 
 from turtleact import errors
-from turtleact.errors import TurtleactError, summary
+from turtleact.errors import TurtleactError
 from turtleact.goal import GoalEvent, GoalStatus
+from turtleact.summaries import summary, text_of
 
 # Each exception with its facts, and the text that these make.
 SAID = [
@@ -102,3 +103,18 @@ def test_an_exception_is_summed_up_in_a_line(error, line):
 def test_an_exception_can_be_sent_to_another_process(error):
     sent = pickle.loads(pickle.dumps(error))
     assert (type(sent), vars(sent), str(sent)) == (type(error), vars(error), str(error))
+
+
+class Mute(Exception):
+    """An exception that cannot be printed."""
+
+    def __str__(self) -> str:
+        raise RuntimeError("no words")
+
+
+def test_what_cannot_be_printed_is_said_to_be_so():
+    assert text_of(Mute()) == "(Mute, whose text cannot be had: RuntimeError)"
+
+
+def test_a_text_of_several_lines_becomes_one():
+    assert summary(ValueError("one\ntwo")) == "ValueError: one two"

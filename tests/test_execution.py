@@ -1430,3 +1430,34 @@ def kinds(error: BaseException | None) -> set[type[BaseException]]:
 
 async def test_the_plain_body_of_the_laboratory_counts(send):
     assert await end_of(count, send) == Outcome(GoalStatus.SUCCEEDED, result(0, 1, 2))
+
+
+# --- exceptions that are hard to tell --------------------------------------------------------
+
+
+class Mute(Exception):
+    """An exception that cannot be printed."""
+
+    def __str__(self) -> str:
+        raise RuntimeError("no words")
+
+
+HARD_TO_TELL = [Mute(), GeneratorExit(), Abort(Mute())]  # type: ignore[arg-type]  # no text
+
+
+@pytest.mark.parametrize("style", ["coroutine", "generator"])
+@pytest.mark.parametrize("error", HARD_TO_TELL, ids=["mute", "exit", "abort"])
+async def test_a_body_that_raises_what_is_hard_to_tell_ends_its_goal_all_the_same(
+    send, style, error
+):
+    async def coroutine(goal):
+        raise error
+
+    async def generator(goal):
+        yield feedback(1)
+        raise error
+
+    async with lab({"coroutine": coroutine, "generator": generator}[style]) as served:
+        outcome = await send(served, goal())
+        assert outcome.status is GoalStatus.ABORTED
+        assert type(error).__name__ in outcome.reason or "Mute" in outcome.reason

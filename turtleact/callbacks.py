@@ -10,8 +10,9 @@ from collections.abc import Callable
 from inspect import isawaitable
 from typing import TypeAlias
 
-from turtleact.errors import GoalRejected, Reject, summary
+from turtleact.errors import GoalRejected, Reject
 from turtleact.goal import CancelResponse, GoalResponse
+from turtleact.summaries import summary, text_of
 
 __all__ = ["CancelCallback", "GoalCallback", "ask_for_cancel", "ask_for_goal"]
 
@@ -37,7 +38,7 @@ async def ask_for_goal(server: str, callback: GoalCallback, request: object) -> 
         if isawaitable(answer):
             answer = await answer
     except Reject as verdict:
-        raise GoalRejected(verdict.reason) from None
+        raise GoalRejected(text_of(verdict.reason)) from None
     except Exception as error:
         logger.exception("the goal_callback of %s failed; the goal is rejected", server)
         raise GoalRejected(f"the goal_callback failed: {summary(error)}") from None

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable, Generator
+from inspect import iscoroutinefunction
 from types import TracebackType
 from typing import Any, Generic, TypeVar
 
@@ -18,7 +19,7 @@ import msgspec
 
 from turtleact.body import ActionType
 from turtleact.client_goal import ClientGoalHandle
-from turtleact.errors import ServerUnavailable, UnknownGoal
+from turtleact.errors import InvalidOption, ServerUnavailable, TurtleactError, UnknownGoal
 from turtleact.goal_id import goal_id_bytes
 from turtleact.interfaces import Message
 from turtleact.interfaces.standard import CancelGoal, Time
@@ -53,6 +54,7 @@ class ActionClient(Generic[G, R, F]):
         self._service = (names.send_goal, f"{action_type.type_name}_SendGoal")
         self.membership: Closeable | None = None
         self._server: LocalServer | None = None
+        self._is_open = True
 
     def send_goal(
         self,
@@ -70,11 +72,15 @@ class ActionClient(Generic[G, R, F]):
                 raises is logged and does no harm.
 
         Raises:
+            InvalidOption: if the ``feedback_callback`` is a coroutine function.
             InvalidGoal: (when awaited or entered) if a value does not fit its type; nothing sent.
             ServerUnavailable: if nobody serves the action.
             GoalRejected: if the server does not take the goal.
             GoalAborted, GoalCanceled: (when awaited) if the goal ends so.
         """
+        if feedback_callback is not None and iscoroutinefunction(feedback_callback):
+            problem = "must be a plain function: it is called in the server's turn, not awaited"
+            raise InvalidOption("feedback_callback", problem)
         return SendGoal(
             self,
             goal,
@@ -113,8 +119,10 @@ class ActionClient(Generic[G, R, F]):
 
     async def aclose(self) -> None:
         """Leave the graph; the goals it has sent go on, unless their server cancels them."""
+        self._is_open = False
         if self._server is not None:
             self._server.client_lost(self)
+            self._server = None
         if self.membership is not None:
             self.membership.close()
 
@@ -126,14 +134,28 @@ class ActionClient(Generic[G, R, F]):
         """
         server = self._server
         if server is None or not server.is_open:
+            if not self._is_open:
+                raise TurtleactError(f"the client of action '{self.name}' is closed: open another")
             server = self._server = self._find()
             if server is None:
-                raise ServerUnavailable(self.name)
+                raise ServerUnavailable(self.name, self._what_is_there())
         return server
 
     def _find(self) -> LocalServer | None:
         found = self._transport.local(*self._service)
         return found if isinstance(found, LocalServer) else None
+
+    def _what_is_there(self) -> str:
+        """Why there is no server to be found."""
+        name, wanted = self._service
+        types = {
+            endpoint.type_name.removesuffix("_SendGoal")
+            for endpoint in self._transport.endpoints()
+            if endpoint.kind == "service" and endpoint.name == name and endpoint.type_name != wanted
+        }
+        if not types:
+            return "no server answers"
+        return f"it is served as {', '.join(sorted(types))}, not as {self.action_type.type_name}"
 
 
 class SendGoal(msgspec.Struct, Generic[G, R, F], eq=False):

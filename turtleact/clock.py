@@ -6,23 +6,42 @@ runs of the same program pass through the same moments.
 
 `Clock.time` is for measuring (seconds, from an arbitrary start, never backwards); `Clock.now` is
 ROS time (nanoseconds since the epoch) and stamps what others see.
+
+Where the event loop's own time is virtual (`turtleact.testing`), it is wall time to the clocks made
+there: all of them, and `anyio.sleep`, then tell one time.
 """
 
 from __future__ import annotations
 
 import asyncio
+import gc
 import heapq
 import itertools
 import math
+import sys
 import time
-from typing import Protocol
+from collections import deque
+from collections.abc import Callable, Sized
+from typing import Protocol, cast
 
 import anyio
+from anyio.lowlevel import RunVar
 
 from turtleact.errors import SimError
 from turtleact.tasks import Signal, Tasks, current_tasks
 
-__all__ = ["Clock", "ScaledClock", "VirtualClock", "WallClock", "make_clock"]
+__all__ = [
+    "EPOCH",
+    "Clock",
+    "ScaledClock",
+    "VirtualClock",
+    "WallClock",
+    "make_clock",
+    "wait_until_idle",
+]
+
+EPOCH = 1_700_000_000_000_000_000
+"""ROS time at the start of virtual time (ns): every run sees the same stamps."""
 
 
 class Clock(Protocol):
@@ -61,16 +80,18 @@ class ScaledClock:
         if not (math.isfinite(factor) and factor > 0):
             raise SimError(f"a clock's speed must be a number above zero, not {factor}")
         self.factor = factor
-        self._wall_start = time.monotonic()
-        self._ros_start = time.time_ns()
+        leaping = _leaping_time()
+        self._wall = leaping or time.monotonic
+        self._wall_start = self._wall()
+        self._ros_start = EPOCH + round(self._wall_start * 1e9) if leaping else time.time_ns()
 
     def time(self) -> float:
         """Seconds since this clock was made."""
-        return (time.monotonic() - self._wall_start) * self.factor
+        return (self._wall() - self._wall_start) * self.factor
 
     def now(self) -> int:
         """ROS time; it begins at the wall's time when this clock was made."""
-        return self._ros_start + int(self.time() * 1e9)
+        return self._ros_start + round(self.time() * 1e9)
 
     async def sleep(self, seconds: float) -> None:
         """Wait for some seconds of this clock; 0 or less is a checkpoint."""
@@ -94,18 +115,17 @@ class WallClock(ScaledClock):
 
     def __init__(self) -> None:
         super().__init__()
-
-    now = staticmethod(time.time_ns)
+        if self._wall is time.monotonic:
+            self.now = time.time_ns  # type: ignore[method-assign]  # it follows a clock that is set
 
 
 class VirtualClock:
     """Time that leaps: it moves on only when every task waits, straight to the next deadline.
 
     Somebody must `run` it. Sleepers of one deadline go on in the order in which they began to
-    sleep. What waits for the network, a thread or wall time does not hold virtual time up.
+    sleep, each once all that the one before it brought about has been done. What waits for the
+    network, a thread or wall time does not hold virtual time up.
     """
-
-    EPOCH = 1_700_000_000_000_000_000
 
     def __init__(self) -> None:
         self._time = 0.0
@@ -120,7 +140,7 @@ class VirtualClock:
 
     def now(self) -> int:
         """ROS time; it begins at a fixed moment, so that every run sees the same stamps."""
-        return self.EPOCH + round(self._time * 1e9)
+        return EPOCH + round(self._time * 1e9)
 
     async def sleep(self, seconds: float) -> None:
         """Wait for some virtual seconds; 0 or less is a checkpoint."""
@@ -153,48 +173,106 @@ class VirtualClock:
 
     async def run(self) -> None:
         """Leap to the next deadline whenever every other task waits; never returns by itself."""
-        self._wanted = current_tasks().signal()
+        wanted = self._wanted = current_tasks().signal()
         while True:
-            await _wait_until_idle()
-            if not self._sleepers:
-                await self._wanted.wait()
+            await wait_until_idle()
+            if not self._sleepers or self._sleepers[0][0] == math.inf:
+                await wanted.wait()
                 continue
-            self._time = self._sleepers[0][0]
-            while self._sleepers and self._sleepers[0][0] <= self._time:
-                heapq.heappop(self._sleepers)[2].fire()
+            self._time = max(self._time, self._sleepers[0][0])
+            heapq.heappop(self._sleepers)[2].fire()
 
 
 def make_clock(speed: float | str) -> ScaledClock | VirtualClock:
     """The clock of a speed: a factor of wall time, or ``"max"`` for virtual time.
 
+    Where wall time itself is virtual, that is as fast as can be, and ``"max"`` the same as 1.
+
     Raises:
         SimError: if it is neither.
     """
     if speed == "max":
-        return VirtualClock()
+        return VirtualClock() if _leaping_time() is None else WallClock()
     try:
         factor = float(speed)
-    except ValueError:
+    except (TypeError, ValueError, OverflowError):
         raise SimError(f"a speed is a number above zero or 'max', not '{speed}'") from None
     return WallClock() if factor == 1.0 else ScaledClock(factor)
 
 
-async def _wait_until_idle() -> None:
-    """Return once every other task waits for something that none of them can bring about."""
+def _leaping_time() -> Callable[[], float] | None:
+    """The time of the event loop that runs now, if it is virtual."""
+    if "trio" in sys.modules:
+        import trio
+
+        if trio.lowlevel.in_trio_run():
+            clock = trio.lowlevel.current_clock()
+            return clock.current_time if hasattr(clock, "autojump_threshold") else None
+    try:
+        loop = asyncio.get_running_loop()
+    except RuntimeError:  # a clock may be made before the loop runs
+        return None
+    return loop.time if getattr(loop, "is_virtual", False) else None
+
+
+# being idle
+
+
+async def wait_until_idle() -> None:
+    """Wait until every other task waits for something that none of them brings about.
+
+    Several may wait so; all go on then. What waits for the network, a thread or wall time counts as
+    idle. Cancelling: safe, nothing is lost.
+    """
     if anyio.get_cancelled_exc_class() is not asyncio.CancelledError:
         await anyio.wait_all_tasks_blocked()  # trio's own
         return
-    ready = getattr(asyncio.get_running_loop(), "_ready", None)  # asyncio's own loops have it
-    await asyncio.sleep(0)
-    while ready if ready is not None else _any_task_runs():
-        await asyncio.sleep(0)
+    turns = _turns.get(None)
+    if turns is None:
+        turns = _Turns(asyncio.get_running_loop())
+        _turns.set(turns)
+    await turns.wait_until_idle()
 
 
-def _any_task_runs() -> bool:
-    """Whether another task can go on in this or the next turn of the loop (uvloop)."""
-    me = asyncio.current_task()
-    for task in asyncio.all_tasks():
-        waits_for = getattr(task, "_fut_waiter", None)
-        if task is not me and (waits_for is None or waits_for.done()):
-            return True
-    return False
+class _Turns:
+    """How often an asyncio loop has been idle, and who watches it.
+
+    A watcher takes turn after turn of the loop, so each has one call in the loop's queue; the loop
+    is idle when a watcher, in its own turn, finds nothing there but those of the others.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._ready = _queue(loop)
+        self._watchers = 0
+        self._idle = 0
+
+    async def wait_until_idle(self) -> None:
+        """Take turns until the loop is idle; whoever sees it first has seen it for all."""
+        before = self._idle
+        self._watchers += 1
+        try:
+            await asyncio.sleep(0)
+            while self._idle == before and len(self._ready) >= self._watchers:
+                await asyncio.sleep(0)
+        finally:
+            self._watchers -= 1
+        if self._idle == before:
+            self._idle += 1
+
+
+_turns: RunVar[_Turns] = RunVar("turtleact_turns")
+
+
+def _queue(loop: asyncio.AbstractEventLoop) -> Sized:
+    """The calls that a loop will make in this or its next turn.
+
+    Raises:
+        SimError: if the loop does not show them.
+    """
+    ready = getattr(loop, "_ready", None)  # asyncio's own loops
+    if ready is None:  # uvloop hides it from Python, but not from the garbage collector
+        held = [each for each in gc.get_referents(loop) if isinstance(each, deque)]
+        if len(held) != 1:
+            raise SimError(f"virtual time does not work on the event loop {loop!r}")
+        ready = held[0]
+    return cast("Sized", ready)

@@ -62,7 +62,6 @@ __all__ = [
     "UnknownInterface",
     "UsageError",
     "Verdict",
-    "summary",
 ]
 
 
@@ -389,11 +388,3 @@ class Reject(Verdict):
 
     def __str__(self) -> str:
         return self.reason
-
-
-def summary(error: BaseException) -> str:
-    """An exception in one line: the type and the text, those of a group one after the other."""
-    if isinstance(error, BaseExceptionGroup):
-        return "; ".join(summary(each) for each in error.exceptions)
-    text = str(error)
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -20,11 +20,17 @@ from typing import Protocol, TypeAlias, cast
 
 from turtleact.body import ActionType, Body, Steps
 from turtleact.clock import Clock
-from turtleact.errors import Abort, Canceled, InvalidMessage, InvalidTransition, summary
+from turtleact.errors import (
+    Abort,
+    Canceled,
+    InvalidMessage,
+    InvalidTransition,
+)
 from turtleact.feedback import FeedbackLog
 from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable
 from turtleact.interfaces import Message, snapshotter
 from turtleact.stepping import Borrowed, timed
+from turtleact.summaries import summary, text_of
 from turtleact.tasks import Signal, Tasks
 
 __all__ = ["CURRENT_GOAL", "Execution", "FeedbackTopic", "Watch"]
@@ -158,12 +164,12 @@ class Execution:
             if is_timed:
                 running = timed(running, partial(self.report_blocking, goal))  # type: ignore[arg-type]
             result = await running  # type: ignore[misc]  # see Body
-        except GeneratorExit:  # the event loop is gone
-            raise
         except (KeyboardInterrupt, SystemExit):
             self.end(goal, GoalEvent.ABORT, None, "the program was stopped")
             raise
         except BaseException as error:
+            if _is_thrown_in(error):
+                raise
             self._fail(goal, error)
             return
         try:
@@ -313,7 +319,7 @@ class Execution:
             self.mark_canceling(goal)
         canceling = goal.status is _CANCELING
         if isinstance(error, Abort):
-            self._end_with(goal, GoalEvent.ABORT, error.result, error.reason)
+            self._end_with(goal, GoalEvent.ABORT, error.result, text_of(error.reason))
         elif isinstance(error, Canceled) and (canceling or goal.reason):
             event = GoalEvent.CANCELED if canceling else GoalEvent.ABORT
             self._end_with(goal, event, error.result, "" if canceling else goal.reason)
@@ -342,6 +348,12 @@ class Execution:
         if isinstance(error, BaseExceptionGroup):
             return error.split(self._tasks.cancelled)[1] is None
         return isinstance(error, self._tasks.cancelled)
+
+
+def _is_thrown_in(error: BaseException) -> bool:
+    """Whether the event loop is gone, and closes the coroutine; not an exception of the body."""
+    trace = error.__traceback__
+    return isinstance(error, GeneratorExit) and trace is not None and trace.tb_next is None
 
 
 async def _finish(steps: Steps) -> None:

@@ -27,10 +27,10 @@ from turtleact.errors import (
     ServiceError,
     ServiceTimeout,
     TurtleactError,
-    summary,
 )
 from turtleact.goal import Cancelable
 from turtleact.interfaces import Message, snapshotter
+from turtleact.summaries import summary
 from turtleact.tasks import Background, Signal, Tasks
 from turtleact.transports.base import Closeable, Transport
 

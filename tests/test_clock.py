@@ -1,0 +1,555 @@
+"""Wall time, a factor of it, and virtual time."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+
+import anyio
+import anyio.lowlevel
+import pytest
+
+from turtleact.clock import (
+    EPOCH,
+    ScaledClock,
+    VirtualClock,
+    WallClock,
+    _queue,
+    make_clock,
+    wait_until_idle,
+)
+from turtleact.errors import SimError
+from turtleact.tasks import Background
+
+from .lab import ON_ASYNCIO, running
+
+SECOND = 1_000_000_000
+
+
+class HandTime:
+    """The two clocks of the ``time`` module, set by hand."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.seconds = 100.0
+        self.set_by = 0
+        monkeypatch.setattr(time, "monotonic", lambda: self.seconds)
+        monkeypatch.setattr(time, "time_ns", self.time_ns)
+
+    def time_ns(self) -> int:
+        return round((5_000 + self.set_by + self.seconds) * SECOND)
+
+
+@pytest.fixture
+def wall(monkeypatch):
+    return HandTime(monkeypatch)
+
+
+# --- wall time and its factors --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 20.0])
+def test_a_scaled_clock_runs_that_many_times_as_fast(wall, factor):
+    clock = ScaledClock(factor)
+    wall.seconds += 3
+    assert clock.time() == 3 * factor
+
+
+def test_a_scaled_clock_begins_at_the_time_of_the_wall(wall):
+    clock = ScaledClock(10)
+    assert clock.now() == time.time_ns()
+    wall.seconds += 2
+    assert clock.now() == 5_100 * SECOND + 20 * SECOND
+
+
+def test_a_wall_clock_tells_the_time_of_the_wall(wall):
+    clock = WallClock()
+    wall.seconds += 2
+    assert (clock.time(), clock.now()) == (2.0, 5_102 * SECOND)
+
+
+def test_a_wall_clock_follows_the_wall_when_that_is_set(wall, monkeypatch):
+    clock = WallClock()
+    monkeypatch.setattr(wall, "set_by", 3600)
+    assert (clock.time(), clock.now()) == (0.0, 8_700 * SECOND)
+
+
+def test_a_scaled_clock_is_not_misled_when_the_wall_is_set(wall, monkeypatch):
+    clock = ScaledClock(2)
+    monkeypatch.setattr(wall, "set_by", 3600)
+    assert clock.now() == 5_100 * SECOND
+
+
+def test_a_scaled_clock_says_how_long_its_seconds_last(wall):
+    assert ScaledClock(4).wall_seconds(2) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("factor", "seconds", "slept"), [(1, 2, 2), (4, 2, 0.5), (4, 0, 0), (4, -1, 0)]
+)
+async def test_a_scaled_clock_sleeps_its_own_seconds(monkeypatch, factor, seconds, slept):
+    asked: list[float] = []
+
+    async def sleep(wall_seconds: float) -> None:
+        asked.append(wall_seconds)
+
+    clock = ScaledClock(factor)
+    monkeypatch.setattr(anyio, "sleep", sleep)
+    await clock.sleep(seconds)
+    assert asked == [slept]
+
+
+async def test_a_scaled_clock_sleeps_until_a_moment(monkeypatch):
+    asked: list[float] = []
+
+    async def sleep(wall_seconds: float) -> None:
+        asked.append(wall_seconds)
+
+    wall = HandTime(monkeypatch)
+    clock = ScaledClock(4)
+    monkeypatch.setattr(anyio, "sleep", sleep)
+    await clock.sleep_until(8)
+    wall.seconds += 3
+    await clock.sleep_until(8)
+    assert asked == [2, 0]
+
+
+@pytest.mark.parametrize("make", [WallClock, VirtualClock])
+@pytest.mark.parametrize("seconds", [0, -1])
+async def test_sleeping_no_time_lets_others_run(make, seconds):
+    clock, turns = make(), []
+
+    async def take() -> None:
+        turns.append("other")
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(take)
+        for _ in range(3):
+            await clock.sleep(seconds)
+        assert turns == ["other"]
+
+
+@pytest.mark.parametrize("make", [WallClock, VirtualClock])
+async def test_sleeping_no_time_can_be_canceled(make):
+    clock = make()
+    with anyio.CancelScope() as scope:
+        scope.cancel()
+        await clock.sleep(0)
+    assert scope.cancelled_caught
+
+
+async def test_nothing_need_drive_wall_time():
+    async with running(WallClock().run) as driver:
+        assert not driver.done.is_set()
+        driver.scope.cancel()
+
+
+# --- choosing a clock -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("speed", "kind", "factor"),
+    [
+        (1, WallClock, 1.0),
+        (1.0, WallClock, 1.0),
+        ("1", WallClock, 1.0),
+        (2, ScaledClock, 2.0),
+        ("0.5", ScaledClock, 0.5),
+        ("max", VirtualClock, None),
+    ],
+)
+def test_a_speed_chooses_a_clock(speed, kind, factor):
+    clock = make_clock(speed)
+    assert (type(clock), getattr(clock, "factor", None)) == (kind, factor)
+
+
+@pytest.mark.parametrize("speed", [0, -1, math.nan, math.inf, "0", "-2", "nan", "inf"])
+def test_a_speed_that_is_no_number_above_zero_is_refused(speed):
+    with pytest.raises(SimError, match="must be a number above zero, not"):
+        make_clock(speed)
+
+
+@pytest.mark.parametrize("speed", ["fast", "", "MAX", "1x"])
+def test_a_speed_that_is_no_number_is_refused(speed):
+    with pytest.raises(SimError, match=f"a speed is a number above zero or 'max', not '{speed}'"):
+        make_clock(speed)
+
+
+@pytest.mark.parametrize("speed", [None, [], object(), 10**400], ids=lambda s: type(s).__name__)
+def test_a_speed_of_another_type_is_refused(speed):
+    with pytest.raises(SimError, match="a speed is a number above zero or 'max'"):
+        make_clock(speed)
+
+
+# --- virtual time ---------------------------------------------------------------------------
+
+
+@pytest.fixture
+async def clock(anyio_backend):
+    """A virtual clock that is driven."""
+    clock = VirtualClock()
+    driver = Background(clock.run(), "the clock")
+    yield clock
+    await driver.aclose()
+
+
+def test_virtual_time_begins_at_a_fixed_moment():
+    clock = VirtualClock()
+    assert (clock.time(), clock.now()) == (0.0, EPOCH)
+
+
+def test_a_virtual_second_lasts_at_most_a_second():
+    assert VirtualClock().wall_seconds(7) == 7
+
+
+async def test_virtual_time_leaps_to_the_next_deadline(clock):
+    await clock.sleep(3600)
+    assert (clock.time(), clock.now()) == (3600.0, EPOCH + 3600 * SECOND)
+
+
+async def test_virtual_time_can_be_slept_until_a_moment(clock):
+    await clock.sleep_until(5)
+    await clock.sleep_until(5)
+    await clock.sleep_until(4)
+    assert clock.time() == 5
+
+
+async def test_virtual_time_stands_still_until_somebody_drives_it():
+    clock = VirtualClock()
+    async with running(lambda: clock.sleep(1)) as sleeper:
+        assert (sleeper.done.is_set(), clock.time()) == (False, 0)
+        async with running(clock.run) as driver:
+            await sleeper.done.wait()
+            driver.scope.cancel()
+        assert clock.time() == 1
+
+
+async def test_virtual_time_stands_still_while_anything_can_run(clock):
+    async with running(lambda: clock.sleep(1)) as sleeper:
+        for _ in range(100):
+            await anyio.lowlevel.checkpoint()
+            assert clock.time() == 0
+        await sleeper.done.wait()
+        assert clock.time() == 1
+
+
+async def test_sleepers_go_on_in_the_order_of_their_deadlines(clock):
+    log: list[float] = []
+
+    async def sleep(seconds: float) -> None:
+        await clock.sleep(seconds)
+        log.append(clock.time())
+
+    async with anyio.create_task_group() as group:
+        for seconds in (3, 1, 2, 0.5):
+            group.start_soon(sleep, seconds)
+    assert log == [0.5, 1, 2, 3]
+
+
+async def lie_down(group: anyio.abc.TaskGroup, clock: VirtualClock, seconds: float, wake) -> None:
+    """Start a task that sleeps and then calls ``wake``; it lies before this returns."""
+
+    async def sleep() -> None:
+        await clock.sleep(seconds)
+        await wake()
+
+    before = len(clock._sleepers)
+    group.start_soon(sleep)
+    while len(clock._sleepers) == before:
+        await anyio.lowlevel.checkpoint()
+
+
+async def test_sleepers_of_one_deadline_go_on_in_the_order_in_which_they_lay_down(clock):
+    log: list[int] = []
+
+    def noting(number: int):
+        async def note() -> None:
+            log.append(number)
+
+        return note
+
+    async with anyio.create_task_group() as group:
+        for number in range(20):
+            await lie_down(group, clock, 1, noting(number))
+    assert log == list(range(20))
+
+
+async def test_a_sleeper_goes_on_once_all_that_the_one_before_it_brought_about_is_done(clock):
+    log: list[str] = []
+    rung = anyio.Event()
+
+    async def ring() -> None:
+        rung.set()
+
+    async def answer() -> None:
+        await rung.wait()
+        for _ in range(10):
+            await anyio.lowlevel.checkpoint()
+        log.append("answered")
+
+    async def note() -> None:
+        log.append("second")
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(answer)
+        await lie_down(group, clock, 1, ring)
+        await lie_down(group, clock, 1, note)
+    assert log == ["answered", "second"]
+
+
+async def test_a_sleep_can_be_canceled(clock):
+    async with running(lambda: VirtualClock().sleep(1)) as sleeper:
+        sleeper.scope.cancel()
+    assert sleeper.scope.cancelled_caught
+
+
+async def test_a_canceled_sleep_is_forgotten():
+    clock = VirtualClock()
+    async with running(lambda: clock.sleep(1)) as sleeper:
+        assert len(clock._sleepers) == 1
+        sleeper.scope.cancel()
+    assert clock._sleepers == []
+
+
+async def test_a_sleep_can_be_canceled_when_it_is_over_but_has_not_gone_on():
+    clock = VirtualClock()
+    async with running(lambda: clock.sleep(1)) as sleeper:
+        clock._sleepers.pop()[2].fire()
+        sleeper.scope.cancel()
+        await sleeper.done.wait()
+    assert (sleeper.error, clock._sleepers) == (None, [])
+
+
+async def test_a_canceled_sleep_leaves_the_others_in_order():
+    clock, log = VirtualClock(), []
+
+    async def sleep(seconds: float) -> None:
+        await clock.sleep(seconds)
+        log.append(seconds)
+
+    async with anyio.create_task_group() as group:
+        for seconds in (5, 4, 3, 9, 8, 7):
+            group.start_soon(sleep, seconds)
+        async with running(lambda: clock.sleep(2)) as sleeper:
+            sleeper.scope.cancel()
+        async with running(clock.run) as driver:
+            while clock._sleepers:
+                await wait_until_idle()
+            driver.scope.cancel()
+    assert log == [3, 4, 5, 7, 8, 9]
+
+
+async def test_time_does_not_leap_to_a_canceled_deadline(clock):
+    async with running(lambda: clock.sleep_until(100)) as sleeper:
+        sleeper.scope.cancel()
+        await sleeper.done.wait()
+        for _ in range(3):
+            await wait_until_idle()
+        assert clock.time() == 0
+
+
+async def test_time_waits_for_a_child_to_be_joined(clock):
+    """The parent goes on some turns after the child's end, with nothing else to run between."""
+    moments: list[float] = []
+
+    async def parent() -> None:
+        async with anyio.create_task_group() as group:
+            group.start_soon(clock.sleep, 1)
+        moments.append(clock.time())
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(clock.sleep, 2)
+        group.start_soon(parent)
+    assert moments == [1]
+
+
+@ON_ASYNCIO
+async def test_time_waits_for_what_was_gathered(clock):
+    async def two():
+        await asyncio.gather(asyncio.gather(clock.sleep(1)), clock.sleep(0.5))
+        return clock.time()
+
+    moment, _ = await asyncio.gather(two(), clock.sleep(2))
+    assert moment == 1
+
+
+@ON_ASYNCIO
+async def test_time_waits_for_what_was_shielded(clock):
+    async def one():
+        await asyncio.shield(asyncio.shield(clock.sleep(1)))
+        return clock.time()
+
+    moment, _ = await asyncio.gather(one(), clock.sleep(2))
+    assert moment == 1
+
+
+@ON_ASYNCIO
+async def test_time_waits_for_a_callback_that_is_due(clock):
+    moments: list[float] = []
+    loop = asyncio.get_running_loop()
+
+    async def one() -> None:
+        await clock.sleep(1)
+        loop.call_soon(loop.call_soon, lambda: moments.append(clock.time()))
+
+    await asyncio.gather(one(), clock.sleep(2))
+    assert moments == [1]
+
+
+async def test_time_waits_for_a_canceled_scope_to_be_left(clock):
+    moments: list[float] = []
+
+    async def one() -> None:
+        with anyio.CancelScope() as scope:
+            async with anyio.create_task_group() as group:
+                group.start_soon(anyio.sleep_forever)
+                await clock.sleep(1)
+                scope.cancel()
+        moments.append(clock.time())
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(clock.sleep, 2)
+        group.start_soon(one)
+    assert moments == [1]
+
+
+async def test_time_does_not_leap_for_ever(clock):
+    """One who sleeps without end does not take the clock along."""
+    async with running(lambda: clock.sleep(math.inf)) as sleeper:
+        for _ in range(3):
+            await wait_until_idle()
+        assert clock.time() == 0
+        await clock.sleep(1)
+        assert clock.time() == 1
+        sleeper.scope.cancel()
+
+
+async def test_time_goes_on_after_there_was_nobody_to_wake(clock):
+    await clock.sleep(1)
+    for _ in range(3):
+        await wait_until_idle()
+    await clock.sleep(1)
+    assert clock.time() == 2
+
+
+@pytest.mark.parametrize("ticks", [(50, math.inf), (math.inf, 50)])
+async def test_two_clocks_of_one_loop_hold_each_other_up_no_more_than_anyone(ticks):
+    one, other = VirtualClock(), VirtualClock()
+
+    async def tick(clock: VirtualClock, times: float) -> None:
+        while clock.time() < times:
+            await clock.sleep(1)
+        group.cancel_scope.cancel()
+
+    async with running(one.run) as driver, running(other.run) as second:
+        async with anyio.create_task_group() as group:
+            group.start_soon(tick, one, ticks[0])
+            group.start_soon(tick, other, ticks[1])
+        assert one.time() == pytest.approx(other.time(), abs=1)
+        driver.scope.cancel()
+        second.scope.cancel()
+
+
+async def program() -> list[tuple[str, float]]:
+    """Tasks that sleep, wake each other, start others and are canceled."""
+    clock, log = VirtualClock(), []
+    driver = Background(clock.run(), "the clock")
+
+    async def worker(name: str, period: float, rounds: int) -> None:
+        for number in range(rounds):
+            await clock.sleep(period)
+            log.append((f"{name}{number}", clock.time()))
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(worker, "a", 0.3, 10)
+        group.start_soon(worker, "b", 0.7, 5)
+        await clock.sleep(1.05)
+        group.start_soon(worker, "c", 0.11, 7)
+        with anyio.CancelScope() as scope:
+            scope.cancel()
+            await clock.sleep(0.01)
+        await worker("d", 0.05, 20)
+    await driver.aclose()
+    return log
+
+
+async def test_two_runs_of_a_program_pass_through_the_same_moments():
+    assert await program() == await program()
+
+
+async def test_a_driver_that_ends_can_be_followed_by_another():
+    clock = VirtualClock()
+    for moment in (1, 2):
+        async with running(clock.run) as driver:
+            await clock.sleep(1)
+            driver.scope.cancel()
+        assert clock.time() == moment
+
+
+async def test_a_minute_of_many_sleepers_takes_no_minute(clock):
+    begun = time.monotonic()
+
+    async def tick() -> None:
+        for _ in range(60):
+            await clock.sleep(1)
+
+    async with anyio.create_task_group() as group:
+        for _ in range(10):
+            group.start_soon(tick)
+    assert clock.time() == 60
+    assert time.monotonic() - begun < 30
+
+
+# --- being idle -----------------------------------------------------------------------------
+
+
+async def test_one_is_idle_once_all_others_wait():
+    async def work() -> None:
+        for _ in range(100):
+            await anyio.lowlevel.checkpoint()
+
+    async with running(work) as worker:
+        assert not worker.done.is_set()
+        await wait_until_idle()
+        assert worker.done.is_set()
+
+
+async def test_all_who_wait_for_idleness_see_it():
+    seen: list[int] = []
+
+    async def watch(number: int) -> None:
+        await wait_until_idle()
+        seen.append(number)
+
+    async with anyio.create_task_group() as group:
+        for number in range(5):
+            group.start_soon(watch, number)
+    assert sorted(seen) == list(range(5))
+
+
+async def test_one_who_no_longer_waits_for_idleness_is_not_counted():
+    busy = anyio.Event()
+
+    async def work() -> None:
+        while not busy.is_set():
+            await anyio.lowlevel.checkpoint()
+
+    async with running(work) as worker:
+        async with running(wait_until_idle) as canceled, running(wait_until_idle) as watcher:
+            canceled.scope.cancel()
+            await canceled.done.wait()
+            for _ in range(20):
+                await anyio.lowlevel.checkpoint()
+            assert not watcher.done.is_set()
+            busy.set()
+            await watcher.done.wait()
+        assert worker.done.is_set()
+
+
+class Opaque:
+    """An event loop that does not show its queue."""
+
+
+def test_a_loop_that_does_not_show_its_queue_is_refused():
+    with pytest.raises(SimError, match=r"does not work on the event loop <.*Opaque"):
+        _queue(Opaque())  # type: ignore[arg-type]  # it has no more than is asked of it

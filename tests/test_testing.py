@@ -1,0 +1,784 @@
+"""What is offered for tests: virtual time, a goal run to its end, a bad link."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import re
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import asynccontextmanager, closing
+from functools import partial
+
+import anyio
+import anyio.from_thread
+import anyio.lowlevel
+import anyio.to_thread
+import pytest
+import trio
+
+import turtleact
+from turtleact import testing
+from turtleact.actions.patrol import Patrol
+from turtleact.app import open_world
+from turtleact.clock import EPOCH, ScaledClock, WallClock
+from turtleact.errors import SimError
+from turtleact.interfaces.standard import Point, Twist, Vector3
+from turtleact.testing import FaultyTransport, run_goal, virtual_backend, wait_until_idle
+from turtleact.testing.plugin import anyio_backend  # noqa: F401  # all of this module is virtual
+from turtleact.transports import MemoryTransport, QoS
+from turtleact.transports.base import Endpoint
+
+from .lab import Count, count, feedback, goal, lab, other_tasks, result, running
+
+TARGETS = [(9.0, 7.0), (5.0, 1.0), (1.0, 7.0), (2.0, 9.0)]
+BACKENDS = pytest.mark.parametrize("backend", ["asyncio", "trio"])
+SECOND = 1_000_000_000
+
+
+# --- virtual time ---------------------------------------------------------------------------
+
+
+async def add(one: int, other: int) -> int:
+    return one + other
+
+
+@BACKENDS
+def test_a_run_gives_what_its_function_returns(backend):
+    assert testing.run(add, 2, 3, backend=backend) == 5
+
+
+@BACKENDS
+def test_a_run_raises_what_its_function_raises(backend):
+    async def fail() -> None:
+        raise LookupError("lost")
+
+    with pytest.raises(LookupError, match="lost"):
+        testing.run(fail, backend=backend)
+
+
+def test_a_run_is_on_asyncio_unless_told_otherwise():
+    async def library() -> type[BaseException]:
+        return anyio.get_cancelled_exc_class()
+
+    assert testing.run(library) is asyncio.CancelledError
+
+
+@pytest.mark.parametrize("backend", ["uvloop", "curio", "", None])
+def test_a_backend_without_virtual_time_is_refused(backend):
+    with pytest.raises(SimError, match=f"on asyncio and on trio, not on {backend!r}"):
+        virtual_backend(backend)
+
+
+@pytest.mark.parametrize("patience", [-1, -0.001, math.nan])
+def test_a_patience_below_zero_is_refused(patience):
+    with pytest.raises(SimError, match="patience is 0 or more seconds, not"):
+        virtual_backend(patience=patience)
+
+
+async def test_time_begins_at_zero():
+    assert anyio.current_time() == 0
+
+
+async def test_a_day_of_sleep_takes_no_time():
+    begun = time.monotonic()
+    await anyio.sleep(86_400 * 3)
+    assert anyio.current_time() == 86_400 * 3
+    assert time.monotonic() - begun < 30
+
+
+async def test_sleepers_wake_in_order():
+    log: list[float] = []
+
+    async def sleep(seconds: float) -> None:
+        await anyio.sleep(seconds)
+        log.append(anyio.current_time())
+
+    async with anyio.create_task_group() as group:
+        for seconds in (3, 1, 2, 0.5):
+            group.start_soon(sleep, seconds)
+    assert log == [0.5, 1, 2, 3]
+
+
+async def test_time_stands_still_while_anything_can_run():
+    async with running(partial(anyio.sleep, 1)) as sleeper:
+        for _ in range(100):
+            await anyio.lowlevel.checkpoint()
+            assert anyio.current_time() == 0
+        await sleeper.done.wait()
+    assert anyio.current_time() == 1
+
+
+async def test_a_timeout_is_over_at_its_moment():
+    with anyio.move_on_after(7) as scope:
+        await anyio.sleep_forever()
+    assert (scope.cancelled_caught, anyio.current_time()) == (True, 7)
+
+
+def test_asyncio_has_the_same_time_in_all_its_functions():
+    async def main() -> list[float]:
+        loop, moments = asyncio.get_running_loop(), []
+        await asyncio.sleep(1)
+        moments.append(loop.time())
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(2):
+                await asyncio.Event().wait()
+        moments.append(loop.time())
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(asyncio.Event().wait(), 3)
+        moments.append(loop.time())
+        called = loop.create_future()
+        loop.call_later(4, lambda: called.set_result(loop.time()))
+        moments.append(await called)
+        return moments
+
+    assert testing.run(main) == [1, 3, 6, 10]
+
+
+async def test_all_others_can_be_let_run_without_any_time_passing():
+    async with running(partial(anyio.sleep, 1)) as sleeper:
+        await wait_until_idle()
+        assert (sleeper.done.is_set(), anyio.current_time()) == (False, 0)
+
+
+# --- the clocks of turtleact ----------------------------------------------------------------
+
+
+async def test_the_clock_of_a_node_has_the_time_of_the_loop():
+    async with turtleact.open_node("lab") as node:
+        await anyio.sleep(5)
+        assert (node.clock.time(), node.clock.now()) == (5, EPOCH + 5 * SECOND)
+        await node.clock.sleep(10)
+        assert (node.clock.time(), anyio.current_time()) == (15, 15)
+        await node.clock.sleep_until(20)
+        assert (node.clock.now(), anyio.current_time()) == (EPOCH + 20 * SECOND, 20)
+
+
+async def test_clocks_made_at_different_times_tell_one_ros_time():
+    first = WallClock()
+    await anyio.sleep(3)
+    second = WallClock()
+    await anyio.sleep(1)
+    assert (first.time(), second.time()) == (4, 1)
+    assert first.now() == second.now() == EPOCH + 4 * SECOND
+
+
+async def test_a_clock_can_be_faster_than_virtual_time():
+    clock = ScaledClock(4)
+    await clock.sleep(8)
+    assert (clock.time(), anyio.current_time()) == (8, 2)
+    assert clock.now() == EPOCH + 8 * SECOND
+
+
+@pytest.mark.parametrize("speed", [1.0, "max"])
+async def test_a_world_of_any_speed_goes_by_virtual_time(speed):
+    async with open_world(speed=speed) as node:
+        await anyio.sleep(60)
+        assert node.clock.time() == pytest.approx(60)
+        assert anyio.current_time() == 60
+
+
+async def test_the_stamp_of_a_goal_is_virtual():
+    await anyio.sleep(2)
+    async with lab(count) as here, here.client.send_goal(goal()) as handle:
+        assert (handle.stamp.sec, handle.stamp.nanosec) == (EPOCH // SECOND + 2, 0)
+
+
+def test_a_clock_made_where_no_loop_runs_is_real():
+    assert abs(WallClock().now() - time.time_ns()) < 60 * SECOND
+
+
+@pytest.mark.parametrize("backend", ["asyncio", "trio"])
+def test_a_clock_on_a_real_loop_is_real(backend):
+    async def now() -> int:
+        return WallClock().now()
+
+    assert abs(anyio.run(now, backend=backend) - time.time_ns()) < 60 * SECOND
+
+
+async def patrol() -> tuple[list[int], Patrol.Result]:
+    """The patrol of the README: which targets were reached, and the result."""
+    async with open_world() as node:
+        client = node.action_client(Patrol, "patrol")
+        targets = [Point(x=x, y=y) for x, y in TARGETS]
+        async with client.send_goal(Patrol.Goal(targets=targets)) as handle:
+            reached = [each.index async for each in handle if each.is_reached]
+            return reached, await handle.result()
+
+
+@BACKENDS
+def test_the_patrol_of_the_readme_takes_ten_seconds_of_virtual_time(backend):
+    reached, ended = testing.run(patrol, backend=backend)
+    assert (reached, ended.reached, round(ended.duration, 1)) == ([0, 1, 2, 3], 4, 10.1)
+
+
+@BACKENDS
+def test_two_runs_of_the_patrol_are_the_same_to_the_last_bit(backend):
+    assert testing.run(patrol, backend=backend) == testing.run(patrol, backend=backend)
+
+
+# --- what is real ---------------------------------------------------------------------------
+
+ROUNDS = 20
+
+
+async def note_when(seconds: float, log: list[str]) -> None:
+    await anyio.sleep(seconds)
+    log.append("slept")
+
+
+def look_in(log: list[str], token: anyio.lowlevel.EventLoopToken) -> None:
+    """Work of a thread: see the loop idle a number of times, then be done."""
+    for _ in range(ROUNDS):
+        anyio.from_thread.run(wait_until_idle, token=token)
+    log.append("worked")
+
+
+async def in_a_thread_of_anyio(work):
+    await anyio.to_thread.run_sync(work)
+
+
+async def in_a_thread_of_asyncio(work):
+    await asyncio.to_thread(work)
+
+
+async def in_an_executor(work):
+    await asyncio.get_running_loop().run_in_executor(None, work)
+
+
+@pytest.mark.parametrize(
+    ("backend", "go"),
+    [
+        ("asyncio", in_a_thread_of_anyio),
+        ("asyncio", in_a_thread_of_asyncio),
+        ("asyncio", in_an_executor),
+        ("trio", in_a_thread_of_anyio),
+    ],
+)
+def test_time_stands_still_while_a_thread_works(backend, go):
+    async def main() -> list[str]:
+        log: list[str] = []
+        async with anyio.create_task_group() as group:
+            group.start_soon(note_when, 1, log)
+            await go(partial(look_in, log, anyio.lowlevel.current_token()))
+            assert anyio.current_time() == 0
+        assert anyio.current_time() == 1
+        return log
+
+    assert testing.run(main, backend=backend) == ["worked", "slept"]
+
+
+def test_time_goes_on_once_a_job_of_a_thread_is_abandoned():
+    """Nobody waits for it any more."""
+    go_on = threading.Event()
+
+    async def main() -> float:
+        with anyio.move_on_after(0):
+            await asyncio.get_running_loop().run_in_executor(None, go_on.wait)
+        await anyio.sleep(1)
+        go_on.set()
+        return anyio.current_time()
+
+    assert testing.run(main) == 1
+
+
+def test_closing_a_loop_waits_for_its_threads_without_a_leap():
+    """From Python 3.12 on it does so with a timeout."""
+    loop = virtual_backend()[1]["loop_factory"]()
+    with closing(loop):
+        loop.run_until_complete(loop.run_in_executor(None, int))
+        loop.run_until_complete(loop.shutdown_default_executor())
+        assert loop.time() == 0
+        loop.run_until_complete(asyncio.sleep(1))
+        assert loop.time() == 1
+
+
+@pytest.fixture
+def sockets():
+    one, other = socket.socketpair()
+    with one, other:
+        one.setblocking(False)
+        yield one, other
+
+
+@BACKENDS
+def test_time_stands_still_for_as_long_as_a_peer_is_waited_for(sockets, backend):
+    here, there = sockets
+
+    def send(log: list[str], token: anyio.lowlevel.EventLoopToken) -> None:
+        look_in(log, token)
+        there.send(b"!")
+
+    async def main() -> list[str]:
+        log: list[str] = []
+        peer = threading.Thread(target=send, args=(log, anyio.lowlevel.current_token()))
+        async with anyio.create_task_group() as group:
+            group.start_soon(note_when, 1, log)
+            await wait_until_idle()
+            async with running(partial(anyio.wait_readable, here)) as reading:
+                peer.start()
+                await reading.done.wait()
+                log.append("read")
+        peer.join()
+        return log
+
+    assert testing.run(main, backend=backend, patience=math.inf) == ["worked", "read", "slept"]
+
+
+@BACKENDS
+@pytest.mark.parametrize("patience", [0, 0.001])
+def test_time_leaps_once_a_silent_peer_has_had_its_chance(sockets, backend, patience):
+    async def main() -> float:
+        with anyio.move_on_after(3600):
+            await anyio.wait_readable(sockets[0])
+        return anyio.current_time()
+
+    assert testing.run(main, backend=backend, patience=patience) == 3600
+
+
+@BACKENDS
+def test_what_has_arrived_is_read_before_time_leaps(sockets, backend):
+    here, there = sockets
+
+    async def main() -> tuple[float, bytes]:
+        async with anyio.create_task_group() as group:
+            group.start_soon(anyio.sleep, 1)
+            there.send(b"!")
+            await anyio.wait_readable(here)
+            seen = anyio.current_time(), here.recv(1)
+        return seen
+
+    assert testing.run(main, backend=backend, patience=0) == (0, b"!")
+
+
+@BACKENDS
+@pytest.mark.parametrize("command", [[sys.executable, "-c", "print(1)"], "echo 1"])
+def test_time_waits_for_a_child_process(backend, command):
+    async def main() -> tuple[float, bytes]:
+        with anyio.fail_after(3600):
+            process = await anyio.run_process(command)
+            return anyio.current_time(), process.stdout
+
+    assert testing.run(main, backend=backend, patience=math.inf) == (0, b"1\n")
+
+
+def test_time_waits_for_a_child_process_without_pipes():
+    async def main() -> list[float]:
+        child = await asyncio.create_subprocess_exec(sys.executable, "-c", "pass")
+        moments = []
+        async with asyncio.timeout(3600):
+            await child.wait()
+            moments.append(anyio.current_time())
+            await asyncio.sleep(1)
+            moments.append(anyio.current_time())
+        return moments
+
+    assert testing.run(main, patience=math.inf) == [0, 1]
+
+
+# --- pytest ---------------------------------------------------------------------------------
+
+TESTS = """
+import anyio, pytest
+from turtleact.clock import EPOCH, WallClock
+
+@pytest.fixture
+async def slept():
+    await anyio.sleep(3600)
+
+@pytest.mark.parametrize("number", [1, 2])
+async def test_time_is_virtual(slept, number):
+    await anyio.sleep(3600)
+    assert anyio.current_time() == 7200
+    assert WallClock().now() == EPOCH + 7200 * 10**9
+"""
+
+
+@pytest.mark.parametrize(
+    "conftest",
+    [
+        "from turtleact.testing.plugin import anyio_backend",
+        'pytest_plugins = ["turtleact.testing.plugin"]',
+    ],
+)
+def test_the_fixture_gives_every_async_test_virtual_time(tmp_path, conftest):
+    (tmp_path / "conftest.py").write_text(conftest, "utf-8")
+    (tmp_path / "test_them.py").write_text(TESTS, "utf-8")
+    outcome = subprocess.run(
+        [sys.executable, "-m", "pytest", "-v", "-o", "anyio_mode=auto", tmp_path],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=50,
+    )
+    ran = sorted(re.findall(r"\[.*\] PASSED", outcome.stdout))
+    names = ["asyncio-1", "asyncio-2", "trio-1", "trio-2"]
+    assert ran == [f"[{name}] PASSED" for name in names], outcome.stdout + outcome.stderr
+
+
+def test_neither_pytest_nor_trio_is_imported_unless_wanted():
+    code = "import sys, turtleact.testing; print({'pytest', 'trio'} & set(sys.modules))"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "set()\n"
+
+
+# --- run_goal -------------------------------------------------------------------------------
+
+declared = turtleact.action(Count, "count")(count)
+
+
+async def test_a_declared_body_is_served_and_run():
+    feedbacks, outcome = await run_goal(declared, goal(3))
+    assert feedbacks == [feedback(0), feedback(0, 1), feedback(0, 1, 2)]
+    assert (outcome.status.name, outcome.result) == ("SUCCEEDED", result(0, 1, 2))
+
+
+async def test_a_goal_is_run_on_a_server_that_is_open():
+    async with lab(count) as here:
+        run = await run_goal(here.server, goal(2))
+        assert run.feedbacks == [feedback(0), feedback(0, 1)]
+        assert run.outcome.result == result(0, 1)
+
+
+async def test_running_a_goal_leaves_the_graph_as_it_was():
+    async with lab(count) as here:
+        before = here.node.transport.endpoints()
+        await run_goal(here.server, goal(2))
+        assert here.node.transport.endpoints() == before
+
+
+async def test_no_feedback_of_a_long_goal_is_missed():
+    feedbacks, _ = await run_goal(declared, goal(3000))
+    assert [len(each.so_far) for each in feedbacks] == list(range(1, 3001))
+
+
+async def test_a_goal_that_fails_raises_nothing_and_says_why():
+    @turtleact.action(Count, "fail")
+    async def fail(goal):
+        yield feedback(1)
+        raise turtleact.Abort("no more")
+
+    feedbacks, outcome = await run_goal(fail, goal())
+    assert feedbacks == [feedback(1)]
+    assert (outcome.status.name, outcome.reason) == ("ABORTED", "no more")
+
+
+async def test_a_goal_that_is_not_taken_raises():
+    def refuse(goal):
+        raise turtleact.Reject("not today")
+
+    picky = turtleact.action(Count, "count", goal_callback=refuse)(count)
+    with pytest.raises(turtleact.GoalRejected, match="not today"):
+        await run_goal(picky, goal())
+
+
+async def test_a_goal_for_a_closed_server_raises():
+    async with lab(count) as here:
+        await here.server.aclose()
+        with pytest.raises(turtleact.ServerUnavailable):
+            await run_goal(here.server, goal())
+
+
+async def test_canceling_the_run_cancels_the_goal():
+    ended: list[float] = []
+
+    @turtleact.action(Count, "wait")
+    async def wait(goal):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            ended.append(anyio.current_time())
+        yield result()
+
+    with anyio.move_on_after(5) as scope:
+        await run_goal(wait, goal())
+    assert (scope.cancelled_caught, ended) == (True, [5])
+
+
+# --- a bad link -----------------------------------------------------------------------------
+
+
+class Line:
+    """One publisher and one subscription with faults between them."""
+
+    def __init__(self, link: FaultyTransport, node: turtleact.Node, depth: int = 1000) -> None:
+        self.link = link
+        self.node = node
+        self.twists = node.publisher(Twist, "twist")
+        self.arrived = node.subscription(Twist, "twist", QoS(depth=depth))
+
+    def send(self, *numbers: int) -> None:
+        for number in numbers:
+            self.twists.publish(Twist(linear=Vector3(x=float(number))))
+
+    def take(self) -> list[int]:
+        return [int(twist.linear.x) for twist in self.arrived.drain()]
+
+
+@asynccontextmanager
+async def line(**faults):
+    async with (
+        FaultyTransport(MemoryTransport(), **faults) as link,
+        turtleact.open_node("lab", transport=link) as node,
+    ):
+        yield Line(link, node)
+
+
+async def test_without_faults_each_message_arrives_at_once():
+    async with line() as link:
+        link.send(1, 2, 3)
+        assert link.take() == [1, 2, 3]
+        assert link.link.statistics() == testing.Faults(delivered=3)
+
+
+async def test_a_message_may_be_lost():
+    async with line(drop=1) as link:
+        link.send(1, 2, 3)
+        await anyio.sleep(1)
+        assert link.take() == []
+        assert link.link.statistics() == testing.Faults(dropped=3)
+
+
+async def test_a_message_may_arrive_twice():
+    async with line(repeat=1) as link:
+        link.send(1, 2)
+        assert link.take() == [1, 1, 2, 2]
+        assert link.link.statistics() == testing.Faults(delivered=2, repeated=2)
+
+
+async def test_the_shares_are_about_what_was_asked_for():
+    async with line(drop=0.3, repeat=0.1) as link:
+        link.send(*range(2000))
+        faults = link.link.statistics()
+        assert faults.dropped == pytest.approx(600, abs=100)
+        assert faults.repeated == pytest.approx(140, abs=50)
+        assert faults.delivered == 2000 - faults.dropped
+
+
+async def test_a_message_may_be_late():
+    async with line(delay=2.5) as link:
+        link.send(1)
+        await anyio.sleep(2)
+        link.send(2)
+        assert (link.take(), link.link.statistics().on_their_way) == ([], 2)
+        await anext(link.arrived)
+        assert anyio.current_time() == 2.5
+        await anext(link.arrived)
+        assert anyio.current_time() == 4.5
+
+
+async def test_delays_are_drawn_between_two():
+    async with line(delay=(1, 2)) as link:
+        late = []
+        for number in range(50):
+            begun = anyio.current_time()
+            link.send(number)
+            await anext(link.arrived)
+            late.append(anyio.current_time() - begun)
+        assert 1 <= min(late) < 1.2
+        assert 1.8 < max(late) <= 2
+
+
+async def test_messages_of_different_delays_keep_their_order():
+    async with line(delay=(0, 1), repeat=0.2) as link:
+        for number in range(100):
+            link.send(number)
+            await anyio.sleep(0.01)
+        await anyio.sleep(1)
+        taken = link.take()
+        assert taken == sorted(taken)
+        assert set(taken) == set(range(100))
+
+
+async def test_a_message_that_is_not_late_does_not_overtake_one_that_is():
+    async with line(delay=1) as link:
+        link.send(1)
+        link.link.delay = (0, 0)
+        link.send(2)
+        assert link.take() == []
+        await anyio.sleep(2)
+        assert link.take() == [1, 2]
+
+
+async def struck(seed, **faults):
+    async with line(seed=seed, **faults) as link:
+        link.send(*range(200))
+        await anyio.sleep(1)
+        return link.take()
+
+
+async def test_one_seed_strikes_the_same_messages():
+    faults = {"drop": 0.3, "repeat": 0.3, "delay": (0, 0.5)}
+    assert await struck(7, **faults) == await struck(7, **faults)
+
+
+async def test_another_seed_strikes_others():
+    assert await struck(7, drop=0.3) != await struck(8, drop=0.3)
+
+
+async def test_one_kind_of_fault_does_not_move_another():
+    plain, late = await struck(7, drop=0.3), await struck(7, drop=0.3, repeat=0.5, delay=(0, 1))
+    assert sorted(set(late)) == plain
+
+
+async def test_one_more_subscription_changes_nothing_for_the_others():
+    async with line(seed=7, drop=0.3) as link:
+        other = link.node.subscription(Twist, "twist", QoS(depth=1000))
+        link.send(*range(200))
+        assert link.take() == await struck(7, drop=0.3)
+        assert [int(twist.linear.x) for twist in other.drain()] != await struck(7, drop=0.3)
+
+
+async def test_nothing_gets_through_a_cut():
+    async with line() as link:
+        link.send(1)
+        with link.link.cut_off():
+            link.send(2)
+        link.send(3)
+        assert link.take() == [1, 3]
+        assert link.link.statistics() == testing.Faults(delivered=2, cut=1)
+
+
+async def test_what_is_on_its_way_when_the_link_is_cut_is_lost():
+    async with line(delay=1) as link:
+        link.send(1)
+        link.link.cut()
+        await anyio.sleep(2)
+        link.link.mend()
+        link.send(2)
+        await anyio.sleep(2)
+        assert link.take() == [2]
+        assert link.link.statistics() == testing.Faults(delivered=1, cut=1)
+
+
+async def test_a_cut_ends_with_its_block_however_that_ends():
+    link = FaultyTransport(MemoryTransport())
+    with pytest.raises(LookupError), link.cut_off():
+        raise LookupError
+    assert not link.is_cut
+
+
+async def test_what_is_published_to_others_is_not_struck():
+    async with (
+        line(drop=1) as link,
+        turtleact.open_node("well", transport=link.link._transport) as n,
+    ):
+        well = n.subscription(Twist, "twist")
+        link.send(1)
+        assert (len(well.drain()), link.take()) == (1, [])
+
+
+async def test_a_late_subscription_gets_latched_messages_through_the_faults():
+    async with line(repeat=1) as link:
+        latched = QoS(depth=3, durability="transient_local")
+        publisher = link.node.publisher(Twist, "latched", latched)
+        publisher.publish(Twist())
+        late = link.node.subscription(Twist, "latched", latched)
+        assert len(late.drain()) == 2
+
+
+async def test_a_closed_subscription_gets_nothing_more():
+    async with line(delay=1) as link:
+        link.send(1)
+        await link.arrived.aclose()
+        await anyio.sleep(2)
+        assert (link.take(), link.link._links) == ([], [])
+        assert link.link.statistics() == testing.Faults()
+
+
+async def test_a_closed_subscription_is_forgotten_at_once_if_nothing_is_late():
+    async with line() as link:
+        link.send(1)
+        await link.arrived.aclose()
+        assert link.link._links == []
+
+
+async def test_a_message_that_closes_its_reader_does_not_come_again():
+    link, seen = FaultyTransport(MemoryTransport(), repeat=1), []
+    endpoint = Endpoint("subscription", "/twist", "T", "/lab")
+
+    def take(message: object) -> None:
+        seen.append(message)
+        opened.close()
+
+    opened = link.subscribe(endpoint, take)
+    link.advertise(Endpoint("publisher", "/twist", "T", "/lab")).publish("once")
+    assert seen == ["once"]
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+async def test_a_reader_that_fails_is_logged_and_harms_nobody(caplog, delay):
+    seen = []
+
+    def fail(message: object) -> None:
+        seen.append(message)
+        raise LookupError("lost")
+
+    async with FaultyTransport(MemoryTransport(), delay=delay) as link:
+        link.subscribe(Endpoint("subscription", "/twist", "T", "/lab"), fail)
+        publication = link.advertise(Endpoint("publisher", "/twist", "T", "/lab"))
+        publication.publish(1)
+        publication.publish(2)
+        await anyio.sleep(2)
+    assert seen == [1, 2]
+    logged = [record.getMessage() for record in caplog.records]
+    assert logged == ["a subscription of topic /twist failed on a message"] * 2
+
+
+def count_tasks() -> int:
+    if anyio.get_cancelled_exc_class() is asyncio.CancelledError:
+        return len(other_tasks())
+    return trio.lowlevel.current_statistics().tasks_living
+
+
+async def test_a_faulty_transport_that_is_closed_leaves_nothing_running():
+    link = FaultyTransport(MemoryTransport(), delay=10)
+    async with turtleact.open_node("lab", transport=link) as node:
+        here, before = Line(link, node), count_tasks()
+        here.send(1)
+        assert (count_tasks(), link.statistics().on_their_way) == (before + 1, 1)
+        await link.aclose()
+        assert (count_tasks(), link.statistics().on_their_way) == (before, 0)
+        await anyio.sleep(20)
+        assert (here.take(), link._links) == ([], [])
+
+
+async def test_actions_and_services_are_not_touched():
+    link = FaultyTransport(MemoryTransport(), drop=1, delay=5)
+    link.cut()
+    async with turtleact.open_node("lab", transport=link) as node:
+        client = node.action_client(Count, "count")
+        node.serve(declared)
+        assert await client.wait_for_server(1)
+        assert await client.send_goal(goal(2)) == result(0, 1)
+        assert anyio.current_time() == 0
+
+
+async def test_the_graph_is_that_of_the_wrapped_transport():
+    inner = MemoryTransport()
+    link = FaultyTransport(inner)
+    async with turtleact.open_node("lab", transport=link) as node:
+        node.serve(declared)
+        node.action_client(Count, "count")
+        assert len(inner.endpoints()) == 2
+        assert (link.endpoints(), link.nodes()) == (inner.endpoints(), inner.nodes())
+        assert link.clock is inner.clock
+        async with running(link.wait_for_change) as waiting:
+            node.publisher(Twist, "twist")
+            await waiting.done.wait()
+
+
+@pytest.mark.parametrize("name", ["drop", "repeat"])
+@pytest.mark.parametrize("share", [-0.1, 1.1, math.nan])
+def test_a_share_that_is_none_is_refused(name, share):
+    with pytest.raises(SimError, match=f"{name} is a share of messages, from 0 to 1, not {share}"):
+        FaultyTransport(MemoryTransport(), **{name: share})
+
+
+@pytest.mark.parametrize("delay", [-1, math.nan, math.inf, (2, 1), (-1, 1), (0, math.inf)])
+def test_a_delay_that_is_none_is_refused(delay):
+    with pytest.raises(SimError, match="delay is 0 or more seconds, or a pair of such in order"):
+        FaultyTransport(MemoryTransport(), delay=delay)

@@ -1,0 +1,274 @@
+"""A bad link: a transport that delays, loses and repeats messages, and can be cut.
+
+It wraps any transport, and touches topics alone. An action or service of the same process is an
+object that its client calls; nothing of it passes through a transport, so nothing of it can be
+late or lost. What a body publishes or reads on topics does.
+
+Chance comes from a seed: each subscription draws its own, from the seed and the names of its node
+and topic, so that one more subscription changes nothing for the others.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import random
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Self, TypeAlias
+
+import msgspec
+
+from turtleact.clock import Clock
+from turtleact.errors import SimError
+from turtleact.tasks import Background
+from turtleact.transports import Transport
+from turtleact.transports.base import Closeable, Endpoint, Publication
+
+__all__ = ["Faults", "FaultyTransport"]
+
+logger = logging.getLogger("turtleact.transport")
+
+Deliver: TypeAlias = Callable[[object], None]
+
+
+class Faults(msgspec.Struct, frozen=True):
+    """What has become of the messages, each counted once for every subscription.
+
+    Attributes:
+        delivered: How many arrived.
+        repeated: How many of these arrived twice.
+        dropped: How many were lost by chance.
+        cut: How many were lost because the link was cut.
+        on_their_way: How many are yet to arrive.
+    """
+
+    delivered: int = 0
+    repeated: int = 0
+    dropped: int = 0
+    cut: int = 0
+    on_their_way: int = 0
+
+
+class FaultyTransport:
+    """A transport that hands messages on late, twice or not at all.
+
+    Faults strike once, on the way to a subscription that was opened on this transport; nodes on the
+    wrapped one see the same graph without faults. Order is kept, as every transport must: a message
+    that is late holds up those behind it. Loss strikes whatever the quality of service says.
+
+    Close it, or enter it as an async context manager: what is on its way then, is lost.
+
+    Args:
+        transport: What carries the messages.
+        seed: Chooses which messages are struck.
+        delay: How late messages are (s of the transport's clock): each so much, or for a pair a
+            time between the two, drawn for each.
+        drop: The share of messages that is lost, from 0 to 1.
+        repeat: The share of the others that arrives twice, from 0 to 1.
+
+    Attributes:
+        clock: The time of the wrapped transport.
+        delay: The shortest and the longest delay (s); may be changed at any time.
+        drop: The share that is lost; may be changed at any time.
+        repeat: The share that arrives twice; may be changed at any time.
+        is_cut: Whether nothing gets through.
+
+    Raises:
+        SimError: if one of them is out of range.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        *,
+        seed: int = 0,
+        delay: float | tuple[float, float] = 0.0,
+        drop: float = 0.0,
+        repeat: float = 0.0,
+    ) -> None:
+        for name, share in (("drop", drop), ("repeat", repeat)):
+            if not 0 <= share <= 1:
+                raise SimError(f"{name} is a share of messages, from 0 to 1, not {share}")
+        shortest, longest = delay if isinstance(delay, tuple) else (delay, delay)
+        if not 0 <= shortest <= longest < math.inf:
+            raise SimError(f"delay is 0 or more seconds, or a pair of such in order, not {delay}")
+        self.clock: Clock = transport.clock
+        self.delay = (shortest, longest)
+        self.drop = drop
+        self.repeat = repeat
+        self.counts: Counter[str] = Counter()
+        self.is_cut = False
+        self._transport = transport
+        self._seed = seed
+        self._links: list[_Link] = []
+        self._names: Counter[str] = Counter()
+
+    def cut(self) -> None:
+        """Let nothing through from now on; what is on its way is lost when it would arrive."""
+        self.is_cut = True
+
+    def mend(self) -> None:
+        """Let messages through again; those that were lost stay lost."""
+        self.is_cut = False
+
+    @contextmanager
+    def cut_off(self) -> Iterator[None]:
+        """Be cut for the length of a block."""
+        self.cut()
+        try:
+            yield
+        finally:
+            self.mend()
+
+    def statistics(self) -> Faults:
+        """What has become of the messages so far."""
+        return Faults(**self.counts, on_their_way=sum(map(len, self._links)))
+
+    def subscribe(self, endpoint: Endpoint, deliver: Deliver) -> Closeable:
+        """Open the receiving end of a topic, behind the faults."""
+        name = f"{endpoint.node} {endpoint.name}"
+        self._names[name] += 1
+        chance = random.Random(f"{self._seed} {name} {self._names[name]}")  # noqa: S311  # no secret
+        link = _Link(self, endpoint.name, deliver, chance)
+        self._links.append(link)
+        link.inner = self._transport.subscribe(endpoint, link.take)
+        return link
+
+    def advertise(self, endpoint: Endpoint) -> Publication:
+        """Open the sending end of a topic."""
+        return self._transport.advertise(endpoint)
+
+    def serve(self, endpoint: Endpoint, handler: object) -> Closeable:
+        """Offer ``handler`` as the server of a service."""
+        return self._transport.serve(endpoint, handler)
+
+    def join(self, endpoint: Endpoint) -> Closeable:
+        """Appear in the graph as a client of a service."""
+        return self._transport.join(endpoint)
+
+    def local(self, name: str, type_name: str) -> object | None:
+        """The handler that serves a service, cut or not."""
+        return self._transport.local(name, type_name)
+
+    def enter(self, node: str) -> Closeable:
+        """Appear in the graph as a node."""
+        return self._transport.enter(node)
+
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        """All endpoints of the graph."""
+        return self._transport.endpoints()
+
+    def nodes(self) -> tuple[str, ...]:
+        """The names of all nodes."""
+        return self._transport.nodes()
+
+    async def wait_for_change(self) -> None:
+        """Wait until a node or endpoint comes or goes. Cancelling: safe."""
+        await self._transport.wait_for_change()
+
+    def forget(self, link: _Link) -> None:
+        """Hold a link no more that is closed and runs nothing."""
+        if link in self._links:
+            self._links.remove(link)
+
+    async def aclose(self) -> None:
+        """Lose what is on its way, and let nothing more through."""
+        self.cut()
+        for link in tuple(self._links):
+            await link.aclose()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        await self.aclose()
+
+
+class _Link:
+    """The way to one subscription."""
+
+    inner: Closeable
+
+    def __init__(
+        self, transport: FaultyTransport, topic: str, deliver: Deliver, chance: random.Random
+    ) -> None:
+        self._transport = transport
+        self._topic = topic
+        self._deliver = deliver
+        self._chance = chance
+        self._is_open = True
+        self._late: deque[tuple[float, int, object]] = deque()
+        self._courier: Background | None = None
+
+    def __len__(self) -> int:
+        return len(self._late)
+
+    def take(self, message: object) -> None:
+        """Take a message from the wrapped transport and decide what becomes of it."""
+        transport, chance = self._transport, self._chance
+        is_dropped = chance.random() < transport.drop  # three draws a message, whatever it meets:
+        is_repeated = chance.random() < transport.repeat  # one kind of fault moves no other
+        delay = chance.uniform(*transport.delay)
+        if transport.is_cut:
+            transport.counts["cut"] += 1
+        elif is_dropped:
+            transport.counts["dropped"] += 1
+        else:
+            self._send(message, 1 + is_repeated, delay)
+
+    def close(self) -> None:
+        """Close it; a second time does nothing."""
+        self._is_open = False
+        self._late.clear()
+        self.inner.close()
+        if self._courier is None:
+            self._transport.forget(self)
+
+    async def aclose(self) -> None:
+        """Close it, and wait for the end of what it runs."""
+        self.close()
+        if self._courier is not None:
+            await self._courier.aclose()
+            self._transport.forget(self)
+
+    def _send(self, message: object, times: int, delay: float) -> None:
+        if not delay and not self._late:
+            self._arrive(message, times)
+            return
+        self._late.append((self._transport.clock.time() + delay, times, message))
+        if self._courier is None:
+            self._courier = Background(self._carry(), "a faulty transport")
+
+    async def _carry(self) -> None:
+        """Hand on what is late, each when it is due."""
+        transport = self._transport
+        while self._late:
+            await transport.clock.sleep_until(self._late[0][0])
+            if self._late:  # else it was closed meanwhile
+                _, times, message = self._late.popleft()
+                if transport.is_cut:
+                    transport.counts["cut"] += 1
+                else:
+                    self._arrive(message, times)
+        self._courier = None
+        if not self._is_open:
+            transport.forget(self)
+
+    def _arrive(self, message: object, times: int) -> None:
+        self._transport.counts["delivered"] += 1
+        self._transport.counts["repeated"] += times - 1
+        for _ in range(times):
+            if not self._is_open:  # the first of two may have closed it
+                return
+            try:
+                self._deliver(message)
+            except Exception:
+                logger.exception("a subscription of topic %s failed on a message", self._topic)

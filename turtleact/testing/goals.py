@@ -1,0 +1,79 @@
+"""A goal, run to its end in one call."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any, Generic, NamedTuple, TypeVar, overload
+
+from turtleact.body import ActionDeclaration
+from turtleact.client import ActionClient
+from turtleact.client_goal import Outcome
+from turtleact.interfaces import Message
+from turtleact.node import open_node
+from turtleact.server import ActionServer
+
+__all__ = ["GoalRun", "run_goal"]
+
+G = TypeVar("G", bound=Message)
+R = TypeVar("R", bound=Message)
+F = TypeVar("F", bound=Message)
+
+
+class GoalRun(NamedTuple, Generic[R, F]):
+    """What came of a goal.
+
+    Attributes:
+        feedbacks: All feedback, in order.
+        outcome: How it ended: status, result, reason.
+    """
+
+    feedbacks: list[F]
+    outcome: Outcome[R]
+
+
+@overload
+async def run_goal(action: ActionServer[G, R, F], goal: G) -> GoalRun[R, F]: ...
+
+
+@overload
+async def run_goal(action: ActionDeclaration[..., object], goal: Message) -> GoalRun[Any, Any]: ...
+
+
+async def run_goal(action: Any, goal: Message) -> GoalRun[Any, Any]:
+    """Send a goal and wait for its end; a goal that does not succeed raises nothing.
+
+    Cancelling: the goal is canceled, and its end awaited.
+
+    Args:
+        action: A server that is open; or what `turtleact.action` has declared, which is then served
+            on a node of its own, where nobody else is.
+        goal: The goal message.
+
+    Returns:
+        All its feedback, and its outcome.
+
+    Raises:
+        InvalidGoal: if a value does not fit its type.
+        ServerUnavailable: if the server is closed.
+        GoalRejected: if the server does not take the goal.
+    """
+    async with _client(action) as client, client.send_goal(goal) as handle:
+        feedbacks = [feedback async for feedback in handle]
+        return GoalRun(feedbacks, await handle.outcome())
+
+
+@asynccontextmanager
+async def _client(
+    action: ActionServer[Message, Message, Message] | ActionDeclaration[..., object],
+) -> AsyncIterator[ActionClient[Message, Message, Message]]:
+    if isinstance(action, ActionDeclaration):
+        async with open_node("run_goal") as node:
+            node.serve(action)
+            yield node.action_client(action.action_type, action.name)
+        return
+    client = action.node.action_client(action.action_type, action.name)
+    try:
+        yield client
+    finally:
+        await client.aclose()
