@@ -84,6 +84,9 @@ OPENINGS: dict[str, Callable[[turtleact.Node, str], Any]] = {
     "service": lambda node, name: node.service(Double, name, double),
     "service_client": lambda node, name: node.service_client(Double, name),
 }
+OPENED = len(OPENINGS) + 4
+"""So many endpoints they make: an action's server has five."""
+
 EACH_OPENING = pytest.mark.parametrize("open_it", OPENINGS.values(), ids=OPENINGS)
 
 
@@ -145,15 +148,15 @@ async def test_a_name_is_put_below_the_namespace(open_it, name, full_name):
     async with turtleact.open_node("lab", namespace="/sim") as node:
         opened = open_it(node, name)
         assert (opened.topic if hasattr(opened, "topic") else opened.name) == full_name
-        (endpoint,) = node.transport.endpoints()
-        assert endpoint.name.removesuffix("/_action/send_goal") == full_name
+        names = {each.name.split("/_action/")[0] for each in node.transport.endpoints()}
+        assert names == {full_name}
 
 
 @EACH_OPENING
 async def test_an_endpoint_names_its_node(open_it):
     async with turtleact.open_node("lab", namespace="/sim") as node:
         open_it(node, "it")
-        assert [endpoint.node for endpoint in node.transport.endpoints()] == ["/sim/lab"]
+        assert {endpoint.node for endpoint in node.transport.endpoints()} == {"/sim/lab"}
 
 
 @EACH_OPENING
@@ -343,7 +346,7 @@ async def test_leaving_the_block_closes_all_that_was_opened():
     async with turtleact.open_node("lab", transport=transport) as node:
         for open_it in OPENINGS.values():
             open_it(node, "it")
-        assert (node.is_open, len(transport.endpoints())) == (True, len(OPENINGS))
+        assert (node.is_open, len(transport.endpoints())) == (True, OPENED)
     assert not node.is_open
     assert is_deserted(transport)
 
@@ -354,7 +357,7 @@ async def test_leaving_a_node_leaves_others_alone():
             for open_it in OPENINGS.values():
                 open_it(node, "it")
         await lab.aclose()
-        assert len(user.transport.endpoints()) == len(OPENINGS)
+        assert len(user.transport.endpoints()) == OPENED
         assert await user.action_client(Count, "it").send_goal(goal()) == result(0, 1, 2)
 
 

@@ -763,7 +763,7 @@ async def test_the_graph_is_that_of_the_wrapped_transport():
     async with turtleact.open_node("lab", transport=link) as node:
         node.serve(declared)
         node.action_client(Count, "count")
-        assert len(inner.endpoints()) == 2
+        assert len(inner.endpoints()) == 6
         assert (link.endpoints(), link.nodes()) == (inner.endpoints(), inner.nodes())
         assert link.clock is inner.clock
         async with running(link.wait_for_change) as waiting:

@@ -16,7 +16,7 @@ import logging
 from collections.abc import Callable, Coroutine
 from contextvars import Context, ContextVar
 from functools import partial
-from typing import Protocol, TypeAlias, cast
+from typing import TypeAlias, cast
 
 from turtleact.body import ActionType, Body, Steps
 from turtleact.clock import Clock
@@ -33,7 +33,7 @@ from turtleact.stepping import Borrowed, timed
 from turtleact.summaries import summary, text_of
 from turtleact.tasks import Signal, Tasks
 
-__all__ = ["CURRENT_GOAL", "Execution", "FeedbackTopic", "Watch"]
+__all__ = ["CURRENT_GOAL", "Execution", "Watch"]
 
 logger = logging.getLogger("turtleact.server")
 
@@ -52,15 +52,6 @@ _CANCELING = GoalStatus.CANCELING
 _SUCCEED = GoalEvent.SUCCEED
 
 
-class FeedbackTopic(Protocol):
-    """Where the feedback of all goals goes, besides to those who sent them."""
-
-    has_readers: bool
-
-    def publish(self, goal: Goal, message: object) -> None:
-        """Send the feedback of a goal to every reader."""
-
-
 class Execution:
     """Carries out the goals of one server.
 
@@ -75,7 +66,7 @@ class Execution:
 
     Attributes:
         check_result: The checked copy of a result.
-        topic: Where feedback goes besides, while it has readers.
+        also_feedback: Told of each feedback message, with its goal; must not raise.
         watch: Told of each change of a goal's state, before and after; must not raise.
         release: Told of each goal that has ended.
         ended: Fires whenever a goal has ended. Like the three above None, until somebody wants it.
@@ -104,7 +95,7 @@ class Execution:
         feedback_type = cast("type[Message]", action_type.Feedback)
         self._check_feedback = cast("Check", snapshotter(feedback_type, root="feedback"))
         self.check_result = cast("Check", snapshotter(self._result_type, root="result"))
-        self.topic: FeedbackTopic | None = None
+        self.also_feedback: Callable[[Goal, object], object] | None = None
         self.watch: Watch | None = None
         self.release: Callable[[Goal], object] | None = None
         self.ended: Signal | None = None
@@ -183,19 +174,14 @@ class Execution:
     async def _drive(self, goal: Goal, steps: Steps) -> object:
         """Run a generator to its end; the answer is its result, or None if it gave none."""
         result_type, check, step = self._result_type, self._check_feedback, steps.asend
-        topic, countdown = self.topic, BURST
+        countdown = BURST
         try:
             item = await step(None)
             while type(item) is not result_type:
                 try:
                     message = goal.last_feedback = check(item)
                     log = goal.feedback
-                    if (
-                        goal.listener
-                        or goal.on_feedback
-                        or goal.ended
-                        or (topic is not None and topic.has_readers)
-                    ):
+                    if goal.listener or goal.on_feedback or goal.ended or self.also_feedback:
                         self._hand_on(goal, message)
                     elif log is not None:  # nobody is to be told: a shorter `_hand_on`
                         log.items.append(message)  # `_pause` trims it
@@ -256,8 +242,8 @@ class Execution:
                 goal.on_feedback(message)
             except Exception:
                 logger.exception("the feedback_callback of goal %s failed", goal.hex)
-        if self.topic is not None and self.topic.has_readers:
-            self.topic.publish(goal, message)
+        if self.also_feedback is not None:
+            self.also_feedback(goal, message)
 
     def report_blocking(self, goal: Goal, seconds: float) -> None:
         """Warn of a body that has kept everybody else from running."""

@@ -318,6 +318,11 @@ class GoalTable:
         self.expire(now)
         return self._named.get(goal_id)
 
+    def held(self, now: int) -> list[Goal]:
+        """All goals held: the active ones, and those whose result is kept, by their acceptance."""
+        self.expire(now)
+        return sorted({*self._active, *self._named.values()}, key=_by_stamp)
+
     def expire(self, now: int) -> None:
         """Forget the goals whose time is over and for which nobody waits."""
         expiries = self._expiries

@@ -9,7 +9,7 @@ from turtleact.goal import Goal
 from turtleact.interfaces.standard import CancelGoal
 from turtleact.tasks import Signal
 
-__all__ = ["LocalServer", "OnFeedback"]
+__all__ = ["Endpoints", "LocalServer", "OnFeedback"]
 
 OnFeedback: TypeAlias = Callable[[object], object]
 
@@ -65,3 +65,13 @@ class LocalServer(Protocol):
 
     def signal(self, goal: Goal) -> Signal:
         """The signal that fires at each change of a goal."""
+
+
+class Endpoints(Protocol):
+    """What answers requests for an action; see `turtleact.endpoints`."""
+
+    async def send_goal(self, request: object) -> object:
+        """Answer a ``SendGoal`` request."""
+
+    async def aclose(self) -> None:
+        """Answer all who wait."""

@@ -20,10 +20,12 @@ from turtleact.body import ActionDeclaration, ActionType, ServerOptions
 from turtleact.claim import Claim
 from turtleact.client import ActionClient
 from turtleact.clock import Clock
+from turtleact.endpoints import ActionEndpoints
 from turtleact.errors import InvalidOption, TurtleactError
+from turtleact.hooks import Transition
 from turtleact.interfaces import Message
 from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
-from turtleact.server import ActionServer, Transition
+from turtleact.server import ActionServer
 from turtleact.services import ServiceClient, ServiceServer, ServiceType
 from turtleact.slot import Rules, Slot
 from turtleact.tasks import current_tasks
@@ -168,12 +170,10 @@ class Node:
             **options,
         )
         for hook in self._hooks:
-            server.watch(hook)
-        type_name = f"{action_type.type_name}_SendGoal"
-        registration = self.transport.serve(
-            self._endpoint("service", names.send_goal, type_name), server
-        )
-        server.registration = self._own(server, registration)
+            server.hooks.add(hook)
+        endpoints = ActionEndpoints(server, names, self.transport, self._endpoint, self._tasks)
+        server.endpoints = endpoints
+        server.registration = self._own(server, endpoints)
         return server
 
     def on_transition(self, hook: Transition) -> None:
@@ -188,7 +188,7 @@ class Node:
         self._hooks.append(hook)
         for server in self._servers.values():
             if isinstance(server, ActionServer):
-                server.watch(hook)
+                server.hooks.add(hook)
 
     def action_client(self, action_type: ActionType[G, R, F], name: str) -> ActionClient[G, R, F]:
         """Open a client of an action; it need not be served yet.

@@ -16,7 +16,7 @@ import logging
 from collections.abc import Callable, Generator
 from contextvars import copy_context
 from functools import partial
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, Unpack, cast
+from typing import TYPE_CHECKING, Generic, TypeVar, Unpack, cast
 
 import anyio
 
@@ -35,9 +35,10 @@ from turtleact.goal import (
     select,
 )
 from turtleact.goal_id import new_goal_id
+from turtleact.hooks import Hooks
 from turtleact.interfaces import Message, snapshotter
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo, Time
-from turtleact.local import OnFeedback
+from turtleact.local import Endpoints, OnFeedback
 from turtleact.server_goal import ServerGoalHandle
 from turtleact.slot import Admission, Slot
 from turtleact.tasks import Signal, Tasks
@@ -46,15 +47,13 @@ from turtleact.transports.base import Closeable
 if TYPE_CHECKING:
     from turtleact.node import Node
 
-__all__ = ["ActionServer", "Transition"]
+__all__ = ["ActionServer"]
 
 logger = logging.getLogger("turtleact.server")
 
 G = TypeVar("G", bound=Message)
 R = TypeVar("R", bound=Message)
 F = TypeVar("F", bound=Message)
-
-Transition: TypeAlias = Callable[[ServerGoalHandle[Any, Any, Any], GoalStatus, GoalStatus], object]
 
 _ACCEPTED = GoalStatus.ACCEPTED
 _EXECUTING = GoalStatus.EXECUTING
@@ -75,6 +74,7 @@ class ActionServer(Generic[G, R, F]):
         node: What a body sees as ``handle.node``.
         is_open: Whether it takes goals.
         asks_first: Whether a goal must be put to the user's ``goal_callback`` before it is begun.
+        hooks: What is called at each change of a goal.
     """
 
     def __init__(
@@ -93,6 +93,7 @@ class ActionServer(Generic[G, R, F]):
         self.action_type = action_type
         self.is_open = True
         self.registration: Closeable | None = None
+        self.endpoints: Endpoints | None = None
         self._now = node.clock.now
         self._tasks = tasks
         self._goal_callback = options.get("goal_callback")
@@ -105,9 +106,9 @@ class ActionServer(Generic[G, R, F]):
         self.asks_first = self._goal_callback is not None
         self._can_borrow = tasks.can_borrow and self._cancel_callback is None
         self._table = GoalTable(options.get("result_timeout", 10.0))
-        self._hooks: list[Transition] = []
         goal_type = cast("type[Message]", action_type.Goal)
         self._check_goal = cast("Callable[[object], Message]", snapshotter(goal_type, root="goal"))
+        make_handle = partial(ServerGoalHandle[G, R, F], self)
         self.execution = Execution(
             name,
             action_type,
@@ -115,12 +116,17 @@ class ActionServer(Generic[G, R, F]):
             clock=node.clock,
             tasks=tasks,
             table=self._table,
-            make_handle=partial(ServerGoalHandle, self),
+            make_handle=make_handle,
         )
+        self.hooks = Hooks(name, self.execution, make_handle)
         if place is not None:
             self.execution.release = self._release
 
     # what a client in the same process calls
+
+    async def answer(self, request: object) -> object:
+        """Answer a ``SendGoal`` request: the server stands for this service itself."""
+        return await cast("Endpoints", self.endpoints).send_goal(request)
 
     async def ask(self, request: object) -> None:
         """Put a goal to the user's ``goal_callback``; only needed if `asks_first`.
@@ -138,14 +144,18 @@ class ActionServer(Generic[G, R, F]):
         goal_id: bytes | None,
         on_feedback: OnFeedback | None,
         sender: object = None,
+        *,
+        is_streamed: bool = True,
     ) -> Goal:
-        """Take up a goal, and start its body unless it has to wait; feedback is kept for a reader.
+        """Take up a goal, and start its body unless it has to wait.
+
+        Its feedback is kept for a reader if it ``is_streamed``.
 
         Raises:
             InvalidGoal: if the request does not fit the action.
             GoalRejected: if it is not taken.
         """
-        goal = self._admit(request, goal_id, on_feedback, sender, is_streamed=True)
+        goal = self._admit(request, goal_id, on_feedback, sender, is_streamed=is_streamed)
         if goal.status is not _ACCEPTED:
             self.execution.start(goal)
         return goal
@@ -193,6 +203,10 @@ class ActionServer(Generic[G, R, F]):
         """The goal of that id; None if it was never held, or is not held any more."""
         return self._table.find(goal_id, self._now())
 
+    def held(self) -> list[Goal]:
+        """All goals held: the active ones, and those whose result is kept."""
+        return self._table.held(self._now())
+
     async def wait_for_end(self, goal: Goal) -> None:
         """Wait until a goal has ended. Cancelling: safe, the goal goes on."""
         signal = self.signal(goal)
@@ -226,6 +240,10 @@ class ActionServer(Generic[G, R, F]):
         """The id of a goal; it can be found by it from now on."""
         return goal.id or self._table.name(goal, new_goal_id(), self._now())
 
+    def info(self, goal: Goal) -> GoalInfo:
+        """A goal's id and stamp, as sent."""
+        return GoalInfo(UUID(self.name_goal(goal)), Time(*divmod(goal.stamp, 1_000_000_000)))
+
     async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
         """Answer a cancel request: by id, by stamp (ns), by both, or for every goal."""
         wanted = goal_id if goal_id and any(goal_id) else None
@@ -238,7 +256,7 @@ class ActionServer(Generic[G, R, F]):
             (let_go if await self._let_go(goal) else kept).append(goal)
         asked = len(let_go) + sum(goal.status.is_active for goal in kept)
         code = cancel_code(named, by_id=by_id, asked=asked, let_go=len(let_go))
-        return CancelGoal.Response(int(code), [self._info(goal) for goal in let_go])
+        return CancelGoal.Response(int(code), [self.info(goal) for goal in let_go])
 
     def client_lost(self, sender: object) -> None:
         """Note that a client has gone: its goals go on, unless ``on_client_lost`` is "cancel"."""
@@ -247,18 +265,7 @@ class ActionServer(Generic[G, R, F]):
                 if goal.sender is sender:
                     self._cancel_body(goal)
 
-    # watching, and the end
-
-    def watch(self, hook: Transition) -> None:
-        """Have ``hook(goal, old, new)`` called at each change of a goal from now on."""
-        self._hooks.append(hook)
-        self.execution.watch = self._tell
-
-    def unwatch(self, hook: Transition) -> None:
-        """Call it no more."""
-        self._hooks.remove(hook)
-        if not self._hooks:
-            self.execution.watch = None
+    # the end
 
     async def aclose(self) -> None:
         """Take no more goals, cancel those that run, drop those that wait, and wait for their end.
@@ -278,6 +285,8 @@ class ActionServer(Generic[G, R, F]):
         for goal in self._table.active:
             logger.error("goal %s of %s has not ended; it is left behind", goal.hex, self.name)
             self.execution.end(goal, GoalEvent.ABORT, None, goal.reason)
+        if self.endpoints is not None:
+            await self.endpoints.aclose()
 
     # taking a goal
 
@@ -308,7 +317,7 @@ class ActionServer(Generic[G, R, F]):
         )
         if not self._table.add(goal):
             raise GoalRejected(f"the server still holds a goal of the id {goal.hex}")
-        if self._slot is not None or self._hooks:
+        if self._slot is not None or self.hooks:
             goal.status, goal.history = _ACCEPTED, ()
             self._enter(goal)
         return goal
@@ -320,8 +329,8 @@ class ActionServer(Generic[G, R, F]):
         if entry is not None and entry.admission is Admission.REFUSE:
             self._table.forget(goal)
             raise GoalRejected(entry.reason)
-        if self._hooks:
-            self._tell(goal, GoalStatus.UNKNOWN, _ACCEPTED)
+        if self.hooks:
+            self.hooks.tell(goal, GoalStatus.UNKNOWN, _ACCEPTED)
         if entry is None or entry.admission is Admission.START:
             self.execution.move(goal, GoalEvent.EXECUTE)
             return
@@ -386,15 +395,3 @@ class ActionServer(Generic[G, R, F]):
 
     async def _cancel_in_background(self, goal: Goal) -> None:
         await self._let_go(goal)
-
-    def _tell(self, goal: Goal, old: GoalStatus, new: GoalStatus) -> None:
-        """Tell all hooks of a change; what they raise is logged and does no harm."""
-        handle = ServerGoalHandle(self, goal)
-        for hook in tuple(self._hooks):
-            try:
-                hook(handle, old, new)
-            except Exception:
-                logger.exception("a hook on the transitions of %s failed", self.name)
-
-    def _info(self, goal: Goal) -> GoalInfo:
-        return GoalInfo(UUID(self.name_goal(goal)), Time(*divmod(goal.stamp, 1_000_000_000)))

@@ -25,7 +25,7 @@ from turtleact.clock import Clock
 from turtleact.errors import SimError
 from turtleact.tasks import Background
 from turtleact.transports import Transport
-from turtleact.transports.base import Closeable, Endpoint, Publication
+from turtleact.transports.base import Closeable, Endpoint, Publication, Source
 
 __all__ = ["Faults", "FaultyTransport"]
 
@@ -137,9 +137,9 @@ class FaultyTransport:
         link.inner = self._transport.subscribe(endpoint, link.take)
         return link
 
-    def advertise(self, endpoint: Endpoint) -> Publication:
+    def advertise(self, endpoint: Endpoint, source: Source | None = None) -> Publication:
         """Open the sending end of a topic."""
-        return self._transport.advertise(endpoint)
+        return self._transport.advertise(endpoint, source)
 
     def serve(self, endpoint: Endpoint, handler: object) -> Closeable:
         """Offer ``handler`` as the server of a service."""

@@ -20,7 +20,7 @@ Source: ROS 2 ``rmw``; the QoS policies of the ROS 2 documentation.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal, Protocol
 
 import msgspec
@@ -28,7 +28,7 @@ import msgspec
 from turtleact.clock import Clock
 from turtleact.errors import InvalidMessage
 
-__all__ = ["Closeable", "Endpoint", "EndpointKind", "Publication", "QoS", "Transport"]
+__all__ = ["Closeable", "Endpoint", "EndpointKind", "Publication", "QoS", "Source", "Transport"]
 
 EndpointKind = Literal["publisher", "subscription", "service", "client"]
 
@@ -99,6 +99,16 @@ class Publication(Closeable, Protocol):
         """Send a message to every subscription; it must not be changed afterwards."""
 
 
+class Source(Protocol):
+    """What publishes only while somebody reads, and tells a late reader how things stand."""
+
+    def current(self) -> Sequence[object]:
+        """What a late reader of a transient-local topic gets first, made when it comes."""
+
+    def readers_changed(self, *, has_readers: bool) -> None:
+        """Called when the first reader has come, and when the last one has gone."""
+
+
 class Transport(Protocol):
     """A graph of endpoints.
 
@@ -108,8 +118,8 @@ class Transport(Protocol):
 
     clock: Clock
 
-    def advertise(self, endpoint: Endpoint) -> Publication:
-        """Open the sending end of a topic."""
+    def advertise(self, endpoint: Endpoint, source: Source | None = None) -> Publication:
+        """Open the sending end of a topic; with a source, nothing is latched but what it makes."""
 
     def subscribe(self, endpoint: Endpoint, deliver: Callable[[object], None]) -> Closeable:
         """Open the receiving end of a topic; ``deliver`` gets each message."""

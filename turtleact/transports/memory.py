@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TypeAlias, TypeVar
 
 from turtleact.clock import Clock, WallClock
 from turtleact.tasks import Signal, current_tasks
-from turtleact.transports.base import Closeable, Endpoint, Publication, QoS
+from turtleact.transports.base import Closeable, Endpoint, Publication, QoS, Source
 
 __all__ = ["MemoryTransport"]
 
@@ -44,13 +44,15 @@ class MemoryTransport:
         self._opened = 0
         self._changed: Signal | None = None
 
-    def advertise(self, endpoint: Endpoint) -> Publication:
-        """Open the sending end of a topic."""
+    def advertise(self, endpoint: Endpoint, source: Source | None = None) -> Publication:
+        """Open the sending end of a topic; with a source, nothing is latched but what it makes."""
         topic = self._topic(endpoint)
-        publication = _Publication(topic, endpoint.qos)
+        publication = _Publication(topic, endpoint.qos, source)
         topic.publications.append(publication)
         leave = partial(self._leave, topic, topic.publications, publication)
         publication.on_close = self._appear(self._endpoints, endpoint, leave)
+        if source is not None and topic.readers:
+            source.readers_changed(has_readers=True)
         return publication
 
     def subscribe(self, endpoint: Endpoint, deliver: Deliver) -> Closeable:
@@ -61,6 +63,8 @@ class MemoryTransport:
             for message in topic.latched():
                 reader.take(message)
         topic.readers.append(reader)
+        if len(topic.readers) == 1:
+            topic.tell_sources()
         leave = partial(self._leave, topic, topic.readers, reader)
         reader.on_close = self._appear(self._endpoints, endpoint, leave)
         return reader
@@ -106,6 +110,8 @@ class MemoryTransport:
 
     def _leave(self, topic: _Topic, members: list[T], member: T) -> None:
         members.remove(member)
+        if members is topic.readers and not members:
+            topic.tell_sources()
         if topic.is_deserted:
             del self._topics[topic.key]
 
@@ -147,7 +153,12 @@ class _Topic:
         return not self.readers and not self.publications
 
     def latched(self) -> list[object]:
-        return [message for each in self.publications for message in each.latch]
+        return [message for each in self.publications for message in each.latched()]
+
+    def tell_sources(self) -> None:
+        for each in self.publications:
+            if each.source is not None:
+                each.source.readers_changed(has_readers=bool(self.readers))
 
 
 class _Publication:
@@ -155,19 +166,26 @@ class _Publication:
 
     on_close: Leave
 
-    def __init__(self, topic: _Topic, qos: QoS) -> None:
+    def __init__(self, topic: _Topic, qos: QoS, source: Source | None) -> None:
+        self.source = source
         self._topic = topic
         self._is_open = True
-        self._latches = qos.durability == "transient_local"
-        self.latch: deque[object] = deque(maxlen=qos.depth if self._latches else 0)
+        self._is_latched = qos.durability == "transient_local"
+        self._keeps = self._is_latched and source is None
+        self._latch: deque[object] = deque(maxlen=qos.depth if self._keeps else 0)
 
     @property
     def has_readers(self) -> bool:
-        return self._is_open and (self._latches or bool(self._topic.readers))
+        return self._is_open and (self._keeps or bool(self._topic.readers))
+
+    def latched(self) -> Sequence[object]:
+        if self.source is None or not self._is_latched:
+            return self._latch
+        return self.source.current()
 
     def publish(self, message: object) -> None:
         if self._is_open:
-            self.latch.append(message)
+            self._latch.append(message)
             for reader in tuple(self._topic.readers):
                 reader.take(message)
 

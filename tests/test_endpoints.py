@@ -1,0 +1,248 @@
+"""The services and topics that make up an action, used by hand as any node may."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+import turtleact
+from turtleact import GoalResponse, GoalStatus, QoS
+from turtleact.errors import InvalidMessage, ServerUnavailable
+from turtleact.interfaces import implied
+from turtleact.interfaces.standard import (
+    UUID,
+    CancelGoal,
+    GoalInfo,
+    GoalStatusArray,
+    Time,
+)
+from turtleact.topics import Subscription
+
+from .lab import Count, Gate, count, feedback, goal, lab, result, running, settle
+
+IMPLIED = implied(Count)
+LATCHED = QoS(depth=10, durability="transient_local")
+ID = UUID(bytes(range(16)))
+OTHER = UUID(bytes(range(16, 32)))
+
+
+class Wire:
+    """What a node that knows no action client does."""
+
+    def __init__(self, node: turtleact.Node) -> None:
+        self._send = node.service_client(IMPLIED.send_goal, "count/_action/send_goal")
+        self._get = node.service_client(IMPLIED.get_result, "count/_action/get_result")
+        self._cancel = node.service_client(CancelGoal, "count/_action/cancel_goal")
+        self._node = node
+
+    async def send(self, goal_id: UUID = ID, upto: int = 3) -> Any:
+        return await self._send.call(IMPLIED.send_goal.Request(goal_id=goal_id, goal=goal(upto)))
+
+    async def get(self, goal_id: UUID = ID) -> Any:
+        return await self._get.call(IMPLIED.get_result.Request(goal_id=goal_id))
+
+    async def cancel(self, goal_id: UUID = ID, stamp: Time | None = None) -> Any:
+        info = GoalInfo(goal_id, stamp or Time())
+        return await self._cancel.call(CancelGoal.Request(info))
+
+    def listen(self) -> Subscription[Any]:
+        return self._node.subscription(IMPLIED.feedback_message, "count/_action/feedback")
+
+    def watch(self, qos: QoS = LATCHED) -> Subscription[Any]:
+        return self._node.subscription(GoalStatusArray, "count/_action/status", qos)
+
+
+def statuses(array: Any) -> dict[bytes, GoalStatus]:
+    """What a status message says."""
+    return {each.goal_info.goal_id.uuid: GoalStatus(each.status) for each in array.status_list}
+
+
+def story(subscription: Any, goal_id: UUID = ID) -> list[str]:
+    """How the state of a goal went, as all status messages so far say."""
+    told = [statuses(array).get(goal_id.uuid) for array in subscription.drain()]
+    return [status.name if status else "-" for status in told]
+
+
+async def test_a_goal_is_sent_and_its_result_asked_for():
+    async with lab(count) as served:
+        wire = Wire(served.node)
+        accepted = await wire.send()
+        assert accepted.accepted
+        assert accepted.stamp != Time()
+        answer = await wire.get()
+        assert (answer.status, answer.result) == (GoalStatus.SUCCEEDED, result(0, 1, 2))
+
+
+async def test_a_result_that_is_asked_for_early_comes_at_the_end():
+    gate = Gate()
+    async with lab(gate.wait) as served:
+        wire = Wire(served.node)
+        await wire.send()
+        async with running(wire.get) as one, running(wire.get) as other:
+            assert (one.value, other.value) == (None, None)
+            gate.opened.set()
+        assert one.value.status == other.value.status == GoalStatus.SUCCEEDED
+        assert (await wire.get()).result == result(3)
+
+
+async def test_the_result_of_an_unknown_goal_is_unknown():
+    async with lab(count) as served:
+        answer = await Wire(served.node).get()
+        assert (answer.status, answer.result) == (GoalStatus.UNKNOWN, result())
+
+
+@pytest.mark.parametrize("asks", ["reject", "held"])
+async def test_a_goal_that_is_not_taken_is_not_accepted(asks):
+    options: Any = {"goal_callback": lambda _: GoalResponse.REJECT} if asks == "reject" else {}
+    async with lab(count, **options) as served:
+        wire = Wire(served.node)
+        if asks == "held":
+            await wire.send()
+        refused = await wire.send()
+        assert (refused.accepted, refused.stamp) == (False, Time())
+
+
+async def test_a_goal_callback_is_asked():
+    asked = []
+
+    async def take(request):
+        asked.append(request)
+        return GoalResponse.ACCEPT
+
+    async with lab(count, goal_callback=take) as served:
+        assert (await Wire(served.node).send()).accepted
+    assert asked == [goal()]
+
+
+async def test_a_goal_that_does_not_fit_is_told_to_its_sender():
+    async with lab(count) as served:
+        sender = served.node.service_client(IMPLIED.send_goal, "count/_action/send_goal")
+        request = IMPLIED.send_goal.Request(goal_id=ID, goal=goal())
+        request.goal.upto = "many"  # type: ignore[attr-defined]  # no number, on purpose
+        with pytest.raises(InvalidMessage, match=r"request\.goal\.upto"):
+            await sender.call(request)
+
+
+@pytest.mark.parametrize("by", ["id", "stamp", "all"])
+async def test_goals_are_canceled_by_id_and_stamp(by):
+    gate = Gate()
+    async with lab(gate.wait) as served:
+        wire = Wire(served.node)
+        stamp = (await wire.send()).stamp
+        response = await {
+            "id": lambda: wire.cancel(),
+            "stamp": lambda: wire.cancel(UUID(), stamp),
+            "all": lambda: wire.cancel(UUID()),
+        }[by]()
+        assert response == CancelGoal.Response(0, [GoalInfo(ID, stamp)])
+        assert (await wire.get()).status == GoalStatus.CANCELED
+
+
+async def test_a_cancel_of_nothing_says_why():
+    async with lab(count) as served:
+        wire = Wire(served.node)
+        unknown = await wire.cancel()
+        await wire.send()
+        await wire.get()
+        codes = (unknown.return_code, (await wire.cancel()).return_code)
+        assert codes == (2, 3)
+
+
+async def test_feedback_goes_to_all_who_listen_and_to_the_sender():
+    async with lab(count) as served:
+        wire = Wire(served.node)
+        one, other = wire.listen(), wire.listen()
+        await wire.send()
+        async with served.client.send_goal(goal(1), goal_id=OTHER.uuid) as handle:
+            assert [each async for each in handle] == [feedback(0)]
+        heard = [(each.goal_id, each.feedback) for each in one.drain()]
+        numbers = [feedback(0), feedback(0, 1), feedback(0, 1, 2)]
+        assert heard == [*((ID, each) for each in numbers), (OTHER, feedback(0))]
+        assert [(each.goal_id, each.feedback) for each in other.drain()] == heard
+
+
+async def test_who_listens_late_or_no_more_hears_nothing():
+    gate = Gate()
+    async with lab(gate.stream) as served:
+        wire = Wire(served.node)
+        gone = wire.listen()
+        await gone.aclose()
+        await wire.send()
+        await gate.started.wait()
+        await settle()
+        late = wire.listen()
+        gate.opened.set()
+        await wire.get()
+        assert (gone.drain(), late.drain()) == ([], [])
+        assert served.server.execution.also_feedback is None or late.missed == 0
+
+
+async def test_each_change_of_a_state_is_told():
+    gate = Gate()
+    async with lab(gate.wait) as served:
+        wire = Wire(served.node)
+        watched = wire.watch()
+        await wire.send()
+        await wire.cancel()
+        await wire.get()
+        assert story(watched) == ["-", "ACCEPTED", "EXECUTING", "CANCELING", "CANCELED"]
+
+
+async def test_a_late_observer_first_gets_all_goals_held():
+    gate = Gate()
+    async with lab(gate.wait) as served:
+        wire = Wire(served.node)
+        await wire.send()
+        async with served.client.send_goal(goal()) as handle:
+            (held,) = wire.watch().drain()
+            assert statuses(held) == {
+                ID.uuid: GoalStatus.EXECUTING,
+                handle.goal_id: GoalStatus.EXECUTING,
+            }
+
+
+async def test_an_observer_that_does_not_latch_gets_only_what_changes():
+    async with lab(count) as served:
+        wire = Wire(served.node)
+        watched = wire.watch(QoS())
+        assert watched.drain() == []
+        await wire.send()
+        await wire.get()
+        assert story(watched) == ["ACCEPTED", "EXECUTING", "SUCCEEDED"]
+
+
+async def test_nothing_is_published_once_nobody_watches():
+    async with lab(count) as served:
+        wire = Wire(served.node)
+        one, other = wire.watch(), wire.watch()
+        await one.aclose()
+        assert served.server.hooks
+        await other.aclose()
+        assert not served.server.hooks
+
+
+async def test_goals_that_wait_are_told_of_too():
+    gate = Gate()
+    async with lab(gate.wait, policy="queue") as served:
+        wire = Wire(served.node)
+        watched = wire.watch()
+        await wire.send(OTHER)
+        await wire.send()
+        await wire.cancel()
+        assert story(watched)[-3:] == ["ACCEPTED", "CANCELING", "CANCELED"]
+        gate.opened.set()
+        assert (await wire.get(OTHER)).status == GoalStatus.SUCCEEDED
+
+
+async def test_who_waits_for_a_result_gets_it_when_the_server_closes():
+    gate = Gate()
+    async with lab(gate.wait) as served:
+        wire = Wire(served.node)
+        await wire.send()
+        async with running(wire.get) as waiting:
+            await served.server.aclose()
+        assert waiting.value.status == GoalStatus.ABORTED
+        with pytest.raises(ServerUnavailable):
+            await wire.get()
+        assert served.node.graph().actions == {}
