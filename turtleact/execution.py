@@ -153,7 +153,7 @@ class Execution:
             if self._is_generator:
                 running = self._drive(goal, running)  # type: ignore[arg-type]  # see Body
             if is_timed:
-                running = timed(running, partial(self.report_blocking, goal))  # type: ignore[arg-type]
+                running = timed(running, self.report_blocking, goal)  # type: ignore[arg-type]
             result = await running  # type: ignore[misc]  # see Body
         except (KeyboardInterrupt, SystemExit):
             self.end(goal, GoalEvent.ABORT, None, "the program was stopped")
@@ -294,7 +294,10 @@ class Execution:
         if goal.parent is not None:
             goal.parent = None  # or a chain of goals that send each other would never be forgotten
         self._table.end(goal, self._now())
-        self.move(goal, event)
+        before = goal.status
+        goal.apply(event)
+        if self.watch is not None:
+            self.watch(goal, before, goal.status)
         if self.release is not None:
             self.release(goal)
         if self.ended is not None:

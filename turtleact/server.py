@@ -16,6 +16,7 @@ import logging
 from collections.abc import Callable, Generator
 from contextvars import copy_context
 from functools import partial
+from time import monotonic
 from typing import TYPE_CHECKING, Generic, TypeVar, Unpack, cast
 
 import anyio
@@ -41,6 +42,7 @@ from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo, Time
 from turtleact.local import Endpoints, OnFeedback
 from turtleact.server_goal import ServerGoalHandle
 from turtleact.slot import Admission, Slot
+from turtleact.stepping import BLOCKING
 from turtleact.tasks import Signal, Tasks
 from turtleact.transports.base import Closeable
 
@@ -185,11 +187,14 @@ class ActionServer(Generic[G, R, F]):
         goal = self._admit(request, goal_id, on_feedback, sender)
         if self._can_borrow and goal.status is not _ACCEPTED:
             running, context = self.execution.run(goal), copy_context()
+            has_ended, began = False, monotonic()
             try:
                 waits_for = context.run(running.send, None)
             except StopIteration:
-                pass
-            else:
+                has_ended = True
+            if (took := monotonic() - began) > BLOCKING:
+                self.execution.report_blocking(goal, took)
+            if not has_ended:
                 yield from self.execution.lend(goal, running, waits_for, context).__await__()
         else:
             if goal.status is not _ACCEPTED:
@@ -317,7 +322,7 @@ class ActionServer(Generic[G, R, F]):
         )
         if not self._table.add(goal):
             raise GoalRejected(f"the server still holds a goal of the id {goal.hex}")
-        if self._slot is not None or self.hooks:
+        if self._slot is not None or self.execution.watch is not None:
             goal.status, goal.history = _ACCEPTED, ()
             self._enter(goal)
         return goal

@@ -19,6 +19,7 @@ from typing import TypeAlias, TypeVar, cast
 
 __all__ = ["BLOCKING", "Borrowed", "timed"]
 
+A = TypeVar("A")
 T = TypeVar("T")
 
 OnSlow: TypeAlias = Callable[[float], None]
@@ -28,14 +29,16 @@ BLOCKING = 0.5
 
 
 @coroutine
-def timed(body: Coroutine[object, object, T], on_slow: OnSlow) -> Generator[object, object, T]:
-    """Run a coroutine as ``await`` does; ``on_slow`` is told how long a step took (s)."""
+def timed(
+    body: Coroutine[object, object, T], on_slow: Callable[[A, float], None], about: A
+) -> Generator[object, object, T]:
+    """Run a coroutine as ``await`` does; ``on_slow(about, seconds)`` is told of slow steps."""
     began = monotonic()
     try:
         waits_for = body.send(None)
         while True:
             if (took := monotonic() - began) > BLOCKING:
-                on_slow(took)
+                on_slow(about, took)
             began = inf  # of a wait
             try:
                 answer = yield waits_for
@@ -52,7 +55,7 @@ def timed(body: Coroutine[object, object, T], on_slow: OnSlow) -> Generator[obje
         return cast("T", end.value)
     finally:
         if (took := monotonic() - began) > BLOCKING:
-            on_slow(took)
+            on_slow(about, took)
 
 
 class Borrowed:
