@@ -246,3 +246,10 @@ async def test_who_waits_for_a_result_gets_it_when_the_server_closes():
         with pytest.raises(ServerUnavailable):
             await wire.get()
         assert served.node.graph().actions == {}
+
+
+async def test_an_action_that_is_served_twice_is_warned_of(caplog):
+    async with lab(count) as served:
+        assert not caplog.records
+        served.node.action_server(Count, "count", count)
+        assert caplog.messages == ["/count is served already; clients go to the first server"]

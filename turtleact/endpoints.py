@@ -17,6 +17,7 @@ Source: rcl_action ``action_server.c``; the ROS 2 design article "Actions".
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol, cast
 
@@ -38,6 +39,8 @@ from turtleact.tasks import Signal, Tasks
 from turtleact.transports.base import Closeable, Endpoint, EndpointKind, Publication, QoS, Transport
 
 __all__ = ["ActionEndpoints"]
+
+logger = logging.getLogger("turtleact.server")
 
 STATUS_QOS = QoS(depth=1, durability="transient_local")
 
@@ -81,6 +84,8 @@ class ActionEndpoints:
             )
         }
         action = server.action_type.type_name
+        if transport.local(names.send_goal, f"{action}_SendGoal") is not None:
+            logger.warning("%s is served already; clients go to the first server", names.name)
         self._opened: list[Closeable] = [
             transport.serve(endpoint("service", at, type_name), handler)
             for at, type_name, handler in (

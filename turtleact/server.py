@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, Generic, TypeVar, Unpack, cast
 import anyio
 
 from turtleact.body import ActionType, Body, ServerOptions
-from turtleact.callbacks import GoalCallback, ask_for_cancel, ask_for_goal
+from turtleact.callbacks import GoalCallback, ask_for_goal
+from turtleact.canceling import Canceling
 from turtleact.claim import Claim
 from turtleact.errors import GoalRejected, InvalidOption
 from turtleact.execution import CURRENT_GOAL, Execution
@@ -31,9 +32,7 @@ from turtleact.goal import (
     GoalEvent,
     GoalStatus,
     GoalTable,
-    cancel_code,
     failure,
-    select,
 )
 from turtleact.goal_id import new_goal_id
 from turtleact.hooks import Hooks
@@ -99,14 +98,14 @@ class ActionServer(Generic[G, R, F]):
         self._now = node.clock.now
         self._tasks = tasks
         self._goal_callback = options.get("goal_callback")
-        self._cancel_callback = options.get("cancel_callback")
+        cancel_callback = options.get("cancel_callback")
         self._on_client_lost = options.get("on_client_lost", "keep")
         if self._on_client_lost not in ("keep", "cancel"):
             problem = f"expected 'keep' or 'cancel', not {self._on_client_lost!r}"
             raise InvalidOption("on_client_lost", problem)
         self._slot = place
         self.asks_first = self._goal_callback is not None
-        self._can_borrow = tasks.can_borrow and self._cancel_callback is None
+        self._can_borrow = tasks.can_borrow and cancel_callback is None
         self._table = GoalTable(options.get("result_timeout", 10.0))
         goal_type = cast("type[Message]", action_type.Goal)
         self._check_goal = cast("Callable[[object], Message]", snapshotter(goal_type, root="goal"))
@@ -121,6 +120,14 @@ class ActionServer(Generic[G, R, F]):
             make_handle=make_handle,
         )
         self.hooks = Hooks(name, self.execution, make_handle)
+        self._canceling = Canceling(
+            name,
+            cancel_callback,
+            table=self._table,
+            execution=self.execution,
+            make_handle=make_handle,
+            info=self.info,
+        )
         if place is not None:
             self.execution.release = self._release
 
@@ -225,15 +232,8 @@ class ActionServer(Generic[G, R, F]):
     async def cancel_and_wait(self, goal: Goal) -> None:
         """Ask a goal to cancel and wait for its end, shielded, `GRACE` seconds at most."""
         with anyio.move_on_after(GRACE, shield=True):
-            await self._let_go(goal)
+            await self._canceling.let_go(goal)
             await self.wait_for_end(goal)
-
-    def cancel_nowait(self, goal: Goal) -> None:
-        """Ask a goal to cancel; a ``cancel_callback`` answers in its own time."""
-        if self._cancel_callback is None:
-            self._cancel_body(goal)
-        else:
-            self._tasks.spawn(self._cancel_in_background(goal), f"a cancel of {self.name}")
 
     def signal(self, goal: Goal) -> Signal:
         """The signal that fires at each change of a goal."""
@@ -251,24 +251,18 @@ class ActionServer(Generic[G, R, F]):
 
     async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
         """Answer a cancel request: by id, by stamp (ns), by both, or for every goal."""
-        wanted = goal_id if goal_id and any(goal_id) else None
-        named = self._table.find(wanted, self._now()) if wanted else None
-        by_id = wanted is not None and not stamp
-        held = self._table.active if not by_id else [] if named is None else [named]
-        let_go: list[Goal] = []
-        kept: list[Goal] = []
-        for goal in select(held, wanted, stamp):
-            (let_go if await self._let_go(goal) else kept).append(goal)
-        asked = len(let_go) + sum(goal.status.is_active for goal in kept)
-        code = cancel_code(named, by_id=by_id, asked=asked, let_go=len(let_go))
-        return CancelGoal.Response(int(code), [self.info(goal) for goal in let_go])
+        return await self._canceling.answer(goal_id, stamp, self._now())
+
+    def cancel_nowait(self, goal: Goal) -> None:
+        """Ask a goal to cancel; a ``cancel_callback`` answers in its own time."""
+        self._canceling.let_go_soon(goal)
 
     def client_lost(self, sender: object) -> None:
         """Note that a client has gone: its goals go on, unless ``on_client_lost`` is "cancel"."""
         if self._on_client_lost == "cancel":
             for goal in self._table.active:
                 if goal.sender is sender:
-                    self._cancel_body(goal)
+                    self._canceling.cancel(goal)
 
     # the end
 
@@ -290,6 +284,7 @@ class ActionServer(Generic[G, R, F]):
         for goal in self._table.active:
             logger.error("goal %s of %s has not ended; it is left behind", goal.hex, self.name)
             self.execution.end(goal, GoalEvent.ABORT, None, goal.reason)
+        await self._canceling.aclose()
         if self.endpoints is not None:
             await self.endpoints.aclose()
 
@@ -379,24 +374,3 @@ class ActionServer(Generic[G, R, F]):
         except self._tasks.cancelled:
             await self.cancel_and_wait(goal)
             raise
-
-    async def _let_go(self, goal: Goal) -> bool:
-        """Ask whether a goal may be canceled, and cancel it; False if not, or if it has ended."""
-        callback = self._cancel_callback
-        if callback is None or goal.status is _CANCELING:
-            return self._cancel_body(goal)
-        agreed = await ask_for_cancel(self.name, callback, ServerGoalHandle(self, goal))
-        return agreed and self._cancel_body(goal)
-
-    def _cancel_body(self, goal: Goal) -> bool:
-        """Cancel a goal; False if it has ended before."""
-        if not goal.status.is_active:
-            return False
-        if goal.status is not _CANCELING:
-            self.execution.move(goal, GoalEvent.CANCEL_GOAL)
-            if goal.body is not None and not goal.reason:  # else it has been canceled already
-                goal.body.cancel()
-        return True
-
-    async def _cancel_in_background(self, goal: Goal) -> None:
-        await self._let_go(goal)

@@ -78,12 +78,15 @@ class Background:
     Args:
         running: The coroutine.
         name: What it is called in a log.
+
+    Attributes:
+        has_ended: Whether it is over.
     """
 
     def __init__(self, running: Coroutine[object, object, None], name: str) -> None:
         tasks = current_tasks()
         self._name = name
-        self._has_ended = False
+        self.has_ended = False
         self._ended = tasks.signal()
         self._cancelled = tasks.cancelled
         self._task = tasks.spawn(self._run(running), name)
@@ -92,7 +95,7 @@ class Background:
         """Cancel it and wait for its end."""
         self._task.cancel()
         with anyio.CancelScope(shield=True):
-            while not self._has_ended:
+            while not self.has_ended:
                 await self._ended.wait()
 
     async def _run(self, running: Coroutine[object, object, None]) -> None:
@@ -103,7 +106,7 @@ class Background:
         except Exception:
             logger.exception("%s has failed", self._name)
         finally:
-            self._has_ended = True
+            self.has_ended = True
             self._ended.fire()
 
 

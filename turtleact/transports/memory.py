@@ -72,8 +72,6 @@ class MemoryTransport:
     def serve(self, endpoint: Endpoint, handler: object) -> Closeable:
         """Offer ``handler`` as a server; of several, the one that came first is found."""
         key, offer = _key(endpoint), _Offer(handler)
-        if key in self._handlers:
-            logger.warning("%s is served twice; clients find the first server", endpoint.name)
         self._handlers.setdefault(key, []).append(offer)
         return _Opened(self._appear(self._endpoints, endpoint, partial(self._revoke, key, offer)))
 
