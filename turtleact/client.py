@@ -9,10 +9,10 @@ Source: rclpy ``action/client.py`` for names and meaning.
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Coroutine, Generator
 from inspect import iscoroutinefunction
 from types import TracebackType
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import anyio
 import msgspec
@@ -85,7 +85,7 @@ class ActionClient(Generic[G, R, F]):
             self,
             goal,
             None if goal_id is None else goal_id_bytes(goal_id),
-            feedback_callback,  # type: ignore[arg-type]  # it is called with this class alone
+            feedback_callback,
         )
 
     def attach(self, goal_id: bytes | uuid.UUID) -> Attach[R, F]:
@@ -158,12 +158,26 @@ class ActionClient(Generic[G, R, F]):
         return f"it is served as {', '.join(sorted(types))}, not as {self.action_type.type_name}"
 
 
-class SendGoal(msgspec.Struct, Generic[G, R, F], eq=False):
+if TYPE_CHECKING:
+
+    class _Calling(Coroutine[Any, Any, R], Generic[R]):
+        """What a type checker takes a `SendGoal` for."""
+
+        def __init__(self, *parts: object) -> None: ...
+
+else:
+
+    class _Calling(msgspec.Struct, Generic[R], eq=False):
+        """What a `SendGoal` is; no struct can inherit from an abstract base class."""
+
+
+class SendGoal(_Calling[R], Generic[G, R, F]):
     """A goal about to be sent.
 
     ``await`` sends it and gives the result; canceling the waiting task cancels the goal, waits for
     its end and goes on. ``async with`` sends it and gives the handle; leaving the block with the
-    goal still active cancels it and waits for its end, unless it was detached.
+    goal still active cancels it and waits for its end, unless it was detached. As it is also a
+    coroutine, ``create_task`` and ``start_soon`` take it as it is.
     """
 
     _client: ActionClient[G, R, F]
@@ -171,11 +185,29 @@ class SendGoal(msgspec.Struct, Generic[G, R, F], eq=False):
     _goal_id: bytes | None
     _on_feedback: OnFeedback | None
     _handle: ClientGoalHandle[R, F] | None = None
+    _calling: Generator[object, object, R] | None = None
 
     def __await__(self) -> Generator[object, object, R]:
         client = self._client
         calling = client.server().call(self._request, self._goal_id, self._on_feedback, client)
         return calling  # type: ignore[return-value]  # the result's class is R
+
+    def send(self, value: object) -> object:
+        """Go on to the next wait; what an event loop calls."""
+        if self._calling is None:
+            self._calling = self.__await__()
+        return self._calling.send(value)
+
+    def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
+        """Raise something at the current wait; what an event loop calls."""
+        if self._calling is None:
+            raise error
+        return self._calling.throw(error)
+
+    def close(self) -> None:
+        """End it; what an event loop calls."""
+        if self._calling is not None:
+            self._calling.close()
 
     async def __aenter__(self) -> ClientGoalHandle[R, F]:
         server = self._client.server()
@@ -194,6 +226,9 @@ class SendGoal(msgspec.Struct, Generic[G, R, F], eq=False):
     ) -> None:
         if self._handle is not None and not self._handle.done:
             await self._handle.leave()
+
+
+Coroutine.register(SendGoal)
 
 
 class Attach(msgspec.Struct, Generic[R, F], eq=False):
