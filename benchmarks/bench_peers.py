@@ -98,7 +98,7 @@ async def spawn_and_read(scheduler: aiojobs.Scheduler) -> object:
     return got
 
 
-async def kick(task: Any) -> object:
+async def kick(task: Any) -> object:  # noqa: ANN401  # a task of taskiq
     sent = await task.kiq(3)
     return (await sent.wait_result(check_interval=0)).return_value
 
