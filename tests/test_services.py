@@ -31,7 +31,7 @@ from turtleact.services import LocalService, ServiceClient, ServiceServer
 from turtleact.tasks import Background
 from turtleact.transports import MemoryTransport
 
-from .lab import ON_ASYNCIO, ON_TRIO, Count, count, other_tasks, running, settle
+from .lab import ON_ASYNCIO, ON_TRIO, other_tasks, running, settle
 
 
 class Add(Service, type_name="lab_interfaces/srv/Add"):
@@ -542,15 +542,6 @@ async def test_a_client_of_another_type_is_no_server():
         node.service_client(Subtract, "add")
         with pytest.raises(ServerUnavailable, match="no server answers"):
             await node.service_client(Add, "add").call(numbers())
-
-
-async def test_the_server_of_an_action_is_no_service_yet():
-    send_goal: Any = get_interface(f"{Count.type_name}_SendGoal")
-    async with turtleact.open_node("desk") as node:
-        node.action_server(Count, "count", count)
-        client = node.service_client(send_goal, "count/_action/send_goal")
-        with pytest.raises(ServerUnavailable, match="no server answers"):
-            await client.call(send_goal.Request())
 
 
 async def test_a_server_is_what_a_client_of_the_same_process_asks_for():

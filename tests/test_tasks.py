@@ -13,6 +13,7 @@ from typing import Any
 import anyio
 import pytest
 
+from turtleact.goal import Goal
 from turtleact.stepping import Borrowed
 from turtleact.tasks import AsyncioTasks, Background, TrioTasks, current_tasks
 
@@ -434,8 +435,11 @@ class Loan:
             waits_for = context.run(coroutine.send, None)
         except StopIteration as end:
             return end.value
-        self.borrowed = Borrowed(context, self.slow.append)
+        self.borrowed = Borrowed(context, Goal(None, 0), self)
         return await self.borrowed.go_on(coroutine, waits_for)
+
+    def report_blocking(self, goal: Goal, seconds: float) -> None:
+        self.slow.append(seconds)
 
     async def wait(self) -> str:
         """Let the cancellation out."""

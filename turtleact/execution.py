@@ -15,8 +15,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Coroutine
 from contextvars import Context, ContextVar
-from functools import partial
-from typing import TypeAlias, cast
+from typing import ClassVar, TypeAlias, cast
 
 from turtleact.body import ActionType, Body, Steps
 from turtleact.clock import Clock
@@ -29,7 +28,7 @@ from turtleact.errors import (
 from turtleact.feedback import FeedbackLog
 from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable
 from turtleact.interfaces import Message, snapshotter
-from turtleact.stepping import Borrowed, timed
+from turtleact.stepping import Borrowed, Timed
 from turtleact.summaries import summary, text_of
 from turtleact.tasks import Signal, Tasks
 
@@ -71,6 +70,10 @@ class Execution:
         release: Told of each goal that has ended.
         ended: Fires whenever a goal has ended. Like the three above None, until somebody wants it.
     """
+
+    #: Whether a body's goal is noted as the parent of those that it sends: from the first slot on,
+    #: as nothing else asks for it, and it takes time and memory.
+    notes_parents: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -126,7 +129,7 @@ class Execution:
             waits_for: What the first step gave.
             context: What the first step ran in.
         """
-        borrowed = Borrowed(context, partial(self.report_blocking, goal))
+        borrowed = Borrowed(context, goal, self)
         goal.body = borrowed
         if goal.status is _CANCELING or goal.reason:  # asked for in its own first step
             borrowed.cancel()
@@ -141,7 +144,8 @@ class Execution:
             goal: The goal.
             is_timed: Whether to report what blocks the loop; else who calls this does.
         """
-        CURRENT_GOAL.set(goal)
+        if Execution.notes_parents:
+            CURRENT_GOAL.set(goal)
         if goal.status is _CANCELING or goal.reason:  # before its first step
             self._end_canceled(goal)
             return
@@ -153,23 +157,21 @@ class Execution:
             if self._is_generator:
                 running = self._drive(goal, running)  # type: ignore[arg-type]  # see Body
             if is_timed:
-                running = timed(running, self.report_blocking, goal)  # type: ignore[arg-type]
+                running = Timed(running, goal, self)  # type: ignore[arg-type]
             result = await running  # type: ignore[misc]  # see Body
-        except (KeyboardInterrupt, SystemExit):
-            self.end(goal, GoalEvent.ABORT, None, "the program was stopped")
-            raise
         except BaseException as error:
             if _is_thrown_in(error):
                 raise
             self._fail(goal, error)
+            if isinstance(error, KeyboardInterrupt | SystemExit):
+                raise
             return
-        try:
-            message = self.check_result(result)
-        except InvalidMessage as misfit:
-            why = "no result" if result is None else f"the body's result does not fit: {misfit}"
-            self.end(goal, GoalEvent.ABORT, None, why)
+        try:  # few names and short calls here: each takes its place in every goal's frame
+            result = self.check_result(result)
+        except InvalidMessage as error:
+            self._end_without_result(goal, result, error)
         else:
-            self.end(goal, _SUCCEED, message)
+            self.end(goal, _SUCCEED, result)
 
     async def _drive(self, goal: Goal, steps: Steps) -> object:
         """Run a generator to its end; the answer is its result, or None if it gave none."""
@@ -303,11 +305,17 @@ class Execution:
         if self.ended is not None:
             self.ended.fire()
 
+    def _end_without_result(self, goal: Goal, given: object, error: InvalidMessage) -> None:
+        why = "no result" if given is None else f"the body's result does not fit: {error}"
+        self.end(goal, GoalEvent.ABORT, None, why)
+
     def _fail(self, goal: Goal, error: BaseException) -> None:
         if isinstance(goal.body, Borrowed) and goal.body.is_caller_canceled:
             self.mark_canceling(goal)
         canceling = goal.status is _CANCELING
-        if isinstance(error, Abort):
+        if isinstance(error, KeyboardInterrupt | SystemExit):
+            self.end(goal, GoalEvent.ABORT, None, "the program was stopped")
+        elif isinstance(error, Abort):
             self._end_with(goal, GoalEvent.ABORT, error.result, text_of(error.reason))
         elif isinstance(error, Canceled) and (canceling or goal.reason):
             event = GoalEvent.CANCELED if canceling else GoalEvent.ABORT

@@ -130,6 +130,7 @@ class ActionServer(Generic[G, R, F]):
         )
         if place is not None:
             self.execution.release = self._release
+            Execution.notes_parents = True
 
     # what a client in the same process calls
 

@@ -10,52 +10,78 @@ asyncio's debug mode for what is told of slow callbacks.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine, Generator
+from collections.abc import Coroutine, Generator
 from contextvars import Context
 from math import inf
 from time import monotonic
 from types import coroutine
-from typing import TypeAlias, TypeVar, cast
+from typing import Any, Protocol, Self, TypeVar, cast
 
-__all__ = ["BLOCKING", "Borrowed", "timed"]
+from turtleact.goal import Goal
 
-A = TypeVar("A")
+__all__ = ["BLOCKING", "Borrowed", "Timed"]
+
 T = TypeVar("T")
-
-OnSlow: TypeAlias = Callable[[float], None]
 
 BLOCKING = 0.5
 """A step that takes longer is reported (s)."""
 
 
-@coroutine
-def timed(
-    body: Coroutine[object, object, T], on_slow: Callable[[A, float], None], about: A
-) -> Generator[object, object, T]:
-    """Run a coroutine as ``await`` does; ``on_slow(about, seconds)`` is told of slow steps."""
-    began = monotonic()
-    try:
-        waits_for = body.send(None)
-        while True:
+class Reporter(Protocol):
+    """Whom to tell of a step that has blocked the loop."""
+
+    def report_blocking(self, goal: Goal, seconds: float) -> None:
+        """Say whose step it was, and how long it took."""
+
+
+class Timed:
+    """Awaits a coroutine as ``await`` does, with an eye on the clock.
+
+    Args:
+        body: The coroutine of a goal's body.
+        goal: The goal.
+        reporter: Told of each step that blocks the loop.
+    """
+
+    __slots__ = ("_body", "_goal", "_reporter")
+
+    def __init__(
+        self, body: Coroutine[object, object, object], goal: Goal, reporter: Reporter
+    ) -> None:
+        self._body = body
+        self._goal = goal
+        self._reporter = reporter
+
+    def __await__(self) -> Self:
+        return self
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> object:
+        return self.send(None)
+
+    def send(self, value: object) -> object:
+        """Run one step."""
+        began = monotonic()
+        try:
+            return self._body.send(value)
+        finally:
             if (took := monotonic() - began) > BLOCKING:
-                on_slow(about, took)
-            began = inf  # of a wait
-            try:
-                answer = yield waits_for
-            except GeneratorExit:
-                body.close()
-                raise
-            except BaseException as thrown:
-                began = monotonic()
-                waits_for = body.throw(thrown)
-            else:
-                began = monotonic()
-                waits_for = body.send(answer)
-    except StopIteration as end:
-        return cast("T", end.value)
-    finally:
-        if (took := monotonic() - began) > BLOCKING:
-            on_slow(about, took)
+                self._reporter.report_blocking(self._goal, took)
+
+    def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
+        """Run one step that begins with an exception."""
+        began = monotonic()
+        try:
+            return self._body.throw(error)
+        finally:
+            if (took := monotonic() - began) > BLOCKING:
+                self._reporter.report_blocking(self._goal, took)
+
+    def close(self) -> None:
+        """Close the coroutine."""
+        self._body.close()
 
 
 class Borrowed:
@@ -71,15 +97,26 @@ class Borrowed:
 
     Args:
         context: What the coroutine runs in, a copy of the caller's: what it sets there stays there.
-        on_slow: Told of each step that has blocked the loop.
+        goal: The goal that the coroutine runs for.
+        reporter: Told of each step that blocks the loop.
     """
 
-    __slots__ = ("_asked", "_before", "_context", "_is_on_its_way", "_on_slow", "_task", "_thrown")
+    __slots__ = (
+        "_asked",
+        "_before",
+        "_context",
+        "_goal",
+        "_is_on_its_way",
+        "_reporter",
+        "_task",
+        "_thrown",
+    )
 
-    def __init__(self, context: Context, on_slow: OnSlow) -> None:
+    def __init__(self, context: Context, goal: Goal, reporter: Reporter) -> None:
         task = cast("asyncio.Task[object]", asyncio.current_task())
         self._context = context
-        self._on_slow = on_slow
+        self._goal = goal
+        self._reporter = reporter
         self._task: asyncio.Task[object] | None = task
         self._before = task.cancelling()
         self._asked = 0
@@ -126,14 +163,14 @@ class Borrowed:
                     began = monotonic()
                     waits_for = in_context(body.send, answer)
                 if (took := monotonic() - began) > BLOCKING:
-                    self._on_slow(took)
+                    self._reporter.report_blocking(self._goal, took)
                 began = inf
         except StopIteration as end:
             value: T = end.value
         finally:
             task = self._give_back()
             if (took := monotonic() - began) > BLOCKING:
-                self._on_slow(took)
+                self._reporter.report_blocking(self._goal, took)
         if self._is_on_its_way:  # the end came before the cancellation
             try:
                 yield None
