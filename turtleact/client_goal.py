@@ -128,6 +128,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
     _is_sender: bool = True
     _next: int = 0
     _detached: bool = False
+    _readers: int = 0
     missed: int = 0
 
     @property
@@ -216,10 +217,10 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         return Outcome(goal.status, cast("R", goal.result), goal.reason)
 
     @property
-    def has_unread(self) -> bool:
-        """Whether there is feedback to be read without waiting."""
+    def next_unread(self) -> int | None:
+        """The number of the feedback that can be read without waiting; None if there is none."""
         log = self._goal.feedback
-        return log is not None and self._next < log.count
+        return None if log is None or self._next >= log.count else max(self._next, log.dropped)
 
     async def cancel(self) -> CancelGoal.Response:
         """Ask the server to cancel the goal; the answer says whether it will."""
@@ -227,7 +228,8 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
 
     def cancel_nowait(self) -> None:
         """Ask the server to cancel the goal; `status` tells in time whether it has agreed."""
-        self._server.cancel_nowait(self._goal)
+        if not self.done:
+            self._server.cancel_nowait(self._goal)
 
     def detach(self) -> None:
         """Let the goal go on when the block is left."""
@@ -244,8 +246,15 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         log = self._goal.feedback
         if log is None:
             log = self._goal.feedback = FeedbackLog()
+        self._readers += 1
         if self._is_sender:
             log.read = self._next
+
+    def end_reading(self) -> None:
+        """Note that an iteration has been left; a late one does not disturb those begun since."""
+        self._readers -= 1
+        if not self._readers:
+            self.stop_reading()
 
     def stop_reading(self) -> None:
         """Let the body run ahead: nobody iterates any more."""
@@ -285,7 +294,7 @@ class _Reading(Generic[F]):
         return self._handle.__anext__()
 
     def __del__(self) -> None:
-        self._handle.stop_reading()
+        self._handle.end_reading()
 
 
 class _Events(Generic[F, R]):
@@ -311,7 +320,7 @@ class _Events(Generic[F, R]):
             status = self._next_status(goal)
             if status is not None:
                 return StatusChanged(status)
-            if handle.has_unread:
+            if handle.next_unread is not None:
                 return FeedbackReceived(await handle.__anext__())
             if goal.ended:
                 self._step = "ended"
@@ -323,14 +332,15 @@ class _Events(Generic[F, R]):
         raise StopAsyncIteration
 
     def __del__(self) -> None:
-        self._handle.stop_reading()
+        self._handle.end_reading()
 
     def _next_status(self, goal: Goal) -> GoalStatus | None:
         """The next state of the history, if no unread feedback went before it."""
         if self._told == len(goal.history):
             return None
         status, count = goal.history[self._told]
-        if self._handle.has_unread and count > self._handle._next:
+        unread = self._handle.next_unread
+        if unread is not None and unread < count:
             return None
         self._told += 1
         return status

@@ -40,7 +40,7 @@ class FeedbackLog:
     BUDGET: Final = 1 << 20
     """So much may lie unread before the body waits (bytes, in a compact encoding)."""
 
-    __slots__ = ("_weight", "drained", "dropped", "hurried", "items", "read")
+    __slots__ = ("_weighed", "_weight", "drained", "dropped", "hurried", "items", "read")
 
     def __init__(self) -> None:
         self.items: list[object] = []
@@ -48,6 +48,7 @@ class FeedbackLog:
         self.read: int | None = None
         self.drained: Listener | None = None
         self.hurried = 0
+        self._weighed = 0
         self._weight = 0
 
     @property
@@ -76,18 +77,30 @@ class FeedbackLog:
             self.trim()
 
     def weigh(self) -> None:
-        """Take the newest message's size for that of all; not done for each, as it takes time."""
+        """Take one message's size for that of all; not done for each, as it takes time.
+
+        Each time another of the newest is taken, and a large one is only forgotten bit by bit: a
+        body may give large and small ones by turns.
+        """
         if self.items:
-            self._weight = len(_ENCODER.encode(self.items[-1]))
+            self._weighed += 1
+            message = self.items[-1 - self._weighed % min(len(self.items), _NEWEST)]
+            self._weight = max(len(_ENCODER.encode(message)), self._weight * 15 // 16)
 
     def trim(self) -> None:
-        """Forget what need not be kept; not done for each message, as it moves all the others."""
+        """Forget what need not be kept, unless it is little, as it moves all the others."""
         needless = len(self.items) - self.KEPT
         if self.read is not None:
             needless = min(needless, self.read - self.dropped)
-        if needless > 0:
+        if needless * _NEEDLESS >= len(self.items):
             del self.items[:needless]
             self.dropped += needless
 
 
 _ENCODER = msgspec.msgpack.Encoder()
+
+_NEWEST: Final = 16
+"""So many of the newest messages take turns at being weighed."""
+
+_NEEDLESS: Final = 64
+"""What need not be kept is at most the 64th part of what is kept."""

@@ -1,0 +1,779 @@
+"""What a client sees of a goal, its own or that of others, and how it cancels one."""
+
+from __future__ import annotations
+
+import uuid
+
+import anyio
+import pytest
+
+import turtleact
+from turtleact import CancelResponse, GoalStatus
+from turtleact.client_goal import FeedbackReceived, Outcome, ResultReceived, StatusChanged
+from turtleact.errors import (
+    Abort,
+    GoalAborted,
+    GoalCanceled,
+    InvalidName,
+    ServerUnavailable,
+    UnknownGoal,
+)
+from turtleact.feedback import FeedbackLog
+from turtleact.goal import CancelCode
+
+from .lab import (
+    ON_ASYNCIO,
+    ON_TRIO,
+    TURNS,
+    Count,
+    Gate,
+    count,
+    feedback,
+    goal,
+    hand_lab,
+    lab,
+    result,
+    running,
+    settle,
+    take_turns,
+)
+
+KEPT = FeedbackLog.KEPT
+MANY = 5 * KEPT
+ID = bytes(range(16))
+
+
+async def many(request):
+    for number in range(MANY):
+        yield feedback(number)
+    yield result(MANY)
+
+
+async def fail(request):
+    yield feedback(1)
+    raise Abort("no pen")
+
+
+class Cleaning(Gate):
+    """A generator body that gives feedback before its cancellation and after it."""
+
+    async def stream(self, goal):
+        yield feedback(1)
+        try:
+            await anyio.sleep_forever()
+        finally:
+            yield feedback(2)
+            yield feedback(3)
+
+
+def short(event):
+    """An event in a word, or as the numbers of its feedback."""
+    match event:
+        case StatusChanged(status=status):
+            assert event.kind == "status"
+            return status.name
+        case FeedbackReceived(feedback=message):
+            assert event.kind == "feedback"
+            return message.so_far[-1]
+        case _:
+            return event.kind
+
+
+async def told(handle):
+    return [short(event) async for event in handle.events()]
+
+
+# --- events -----------------------------------------------------------------------------------
+
+
+async def test_the_first_event_bears_the_id_and_the_stamp():
+    async with lab(count) as served, served.client.send_goal(goal(), goal_id=ID) as handle:
+        first = await anext(handle.events())
+        assert first == turtleact.client_goal.Accepted(ID, handle.stamp)
+        assert first.kind == "accepted"
+
+
+async def test_the_last_event_bears_the_outcome():
+    async with lab(count) as served, served.client.send_goal(goal(1)) as handle:
+        *_, last = [event async for event in handle.events()]
+        assert last == ResultReceived(Outcome(GoalStatus.SUCCEEDED, result(0)))
+        assert last.kind == "result"
+
+
+async def test_an_event_bears_its_feedback():
+    async with lab(count) as served, served.client.send_goal(goal(1)) as handle:
+        events = [event async for event in handle.events()]
+        assert FeedbackReceived(feedback(0)) in events
+
+
+READ = pytest.mark.parametrize("is_late", [False, True], ids=["early", "late"])
+
+
+async def read(handle, is_late, act=None):
+    """Read all events while the goal runs, or after its end; meanwhile something is done."""
+    if is_late:
+        if act is not None:
+            await settle()
+            await act()
+        await handle.outcome()
+        return await told(handle)
+    async with running(lambda: told(handle)) as reader:
+        await settle()
+        if act is not None:
+            await act()
+    return reader.value
+
+
+@READ
+async def test_the_events_of_a_goal_that_succeeds(is_late):
+    async with lab(count) as served, served.client.send_goal(goal(3)) as handle:
+        expected = ["accepted", "EXECUTING", 0, 1, 2, "SUCCEEDED", "result"]
+        assert await read(handle, is_late) == expected
+
+
+@READ
+async def test_the_events_of_a_goal_that_is_aborted(is_late):
+    async with lab(fail) as served, served.client.send_goal(goal()) as handle:
+        expected = ["accepted", "EXECUTING", 1, "ABORTED", "result"]
+        assert await read(handle, is_late) == expected
+
+
+@READ
+async def test_the_events_of_a_goal_that_is_canceled_with_feedback_before_and_after(is_late):
+    async with lab(Cleaning().stream) as served, served.client.send_goal(goal()) as handle:
+        expected = ["accepted", "EXECUTING", 1, "CANCELING", 2, 3, "CANCELED", "result"]
+        assert await read(handle, is_late, handle.cancel) == expected
+
+
+@READ
+async def test_the_events_of_a_goal_that_succeeds_although_it_is_canceled(is_late):
+    async def body(request):
+        try:
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class():
+            yield result(7)
+
+    async with lab(body) as served, served.client.send_goal(goal()) as handle:
+        expected = ["accepted", "EXECUTING", "CANCELING", "SUCCEEDED", "result"]
+        assert await read(handle, is_late, handle.cancel) == expected
+
+
+@READ
+async def test_the_events_of_a_goal_that_waits_for_its_turn(is_late):
+    gate = Gate()
+    async with (
+        lab(gate.stream, policy="queue") as served,
+        served.client.send_goal(goal()) as _,
+        served.client.send_goal(goal()) as handle,
+    ):
+
+        async def act():
+            assert handle.status is GoalStatus.ACCEPTED
+            gate.opened.set()
+
+        expected = ["accepted", "EXECUTING", 0, "SUCCEEDED", "result"]
+        assert await read(handle, is_late, act) == expected
+
+
+@READ
+async def test_the_events_of_a_goal_that_is_canceled_while_it_waits(is_late):
+    async with (
+        lab(Gate().stream, policy="queue") as served,
+        served.client.send_goal(goal()) as _,
+        served.client.send_goal(goal()) as handle,
+    ):
+        expected = ["accepted", "CANCELING", "CANCELED", "result"]
+        assert await read(handle, is_late, handle.cancel) == expected
+
+
+@READ
+async def test_the_events_of_a_goal_that_is_preempted(is_late):
+    async with (
+        lab(Gate().stream, policy="preempt") as served,
+        served.client.send_goal(goal()) as handle,
+    ):
+
+        async def act():
+            async with served.client.send_goal(goal()):
+                await settle()
+
+        expected = ["accepted", "EXECUTING", 0, "ABORTED", "result"]
+        assert await read(handle, is_late, act) == expected
+
+
+@READ
+async def test_the_events_of_a_goal_whose_server_is_closed(is_late):
+    async with lab(Gate().stream) as served, served.client.send_goal(goal()) as handle:
+        expected = ["accepted", "EXECUTING", 0, "ABORTED", "result"]
+        assert await read(handle, is_late, served.server.aclose) == expected
+
+
+async def test_events_of_which_feedback_was_missed_come_in_order():
+    async def body(request, handle):
+        handle.publish_feedback(feedback(-1))
+        try:
+            await anyio.sleep_forever()
+        finally:
+            for number in range(MANY):
+                handle.publish_feedback(feedback(number))
+
+    async with lab(body) as served, served.client.send_goal(goal()) as handle:
+        await settle()
+        await handle.cancel()
+        await handle.outcome()
+        events = await told(handle)
+        read = events[3:-2]
+        assert events[:3] == ["accepted", "EXECUTING", "CANCELING"]
+        assert events[-2:] == ["CANCELED", "result"]
+        assert read == list(range(MANY - len(read), MANY))
+        assert handle.missed == 1 + MANY - len(read)
+
+
+async def test_events_lose_nothing_to_a_sender_that_reads_them():
+    async with lab(many) as served, served.client.send_goal(goal()) as handle:
+        expected = ["accepted", "EXECUTING", *range(MANY), "SUCCEEDED", "result"]
+        assert (await told(handle), handle.missed) == (expected, 0)
+
+
+async def test_an_iteration_that_was_broken_off_goes_on_where_it_was():
+    async with lab(count) as served, served.client.send_goal(goal(2)) as handle:
+        events, begun = handle.events(), []
+        async for event in events:
+            begun.append(short(event))
+            if begun[-1] == 0:
+                break
+        assert begun == ["accepted", "EXECUTING", 0]
+        assert [short(event) async for event in events] == [1, "SUCCEEDED", "result"]
+
+
+async def test_an_iteration_that_is_over_stays_so():
+    async with lab(count) as served, served.client.send_goal(goal(0)) as handle:
+        events = handle.events()
+        assert [short(event) async for event in events][-1] == "result"
+        with pytest.raises(StopAsyncIteration):
+            await anext(events)
+
+
+async def test_a_second_iteration_tells_all_but_the_feedback_again():
+    async with lab(count) as served, served.client.send_goal(goal(2)) as handle:
+        await told(handle)
+        assert await told(handle) == ["accepted", "EXECUTING", "SUCCEEDED", "result"]
+
+
+async def test_events_and_feedback_are_read_from_one_stream():
+    async with lab(count) as served, served.client.send_goal(goal(2)) as handle:
+        assert await anext(aiter(handle)) == feedback(0)
+        assert await told(handle) == ["accepted", "EXECUTING", 1, "SUCCEEDED", "result"]
+        assert [message async for message in handle] == []
+
+
+async def test_two_readers_of_events_share_the_feedback_and_each_hear_the_rest():
+    gate = Gate()
+    async with lab(gate.stream) as served, served.client.send_goal(goal()) as handle:
+        async with running(lambda: told(handle)) as one, running(lambda: told(handle)) as other:
+            await settle()
+            gate.opened.set()
+        both = [one.value, other.value]
+        assert sorted(map(len, both)) == [4, 5]
+        assert sum(events.count(0) for events in both) == 1
+        for events in both:
+            assert [event for event in events if event] == [
+                "accepted",
+                "EXECUTING",
+                "SUCCEEDED",
+                "result",
+            ]
+
+
+async def test_canceling_who_waits_for_an_event_loses_nothing():
+    gate = Gate()
+    async with lab(gate.stream) as served, served.client.send_goal(goal()) as handle:
+        events = handle.events()
+        seen = [short(await anext(events)) for _ in range(3)]
+        async with running(lambda: anext(events)) as waiter:
+            assert not waiter.done.is_set()
+            waiter.scope.cancel()
+        gate.opened.set()
+        seen += [short(event) async for event in events]
+        assert seen == ["accepted", "EXECUTING", 0, "SUCCEEDED", "result"]
+
+
+async def test_events_come_as_they_happen():
+    seen: list[object] = []
+    async with lab(Cleaning().stream) as served, served.client.send_goal(goal()) as handle:
+
+        async def note():
+            async for event in handle.events():
+                seen.append(short(event))
+
+        async with running(note):
+            await settle()
+            assert seen == ["accepted", "EXECUTING", 1]
+            await handle.cancel()
+        assert seen[3:] == ["CANCELING", 2, 3, "CANCELED", "result"]
+
+
+# --- taking hold of a goal of others ----------------------------------------------------------
+
+
+@pytest.mark.parametrize("goal_id", [ID, ID.hex(), uuid.UUID(bytes=ID)], ids=type)
+async def test_a_goal_that_runs_can_be_taken_hold_of(goal_id):
+    gate = Gate()
+    async with lab(gate.wait) as served, served.client.send_goal(goal(7), goal_id=ID) as sent:
+        other = served.node.action_client(Count, "count")
+        handle = await other.attach(goal_id)
+        assert (handle.goal_id, handle.stamp, handle.status) == (ID, sent.stamp, sent.status)
+        gate.opened.set()
+        assert await handle.result() == result(7)
+
+
+async def test_a_goal_of_which_nobody_gave_the_id_is_found_by_the_one_it_has():
+    async with lab(Gate().wait) as served, served.client.send_goal(goal()) as sent:
+        handle = await served.client.attach(sent.goal_id)
+        assert handle.goal_id == sent.goal_id
+
+
+async def test_a_goal_that_waits_can_be_taken_hold_of():
+    gate = Gate()
+    async with (
+        lab(gate.stream, policy="queue") as served,
+        served.client.send_goal(goal()) as _,
+        served.client.send_goal(goal(7), goal_id=ID) as _,
+        served.client.attach(ID) as handle,
+    ):
+        assert handle.status is GoalStatus.ACCEPTED
+        gate.opened.set()
+        assert await told(handle) == ["accepted", "EXECUTING", 0, "SUCCEEDED", "result"]
+
+
+async def test_a_goal_that_has_ended_can_be_taken_hold_of_while_its_result_is_kept():
+    clock, laboratory = hand_lab(count)
+    async with laboratory as served:
+        await served.client.send_goal(goal(2), goal_id=ID)
+        clock.advance(9.9)
+        async with served.client.attach(ID) as handle:
+            assert (handle.done, await handle.result()) == (True, result(0, 1))
+
+
+async def test_a_goal_whose_result_has_expired_is_unknown():
+    clock, laboratory = hand_lab(count)
+    async with laboratory as served:
+        await served.client.send_goal(goal(), goal_id=ID)
+        clock.advance(10.0)
+        with pytest.raises(UnknownGoal, match=rf"'/count' holds no goal {ID.hex()}$"):
+            await served.client.attach(ID)
+
+
+async def test_a_goal_that_was_never_held_is_unknown():
+    async with lab(count) as served:
+        with pytest.raises(UnknownGoal):
+            await served.client.attach(ID)
+        with pytest.raises(UnknownGoal):
+            await served.client.attach(ID).__aenter__()
+
+
+async def test_a_goal_of_another_action_is_unknown():
+    async with lab(Gate().wait) as served, served.client.send_goal(goal(), goal_id=ID):
+        served.node.action_server(Count, "other", count)
+        with pytest.raises(UnknownGoal):
+            await served.node.action_client(Count, "other").attach(ID)
+
+
+async def test_without_a_server_there_is_no_goal_to_take_hold_of():
+    async with turtleact.open_node("lab") as node:
+        with pytest.raises(ServerUnavailable):
+            await node.action_client(Count, "count").attach(ID)
+
+
+async def test_what_is_no_goal_id_is_refused():
+    async with lab(count) as served:
+        with pytest.raises(InvalidName, match="a goal id has"):
+            served.client.attach(b"1")
+
+
+async def test_who_takes_hold_of_an_awaited_goal_gets_its_feedback_from_then_on():
+    first, second = anyio.Event(), anyio.Event()
+
+    async def body(request):
+        yield feedback(0)
+        await first.wait()
+        yield feedback(1)
+        await second.wait()
+        yield feedback(2)
+        yield result(3)
+
+    async with (
+        lab(body) as served,
+        running(lambda: served.client.send_goal(goal(), goal_id=ID)) as sent,
+    ):
+        async with served.client.attach(ID) as handle:
+            first.set()
+            async with running(lambda: told(handle)) as reader:
+                second.set()
+            assert reader.value == ["accepted", "EXECUTING", 1, 2, "SUCCEEDED", "result"]
+        await sent.done.wait()
+        assert sent.value == result(3)
+
+
+async def test_leaving_a_goal_of_others_lets_it_go_on():
+    gate = Gate()
+    async with lab(gate.wait) as served, served.client.send_goal(goal(7), goal_id=ID) as sent:
+        async with served.client.attach(ID):
+            pass
+        with pytest.raises(ValueError, match="mine"):
+            async with served.client.attach(ID):
+                raise ValueError("mine")
+        await settle()
+        assert sent.status is GoalStatus.EXECUTING
+        gate.opened.set()
+        assert await sent.result() == result(7)
+
+
+async def test_canceling_who_holds_a_goal_of_others_lets_it_go_on():
+    async with lab(Gate().wait) as served, served.client.send_goal(goal(), goal_id=ID) as sent:
+
+        async def watch():
+            async with served.client.attach(ID) as handle:
+                await handle.result()
+
+        async with running(watch) as beside:
+            beside.scope.cancel()
+        assert (sent.status, served.active[0].waiters) == (GoalStatus.EXECUTING, 0)
+
+
+async def test_a_goal_of_others_can_be_canceled():
+    async with (
+        lab(Gate().wait) as served,
+        served.client.send_goal(goal(), goal_id=ID) as sent,
+        served.client.attach(ID) as handle,
+    ):
+        assert (await handle.cancel()).return_code == CancelCode.NONE
+        with pytest.raises(GoalCanceled):
+            await handle.result()
+        assert sent.status is GoalStatus.CANCELED
+
+
+async def test_the_failure_of_a_goal_of_others_is_told():
+    async with lab(fail) as served, served.client.send_goal(goal(), goal_id=ID):
+        handle = await served.client.attach(ID)
+        assert (await handle.outcome()).reason == "no pen"
+        with pytest.raises(GoalAborted, match="no pen"):
+            await handle.result()
+
+
+async def test_each_observer_reads_all_feedback_for_itself():
+    async with lab(Gate().stream) as served, served.client.send_goal(goal(), goal_id=ID) as sent:
+        handles = [sent, *[await served.client.attach(ID) for _ in range(3)]]
+        assert [await anext(handle) for handle in handles] == [feedback(0)] * 4
+
+
+async def test_an_observer_that_never_reads_on_holds_nobody_up_and_keeps_the_newest():
+    async with (
+        lab(many) as served,
+        served.client.send_goal(goal(), goal_id=ID) as sent,
+        served.client.attach(ID) as lazy,
+        served.client.attach(ID) as idle,
+    ):
+        reading = aiter(lazy)
+        assert await sent.result() == result(MANY)
+        rest = [message.so_far[0] async for message in reading]
+        assert rest == list(range(MANY - len(rest), MANY))
+        assert KEPT <= len(rest) < 2 * KEPT
+        assert (lazy.missed, idle.missed) == (MANY - len(rest), 0)
+
+
+async def test_observers_that_never_read_keep_no_more_than_the_newest():
+    async with (
+        lab(many) as served,
+        served.client.send_goal(goal(), goal_id=ID) as sent,
+        served.client.attach(ID) as handle,
+    ):
+        reading = aiter(handle)
+        seen = [message.so_far[0] async for message in sent]
+        assert seen == list(range(MANY))
+        held = served.server.find(ID)
+        assert held is not None
+        assert held.feedback is not None
+        assert len(held.feedback.items) < 2 * KEPT
+        assert (await anext(reading)).so_far[0] == handle.missed
+
+
+async def test_an_observer_that_reads_ahead_does_not_make_the_sender_lose_anything():
+    async with lab(many) as served, served.client.send_goal(goal(), goal_id=ID) as sent:
+        reading = aiter(sent)
+        observer = await served.client.attach(ID)
+        async with running(lambda: told(observer)) as beside:
+            for _ in range(MANY // TURNS):
+                await take_turns()
+            assert not beside.done.is_set()
+            assert [message.so_far[0] async for message in reading] == list(range(MANY))
+        assert sent.missed == 0
+
+
+async def test_an_observer_that_is_left_does_not_end_the_reading_of_the_sender():
+    async with lab(many) as served, served.client.send_goal(goal(), goal_id=ID) as sent:
+        reading = aiter(sent)
+        await anext(reading)
+        observer = await served.client.attach(ID)
+        async for _ in observer:
+            break
+        await settle()
+        rest = [message.so_far[0] async for message in reading]
+        assert (rest, sent.missed) == (list(range(1, MANY)), 0)
+
+
+# --- results ----------------------------------------------------------------------------------
+
+
+async def test_sender_and_observers_all_get_one_answer_before_and_after_the_end():
+    gate = Gate()
+    async with lab(gate.wait) as served, served.client.send_goal(goal(7), goal_id=ID) as sent:
+        handles = [sent, *[await served.client.attach(ID) for _ in range(5)]]
+        answers = []
+
+        async def ask(handle):
+            answers.append(await handle.result())
+
+        async with anyio.create_task_group() as group:
+            for handle in handles * 2:
+                group.start_soon(ask, handle)
+            await settle()
+            assert answers == []
+            gate.opened.set()
+        late = [await handle.result() for handle in handles]
+        assert answers + late == [result(7)] * 18
+
+
+@pytest.mark.parametrize("timeout", [0, 0.001, 10.0])
+async def test_a_result_is_kept_from_the_end_on(timeout):
+    gate = Gate()
+    clock, laboratory = hand_lab(gate.wait, result_timeout=timeout)
+    async with laboratory as served, served.client.send_goal(goal(7), goal_id=ID) as sent:
+        clock.advance(100)
+        assert not (await served.client.attach(ID)).done
+        gate.opened.set()
+        await sent.result()
+        if timeout:
+            clock.advance(0.99 * timeout)
+            assert (await served.client.attach(ID)).done
+            clock.advance(0.01 * timeout)
+        with pytest.raises(UnknownGoal):
+            await served.client.attach(ID)
+
+
+async def test_without_a_timeout_a_result_is_kept_for_ever():
+    clock, laboratory = hand_lab(count, result_timeout=None)
+    async with laboratory as served:
+        await served.client.send_goal(goal(1), goal_id=ID)
+        clock.advance(1e9)
+        assert await (await served.client.attach(ID)).result() == result(0)
+
+
+@pytest.mark.parametrize("timeout", [0, 10.0])
+@pytest.mark.parametrize("waits", [True, False])
+async def test_a_result_is_kept_as_long_as_somebody_waits_for_it(timeout, waits):
+    gate, held = Gate(), []
+    clock, laboratory = hand_lab(gate.wait, result_timeout=timeout)
+
+    def at_the_end(handle, old, new):
+        if new.is_terminal:
+            clock.advance(100)
+            held.append(served.server.find(ID) is not None)
+
+    async with laboratory as served, served.client.send_goal(goal(7), goal_id=ID) as sent:
+        served.node.on_transition(at_the_end)
+        if waits:
+            async with running(sent.result) as waiter:
+                gate.opened.set()
+            assert waiter.value == result(7)
+        else:
+            gate.opened.set()
+            await settle()
+        assert held == [waits]
+        with pytest.raises(UnknownGoal):
+            await served.client.attach(ID)
+
+
+# --- canceling without waiting ----------------------------------------------------------------
+
+
+async def test_a_goal_can_be_canceled_without_waiting():
+    gate = Gate()
+    async with lab(gate.wait) as served, served.client.send_goal(goal()) as handle:
+        await settle()
+        handle.cancel_nowait()
+        assert handle.status is GoalStatus.CANCELING
+        assert (await handle.outcome()).status is GoalStatus.CANCELED
+        assert gate.log == ["begun", "canceled", "over"]
+
+
+@ON_TRIO
+async def test_a_goal_canceled_without_waiting_before_its_first_step_never_begins():
+    gate = Gate()
+    async with lab(gate.wait) as served, served.client.send_goal(goal()) as handle:
+        handle.cancel_nowait()
+        assert (await handle.outcome()).status is GoalStatus.CANCELED
+        assert gate.log == []
+
+
+@ON_ASYNCIO
+async def test_a_goal_canceled_without_waiting_at_its_first_wait_ends_there():
+    gate = Gate()
+    async with lab(gate.wait) as served, served.client.send_goal(goal()) as handle:
+        handle.cancel_nowait()
+        assert (await handle.outcome()).status is GoalStatus.CANCELED
+        assert gate.log == ["begun", "canceled", "over"]
+
+
+async def test_a_goal_that_waits_is_canceled_at_once_without_waiting():
+    gate = Gate()
+    async with (
+        lab(gate.wait, policy="queue") as served,
+        served.client.send_goal(goal()) as _,
+        served.client.send_goal(goal()) as handle,
+    ):
+        handle.cancel_nowait()
+        assert handle.status is GoalStatus.CANCELED
+        await settle()
+        assert gate.log == ["begun"]
+
+
+async def test_canceling_twice_without_waiting_is_canceling_once():
+    gate = Gate()
+    async with lab(gate.wait) as served, served.client.send_goal(goal()) as handle:
+        await settle()
+        handle.cancel_nowait()
+        handle.cancel_nowait()
+        assert (await handle.outcome()).status is GoalStatus.CANCELED
+        assert gate.log == ["begun", "canceled", "over"]
+
+
+def agree(handle):
+    return CancelResponse.ACCEPT
+
+
+async def agree_later(handle):
+    await take_turns()
+    return CancelResponse.ACCEPT
+
+
+def refuse(handle):
+    return CancelResponse.REJECT
+
+
+async def refuse_later(handle):
+    await take_turns()
+    return CancelResponse.REJECT
+
+
+@pytest.mark.parametrize("callback", [agree, agree_later])
+async def test_the_cancel_callback_may_agree_in_its_own_time(callback):
+    async with (
+        lab(Gate().wait, cancel_callback=callback) as served,
+        served.client.send_goal(goal()) as handle,
+    ):
+        await settle()
+        handle.cancel_nowait()
+        assert (await handle.outcome()).status is GoalStatus.CANCELED
+
+
+@pytest.mark.parametrize("callback", [refuse, refuse_later])
+async def test_the_cancel_callback_may_refuse_who_does_not_wait(callback):
+    gate = Gate()
+    async with (
+        lab(gate.wait, cancel_callback=callback) as served,
+        served.client.send_goal(goal(7)) as handle,
+    ):
+        await settle()
+        handle.cancel_nowait()
+        await take_turns()
+        await settle()
+        assert handle.status is GoalStatus.EXECUTING
+        gate.opened.set()
+        assert await handle.result() == result(7)
+
+
+async def test_a_goal_that_ends_while_the_cancel_callback_is_asked_has_succeeded():
+    gate, asked = Gate(), anyio.Event()
+
+    async def ask(handle):
+        await asked.wait()
+        return CancelResponse.ACCEPT
+
+    async with (
+        lab(gate.wait, cancel_callback=ask) as served,
+        served.client.send_goal(goal(7)) as handle,
+    ):
+        handle.cancel_nowait()
+        gate.opened.set()
+        await handle.result()
+        asked.set()
+        await settle()
+        assert handle.status is GoalStatus.SUCCEEDED
+
+
+async def test_the_cancel_callback_is_asked_once_at_a_time():
+    asked = []
+
+    async def ask(handle):
+        asked.append(handle.goal_id)
+        await anyio.sleep_forever()
+
+    async with (
+        lab(Gate().wait, cancel_callback=ask) as served,
+        served.client.send_goal(goal(), goal_id=ID) as handle,
+    ):
+        handle.cancel_nowait()
+        handle.cancel_nowait()
+        await settle()
+        assert asked == [ID]
+        handle.detach()
+
+
+async def test_a_cancel_callback_that_nobody_waits_for_ends_with_the_server():
+    ended = []
+
+    async def ask(handle):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            ended.append(True)
+
+    async with (
+        lab(Gate().wait, cancel_callback=ask) as served,
+        served.client.send_goal(goal()) as handle,
+    ):
+        handle.cancel_nowait()
+        await settle()
+        handle.detach()
+    assert ended == [True]
+
+
+@pytest.mark.parametrize("callback", [None, agree])
+async def test_canceling_without_waiting_after_the_end_changes_nothing(callback):
+    async with (
+        lab(count, cancel_callback=callback) as served,
+        served.client.send_goal(goal(1)) as handle,
+    ):
+        await handle.result()
+        handle.cancel_nowait()
+        await settle()
+        assert await handle.outcome() == Outcome(GoalStatus.SUCCEEDED, result(0))
+
+
+async def test_the_cancel_callback_is_not_asked_after_the_end():
+    asked: list[object] = []
+    async with (
+        lab(count, cancel_callback=asked.append) as served,
+        served.client.send_goal(goal()) as handle,
+    ):
+        await handle.result()
+        handle.cancel_nowait()
+        await settle()
+        assert asked == []
+
+
+async def test_a_goal_of_others_can_be_canceled_without_waiting():
+    async with lab(Gate().wait) as served, served.client.send_goal(goal(), goal_id=ID) as sent:
+        (await served.client.attach(ID)).cancel_nowait()
+        assert (await sent.outcome()).status is GoalStatus.CANCELED

@@ -1,0 +1,449 @@
+"""What is kept of a goal's feedback, whom a body waits for, and for how long."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import AsyncIterator, Callable
+
+import anyio
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from turtleact import GoalStatus
+from turtleact.execution import BURST
+from turtleact.feedback import FeedbackLog
+
+from .lab import Count, Gate, feedback, goal, lab, result, running, settle
+
+KEPT = FeedbackLog.KEPT
+BUDGET = FeedbackLog.BUDGET
+MANY = 5 * KEPT
+
+LARGE = feedback(*[1 << 30] * 20_000)
+LARGE_SIZE = 100_000
+"""What `LARGE` takes in a compact encoding, to the nearest thousand (bytes)."""
+
+
+class Bell:
+    """Counts how often it was rung."""
+
+    def __init__(self) -> None:
+        self.rung = 0
+
+    def fire(self) -> None:
+        self.rung += 1
+
+
+def log_of(count: int) -> FeedbackLog:
+    log = FeedbackLog()
+    for number in range(count):
+        log.append(number)
+    return log
+
+
+# --- what is kept -----------------------------------------------------------------------------
+
+
+def test_a_new_log_is_empty():
+    log = FeedbackLog()
+    assert (log.items, log.dropped, log.count, log.read) == ([], 0, 0, None)
+    assert not log.is_full
+
+
+@given(st.lists(st.sampled_from(["append", "trim"]), max_size=50), st.integers(0, 4 * KEPT))
+def test_what_is_kept_is_a_run_that_ends_with_the_newest(steps: list[str], before: int):
+    log = log_of(before)
+    for step in steps:
+        if step == "append":
+            log.append(log.count)
+        else:
+            log.trim()
+    assert log.items == list(range(log.dropped, log.count))
+
+
+@pytest.mark.parametrize("count", [0, 1, KEPT, KEPT + 1, 2 * KEPT, 10 * KEPT + 7])
+def test_the_newest_are_kept_without_a_reader(count: int):
+    log = log_of(count)
+    assert min(count, KEPT) <= len(log.items) < 2 * KEPT
+    assert log.count == count
+
+
+@pytest.mark.parametrize("read", [0, 1, KEPT, 3 * KEPT])
+def test_what_the_sender_has_not_read_is_kept(read: int):
+    log = FeedbackLog()
+    log.read = read
+    for number in range(10 * KEPT):
+        log.append(number)
+    assert log.items[read - log.dropped :] == list(range(read, 10 * KEPT))
+
+
+def test_what_the_sender_has_read_is_kept_for_others_as_far_as_it_is_new():
+    log = FeedbackLog()
+    log.read = 0
+    for number in range(10 * KEPT):
+        log.append(number)
+        log.read = number + 1
+    assert KEPT <= len(log.items) < 2 * KEPT
+
+
+def test_trimming_moves_the_rest_only_once_it_is_worth_it():
+    log = log_of(KEPT + 1)
+    log.trim()
+    assert log.dropped == 0
+    log = log_of(2 * KEPT - 1)
+    log.trim()
+    assert (log.dropped, len(log.items)) == (KEPT - 1, KEPT)
+
+
+def test_a_reader_far_behind_does_not_make_each_message_dear():
+    log = FeedbackLog()
+    log.read = 0
+    log.items += range(50 * KEPT)
+    moves = 0
+    for _ in range(10 * KEPT):
+        before = log.dropped
+        log.append(None)
+        log.read += 1
+        moves += log.dropped != before
+    assert moves < 20
+
+
+# --- who is waited for ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("unread", "full"), [(KEPT - 1, False), (KEPT, True)])
+def test_a_body_should_wait_once_so_many_are_unread(unread: int, full: bool):
+    log = log_of(KEPT + 5)
+    log.read = KEPT + 5 - unread
+    assert log.is_full is full
+
+
+def test_nobody_is_waited_for_who_does_not_read():
+    log = log_of(3 * KEPT)
+    assert not log.is_full
+
+
+def test_a_sender_that_waits_for_the_end_is_not_waited_for():
+    log = log_of(KEPT)
+    log.read = 0
+    log.hurried += 1
+    assert not log.is_full
+    log.hurried -= 1
+    assert log.is_full
+
+
+@pytest.mark.parametrize(("unread", "full"), [(10, False), (11, True)])
+def test_a_body_should_wait_once_so_many_bytes_are_unread(unread: int, full: bool):
+    log = FeedbackLog()
+    log.read = 0
+    for _ in range(unread):
+        log.append(LARGE)
+    log.weigh()
+    assert log.is_full is full
+
+
+def test_an_empty_log_has_no_weight():
+    log = FeedbackLog()
+    log.read = 0
+    log.weigh()
+    assert not log.is_full
+
+
+@pytest.mark.parametrize("period", [1, 2, 3, 5, 8, 16])
+@pytest.mark.parametrize("phase", [0, 1])
+def test_large_messages_among_small_ones_are_found(period: int, phase: int):
+    log = FeedbackLog()
+    log.read = 0
+    for number in range(2 * BURST * BURST):
+        log.append(LARGE if number % period == phase % period else feedback(1))
+        if log.count % BURST == 0:
+            log.weigh()
+    assert log.is_full
+
+
+def test_one_large_message_is_forgotten_in_time():
+    log = FeedbackLog()
+    log.append(LARGE)
+    log.read = 0
+    log.weigh()
+    for number in range(20 * BURST):
+        log.append(feedback(number))
+        if number % 2:
+            log.weigh()
+    log.read = 0
+    assert not log.is_full
+
+
+def test_a_body_is_told_once_it_need_not_wait():
+    log = log_of(KEPT)
+    log.read, log.drained = 0, Bell()
+    log.relieve()
+    assert log.drained.rung == 0
+    log.read = 1
+    log.relieve()
+    assert log.drained.rung == 1
+
+
+def test_nobody_is_told_where_no_body_waits():
+    log = log_of(KEPT)
+    log.relieve()
+    assert log.drained is None
+
+
+# --- a body and its readers -------------------------------------------------------------------
+
+
+class Source:
+    """A generator body that yields one message as fast as it is let, and counts."""
+
+    def __init__(self, make: Callable[[int], object] = feedback, upto: int = MANY) -> None:
+        self.published = 0
+        self._make = make
+        self._upto = upto
+
+    async def stream(self, goal: Count.Goal) -> AsyncIterator[object]:
+        for number in range(self._upto):
+            self.published += 1
+            yield self._make(number)
+        yield result(self._upto)
+
+    async def settle(self) -> int:
+        """Let it run until it is held up, or has ended; answer how far it has come."""
+        while True:
+            before = self.published
+            await settle()
+            if self.published == before:
+                return before
+
+
+def large(number: int) -> object:
+    return LARGE
+
+
+async def test_small_messages_hold_the_body_up_by_their_number():
+    source = Source()
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        reading = aiter(handle)
+        assert KEPT <= await source.settle() < KEPT + BURST
+        del reading
+
+
+async def test_large_messages_hold_the_body_up_by_their_bytes():
+    source = Source(large, 200)
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        reading = aiter(handle)
+        unread = await source.settle() * LARGE_SIZE
+        assert BUDGET <= unread < BUDGET + BURST * LARGE_SIZE
+        del reading
+
+
+async def test_by_and_by_all_large_messages_are_read():
+    source = Source(large, 100)
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        read = 0
+        async for message in handle:
+            read += 1
+            assert message == LARGE
+            unread = (await source.settle() - read) * LARGE_SIZE
+            assert unread < BUDGET + BURST * LARGE_SIZE
+        assert (read, handle.missed) == (100, 0)
+
+
+async def test_large_and_small_messages_by_turns_hold_the_body_up():
+    def by_turns(number: int) -> object:
+        return LARGE if number % 2 else feedback(number)
+
+    source = Source(by_turns, 200)
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        reading = aiter(handle)
+        assert await source.settle() <= 2 * (BUDGET // LARGE_SIZE) + 2 * BURST
+        del reading
+
+
+@pytest.mark.parametrize("make", [feedback, large])
+async def test_a_sender_that_does_not_read_does_not_hold_the_body_up(make):
+    source = Source(make, 2 * KEPT if make is feedback else 50)
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        await source.settle()
+        assert handle.done
+
+
+@pytest.mark.parametrize("make", [feedback, large])
+async def test_who_waits_for_the_result_besides_reading_is_not_held_up(make):
+    upto = 2 * KEPT if make is feedback else 50
+    source = Source(make, upto)
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        reading = aiter(handle)
+        assert await source.settle() < upto
+        assert await handle.result() == result(upto)
+        assert len([message async for message in reading]) == upto
+        assert handle.missed == 0
+
+
+async def test_who_waits_for_the_outcome_besides_reading_is_not_held_up():
+    source = Source()
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        reading = aiter(handle)
+        await source.settle()
+        assert (await handle.outcome()).status is GoalStatus.SUCCEEDED
+        assert len([message async for message in reading]) == MANY
+
+
+async def test_a_body_is_held_up_again_once_nobody_waits_for_the_result_any_more():
+    gate, source = Gate(), Source()
+
+    async def body(request):
+        yield feedback(0)
+        await gate.opened.wait()
+        for number in range(MANY):
+            source.published += 1
+            yield feedback(number)
+
+    async with lab(body) as served, served.client.send_goal(goal()) as handle:
+        reading = aiter(handle)
+        async with running(handle.result) as waiter:
+            waiter.scope.cancel()
+        gate.opened.set()
+        assert await source.settle() < KEPT + BURST
+        del reading
+
+
+async def test_a_body_that_is_held_up_ends_with_its_server():
+    source = Source()
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        reading = aiter(handle)
+        await source.settle()
+        await served.server.aclose()
+        assert (await handle.outcome()).reason == "shutdown"
+        del reading
+
+
+async def test_a_body_that_is_held_up_is_canceled_when_the_block_is_left():
+    source = Source()
+    async with lab(source.stream) as served:
+        async with served.client.send_goal(goal()) as handle:
+            reading = aiter(handle)
+            await source.settle()
+        assert handle.status is GoalStatus.CANCELED
+        del reading
+
+
+# --- readers that are left --------------------------------------------------------------------
+
+
+def feedback_of(handle):
+    return aiter(handle)
+
+
+def events_of(handle):
+    return handle.events()
+
+
+READERS = pytest.mark.parametrize("read", [feedback_of, events_of])
+
+
+async def broken_off(reading, source):
+    async for _ in reading:
+        if await source.settle():
+            break
+
+
+async def failed(reading, source):
+    async def fail():
+        async for _ in reading:
+            await source.settle()
+            raise ValueError("mine")
+
+    with pytest.raises(ValueError, match="mine"):
+        await fail()
+
+
+async def canceled(reading, source):
+    with anyio.CancelScope() as scope:
+        async for _ in reading:
+            await source.settle()
+            scope.cancel()
+            await anyio.sleep_forever()
+
+
+async def wrapped(reading, source):
+    async def inner():
+        async for item in reading:
+            yield item
+
+    outer = inner()
+    await anext(outer)
+    await source.settle()
+    await outer.aclose()
+
+
+async def closed_over(reading, source):
+    holder: list[object] = [reading]
+    holder.append(holder)
+    await anext(reading)
+    await source.settle()
+
+
+WAYS = pytest.mark.parametrize("leave", [broken_off, failed, canceled, wrapped, closed_over])
+
+
+@READERS
+@WAYS
+async def test_a_body_goes_on_however_its_reader_is_left(read, leave):
+    source = Source()
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        await leave(read(handle), source)
+        assert leave is not closed_over or gc.collect()
+        await source.settle()
+        assert handle.done
+
+
+@READERS
+async def test_a_body_goes_on_after_the_block_of_a_detached_goal_although_it_may_be_read(read):
+    source = Source()
+    async with lab(source.stream) as served:
+        async with served.client.send_goal(goal()) as handle:
+            handle.detach()
+            reading = read(handle)
+            assert await source.settle() < MANY
+        await source.settle()
+        assert handle.done
+        del reading
+
+
+@READERS
+async def test_a_reader_that_is_left_late_does_not_disturb_one_begun_since(read):
+    source = Source()
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        first = read(handle)
+        await anext(first)
+        second = aiter(handle)
+        del first
+        assert await source.settle() < KEPT + 2 * BURST
+        rest = [message.so_far[0] async for message in second]
+        assert (rest[-1], handle.missed) == (MANY - 1, 0)
+        assert rest == list(range(MANY - len(rest), MANY))
+
+
+@READERS
+async def test_of_two_readers_the_last_one_to_be_left_lets_the_body_go_on(read):
+    source = Source()
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        first, second = read(handle), read(handle)
+        await source.settle()
+        del first
+        assert await source.settle() < MANY
+        del second
+        await source.settle()
+        assert handle.done
+
+
+async def test_two_readers_of_one_handle_share_its_feedback():
+    source = Source(upto=100)
+    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+        first, second = aiter(handle), aiter(handle)
+        read = []
+        for _ in range(50):
+            read += [await anext(first), await anext(second)]
+        assert [message.so_far[0] for message in read] == list(range(100))

@@ -1,0 +1,519 @@
+"""What a server tells hooks and the sender's callback; what it does once a client is lost."""
+
+from __future__ import annotations
+
+import contextlib
+from contextvars import ContextVar
+
+import anyio
+import anyio.lowlevel
+import pytest
+
+import turtleact
+from turtleact import CancelResponse, GoalResponse, GoalStatus
+from turtleact.errors import Abort, GoalAborted, GoalCanceled, GoalRejected, InvalidOption
+from turtleact.transports import MemoryTransport
+
+from .lab import Count, Gate, count, feedback, goal, lab, result, running, settle, take_turns
+
+ACCEPT = ("UNKNOWN", "ACCEPTED")
+EXECUTE = ("ACCEPTED", "EXECUTING")
+SUCCEED = ("EXECUTING", "SUCCEEDED")
+ABORT = ("EXECUTING", "ABORTED")
+CANCEL = ("EXECUTING", "CANCELING")
+CANCEL_WAITING = ("ACCEPTED", "CANCELING")
+CANCELED = ("CANCELING", "CANCELED")
+
+
+class Journal:
+    """A hook that notes the changes, each goal by the number that it counts up to."""
+
+    def __init__(self, node) -> None:
+        self.changes: dict[int, list[tuple[str, str]]] = {}
+        node.on_transition(self.note)
+
+    def note(self, handle, old, new):
+        assert handle.status is new
+        self.changes.setdefault(handle.request.upto, []).append((old.name, new.name))
+
+
+async def fail(request):
+    raise Abort("no pen")
+
+
+# --- hooks --------------------------------------------------------------------------------------
+
+
+async def test_a_hook_hears_of_a_goal_that_succeeds(send):
+    async with lab(count) as served:
+        journal = Journal(served.node)
+        await send(served, goal(1))
+        assert journal.changes == {1: [ACCEPT, EXECUTE, SUCCEED]}
+
+
+async def test_a_hook_hears_of_a_goal_that_is_aborted(send):
+    async with lab(fail) as served:
+        journal = Journal(served.node)
+        await send(served, goal(1))
+        assert journal.changes == {1: [ACCEPT, EXECUTE, ABORT]}
+
+
+async def test_a_hook_hears_of_a_goal_that_is_canceled(send):
+    async with lab(Gate().wait) as served:
+        journal = Journal(served.node)
+        async with running(lambda: send(served, goal(1))):
+            await served.client.cancel_all()
+        assert journal.changes == {1: [ACCEPT, EXECUTE, CANCEL, CANCELED]}
+
+
+async def test_a_hook_hears_of_a_goal_that_succeeds_although_it_is_canceled(send):
+    async def body(request):
+        try:
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class():
+            return result(1)
+
+    async with lab(body) as served:
+        journal = Journal(served.node)
+        async with running(lambda: send(served, goal(1))):
+            await served.client.cancel_all()
+        assert journal.changes == {1: [ACCEPT, EXECUTE, CANCEL, ("CANCELING", "SUCCEEDED")]}
+
+
+async def test_a_hook_hears_of_a_goal_that_waits_for_its_turn():
+    gate = Gate()
+    async with lab(gate.wait, policy="queue") as served:
+        journal = Journal(served.node)
+        async with (
+            served.client.send_goal(goal(1)) as first,
+            served.client.send_goal(goal(2)) as second,
+        ):
+            await settle()
+            assert journal.changes == {1: [ACCEPT, EXECUTE], 2: [ACCEPT]}
+            gate.opened.set()
+            await first.result()
+            await second.result()
+        assert journal.changes == {number: [ACCEPT, EXECUTE, SUCCEED] for number in (1, 2)}
+
+
+async def test_a_hook_hears_of_a_goal_that_is_canceled_while_it_waits():
+    async with lab(Gate().wait, policy="queue") as served:
+        journal = Journal(served.node)
+        async with served.client.send_goal(goal(1)), served.client.send_goal(goal(2)) as second:
+            await second.cancel()
+            assert journal.changes[2] == [ACCEPT, CANCEL_WAITING, CANCELED]
+
+
+async def test_a_hook_hears_of_goals_that_are_preempted():
+    async with lab(Gate().wait, policy="preempt") as served:
+        journal = Journal(served.node)
+        async with (
+            served.client.send_goal(goal(1)),
+            served.client.send_goal(goal(2)),
+            served.client.send_goal(goal(3)),
+        ):
+            await settle()
+            assert journal.changes == {
+                1: [ACCEPT, EXECUTE, ABORT],
+                2: [ACCEPT, EXECUTE, ABORT],
+                3: [ACCEPT, EXECUTE],
+            }
+
+
+async def test_a_hook_hears_of_goals_that_end_with_their_server():
+    async with lab(Gate().wait, policy="queue") as served:
+        journal = Journal(served.node)
+        for number in (1, 2):
+            async with served.client.send_goal(goal(number)) as handle:
+                handle.detach()
+        await served.server.aclose()
+        assert journal.changes == {number: [ACCEPT, EXECUTE, ABORT] for number in (1, 2)}
+
+
+async def test_a_hook_hears_nothing_of_a_goal_that_is_rejected(send):
+    def refuse(request):
+        return GoalResponse.REJECT
+
+    async with lab(count, goal_callback=refuse) as served:
+        journal = Journal(served.node)
+        with pytest.raises(GoalRejected):
+            await send(served, goal(1))
+        assert journal.changes == {}
+
+
+async def test_a_hook_hears_nothing_of_a_goal_that_finds_no_place(send):
+    async with lab(Gate().wait, policy="reject") as served:
+        journal = Journal(served.node)
+        async with served.client.send_goal(goal(1)):
+            with pytest.raises(GoalRejected, match="busy"):
+                await send(served, goal(2))
+        assert list(journal.changes) == [1]
+
+
+async def test_a_hook_hears_of_all_servers_of_its_node_and_of_no_other(send):
+    transport = MemoryTransport()
+    async with (
+        lab(count, transport=transport) as served,
+        turtleact.open_node("other", transport=transport) as other,
+    ):
+        journal = Journal(served.node)
+        served.node.action_server(Count, "later", count)
+        other.action_server(Count, "elsewhere", count)
+        for number, name in enumerate(["count", "later", "elsewhere"]):
+            await served.node.action_client(Count, name).send_goal(goal(number))
+        assert journal.changes == {number: [ACCEPT, EXECUTE, SUCCEED] for number in (0, 1)}
+
+
+async def test_a_hook_that_is_added_later_hears_of_what_comes():
+    gate = Gate()
+    async with lab(gate.wait) as served, served.client.send_goal(goal(1)) as handle:
+        await settle()
+        journal = Journal(served.node)
+        gate.opened.set()
+        await handle.result()
+        assert journal.changes == {1: [SUCCEED]}
+
+
+async def test_a_hook_may_add_another():
+    async with lab(count) as served:
+        journals: list[Journal] = []
+
+        def add(handle, old, new):
+            if new is GoalStatus.EXECUTING:
+                journals.append(Journal(served.node))
+
+        served.node.on_transition(add)
+        await served.client.send_goal(goal(1))
+        assert [journal.changes for journal in journals] == [{1: [SUCCEED]}]
+
+
+async def test_several_hooks_are_told_in_the_order_in_which_they_came():
+    heard: list[tuple[str, str]] = []
+    async with lab(count) as served:
+        served.node.on_transition(lambda handle, old, new: heard.append(("first", new.name)))
+        served.node.on_transition(lambda handle, old, new: heard.append(("second", new.name)))
+        await served.client.send_goal(goal(1))
+    states = ["ACCEPTED", "EXECUTING", "SUCCEEDED"]
+    assert heard == [(hook, state) for state in states for hook in ("first", "second")]
+
+
+async def test_a_hook_that_raises_is_logged_and_does_no_harm(send, caplog):
+    def hook(handle, old, new):
+        raise ValueError("broken")
+
+    async with lab(count) as served:
+        served.node.on_transition(hook)
+        journal = Journal(served.node)
+        assert (await send(served, goal(1))).result == result(0)
+        assert journal.changes == {1: [ACCEPT, EXECUTE, SUCCEED]}
+    messages = [record.getMessage() for record in caplog.records]
+    assert messages == ["a hook on the transitions of /count failed"] * 3
+    assert all("broken" in record.exc_text for record in caplog.records)
+
+
+async def test_a_goal_has_ended_once_its_end_is_told():
+    held: list[tuple[str, int]] = []
+    async with lab(count) as served:
+
+        def hook(handle, old, new):
+            held.append((new.name, len(served.active)))
+
+        served.node.on_transition(hook)
+        await served.client.send_goal(goal())
+    assert held == [("ACCEPTED", 1), ("EXECUTING", 1), ("SUCCEEDED", 0)]
+
+
+async def test_a_hook_can_name_the_goal():
+    ids: set[bytes] = set()
+    async with lab(Gate().wait) as served:
+        served.node.on_transition(lambda handle, old, new: ids.add(handle.goal_id))
+        async with served.client.send_goal(goal()) as handle:
+            await handle.cancel()
+            await handle.outcome()
+            assert ids == {handle.goal_id}
+
+
+async def test_a_hook_may_cancel_a_goal_that_begins(send):
+    gate = Gate()
+    async with lab(gate.wait) as served:
+
+        def hook(handle, old, new):
+            if new is GoalStatus.EXECUTING:
+                served.server.cancel_nowait(served.active[0])
+
+        journal = Journal(served.node)
+        served.node.on_transition(hook)
+        assert (await send(served, goal(1))).status is GoalStatus.CANCELED
+        assert journal.changes == {1: [ACCEPT, EXECUTE, CANCEL, CANCELED]}
+        assert gate.log == []
+
+
+async def test_a_hook_may_cancel_a_goal_that_has_to_wait():
+    gate = Gate()
+    async with lab(gate.wait, policy="queue") as served, served.client.send_goal(goal(1)):
+        journal = Journal(served.node)
+
+        def hook(handle, old, new):
+            if new is GoalStatus.ACCEPTED:
+                served.server.cancel_nowait(served.active[-1])
+
+        served.node.on_transition(hook)
+        async with served.client.send_goal(goal(2)) as handle:
+            assert (await handle.outcome()).status is GoalStatus.CANCELED
+        assert journal.changes[2] == [ACCEPT, CANCEL_WAITING, CANCELED]
+        await settle()
+        assert gate.log == ["begun"]
+
+
+async def test_a_hook_may_cancel_another_goal():
+    async with lab(Gate().wait) as served, served.client.send_goal(goal(1)) as first:
+        await settle()
+
+        def hook(handle, old, new):
+            if handle.request.upto == 2 and new is GoalStatus.EXECUTING:
+                first.cancel_nowait()
+
+        served.node.on_transition(hook)
+        async with served.client.send_goal(goal(2)) as second:
+            assert (await first.outcome()).status is GoalStatus.CANCELED
+            assert second.status is GoalStatus.EXECUTING
+
+
+async def test_a_hook_may_have_goals_sent():
+    async with lab(count) as served, anyio.create_task_group() as group:
+        results: list[object] = []
+
+        async def send_next(upto):
+            results.append(await served.client.send_goal(goal(upto)))
+
+        def hook(handle, old, new):
+            if new is GoalStatus.SUCCEEDED and handle.request.upto:
+                group.start_soon(send_next, handle.request.upto - 1)
+
+        served.node.on_transition(hook)
+        await served.client.send_goal(goal(2))
+        await take_turns()
+        assert results == [result(0), result()]
+
+
+@pytest.mark.parametrize(
+    ("policy", "state"),
+    [
+        ("parallel", GoalStatus.ACCEPTED),
+        ("queue", GoalStatus.ACCEPTED),
+        ("preempt", GoalStatus.ACCEPTED),
+        ("parallel", GoalStatus.SUCCEEDED),
+    ],
+)
+async def test_a_hook_may_send_a_goal_itself(policy, state):
+    async with lab(count, policy=policy) as served:
+        journal = Journal(served.node)
+
+        def hook(handle, old, new):
+            if handle.request.upto and new is state:
+                served.server.begin(goal(0), None, None)
+
+        served.node.on_transition(hook)
+        with contextlib.suppress(GoalAborted):  # it may be preempted
+            await served.client.send_goal(goal(1))
+        await settle()
+        assert served.active == []
+        assert journal.changes[0] == [ACCEPT, EXECUTE, SUCCEED]
+
+
+# --- the sender's callback ----------------------------------------------------------------------
+
+WHO: ContextVar[str] = ContextVar("WHO", default="nobody")
+
+
+async def signed(request, handle):
+    WHO.set("body")
+    await anyio.lowlevel.checkpoint()
+    for number in range(2):
+        handle.publish_feedback(feedback(number))
+        await anyio.lowlevel.checkpoint()
+    return result(len(WHO.get()))
+
+
+async def test_a_feedback_callback_runs_in_the_context_of_the_sender(send_with):
+    seen: list[str] = []
+    async with lab(signed) as served:
+        WHO.set("sender")
+        await send_with(served, lambda message: seen.append(WHO.get()))
+    assert seen == ["sender", "sender"]
+
+
+async def test_what_a_feedback_callback_sets_stays_there(send_with):
+    seen: list[str] = []
+
+    def listen(message):
+        seen.append(WHO.get())
+        WHO.set("listener")
+
+    async with lab(signed) as served:
+        WHO.set("sender")
+        assert await send_with(served, listen) == result(len("body"))
+        assert WHO.get() == "sender"
+    assert seen == ["sender", "listener"]
+
+
+async def test_a_feedback_callback_of_a_goal_that_waits_runs_in_the_context_of_its_sender():
+    gate, seen = Gate(), []
+
+    def note(message):
+        seen.append(WHO.get())
+
+    async with lab(gate.stream, policy="queue") as served, served.client.send_goal(goal()):
+        WHO.set("second")
+        async with served.client.send_goal(goal(), feedback_callback=note) as handle:
+            WHO.set("later")
+            gate.opened.set()
+            await handle.result()
+    assert seen == ["second"]
+
+
+# --- clients that are lost ----------------------------------------------------------------------
+
+
+async def test_goals_are_canceled_with_their_client_where_the_server_says_so():
+    async with (
+        lab(Gate().wait, on_client_lost="cancel") as served,
+        served.client.send_goal(goal()) as handle,
+    ):
+        await served.client.aclose()
+        assert (await handle.outcome()).status is GoalStatus.CANCELED
+
+
+async def test_an_awaited_goal_is_canceled_with_its_client():
+    async with (
+        lab(Gate().wait, on_client_lost="cancel") as served,
+        running(lambda: served.client.send_goal(goal())) as sent,
+    ):
+        await served.client.aclose()
+        await sent.done.wait()
+        assert isinstance(sent.error, GoalCanceled)
+
+
+async def test_a_detached_goal_is_canceled_with_its_client():
+    gate = Gate()
+    async with lab(gate.wait, on_client_lost="cancel") as served:
+        async with served.client.send_goal(goal()) as handle:
+            handle.detach()
+            await gate.started.wait()
+        await served.client.aclose()
+        await settle()
+        assert gate.log == ["begun", "canceled", "over"]
+
+
+async def test_a_goal_that_waits_is_canceled_with_its_client():
+    gate = Gate()
+    async with lab(gate.wait, on_client_lost="cancel", policy="queue") as served:
+        other = served.node.action_client(Count, "count")
+        async with (
+            served.client.send_goal(goal()) as first,
+            other.send_goal(goal()) as second,
+        ):
+            await other.aclose()
+            assert (first.status, second.status) == (GoalStatus.EXECUTING, GoalStatus.CANCELED)
+
+
+async def test_the_goals_of_other_clients_go_on():
+    gate = Gate()
+    async with lab(gate.wait, on_client_lost="cancel") as served:
+        other = served.node.action_client(Count, "count")
+        async with served.client.send_goal(goal(7), goal_id=b"1" * 16) as handle:
+            async with other.send_goal(goal()), other.attach(b"1" * 16):
+                await other.aclose()
+            await settle()
+            gate.opened.set()
+            assert await handle.result() == result(7)
+
+
+async def test_goals_are_canceled_with_the_node_of_their_client():
+    transport = MemoryTransport()
+    async with lab(Gate().wait, transport=transport, on_client_lost="cancel") as served:
+        async with turtleact.open_node("other", transport=transport) as other:
+            client = other.action_client(Count, "count")
+            async with client.send_goal(goal()) as handle:
+                handle.detach()
+        await settle()
+        assert (handle.status, served.active) == (GoalStatus.CANCELED, [])
+
+
+@pytest.mark.parametrize("options", [{}, {"on_client_lost": "keep"}], ids=["unsaid", "said"])
+@pytest.mark.parametrize("way", ["awaited", "entered", "detached"])
+async def test_goals_outlive_their_client_unless_the_server_says_otherwise(options, way):
+    gate = Gate()
+    async with lab(gate.wait, **options) as served:
+
+        async def call():
+            if way == "awaited":
+                return await served.client.send_goal(goal(7))
+            async with served.client.send_goal(goal(7)) as handle:
+                if way == "entered":
+                    return await handle.result()
+                handle.detach()
+            return await handle.result()
+
+        async with running(call) as sent:
+            await served.client.aclose()
+            await settle()
+            assert not sent.done.is_set()
+            gate.opened.set()
+        assert sent.value == result(7)
+
+
+async def test_a_lost_client_does_not_wait_for_the_callback_that_lets_goals_go():
+    def refuse(handle):
+        return CancelResponse.REJECT
+
+    gate = Gate()
+    async with (
+        lab(gate.wait, on_client_lost="cancel", cancel_callback=refuse) as served,
+        served.client.send_goal(goal()) as handle,
+    ):
+        await served.client.aclose()
+        assert (await handle.outcome()).status is GoalStatus.CANCELED
+
+
+async def test_nothing_else_can_be_done_with_the_goals_of_lost_clients():
+    async with turtleact.open_node("lab") as node:
+        with pytest.raises(InvalidOption, match="expected 'keep' or 'cancel', not 'forget'"):
+            node.action_server(Count, "count", count, on_client_lost="forget")  # type: ignore[arg-type]  # that is the point
+
+
+# --- how a goal is sent -------------------------------------------------------------------------
+
+
+async def awaited(served, request):
+    try:
+        value = await served.client.send_goal(request)
+    except GoalAborted as error:
+        return turtleact.Outcome(GoalStatus.ABORTED, error.result, error.reason)
+    except GoalCanceled as error:
+        return turtleact.Outcome(GoalStatus.CANCELED, error.result)
+    return turtleact.Outcome(GoalStatus.SUCCEEDED, value)
+
+
+async def entered(served, request):
+    async with served.client.send_goal(request) as handle:
+        return await handle.outcome()
+
+
+@pytest.fixture(params=[awaited, entered])
+def send(request):
+    return request.param
+
+
+async def awaited_with(served, listen):
+    return await served.client.send_goal(goal(), feedback_callback=listen)
+
+
+async def entered_with(served, listen):
+    async with served.client.send_goal(goal(), feedback_callback=listen) as handle:
+        return await handle.result()
+
+
+@pytest.fixture(params=[awaited_with, entered_with])
+def send_with(request):
+    return request.param
