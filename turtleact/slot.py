@@ -9,7 +9,8 @@ The rules, in prose:
   ended. Only one waits: a still newer one takes its place.
 - A goal whose parent holds a place of the slot with another action runs in that very place, and
   the place is free again when both have ended.
-- A goal that would have to wait for its own parent is refused.
+- A goal that would have to wait for its own parent is refused: a deadlock. So it is if all that
+  run have sent one that waits here, and would wait for each other.
 
 Pure: a `Slot` says what is to be done; whoever asked does it.
 
@@ -107,7 +108,7 @@ class Entry(msgspec.Struct, Generic[C], frozen=True):
 
     Attributes:
         admission: Whether it starts, waits or is refused.
-        reason: Why it is refused.
+        reason: Why it is refused, or why others are ended for it.
         displaced: The goal that has waited so far and is to be ended now.
         evicted: The goals that run and are to be canceled now.
     """
@@ -145,8 +146,9 @@ class Slot(Generic[C]):
             self._taken += 1
             self._settle(claim, {})
             return Entry(Admission.START)
-        if rival is not None and self._taken == len({id(self._places[k.goal]) for k in kin}):
-            return Entry(Admission.REFUSE, f"it would wait for its own parent, {rival.label}")
+        if rival is not None and self._is_deadlock(claim):
+            reason = f"a deadlock: it would wait for its own parent, {rival.label}"
+            return Entry(Admission.REFUSE, reason)
         if self.rules.policy == "preempt":
             return self._preempt(claim)
         if not self.rules.has_queue:
@@ -173,6 +175,16 @@ class Slot(Generic[C]):
         self._settle(claim, place)
         return claim
 
+    def overdue(self) -> Entry[C] | None:
+        """What holds up the goal that has preempted; None if nothing is to be done.
+
+        To be asked whenever a goal has left: a detached child goes on when its parent gives way,
+        and is to give way too.
+        """
+        if self.rules.policy != "preempt" or not self._waiting:
+            return None
+        return self._make_way(next(iter(self._waiting.values())))
+
     @property
     def _has_room(self) -> bool:
         if self.rules.policy == "parallel":
@@ -186,9 +198,22 @@ class Slot(Generic[C]):
     def _preempt(self, claim: C) -> Entry[C]:
         displaced = next(iter(self._waiting.values()), None)
         self._waiting = {claim.goal: claim}
-        place = next(iter(self._places.values()))  # there is but one
-        evicted = tuple(each for each in place.values() if each.goal.parent not in place)
-        return Entry(Admission.WAIT, displaced=displaced, evicted=evicted)
+        return self._make_way(claim, displaced)
+
+    def _make_way(self, claim: C, displaced: C | None = None) -> Entry[C]:
+        reason = f"preempted by {claim.label}"
+        return Entry(Admission.WAIT, reason, displaced, self._families())
+
+    def _families(self) -> tuple[C, ...]:
+        """Those that run and have no parent here: a cancel flows down from them."""
+        running = (place[goal] for goal, place in self._places.items())
+        return tuple(claim for claim in running if not self._kin(claim.goal))
+
+    def _is_deadlock(self, claim: C) -> bool:
+        """Whether no place would come free: in each runs a parent of one that waits."""
+        waiting = (claim, *self._waiting.values())
+        parents = (parent.goal for each in waiting for parent in self._kin(each.goal))
+        return len({id(self._places[parent]) for parent in parents}) == self._taken
 
     def _kin(self, goal: Goal) -> list[C]:
         """The parents of a goal that run here, the nearest first."""

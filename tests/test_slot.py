@@ -1,0 +1,474 @@
+"""Who may run: every policy times every situation, and a plain reference to compare with."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import strategies as st
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    precondition,
+    rule,
+)
+
+from turtleact.errors import InvalidOption
+from turtleact.goal import Goal
+from turtleact.slot import Admission, Rules, Slot
+
+START, WAIT, REFUSE = Admission.START, Admission.WAIT, Admission.REFUSE
+
+PARALLEL = Rules()
+TWO = Rules(max_active=2)
+TWO_AND_ONE_WAITS = Rules(max_active=2, queue_limit=1)
+REJECT = Rules("reject")
+QUEUE = Rules("queue")
+ONE_WAITS = Rules("queue", queue_limit=1)
+PREEMPT = Rules("preempt")
+EVERY = [PARALLEL, TWO, TWO_AND_ONE_WAITS, REJECT, QUEUE, ONE_WAITS, PREEMPT]
+
+
+class Wish:
+    """A claim with nothing behind it."""
+
+    def __init__(self, name: str, action: str = "/count", parent: Wish | None = None) -> None:
+        self.name = name
+        self.action = action
+        self.goal: Goal = Goal(name, 0, parent=None if parent is None else parent.goal)
+
+    def __repr__(self) -> str:
+        return self.name
+
+    @property
+    def label(self) -> str:
+        return f"goal {self.name} of {self.action}"
+
+
+def slot_with(rules: Rules, *wishes: Wish) -> Slot[Wish]:
+    slot: Slot[Wish] = Slot(rules)
+    for wish in wishes:
+        slot.enter(wish)
+    return slot
+
+
+def end(slot: Slot[Wish], wish: Wish) -> Wish | None:
+    """What a server does at a goal's end."""
+    wish.goal.ended = 1
+    wish.goal.parent = None
+    return slot.leave(wish.goal)
+
+
+# --- the rules ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("policy", ["parallel", "reject", "queue", "preempt"])
+def test_each_policy_has_rules(policy):
+    assert Rules(policy).policy == policy
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"policy": "fifo"},
+            "policy: expected one of parallel, reject, queue, preempt, not 'fifo'",
+        ),
+        ({"policy": None}, "policy: expected one of .*, not None"),
+        ({"policy": ["queue"]}, r"policy: expected one of .*, not \['queue'\]"),
+        ({"max_active": 0}, "max_active: expected a whole number from 1, not 0"),
+        ({"max_active": True}, "max_active: expected a whole number from 1, not True"),
+        ({"max_active": 1.5}, r"max_active: expected a whole number from 1, not 1\.5"),
+        ({"max_active": "2"}, "max_active: expected a whole number from 1, not '2'"),
+        ({"policy": "queue", "queue_limit": -1}, "queue_limit: expected .* from 0, not -1"),
+        ({"policy": "queue", "queue_limit": False}, "queue_limit: expected .* from 0, not False"),
+        (
+            {"policy": "queue", "max_active": 2},
+            "max_active: goes with policy 'parallel', not 'queue'",
+        ),
+        ({"policy": "reject", "max_active": 1}, "max_active: goes with policy 'parallel'"),
+        ({"policy": "preempt", "max_active": 1}, "max_active: goes with policy 'parallel'"),
+        ({"queue_limit": 1}, "queue_limit: goes with policy 'queue', or with max_active"),
+        ({"policy": "reject", "queue_limit": 1}, "queue_limit: goes with policy 'queue'"),
+        ({"policy": "preempt", "queue_limit": 1}, "queue_limit: goes with policy 'queue'"),
+    ],
+)
+def test_rules_that_cannot_be_are_refused(options, message):
+    option, _, problem = message.partition(": ")
+    with pytest.raises(InvalidOption, match=f"^option '{option}': {problem}"):
+        Rules(**options)
+
+
+@pytest.mark.parametrize(
+    ("rules", "is_free", "has_queue"),
+    [
+        (PARALLEL, True, False),
+        (TWO, False, True),
+        (REJECT, False, False),
+        (QUEUE, False, True),
+        (PREEMPT, False, False),
+    ],
+)
+def test_rules_say_what_they_mean(rules, is_free, has_queue):
+    assert (rules.is_free, rules.has_queue) == (is_free, has_queue)
+
+
+@pytest.mark.parametrize(
+    ("rules", "text"),
+    [
+        (QUEUE, "policy='queue'"),
+        (ONE_WAITS, "policy='queue', queue_limit=1"),
+        (TWO_AND_ONE_WAITS, "policy='parallel', max_active=2, queue_limit=1"),
+    ],
+)
+def test_rules_are_written_as_they_were_given(rules, text):
+    assert str(rules) == text
+
+
+# --- every policy in every situation --------------------------------------------------------
+
+# One row a situation; the columns are the rules, in the order of `EVERY`.
+EXPECTED = {
+    "free": (START, START, START, START, START, START, START),
+    "one runs": (START, START, START, REFUSE, WAIT, WAIT, WAIT),
+    "two run": (START, WAIT, WAIT, None, None, None, None),
+    "one waits": (None, WAIT, REFUSE, None, WAIT, REFUSE, WAIT),
+    "one has ended": (START, START, START, START, START, START, START),
+    "child of another action": (START, START, START, START, START, START, START),
+    "child of another action, one waits": (None, START, START, None, START, START, START),
+    "child of the same action": (START, START, START, REFUSE, REFUSE, REFUSE, REFUSE),
+    "child of the same action, two run": (START, WAIT, WAIT, None, None, None, None),
+    "child of the same action, one waits": (None, WAIT, REFUSE, None, REFUSE, REFUSE, REFUSE),
+    "grandchild of the same action": (START, START, START, REFUSE, REFUSE, REFUSE, REFUSE),
+    "child of one that has ended": (START, START, START, START, START, START, START),
+}
+
+
+def in_situation(situation: str, rules: Rules) -> tuple[Slot[Wish], Wish]:
+    """A slot, and the goal that is to enter it."""
+    holder, other, waiting = Wish("holder"), Wish("other"), Wish("waiting")
+    slot = slot_with(rules, holder)
+    if "two run" in situation or ("one waits" in situation and rules.max_active):
+        slot.enter(other)
+    if "one waits" in situation:
+        slot.enter(waiting)
+    if situation == "free":
+        slot = slot_with(rules)
+    if "ended" in situation:
+        end(slot, holder)
+    if "another action" in situation:
+        return slot, Wish("new", "/rotate", holder)
+    if "grandchild" in situation:
+        child = Wish("child", "/rotate", holder)
+        slot.enter(child)
+        return slot, Wish("new", "/count", child)
+    return slot, Wish("new", parent=holder if "child" in situation else None)
+
+
+TABLE = [
+    pytest.param(situation, rules, admission, id=f"{situation}-{rules}")
+    for situation, row in EXPECTED.items()
+    for rules, admission in zip(EVERY, row, strict=True)
+    if admission is not None  # None: the situation cannot be
+]
+
+
+@pytest.mark.parametrize(("situation", "rules", "admission"), TABLE)
+def test_a_new_goal(situation, rules, admission):
+    slot, new = in_situation(situation, rules)
+    assert slot.enter(new).admission is admission
+
+
+@pytest.mark.parametrize(
+    ("situation", "rules", "reason"),
+    [
+        ("one runs", REJECT, "busy with goal holder of /count"),
+        ("one waits", ONE_WAITS, "the queue is full, 1 wait already"),
+        ("one waits", TWO_AND_ONE_WAITS, "the queue is full, 1 wait already"),
+        *(
+            (
+                f"{kind} of the same action",
+                rules,
+                "a deadlock: it would wait for its own parent, goal holder of /count",
+            )
+            for kind in ("child", "grandchild")
+            for rules in (REJECT, QUEUE, PREEMPT)
+        ),
+    ],
+)
+def test_a_refusal_says_why(situation, rules, reason):
+    slot, new = in_situation(situation, rules)
+    assert slot.enter(new).reason == reason
+
+
+@pytest.mark.parametrize("rules", [REJECT, ONE_WAITS, TWO_AND_ONE_WAITS, PREEMPT])
+def test_a_goal_that_was_refused_leaves_no_trace(rules):
+    slot, new = in_situation("child of the same action, one waits", rules)
+    before = repr(vars(slot))
+    if slot.enter(new).admission is not REFUSE:
+        pytest.fail("it should have been refused")
+    assert repr(vars(slot)) == before
+    assert slot.leave(new.goal) is None
+    assert repr(vars(slot)) == before
+
+
+# --- queues ---------------------------------------------------------------------------------
+
+
+def test_a_place_goes_to_the_one_that_has_waited_longest():
+    first, second, third = Wish("first"), Wish("second"), Wish("third")
+    slot = slot_with(QUEUE, first, second, third)
+    assert end(slot, first) is second
+    assert end(slot, second) is third
+    assert end(slot, third) is None
+
+
+def test_one_that_leaves_the_queue_is_passed_over():
+    first, second, third = Wish("first"), Wish("second"), Wish("third")
+    slot = slot_with(QUEUE, first, second, third)
+    assert end(slot, second) is None
+    assert end(slot, first) is third
+
+
+def test_one_that_leaves_a_full_queue_makes_room_in_it():
+    first, second, third = Wish("first"), Wish("second"), Wish("third")
+    slot = slot_with(ONE_WAITS, first, second)
+    end(slot, second)
+    assert slot.enter(third).admission is WAIT
+
+
+def test_without_room_to_wait_a_queue_takes_none():
+    slot = slot_with(Rules("queue", queue_limit=0), Wish("first"))
+    assert slot.enter(Wish("second")).reason == "the queue is full, 0 wait already"
+
+
+# --- families -------------------------------------------------------------------------------
+
+
+def test_a_place_is_kept_until_parent_and_child_have_ended():
+    parent, stranger = Wish("parent"), Wish("stranger")
+    child = Wish("child", "/rotate", parent)
+    slot = slot_with(QUEUE, parent, child, stranger)
+    assert end(slot, parent) is None
+    assert end(slot, child) is stranger
+
+
+def test_a_child_of_another_action_does_not_count_against_the_places():
+    parent, other = Wish("parent"), Wish("other")
+    slot = slot_with(TWO, parent, Wish("child", "/rotate", parent))
+    assert slot.enter(other).admission is START
+
+
+def test_a_child_of_a_goal_elsewhere_is_a_child_of_that_ones_parent():
+    parent = Wish("parent")
+    elsewhere = Wish("elsewhere", "/plan", parent)
+    slot = slot_with(QUEUE, parent)
+    assert slot.enter(Wish("child", "/rotate", elsewhere)).admission is START
+
+
+def test_a_child_of_the_same_action_waits_for_a_stranger():
+    parent, stranger = Wish("parent"), Wish("stranger")
+    child = Wish("child", parent=parent)
+    slot = slot_with(TWO, parent, stranger, child)
+    assert end(slot, stranger) is child
+
+
+def test_a_family_that_holds_every_place_cannot_have_another():
+    parent = Wish("parent")
+    child = Wish("child", parent=parent)
+    slot = slot_with(TWO, parent, child)
+    entry = slot.enter(Wish("grandchild", parent=child))
+    assert entry.reason == "a deadlock: it would wait for its own parent, goal child of /count"
+
+
+def test_parents_whose_children_would_wait_for_each_other_are_not_let_wait_both():
+    first, second = Wish("first"), Wish("second")
+    slot = slot_with(TWO, first, second)
+    assert slot.enter(Wish("child of first", parent=first)).admission is WAIT
+    entry = slot.enter(Wish("child of second", parent=second))
+    assert entry.reason == "a deadlock: it would wait for its own parent, goal second of /count"
+
+
+def test_once_the_one_child_has_ended_the_other_may_wait():
+    first, second = Wish("first"), Wish("second")
+    child = Wish("child of first", parent=first)
+    slot = slot_with(TWO, first, second, child)
+    end(slot, child)
+    assert slot.enter(Wish("child of second", parent=second)).admission is WAIT
+
+
+# --- preempting -----------------------------------------------------------------------------
+
+
+def test_a_new_goal_has_the_one_that_runs_canceled():
+    holder = Wish("holder")
+    entry = slot_with(PREEMPT, holder).enter(Wish("new"))
+    assert (entry.evicted, entry.displaced) == ((holder,), None)
+    assert entry.reason == "preempted by goal new of /count"
+
+
+def test_a_still_newer_goal_takes_the_place_of_the_one_that_waits():
+    holder, second, third = Wish("holder"), Wish("second"), Wish("third")
+    slot = slot_with(PREEMPT, holder, second)
+    assert slot.enter(third).displaced is second
+    assert end(slot, second) is None
+    assert end(slot, holder) is third
+
+
+def test_of_a_family_the_parent_alone_is_canceled():
+    holder = Wish("holder")
+    elsewhere = Wish("elsewhere", "/plan", holder)
+    children = Wish("child", "/rotate", holder), Wish("grandchild", "/rotate", elsewhere)
+    slot = slot_with(PREEMPT, holder, *children)
+    assert slot.enter(Wish("new")).evicted == (holder,)
+
+
+def test_of_a_family_without_its_parent_all_children_are_canceled():
+    holder = Wish("holder")
+    children = Wish("one", "/rotate", holder), Wish("two", "/rotate", holder)
+    slot = slot_with(PREEMPT, holder, *children)
+    for child in children:
+        assert child.goal.parent is holder.goal
+    end(slot, holder)
+    assert slot.enter(Wish("new")).evicted == children
+
+
+def test_a_child_that_goes_on_after_its_parent_gave_way_is_to_give_way_too():
+    holder, new = Wish("holder"), Wish("new")
+    child = Wish("child", "/rotate", holder)
+    slot = slot_with(PREEMPT, holder, child, new)
+    assert end(slot, holder) is None
+    overdue = slot.overdue()
+    assert overdue is not None
+    assert (overdue.evicted, overdue.reason) == ((child,), "preempted by goal new of /count")
+    assert end(slot, child) is new
+    assert slot.overdue() is None
+
+
+@pytest.mark.parametrize("rules", [REJECT, QUEUE, TWO])
+def test_nothing_is_overdue_under_the_other_policies(rules):
+    slot = slot_with(rules, Wish("one"), Wish("two"), Wish("three"))
+    assert slot.overdue() is None
+
+
+# --- against a plain reference --------------------------------------------------------------
+
+
+class Family(list[Wish]):
+    """Those that run in one place of the reference."""
+
+
+class Comparison(RuleBasedStateMachine):
+    """A slot beside lists; goals enter and end in any order, as children of any goal."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.count = 0
+        self.running: list[Family] = []
+        self.waiting: list[Wish] = []
+        self.over: list[Wish] = []
+
+    @initialize(rules=st.sampled_from(EVERY))
+    def choose(self, rules: Rules) -> None:
+        self.slot: Slot[Wish] = Slot(rules)
+        alone = rules.policy != "parallel"
+        self.places = 1 if alone else 10**6 if rules.max_active is None else rules.max_active
+
+    @property
+    def active(self) -> list[Wish]:
+        return [wish for family in self.running for wish in family]
+
+    def family_of(self, wish: Wish) -> Family:
+        return next(family for family in self.running if wish in family)
+
+    def ancestors(self, wish: Wish) -> list[Wish]:
+        parents = [each for each in self.active if each.goal is wish.goal.parent]
+        return parents + [far for near in parents for far in self.ancestors(near)]
+
+    def expect(self, wish: Wish) -> Admission:
+        ancestors = self.ancestors(wish)
+        if ancestors and all(each.action != wish.action for each in ancestors):
+            return START
+        if len(self.running) < self.places:
+            return START
+        stuck = [self.family_of(p) for each in (wish, *self.waiting) for p in self.ancestors(each)]
+        if ancestors and all(family in stuck for family in self.running):
+            return REFUSE
+        if self.slot.rules.policy == "reject":
+            return REFUSE
+        limit = self.slot.rules.queue_limit
+        return REFUSE if limit is not None and len(self.waiting) >= limit else WAIT
+
+    @rule(action=st.sampled_from("abc"), data=st.data())
+    def enter(self, action: str, data: st.DataObject) -> None:
+        senders = [None, *self.active, *self.over[-2:]]
+        parent = data.draw(st.sampled_from(senders), label="parent")
+        self.count += 1
+        wish = Wish(str(self.count), action, parent)
+        expected, ancestors = self.expect(wish), self.ancestors(wish)
+        entry = self.slot.enter(wish)
+        assert entry.admission is expected
+        if expected is START:
+            if all(each.action != action for each in ancestors) and ancestors:
+                self.family_of(ancestors[0]).append(wish)
+            else:
+                self.running.append(Family([wish]))
+        elif expected is WAIT:
+            if self.slot.rules.policy == "preempt":
+                assert entry.displaced is next(iter(self.waiting), None)
+                self.over += self.waiting
+                self.waiting = []
+                assert list(entry.evicted) == [w for w in self.active if not self.ancestors(w)]
+            self.waiting.append(wish)
+
+    @precondition(lambda self: self.active or self.waiting)
+    @rule(data=st.data())
+    def end_one(self, data: st.DataObject) -> None:
+        self.end(data.draw(st.sampled_from([*self.active, *self.waiting]), label="goal"))
+
+    @precondition(lambda self: self.over)
+    @rule(data=st.data())
+    def end_one_again(self, data: st.DataObject) -> None:
+        assert self.slot.leave(data.draw(st.sampled_from(self.over), label="goal").goal) is None
+
+    def end(self, wish: Wish) -> None:
+        following = end(self.slot, wish)
+        self.over.append(wish)
+        if wish in self.waiting:
+            self.waiting.remove(wish)
+            assert following is None
+            return
+        family = self.family_of(wish)
+        family.remove(wish)
+        if family or not self.waiting:
+            assert following is None
+        else:
+            assert following is self.waiting.pop(0)
+            self.running.append(Family([following]))
+        self.running = [family for family in self.running if family]
+
+    @invariant()
+    def the_places_are_held_by_the_same_families(self) -> None:
+        held = {frozenset(place.values()) for place in self.slot._places.values()}
+        assert held == set(map(frozenset, self.running))
+        assert self.slot._taken == len(self.running) <= self.places
+
+    @invariant()
+    def the_same_goals_wait_in_the_same_order(self) -> None:
+        assert list(self.slot._waiting.values()) == self.waiting
+        assert not set(self.waiting) & set(self.active)
+
+    @invariant()
+    def no_place_is_free_while_one_waits(self) -> None:
+        assert not self.waiting or len(self.running) == self.places
+
+    def teardown(self) -> None:
+        """All come to their end, though each waits for those that it has sent: no deadlock."""
+        while self.active:
+            parents = [each.goal.parent for each in (*self.active, *self.waiting)]
+            free = [each for each in self.active if each.goal not in parents]
+            assert free, "all wait for each other"
+            self.end(free[0])
+        assert not self.waiting
+
+
+TestComparison = Comparison.TestCase
