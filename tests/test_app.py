@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from contextlib import asynccontextmanager
 
 import anyio
@@ -15,7 +16,7 @@ from turtleact.goal import GoalStatus
 from turtleact.interfaces.standard import Point, TurtlePose
 
 from .actions.arena import tasks_alive
-from .lab import settle
+from .lab import ON_ASYNCIO, settle
 
 TARGETS = [Point(x=9.0, y=7.0), Point(x=5.0, y=1.0)]
 
@@ -103,6 +104,18 @@ async def test_at_speed_max_time_leaps():
         assert node.clock.time() == 30.0
 
 
+@ON_ASYNCIO
+async def test_a_machine_that_is_too_slow_makes_time_slower_and_misses_nothing(monkeypatch):
+    """Between any two looks at the clock, 20 ms have passed: two simulated seconds."""
+    moments = itertools.count()
+    async with open_world(speed=100) as node:
+        monkeypatch.setattr(node.clock, "_wall", lambda: 1e6 + next(moments) * 0.02)
+        goal = Patrol.Goal(targets=TARGETS, stop_on_failure=True)
+        async with node.action_client(Patrol, "patrol").send_goal(goal) as handle:
+            outcome = await handle.outcome()
+    assert (outcome.status, outcome.result.missed) == (GoalStatus.SUCCEEDED, [])
+
+
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
@@ -110,6 +123,14 @@ async def test_at_speed_max_time_leaps():
         ({"speed": -1.0}, "a clock's speed must be a number above zero, not -1.0"),
         ({"speed": float("nan")}, "a clock's speed must be a number above zero, not nan"),
         ({"speed": float("inf")}, "a clock's speed must be a number above zero, not inf"),
+        (
+            {"speed": 100.5},
+            "a clock's speed is 100 at most, not 100.5; 'max' is as fast as it computes",
+        ),
+        (
+            {"speed": 1e307},
+            "a clock's speed is 100 at most, not 1e+307; 'max' is as fast as it computes",
+        ),
         ({"speed": "fast"}, "a speed is a number above zero or 'max', not 'fast'"),
         ({"turtles": 0}, "a world of 0 turtles: give 1 or more"),
     ],

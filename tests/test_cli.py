@@ -15,8 +15,10 @@ import pytest
 
 from turtleact import __version__, cli
 from turtleact.commands import verbs
-from turtleact.commands.interrupts import Interrupts
+from turtleact.commands.interrupts import SIGNALS, Interrupts
 from turtleact.errors import InvalidGoal, InvalidName, ServerUnavailable, SimError, UsageError
+
+ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture
@@ -105,6 +107,14 @@ def test_an_output_that_is_gone_is_no_error_to_speak_of(ends, monkeypatch, numbe
     sys.stdout.close()
 
 
+def test_an_error_of_the_system_without_an_output_is_told(ends, monkeypatch):
+    monkeypatch.setattr(sys, "stdout", None)
+    assert ends(raises(OSError(errno.ENOSPC, "No space"))) == (
+        1,
+        "turtleact: the output cannot be written: No space\n",
+    )
+
+
 def test_a_full_disk_is_an_error():
     with Path("/dev/full").open("w") as full:
         outcome = subprocess.run(
@@ -168,6 +178,30 @@ def test_the_version_is_printed(capsys):
     assert capsys.readouterr().out == f"turtleact {__version__}\n"
 
 
+def test_the_help_of_a_verb_may_lose_its_reader():
+    reading, writing = os.pipe()
+    os.close(reading)
+    ran = subprocess.run(
+        [sys.executable, "-m", "turtleact", "send-goal", "--help"],
+        stdout=writing,
+        stderr=subprocess.PIPE,
+        check=False,
+    )
+    os.close(writing)
+    assert (ran.returncode, ran.stderr) == (141, b"")
+
+
+def test_nothing_is_imported_before_ctrl_c_is_taken():
+    code = (
+        "import __future__, sys, types; package = types.ModuleType('turtleact');"
+        "sys.modules['turtleact'] = package;"
+        "package.__path__ = ['turtleact']; before = {*sys.modules}; from turtleact import cli;"
+        "print({*sys.modules} - before)"
+    )
+    out = subprocess.check_output([sys.executable, "-S", "-c", code], text=True, cwd=ROOT)
+    assert out == "{'turtleact.cli'}\n"
+
+
 def test_help_imports_nothing_that_takes_long():
     code = (
         "import sys; from turtleact import cli; sys.argv = ['turtleact', '--help']; cli.main();"
@@ -204,7 +238,7 @@ def test_importing_the_module_runs_nothing(capsys):
 @pytest.fixture
 def handlers():
     """Gives the test its signal handlers back."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.getsignal(number) for number in SIGNALS}
     yield
     for number, handler in before.items():
         signal.signal(number, handler)

@@ -12,6 +12,8 @@ import pytest
 
 from turtleact.clock import (
     EPOCH,
+    FASTEST,
+    LEEWAY,
     ScaledClock,
     VirtualClock,
     WallClock,
@@ -22,7 +24,7 @@ from turtleact.clock import (
 from turtleact.errors import SimError
 from turtleact.tasks import Background
 
-from .lab import ON_ASYNCIO, running
+from .lab import ON_ASYNCIO, running, settle
 
 SECOND = 1_000_000_000
 
@@ -80,6 +82,12 @@ def test_a_scaled_clock_is_not_misled_when_the_wall_is_set(wall, monkeypatch):
     assert clock.now() == 5_100 * SECOND
 
 
+def test_a_scaled_clock_has_a_highest_speed():
+    assert ScaledClock(FASTEST).factor == FASTEST
+    with pytest.raises(SimError, match=r"speed is 100 at most, not 100\.1; 'max' is as fast as"):
+        ScaledClock(FASTEST + 0.1)
+
+
 def test_a_scaled_clock_says_how_long_its_seconds_last(wall):
     assert ScaledClock(4).wall_seconds(2) == 0.5
 
@@ -112,6 +120,60 @@ async def test_a_scaled_clock_sleeps_until_a_moment(monkeypatch):
     wall.seconds += 3
     await clock.sleep_until(8)
     assert asked == [2, 0]
+
+
+class HandSleep:
+    """What a clock sleeps, ended by hand."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.asked: list[float] = []
+        self.ends: list[anyio.Event] = []
+        monkeypatch.setattr(anyio, "sleep", self.sleep)
+
+    async def sleep(self, seconds: float) -> None:
+        self.asked.append(seconds)
+        self.ends.append(anyio.Event())
+        await self.ends[-1].wait()
+
+
+async def test_a_scaled_clock_waits_for_a_sleeper_that_is_late(wall, monkeypatch):
+    clock, sleeps = ScaledClock(10), HandSleep(monkeypatch)
+    async with running(lambda: clock.sleep(1)):
+        for _ in range(2):
+            wall.seconds += 5
+            assert clock.time() == pytest.approx(1 + LEEWAY)
+        sleeps.ends[0].set()
+    wall.seconds += 2
+    assert clock.time() == pytest.approx(1 + LEEWAY + 20)
+
+
+async def test_what_a_late_sleeper_took_nobody_else_has_slept(wall, monkeypatch):
+    clock, sleeps = ScaledClock(10), HandSleep(monkeypatch)
+    async with running(lambda: clock.sleep(1)), running(lambda: clock.sleep(3)):
+        wall.seconds += 5
+        sleeps.ends[0].set()
+        await settle()
+        sleeps.ends[1].set()
+        await settle()
+        assert sleeps.asked == pytest.approx([0.1, 0.3, 0.2 - LEEWAY / 10])
+        wall.seconds += 0.2
+        sleeps.ends[2].set()
+
+
+async def test_a_sleeper_that_was_canceled_holds_no_clock_up(wall, monkeypatch):
+    clock, _ = ScaledClock(10), HandSleep(monkeypatch)
+    async with running(lambda: clock.sleep(1)) as sleeping:
+        sleeping.scope.cancel()
+    wall.seconds += 5
+    assert clock.time() == 50
+
+
+async def test_a_wall_clock_waits_for_nobody(wall, monkeypatch):
+    clock, sleeps = WallClock(), HandSleep(monkeypatch)
+    async with running(lambda: clock.sleep(1)):
+        wall.seconds += 5
+        assert clock.time() == 5
+        sleeps.ends[0].set()
 
 
 @pytest.mark.parametrize("make", [WallClock, VirtualClock])

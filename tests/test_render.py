@@ -290,3 +290,8 @@ def test_with_colors_there_are_some(monkeypatch):
     monkeypatch.setenv("TERM", "xterm-256color")
     content = render.frame(view(feedback=Feedback()), world(), width=80, height=24)
     assert "\x1b[36m" in "".join(render.lines(content, width=80, height=24))
+
+
+def test_no_line_ends_in_blanks():
+    shown = text_of(render.frame(view(), world(), width=79, height=20), width=79)
+    assert shown == [line.rstrip(" ") for line in shown]

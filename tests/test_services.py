@@ -6,8 +6,9 @@ import asyncio
 import functools
 import gc
 import logging
+import math
 import weakref
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import aclosing, asynccontextmanager
 from typing import Any, NamedTuple, assert_type
 
@@ -21,6 +22,7 @@ from turtleact.clock import VirtualClock
 from turtleact.errors import (
     InvalidMessage,
     InvalidName,
+    InvalidOption,
     ServerUnavailable,
     ServiceError,
     ServiceTimeout,
@@ -614,6 +616,63 @@ async def tasks_of_asyncio() -> set[asyncio.Task[Any]]:
     if anyio.get_cancelled_exc_class() is not asyncio.CancelledError:
         return set()
     return other_tasks()
+
+
+# --- misuse ---------------------------------------------------------------------------------
+
+
+async def yields_later(request: Add.Request) -> AsyncIterator[Add.Response]:
+    yield total(0)
+
+
+def yields(request: Add.Request) -> Iterator[Add.Response]:
+    yield total(0)
+
+
+class Yields:
+    async def __call__(self, request: Add.Request) -> AsyncIterator[Add.Response]:
+        yield total(0)
+
+
+@pytest.mark.parametrize(
+    ("handler", "problem"),
+    [
+        (5, "expected a function, not 5"),
+        (None, "expected a function, not None"),
+        (yields, "this yields"),
+        (yields_later, "this yields"),
+        (functools.partial(yields_later), "this yields"),
+        (Yields(), "this yields"),
+    ],
+)
+async def test_what_can_give_no_response_is_refused_as_a_handler(handler, problem):
+    async with turtleact.open_node("desk") as node:
+        with pytest.raises(InvalidOption, match=f"^option 'handler': .*{problem}"):
+            node.service(Add, "add", handler)
+        assert node.graph().services == {}
+
+
+@pytest.mark.parametrize("timeout", [math.nan, "x", True, 1j])
+async def test_what_is_no_number_is_refused_as_a_timeout(timeout):
+    async with desk() as served:
+        for call in (
+            lambda: served.client.call(numbers(), timeout=timeout),
+            lambda: served.client.wait_for_service(timeout=timeout),
+        ):
+            with pytest.raises(InvalidOption, match=r"^option 'timeout': expected a number"):
+                await call()
+
+
+@pytest.mark.parametrize("timeout", [0, -1])
+async def test_a_timeout_of_no_time_is_over_at_once(timeout):
+    async with virtual_desk(taking(1, [])) as (served, _):
+        with pytest.raises(ServiceTimeout):
+            await served.client.call(numbers(), timeout=timeout)
+
+
+async def test_a_timeout_may_be_infinite():
+    async with desk() as served:
+        assert await served.client.call(numbers(1), timeout=math.inf) == total(1)
 
 
 # --- timeouts -------------------------------------------------------------------------------

@@ -27,8 +27,9 @@ async def open_world(
     """A world of turtles with the built-in actions, and a node to use them from.
 
     Args:
-        speed: Simulated seconds a wall second, above zero, or ``"max"`` for virtual time: as fast
-            as it computes, and the same run every time.
+        speed: Simulated seconds a wall second, above zero and 100 at most, or ``"max"`` for virtual
+            time: as fast as it computes, and the same run every time. A machine that cannot keep
+            up makes time slower.
         seed: Chooses where all turtles but the first start.
         turtles: How many there are: ``turtle1``, ``turtle2``, …
 

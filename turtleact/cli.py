@@ -2,7 +2,8 @@
 
 What the verbs take is declared in `turtleact.commands.verbs`; here they are run, and whatever ends
 them becomes a line on stderr and an exit status. Nothing is imported before it is wanted: Typer
-alone takes five times as long as an empty Python program, so ``--help`` does without it.
+alone takes five times as long as an empty Python program, so ``--help`` does without it; and until
+`main` is entered, Ctrl-C is a traceback of Python's.
 
 ====== =================================================
 status meaning
@@ -14,19 +15,19 @@ status meaning
 4      ABORTED
 5      CANCELED by somebody else
 124    timeout
-130    SIGINT (Ctrl-C); 143 SIGTERM
+130    SIGINT (Ctrl-C); 143 SIGTERM; 129 SIGHUP
 141    whoever read the output has gone
 ====== =================================================
 """
 
 from __future__ import annotations
 
-import os
 import sys
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
+TYPE_CHECKING = False  # as `typing` would say, which takes long to import
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from turtleact.commands.interrupts import Interrupts
 
 __all__ = ["main", "run"]
@@ -44,7 +45,7 @@ def main() -> int:
         status = run(sys.argv[1:], interrupts)
         interrupts.ignore()
     except KeyboardInterrupt:  # in the moment before the handler stood
-        _complain("interrupted")
+        _note("interrupted")
         return INTERRUPTED
     return status
 
@@ -57,7 +58,7 @@ def run(arguments: Sequence[str], interrupts: Interrupts) -> int:
         if sys.stdout is not None:
             sys.stdout.flush()
     except KeyboardInterrupt:
-        _complain("interrupted")
+        _note("interrupted")
         return interrupts.status if interrupts.received else INTERRUPTED
     except BaseException as error:
         return _report(_leaf(error))
@@ -101,14 +102,14 @@ def _report(error: BaseException) -> int:
     from turtleact.errors import InvalidMessage, InvalidName, TurtleactError, UsageError
 
     if isinstance(error, TurtleactError):
-        _complain(str(error))
+        _note(str(error))
         return USAGE if isinstance(error, UsageError | InvalidName | InvalidMessage) else FAILED
     if isinstance(error, OSError):
         return _report_broken_output(error)
     if sys.flags.dev_mode or not isinstance(error, Exception):
         raise error
     name = type(error).__name__
-    _complain(f"a bug in turtleact: {name}: {error}; 'python -X dev -m turtleact …' shows where")
+    _note(f"a bug in turtleact: {name}: {error}; 'python -X dev -m turtleact …' shows where")
     return FAILED
 
 
@@ -123,13 +124,13 @@ def _report_broken_output(error: OSError) -> int:
     """A pipe or terminal that was closed is nothing to speak of; a disk that is full is."""
     import errno
 
-    # What is still buffered goes nowhere, so that Python's own last flush does not fail.
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, sys.stdout.fileno())
-    os.close(nowhere)
+    from turtleact.commands.stderr import abandon
+
+    if sys.stdout is not None:
+        abandon(sys.stdout)
     if error.errno in (errno.EPIPE, errno.EIO):
         return BROKEN_PIPE
-    _complain(f"the output cannot be written: {error.strerror}")
+    _note(f"the output cannot be written: {error.strerror}")
     return FAILED
 
 
@@ -141,6 +142,7 @@ def _make_printable() -> None:
             reconfigure(errors="backslashreplace")
 
 
-def _complain(text: str) -> None:
-    if sys.stderr is not None:
-        print(f"turtleact: {text}", file=sys.stderr, flush=True)
+def _note(text: str) -> None:
+    from turtleact.commands.stderr import note
+
+    note(text)

@@ -22,7 +22,8 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Sized
-from typing import Protocol, cast
+from functools import partial
+from typing import Protocol, TypeVar, cast
 
 import anyio
 from anyio.lowlevel import RunVar
@@ -32,6 +33,7 @@ from turtleact.tasks import Signal, Tasks, current_tasks
 
 __all__ = [
     "EPOCH",
+    "FASTEST",
     "Clock",
     "ScaledClock",
     "VirtualClock",
@@ -40,8 +42,16 @@ __all__ = [
     "wait_until_idle",
 ]
 
+T = TypeVar("T", bound="tuple[object, ...]")
+
 EPOCH = 1_700_000_000_000_000_000
 """ROS time at the start of virtual time (ns): every run sees the same stamps."""
+
+FASTEST = 100.0
+"""Highest factor of wall time: what is faster leaps better, in virtual time."""
+
+LEEWAY = 0.05
+"""How far a scaled clock runs ahead of a sleeper that is late (s)."""
 
 
 class Clock(Protocol):
@@ -67,27 +77,42 @@ class Clock(Protocol):
 
 
 class ScaledClock:
-    """Wall time, ``factor`` times as fast.
+    """Wall time, ``factor`` times as fast, or as fast as its sleepers can follow.
+
+    A sleeper that is late holds the clock up: until it goes on, time comes no further than `LEEWAY`
+    behind its deadline. So a machine that cannot keep up makes time slower, and nobody's time runs
+    out the sooner for it.
 
     Args:
-        factor: Seconds of this clock a second of wall time, above zero.
+        factor: Seconds of this clock a second of wall time, above zero, `FASTEST` at most.
 
     Raises:
-        SimError: if the factor is not a finite number above zero.
+        SimError: if the factor is out of range.
     """
 
     def __init__(self, factor: float = 1.0) -> None:
         if not (math.isfinite(factor) and factor > 0):
             raise SimError(f"a clock's speed must be a number above zero, not {factor}")
+        if factor > FASTEST:
+            raise SimError(
+                f"a clock's speed is {FASTEST:g} at most, not {factor:g}; "
+                "'max' is as fast as it computes"
+            )
         self.factor = factor
         leaping = _leaping_time()
         self._wall = leaping or time.monotonic
         self._wall_start = self._wall()
         self._ros_start = EPOCH + round(self._wall_start * 1e9) if leaping else time.time_ns()
+        self._order = itertools.count()
+        self._sleepers: list[tuple[float, int]] = []  # a heap
 
     def time(self) -> float:
-        """Seconds since this clock was made."""
-        return (self._wall() - self._wall_start) * self.factor
+        """Seconds since this clock was made, without those for which it was held up."""
+        seconds = (self._wall() - self._wall_start) * self.factor
+        if self._sleepers and seconds > (latest := self._sleepers[0][0] + LEEWAY):
+            self._wall_start += (seconds - latest) / self.factor
+            return latest
+        return seconds
 
     def now(self) -> int:
         """ROS time; it begins at the wall's time when this clock was made."""
@@ -95,14 +120,28 @@ class ScaledClock:
 
     async def sleep(self, seconds: float) -> None:
         """Wait for some seconds of this clock; 0 or less is a checkpoint."""
-        await anyio.sleep(max(seconds, 0.0) / self.factor)
+        left = max(seconds, 0.0)
+        sleeper = (self.time() + left, next(self._order))
+        heapq.heappush(self._sleepers, sleeper)
+        try:
+            while True:
+                start = self._wall_start
+                await anyio.sleep(left / self.factor)
+                left = sleeper[0] - self.time()
+                if left <= 0 or self._wall_start == start:  # nothing has held the clock up
+                    break
+        except BaseException:
+            _remove(self._sleepers, sleeper)
+            raise
+        # It holds the clock up until it waits again: what it does now takes wall time too.
+        current_tasks().soon(partial(_remove, self._sleepers, sleeper))
 
     async def sleep_until(self, deadline: float) -> None:
         """Wait until `time` has reached ``deadline``."""
         await self.sleep(deadline - self.time())
 
     def wall_seconds(self, seconds: float) -> float:
-        """How long some seconds of this clock last in wall time."""
+        """How long some seconds of this clock last in wall time, if nothing holds it up."""
         return seconds / self.factor
 
     async def run(self) -> None:
@@ -111,12 +150,16 @@ class ScaledClock:
 
 
 class WallClock(ScaledClock):
-    """Wall time."""
+    """Wall time, whoever is late."""
 
     def __init__(self) -> None:
         super().__init__()
         if self._wall is time.monotonic:
             self.now = time.time_ns  # type: ignore[method-assign]  # it follows a clock that is set
+
+    async def sleep(self, seconds: float) -> None:
+        """Wait for some seconds; 0 or less is a checkpoint."""
+        await anyio.sleep(max(seconds, 0.0))
 
 
 class VirtualClock:
@@ -162,9 +205,7 @@ class VirtualClock:
         try:
             await signal.wait()
         except tasks.cancelled:
-            if sleeper in self._sleepers:
-                self._sleepers.remove(sleeper)
-                heapq.heapify(self._sleepers)
+            _remove(self._sleepers, sleeper)
             raise
 
     def wall_seconds(self, seconds: float) -> float:
@@ -189,7 +230,7 @@ def make_clock(speed: float | str) -> ScaledClock | VirtualClock:
     Where wall time itself is virtual, that is as fast as can be, and ``"max"`` the same as 1.
 
     Raises:
-        SimError: if it is neither.
+        SimError: if it is neither, or the factor is above `FASTEST`.
     """
     if speed == "max":
         return VirtualClock() if _leaping_time() is None else WallClock()
@@ -198,6 +239,15 @@ def make_clock(speed: float | str) -> ScaledClock | VirtualClock:
     except (TypeError, ValueError, OverflowError):
         raise SimError(f"a speed is a number above zero or 'max', not '{speed}'") from None
     return WallClock() if factor == 1.0 else ScaledClock(factor)
+
+
+def _remove(heap: list[T], item: T) -> None:
+    """Take an item out of a heap, if it is there still."""
+    if heap and heap[0] is item:
+        heapq.heappop(heap)
+    elif item in heap:
+        heap.remove(item)
+        heapq.heapify(heap)
 
 
 def _leaping_time() -> Callable[[], float] | None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Mapping, Sequence
 from io import StringIO
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
@@ -255,14 +256,16 @@ def frame(goal: GoalView, world: MapView | None, *, width: int, height: int) -> 
 def lines(content: Picture, *, width: int, height: int) -> list[str]:
     """Something rendered for this terminal: at most ``height`` lines of at most ``width`` columns.
 
-    The environment says which colors there are: TERM, COLORTERM, NO_COLOR.
+    None ends in blanks: a terminal that gets narrower would wrap them too. The environment says
+    which colors there are: TERM, COLORTERM, NO_COLOR.
     """
     console = Console(
         file=StringIO(), width=width, height=height, force_terminal=True, highlight=False
     )
     with console.capture() as capture:
         console.print(content, end="")
-    return capture.get().rstrip("\n").split("\n")[:height]
+    text = re.sub(r" +((?:\x1b\[[0-9;]*m)*)$", r"\1", capture.get(), flags=re.MULTILINE)
+    return text.rstrip("\n").split("\n")[:height]
 
 
 def _cell(x: float, y: float, columns: int, rows: int) -> tuple[int, int]:

@@ -15,7 +15,9 @@ from __future__ import annotations
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
-from inspect import isawaitable
+from functools import partial
+from inspect import isasyncgenfunction, isawaitable, isgeneratorfunction, isroutine
+from numbers import Real
 from typing import Any, Generic, Protocol, TypeAlias, TypeVar, cast, runtime_checkable
 
 import anyio
@@ -23,6 +25,7 @@ import anyio
 from turtleact.clock import Clock
 from turtleact.errors import (
     InvalidMessage,
+    InvalidOption,
     ServerUnavailable,
     ServiceError,
     ServiceTimeout,
@@ -75,6 +78,9 @@ class LocalService(Protocol):
 class ServiceServer(Generic[Req, Res]):
     """Answers the requests of one service; made by `turtleact.Node.service`.
 
+    Raises:
+        InvalidOption: if the handler is not a function, or one that yields.
+
     Attributes:
         name: The fully qualified name of the service.
         service_type: The service.
@@ -93,7 +99,7 @@ class ServiceServer(Generic[Req, Res]):
         self.service_type = service_type
         self.is_open = True
         self.registration: Closeable | None = None
-        self._handler = cast("Callable[[Message], object]", handler)
+        self._handler = _checked_handler(handler)
         self._check_request = _checker(service_type.Request, "request")
         self._check_response = _checker(service_type.Response, "response")
         self._tasks = tasks
@@ -215,15 +221,17 @@ class ServiceClient(Generic[Req, Res]):
         Args:
             request: The request message.
             timeout: How long to wait for the response (s, by the clock of the graph); what is over
-                then is canceled as above. For ever if left out.
+                then is canceled as above. For ever if left out, not at all if 0 or less.
 
         Raises:
+            InvalidOption: if ``timeout`` is not a number; nothing was sent.
             InvalidMessage: if a value does not fit its type; nothing was sent.
             ServerUnavailable: at once if nobody serves the service; if its server is closed before
                 it has responded.
             ServiceError: if the handler failed; its traceback is in the server's log.
             ServiceTimeout: if there was no response within ``timeout``.
         """
+        _check_timeout(timeout)
         await self._tasks.checkpoint()  # or a loop of calls that never wait would let nobody run
         server = self._server()
         if timeout is None:
@@ -240,7 +248,11 @@ class ServiceClient(Generic[Req, Res]):
 
         Returns:
             Whether it is served.
+
+        Raises:
+            InvalidOption: if ``timeout`` is not a number.
         """
+        _check_timeout(timeout)
         async with _within(timeout, self._transport.clock):
             while self._find() is None:
                 await self._transport.wait_for_change()
@@ -337,6 +349,23 @@ class _Call:
             raise error
         finally:
             del error
+
+
+def _checked_handler(handler: object) -> Callable[[Message], object]:
+    """Raises for what could never give a response."""
+    if not callable(handler):
+        raise InvalidOption("handler", f"expected a function, not {handler!r}")
+    is_function = isroutine(handler) or isinstance(handler, partial | type)
+    called = handler if is_function else type(handler).__call__
+    if isasyncgenfunction(called) or isgeneratorfunction(called):
+        raise InvalidOption("handler", "expected a function that returns a response; this yields")
+    return cast("Callable[[Message], object]", handler)
+
+
+def _check_timeout(seconds: object) -> None:
+    is_number = isinstance(seconds, Real) and not isinstance(seconds, bool)
+    if seconds is not None and not (is_number and cast("float", seconds) == seconds):  # not nan
+        raise InvalidOption("timeout", f"expected a number of seconds or None, not {seconds!r}")
 
 
 def _checker(make: Callable[..., Message], root: str) -> Check:

@@ -14,7 +14,7 @@ import pytest
 
 from turtleact import cli
 from turtleact.commands import send_goal
-from turtleact.commands.interrupts import Interrupts
+from turtleact.commands.interrupts import SIGNALS, Interrupts
 
 STAGE = Path(__file__).with_name("stage.py")
 
@@ -37,6 +37,7 @@ class Program:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
+            preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # as on a terminal
             env=os.environ | {"PYTHONUNBUFFERED": ""},
         )
         assert self.process.stdout is not None
@@ -72,11 +73,13 @@ def stage():
 
 @pytest.fixture
 def interrupts():
-    """Signals, as the program takes them; the test's own handlers come back."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    """Signals, as the program takes them; the test's own handlers and alarm clock come back."""
+    before = {number: signal.getsignal(number) for number in (*SIGNALS, signal.SIGALRM)}
+    alarm = signal.setitimer(signal.ITIMER_REAL, 0)
     yield Interrupts()
     for number, handler in before.items():
         signal.signal(number, handler)
+    signal.setitimer(signal.ITIMER_REAL, *alarm)
 
 
 @pytest.fixture

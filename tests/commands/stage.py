@@ -2,7 +2,8 @@
 
 ``/now`` succeeds, ``/fail`` aborts, ``/reject`` rejects, ``/hold`` ends when it is canceled and
 ``/stubborn`` not even then, ``/refuse`` refuses to be canceled, ``/quit`` cancels itself,
-``/consider`` takes for ever to accept, ``/crash`` raises, ``/strange`` says strange things.
+``/consider`` takes for ever to accept, ``/crash`` raises, ``/strange`` says strange things,
+``/flood`` says more than anybody reads.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from contextlib import asynccontextmanager, suppress
 import anyio
 
 from turtleact import Abort, Action, CancelResponse, Message, Reject, cli, open_node
-from turtleact.commands import send_goal
+from turtleact.commands import interrupts, send_goal
 from turtleact.interfaces import float64, string
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 
@@ -57,6 +58,12 @@ async def stubborn(goal):
             await anyio.sleep_forever()
 
 
+async def flood(goal):
+    while True:
+        yield Fibonacci.Feedback(sequence=[0] * 10_000)
+        await anyio.sleep(0)
+
+
 async def crash(goal):
     raise ZeroDivisionError("by hand")
     yield
@@ -86,7 +93,7 @@ async def quit_(goal, handle):
 @asynccontextmanager
 async def world(speed, seed):
     async with open_node("stage") as node:
-        for body in (now, fail, hold, stubborn, crash):
+        for body in (now, fail, hold, stubborn, crash, flood):
             node.action_server(Fibonacci, f"/{body.__name__}", body)
         node.action_server(Fibonacci, "/quit", quit_)
         node.action_server(Strange, "/strange", strange)
@@ -100,5 +107,5 @@ async def world(speed, seed):
 
 if __name__ == "__main__":
     send_goal.embedded_world = world
-    send_goal.PATIENCE = 0.1
+    send_goal.PATIENCE = interrupts.GRACE = 0.1
     sys.exit(cli.main())

@@ -36,9 +36,26 @@ def test_standard_input_is_read_to_its_end(read, monkeypatch):
     assert read(stdin=True) == GoalText("order: 5\n", "stdin")
 
 
-def test_empty_standard_input_is_an_empty_text(read, monkeypatch):
-    stdin_of(monkeypatch, b"")
-    assert read(stdin=True).text == ""
+@pytest.mark.parametrize("data", [b"", b"\n \n"])
+def test_empty_standard_input_is_an_error(read, monkeypatch, data):
+    stdin_of(monkeypatch, data)
+    with pytest.raises(UsageError, match=r"stdin: is empty; the default goal is \{\}"):
+        read(stdin=True)
+
+
+def test_an_empty_argument_is_an_error(read):
+    with pytest.raises(UsageError, match=r"goal: is empty; the default goal is \{\}"):
+        read("")
+
+
+def test_an_empty_path_is_an_error(read):
+    with pytest.raises(UsageError, match="--goal-file: the path is empty"):
+        read(path="")
+
+
+def test_a_path_that_breaks_the_line_is_quoted(read):
+    with pytest.raises(UsageError, match=r"^'a\\nb': cannot be read"):
+        read(path="a\nb")
 
 
 def test_closed_standard_input_is_an_error(read, monkeypatch):

@@ -6,7 +6,7 @@ import signal
 
 import pytest
 
-from turtleact.commands.interrupts import leave
+from turtleact.commands.interrupts import SIGNALS, leave
 
 SIGINT, SIGTERM = signal.SIGINT, signal.SIGTERM
 
@@ -30,7 +30,9 @@ def test_the_first_signal_is_noted(installed):
     assert installed.received == [SIGINT]
 
 
-@pytest.mark.parametrize(("number", "status"), [(SIGINT, 130), (SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "status"), [(SIGINT, 130), (SIGTERM, 143), (signal.SIGHUP, 129)]
+)
 def test_the_status_is_that_of_the_signal(installed, number, status):
     signal.raise_signal(number)
     assert installed.status == status
@@ -101,10 +103,78 @@ def test_a_third_signal_ends_the_process_whatever_the_loop_does(installed):
     in_the_loop(installed, steps)
 
 
+def test_a_loop_that_does_not_come_to_the_second_signal_is_ended(installed, monkeypatch):
+    async def steps():
+        signal.raise_signal(SIGINT)
+        signal.raise_signal(SIGTERM)
+        with pytest.raises(Left, match="143"):
+            signal.pause()
+
+    monkeypatch.setattr("turtleact.commands.interrupts.GRACE", 0.001)
+    in_the_loop(installed, steps)
+
+
+def test_of_several_deadlines_the_first_counts(installed, monkeypatch):
+    monkeypatch.setattr("turtleact.commands.interrupts.GRACE", 0.0)
+
+    async def steps():
+        for seconds in (60.0, 0.001, 30.0):
+            installed.end_within(seconds, round(seconds))
+        with pytest.raises(Left, match=r"^0$"):
+            signal.pause()
+
+    in_the_loop(installed, steps)
+
+
+def test_a_deadline_beyond_all_measure_is_none(installed):
+    async def steps():
+        installed.end_within(1e300, 1)
+        assert signal.getitimer(signal.ITIMER_REAL)[0] > 1e8
+
+    in_the_loop(installed, steps)
+
+
+def test_behind_the_loop_a_deadline_means_nothing(installed):
+    before = signal.getsignal(signal.SIGALRM)
+
+    async def steps():
+        installed.end_within(60.0, 1)
+
+    in_the_loop(installed, steps)
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+    assert signal.getsignal(signal.SIGALRM) == before
+
+
+def test_the_terminal_is_given_back_before_the_process_ends(installed):
+    given_back = []
+    installed.restore = lambda: given_back.append(True)
+    signal.raise_signal(SIGINT)
+    with pytest.raises(Left):
+        signal.raise_signal(SIGINT)
+    assert given_back
+
+
+def test_the_process_ends_even_if_the_terminal_cannot_be_given_back(installed):
+    def fails():
+        raise OSError
+
+    installed.restore = fails
+    signal.raise_signal(SIGINT)
+    with pytest.raises(Left):
+        signal.raise_signal(SIGINT)
+
+
 def test_behind_the_loop_signals_mean_nothing(installed):
     in_the_loop(installed, lambda: asyncio.sleep(0))
     for _ in range(3):
         signal.raise_signal(SIGINT)
+
+
+@pytest.fixture(autouse=True)
+def default_handlers(interrupts):
+    """As a program finds them that was started on a terminal."""
+    for number in SIGNALS:
+        signal.signal(number, signal.default_int_handler)
 
 
 def test_a_signal_that_the_parent_ignores_stays_ignored(interrupts):
@@ -115,7 +185,7 @@ def test_a_signal_that_the_parent_ignores_stays_ignored(interrupts):
 
 def test_ignored_signals_are_dropped_by_the_system(interrupts):
     interrupts.ignore()
-    assert [signal.getsignal(each) for each in (SIGINT, SIGTERM)] == [signal.SIG_IGN] * 2
+    assert [signal.getsignal(each) for each in SIGNALS] == [signal.SIG_IGN] * 3
 
 
 def test_what_was_printed_is_flushed_before_the_process_ends(monkeypatch, installed):

@@ -1,19 +1,14 @@
-"""The live display: its region, what it tells of a goal, and the whole of it on a terminal."""
+"""The live display: what it tells of a goal, and the whole of it on a terminal."""
 
 from __future__ import annotations
 
 import contextlib
-import errno
-import fcntl
 import io
 import os
-import pty
 import re
 import signal
-import struct
 import subprocess
 import sys
-import termios
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,70 +18,18 @@ import pytest
 from turtleact import render
 from turtleact.client_goal import Outcome
 from turtleact.commands import live
-from turtleact.commands.live import LiveTranscript, Region
+from turtleact.commands.live import LiveTranscript
+from turtleact.commands.terminal import GIVE_BACK
 from turtleact.commands.transcript import Sent
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import Message, float64, int32, string
 from turtleact.interfaces.standard import Fibonacci, PatrolCommandInterface, Point, TurtlePose
 from turtleact.node import open_node
 
-ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
+from .ttys import open_terminal, read
+
+ESCAPE = re.compile(r"\x1b(\[[0-9;?]*[A-Za-z]|[78])")
 PATROL = "targets: [{x: 9, y: 7}, {x: 5, y: 1}]"
-
-# --- the region -----------------------------------------------------------------------------
-
-
-@pytest.fixture
-def stream():
-    return io.StringIO()
-
-
-@pytest.fixture
-def region(stream):
-    return Region(stream)
-
-
-def test_a_frame_leaves_the_cursor_at_its_beginning(region, stream):
-    region.draw(["one", "two", "three"])
-    assert stream.getvalue() == (
-        "\x1b[?2026h\x1b[?25l\rone\x1b[K\ntwo\x1b[K\nthree\x1b[K\x1b[J\x1b[2A\r\x1b[?2026l"
-    )
-
-
-def test_a_frame_of_one_line_moves_no_line_up(region, stream):
-    region.draw(["one"])
-    assert "A" not in ESCAPE.sub("", stream.getvalue())
-    assert "\x1b[0A" not in stream.getvalue()
-
-
-def test_text_that_stays_takes_the_place_of_the_frame(region, stream):
-    region.draw(["one"])
-    stream.truncate(0)
-    stream.seek(0)
-    region.say("stays\n")
-    assert stream.getvalue() == "\r\x1b[J\x1b[?25hstays\n"
-
-
-def test_clearing_twice_does_nothing_more(region, stream):
-    region.draw(["one"])
-    region.clear()
-    before = stream.getvalue()
-    region.clear()
-    assert stream.getvalue() == before
-
-
-def test_a_stream_that_is_no_terminal_has_the_usual_size(region, monkeypatch):
-    reading, writing = os.pipe()
-    with os.fdopen(reading), os.fdopen(writing, "w") as pipe:
-        assert Region(pipe).size() == (80, 24)
-
-
-def test_a_terminal_has_the_size_it_has():
-    main, other = terminal(31, 17)
-    with os.fdopen(other, "w") as stream:
-        assert Region(stream).size() == (31, 17)
-    os.close(main)
-
 
 # --- what is told ---------------------------------------------------------------------------
 
@@ -216,13 +159,18 @@ async def test_a_map_needs_a_turtle():
 
 
 @pytest.fixture
+def stream():
+    return io.StringIO()
+
+
+@pytest.fixture
 def transcript(stream):
     return LiveTranscript(stream, wants_feedback=True)
 
 
 def test_before_the_acceptance_there_is_nothing_to_draw(transcript, stream):
     transcript.sending(Fibonacci.Goal(order=5))
-    transcript.rejected()
+    transcript.rejected("not today")
     transcript.close()
     assert stream.getvalue() == "Sending goal:\n     order: 5\n\nGoal was rejected.\n"
 
@@ -241,7 +189,7 @@ async def test_the_last_state_is_drawn_before_the_result_stands(transcript, stre
         handle.status = GoalStatus.SUCCEEDED
         transcript.status(handle.status)
         transcript.ended(Outcome(GoalStatus.SUCCEEDED, Fibonacci.Result()))
-    before, after = stream.getvalue().split("\r\x1b[J\x1b[?25h")
+    before, after = stream.getvalue().split(GIVE_BACK)
     assert "SUCCEEDED" in before
     assert after == "Result:\n    sequence: []\n\nGoal finished with status: SUCCEEDED\n"
 
@@ -268,16 +216,9 @@ async def test_drawing_takes_a_fifth_of_the_time_at_most(transcript, monkeypatch
 # --- on a terminal --------------------------------------------------------------------------
 
 
-def terminal(columns, rows):
-    """Both ends of a terminal of that size."""
-    main, other = pty.openpty()
-    fcntl.ioctl(other, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
-    return main, other
-
-
 def on_terminal(*arguments, columns=80, rows=24, **environment):
     """What a command writes to a terminal, and its exit status."""
-    main, other = terminal(columns, rows)
+    main, other = open_terminal(columns, rows)
     settings = {"TERM": "xterm-256color", "PYTHONUTF8": "1"} | environment
     base = {name: each for name, each in os.environ.items() if name not in ("NO_COLOR", "COLUMNS")}
     process = subprocess.Popen(
@@ -298,7 +239,7 @@ def on_terminal(*arguments, columns=80, rows=24, **environment):
 
 
 def test_a_signal_cancels_the_goal_and_its_result_stands():
-    main, other = terminal(80, 24)
+    main, other = open_terminal()
     process = subprocess.Popen(
         [sys.executable, "-m", "turtleact", "send-goal", "fibonacci", "order: 40"],
         stdout=other,
@@ -319,22 +260,13 @@ def test_a_signal_cancels_the_goal_and_its_result_stands():
     assert text.endswith("\nGoal finished with status: CANCELED\n")
 
 
-def read(terminal):
-    try:
-        return os.read(terminal, 65536)
-    except OSError as error:  # what Linux says when the other end is closed
-        if error.errno != errno.EIO:
-            raise
-        return b""
-
-
 def last_frame(text):
     return ESCAPE.sub("", text.rpartition("\x1b[?2026h")[2].partition("\x1b[J")[0])
 
 
 def standing(text):
     """What stands behind the last frame."""
-    return text.rpartition("\x1b[J\x1b[?25h")[2]
+    return text.rpartition(GIVE_BACK)[2]
 
 
 def test_the_plain_result_stands_when_the_display_has_gone():
@@ -348,6 +280,11 @@ def test_the_last_frame_shows_the_last_state_and_the_trail():
     frame = last_frame(on_terminal("patrol", PATROL, "--speed", "max")[0])
     assert "● /patrol  SUCCEEDED" in frame
     assert re.search(r"│.*[⠁-⣿].*│", frame)
+
+
+def test_a_frame_leaves_room_for_lines_that_a_narrower_window_wraps():
+    text, _ = on_terminal("patrol", PATROL, "--speed", "max", rows=20)
+    assert len(last_frame(text).split("\n")) <= 20 - 1 - live.FULL
 
 
 def test_a_window_of_30_by_10_shows_no_map():

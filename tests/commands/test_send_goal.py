@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import select
 import shlex
 import signal
+import subprocess
+import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from turtleact.commands import send_goal
+from turtleact.commands.transcript import JsonTranscript
+from turtleact.goal import GoalStatus
+
+STAGE = Path(__file__).with_name("stage.py")
 GOLDEN = json.loads(Path(__file__).with_name("golden").joinpath("send_goal.json").read_text())
 EMBEDDED = [case for case in GOLDEN if case["case"] not in ("abort", "reject")]
 GOAL_ID = re.compile(r"ID: [0-9a-f]{32}$", re.MULTILINE)
+STATUSES = [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
 WAITING = "Waiting for an action server to become available...\n"
 FIBONACCI = "example_interfaces/action/Fibonacci"
 
@@ -194,8 +206,10 @@ def test_json_says_which_goal_it_speaks_of(on_stage):
     assert (told[0]["name"], told[0]["type"], told[0]["goal"]) == ("/now", FIBONACCI, {"order": 0})
 
 
-def test_json_of_a_rejected_goal_is_nothing_at_all(on_stage):
-    assert on_stage("send-goal", "reject", "--json")[:2] == (3, "")
+def test_json_tells_of_a_rejection(on_stage):
+    ran = on_stage("send-goal", "reject", "--json")
+    assert ran.status == 3
+    assert events(ran.out) == [{"event": "rejected", "goal_id": "", "reason": "not today"}]
 
 
 def test_json_tells_of_a_cancel(on_stage):
@@ -239,10 +253,18 @@ def test_a_goal_that_does_not_end_after_its_timeout_is_left(start, name):
     ]
 
 
+async def test_a_goal_that_ended_in_the_moment_of_its_timeout_has_not_timed_out(capsys, interrupts):
+    order: Any = SimpleNamespace()
+    sent: Any = SimpleNamespace(handle=SimpleNamespace(status=GoalStatus.SUCCEEDED))
+    sending = send_goal._Sending(order, "/now", None, JsonTranscript(), interrupts)
+    await sending._time_out(sent, 0.0)
+    assert capsys.readouterr().err == ""
+
+
 # --- signals --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("number", "status"), STATUSES)
 @pytest.mark.parametrize("module", [True, False], ids=["embedded world", "stage"])
 def test_a_signal_cancels_the_goal_and_its_result_is_printed(start, number, status, module):
     arguments = ["fibonacci", "order: 40"] if module else ["hold"]
@@ -294,6 +316,44 @@ def test_a_signal_behind_the_end_changes_nothing(on_stage, interrupts):
     assert ran.status == 0
 
 
+# --- a reader that does not read ------------------------------------------------------------
+
+
+@pytest.fixture
+def stuck():
+    """Starts a goal whose output nobody reads, and waits until it is full."""
+    reading, writing = os.pipe()
+    programs = []
+
+    def begin(*arguments):
+        program = [sys.executable, STAGE, "send-goal", "flood", "--feedback", *arguments]
+        programs.append(subprocess.Popen(program, stdout=writing, stderr=subprocess.DEVNULL))
+        while select.select([], [writing], [], 0)[1]:
+            pass
+        return programs[-1]
+
+    yield begin
+    for program in programs:
+        program.kill()
+        program.wait()
+    os.close(reading)
+    os.close(writing)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"), [(signal.SIGINT, signal.SIGTERM), (signal.SIGHUP, signal.SIGINT)]
+)
+def test_a_second_signal_ends_a_program_that_is_stuck_in_its_output(stuck, first, second):
+    program = stuck()
+    program.send_signal(first)
+    program.send_signal(second)
+    assert program.wait(30) - 128 in (first, second)
+
+
+def test_a_timeout_ends_a_program_that_is_stuck_in_its_output(stuck):
+    assert stuck("--timeout", "0.01").wait(30) == 124
+
+
 # --- pipes ----------------------------------------------------------------------------------
 
 
@@ -305,7 +365,7 @@ def test_each_line_reaches_a_pipe_at_once(start):
 
 
 def test_a_reader_that_goes_away_ends_the_program_quietly(start):
-    program = start("send-goal", "fibonacci", "order: 40", "-f", "--speed", "200", module=True)
+    program = start("send-goal", "fibonacci", "order: 40", "-f", "--speed", "100", module=True)
     program.wait_for("Waiting")
     program.stdout.close()
     err = program.stderr.read()

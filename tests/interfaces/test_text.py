@@ -108,8 +108,11 @@ def test_a_text_is_taken_as_meant(text, message):
         ("n: 1_000", "goal.n: expected a whole number (int64), got '1_000'"),
         ("n: 1:30", "goal.n: expected a whole number (int64), got '1:30'"),
         ("n: 9223372036854775808", "goal.n: 9223372036854775808 is out of range for int64"),
-        (f"n: {'9' * 5000}", "goal.n: expected a whole number (int64), got 9"),
-        (f'{{"n": {"9" * 5000}}}', "goal.n: expected a whole number (int64), got 9"),
+        (f"n: {'9' * 5000}", "goal.n: a number of 5000 digits is out of range for int64 (-9"),
+        (f'{{"n": {"9" * 5000}}}', "goal.n: a number of 5000 digits is out of range for int64 (-9"),
+        (f"x: -{'9' * 5000}", "goal.x: a number of 5001 digits is out of range for float64 (-1.7"),
+        (f"name: {'9' * 5000}", "goal.name: expected text (string), got a number of 5000 digits"),
+        ("n: 1e999", "goal.n: expected a whole number (int64), got 1e999"),
         ("on: no", "goal.on: expected true or false (bool), got 'no'"),
         ('on: "no"', "goal.on: expected true or false (bool), got 'no'"),
         ("on: 1", "goal.on: expected true or false (bool), got 1"),
@@ -118,9 +121,13 @@ def test_a_text_is_taken_as_meant(text, message):
         ("name:", "goal.name: expected text (string), got null"),
         ("x: .nan", "goal.x: expected a number (float64), got .nan"),
         ("x: -.inf", "goal.x: expected a number (float64), got -.inf"),
-        ("x: 1e999", "goal.x: expected a number (float64), got 1e999"),
-        ('{"x": 1e999}', "goal.x: expected a number (float64), got inf"),
-        ('{"x": NaN}', "goal.x: expected a number (float64), got nan"),
+        ("x: 1e999", "goal.x: 1e999 is out of range for float64 (-1.7976931348623157e+308 to "),
+        (
+            '{"x": -1e999}',
+            "goal.x: -1e999 is out of range for float64 (-1.7976931348623157e+308 to",
+        ),
+        ('{"x": NaN}', "goal.x: expected a number (float64), got NaN"),
+        ('{"x": -Infinity}', "goal.x: expected a number (float64), got -Infinity"),
         ('{"x": null}', "goal.x: expected a number (float64), got null"),
         ("x: ~", "goal.x: expected a number (float64), got null"),
         ("{x}", "goal.x: expected a number (float64), got null"),
@@ -200,6 +207,26 @@ def test_json_nested_too_deeply_is_refused():
     text = '{"x":' * 150 + "1" + "}" * 150
     with pytest.raises(InvalidGoal, match=r"^goal: nested more than 100 levels deep"):
         from_text(Sample, text)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "problem"),
+    [
+        ('"x": [' + "[" * MOST_YAML, "goal: nested more than 100 levels deep"),
+        ('"x": 1, "x": 2', "goal: a name is given twice"),
+        ('"x" 1', "goal:1:131078: Expecting ':' delimiter; it is too long to be YAML"),
+    ],
+    ids=["depth", "twice", "syntax"],
+)
+def test_a_mistake_in_json_that_is_too_long_for_yaml_is_told_as_one_of_json(mistake, problem):
+    with pytest.raises(InvalidGoal) as caught:
+        from_text(Sample, "{" + " " * MOST_YAML + mistake + "}")
+    assert str(caught.value).startswith(problem)
+
+
+def test_a_finite_number_never_becomes_infinite():
+    with pytest.raises(InvalidGoal, match="1e999 is out of range for float64"):
+        from_text(Sample, "x: 1e999", allow_nonfinite=True)
 
 
 def test_aliases_that_blow_up_are_refused():

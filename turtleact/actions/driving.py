@@ -17,7 +17,7 @@ from turtleact.actions.steering import Area, Limits, Steering, time_bound
 from turtleact.errors import Abort, InvalidMessage, InvalidName, Reject
 from turtleact.geometry import distance
 from turtleact.interfaces.standard import Point, TurtlePose, Twist, Vector3
-from turtleact.names import resolve_name
+from turtleact.names import resolve_name, validate_name
 from turtleact.tasks import Background
 
 if TYPE_CHECKING:
@@ -79,6 +79,8 @@ class Turtles:
             Reject: if nobody publishes its pose, or another goal drives it.
         """
         try:
+            if turtle:
+                validate_name(turtle)
             publishers = self._node.count_publishers(f"{turtle}/pose")
         except InvalidName as error:
             raise Reject(f"'{turtle}' is no name of a turtle: {error.problem}") from None

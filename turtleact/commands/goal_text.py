@@ -35,27 +35,37 @@ class GoalText(NamedTuple):
         """The text from the one of the three that was chosen; ``{}`` if none was.
 
         Raises:
-            UsageError: if it cannot be read, is too long, or is not UTF-8.
+            UsageError: if it cannot be read, is empty, is too long, or is not UTF-8.
             KeyboardInterrupt: if a signal comes while it is waited for.
         """
-        if given is not None:
-            return cls(given, "goal")
         if not stdin and path is None:
-            return cls("{}", "goal")
-        source = "stdin" if path is None else path
-        try:
-            with interrupts.reading():
-                data = _read_stdin() if path is None else _read_file(path)
-        except OSError as error:
-            raise UsageError(f"{source}: cannot be read: {error.strerror}") from None
-        if len(data) > MOST:
-            raise UsageError(f"{source}: is longer than {MOST} bytes; no goal is")
-        try:
-            return cls(data.decode(), source)
-        except UnicodeDecodeError as error:
-            raise UsageError(
-                f"{source}: is not UTF-8: byte 0x{data[error.start]:02X} at {error.start}"
-            ) from None
+            text, source = "{}" if given is None else given, "goal"
+        else:
+            source = "stdin" if path is None else path if path.isprintable() else ascii(path)
+            text = _decoded(_read(path, source, interrupts), source)
+        if not text.strip():  # whoever was to say it has failed
+            raise UsageError(f"{source}: is empty; the default goal is {{}}")
+        return cls(text, source)
+
+
+def _read(path: str | None, source: str, interrupts: Interrupts) -> bytes:
+    try:
+        with interrupts.reading():
+            data = _read_stdin() if path is None else _read_file(path)
+    except OSError as error:
+        raise UsageError(f"{source}: cannot be read: {error.strerror}") from None
+    if len(data) > MOST:
+        raise UsageError(f"{source}: is longer than {MOST} bytes; no goal is")
+    return data
+
+
+def _decoded(data: bytes, source: str) -> str:
+    try:
+        return data.decode()
+    except UnicodeDecodeError as error:
+        raise UsageError(
+            f"{source}: is not UTF-8: byte 0x{data[error.start]:02X} at {error.start}"
+        ) from None
 
 
 def _read_stdin() -> bytes:
@@ -66,6 +76,8 @@ def _read_stdin() -> bytes:
 
 
 def _read_file(path: str) -> bytes:
+    if not path:
+        raise UsageError("--goal-file: the path is empty")
     try:
         with Path(path).open("rb") as file:
             return file.read(MOST + 1)

@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM, from the first moment of the program to its last.
+"""The signals that ask the program to end, from its first moment to its last.
 
 A signal is noted, never raised into the middle of an import or of somebody's body. Who is told of
 it depends on where the program stands:
@@ -6,8 +6,10 @@ it depends on where the program stands:
 - before the event loop runs: nobody; the program looks at `Interrupts.received` before it begins.
   A second signal ends the process at once.
 - while it reads what the user types (`Interrupts.reading`): the signal ends the reading.
-- in the event loop (`Interrupts.listening`): whoever waits in `Interrupts.wait`. A third signal
-  ends the process at once, should the loop itself not come to it.
+- in the event loop (`Interrupts.listening`): whoever waits in `Interrupts.wait`. Should the loop
+  not come to the second signal within `GRACE`, or to a deadline (`Interrupts.end_within`), because
+  it is stuck in a body or in writing to somebody who does not read, the system's alarm clock ends
+  the process. A third signal ends it at once.
 - after the loop: nobody. What has ended has ended; at last they are ignored.
 
 One handler for all of this, set once: the loop's own signal handling would leave Python's default
@@ -30,7 +32,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Interrupts", "leave"]
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+GRACE = 0.5
+"""Wall seconds that the loop has for what it is late with."""
+
+LONGEST = 1e9
+"""Wall seconds that the system's alarm clock can be set to without harm: 31 years."""
 
 
 def leave(status: int) -> NoReturn:
@@ -46,17 +54,19 @@ class Interrupts:
 
     Attributes:
         received: Which came, in order.
+        restore: Gives the terminal back; called by a signal handler, before it ends the process.
     """
 
     def __init__(self) -> None:
         self.received: list[signal.Signals] = []
+        self.restore: Callable[[], object] = bool
         self._endured = 1
         self._is_reading = False
         self._tell: Callable[[], object] | None = None
 
     @property
     def status(self) -> int:
-        """The exit status that says which signal ended the program: 130 or 143."""
+        """The exit status that says which signal ended the program: 130, 143 or 129."""
         return 128 + self.received[-1]
 
     def install(self) -> None:
@@ -89,11 +99,25 @@ class Interrupts:
         self._changed = asyncio.Event()
         self._tell = lambda: loop.call_soon_threadsafe(self._changed.set)
         self._endured = 2
+        before = signal.getsignal(signal.SIGALRM)
         try:
             yield
         finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.signal(signal.SIGALRM, before)
             self._tell = None
             self._endured = sys.maxsize
+
+    def end_within(self, seconds: float, status: int) -> None:
+        """Give the loop some wall seconds and `GRACE` to leave `listening`, or end the process.
+
+        Of several deadlines the first counts. What has been printed stays; nothing is flushed.
+        """
+        seconds += GRACE
+        left, _ = signal.getitimer(signal.ITIMER_REAL)
+        if not 0 < left <= seconds:
+            signal.signal(signal.SIGALRM, lambda *_: self._end(status))
+            signal.setitimer(signal.ITIMER_REAL, min(seconds, LONGEST))
 
     async def wait(self, count: int) -> None:
         """Wait until ``count`` signals have come. Cancelling: safe."""
@@ -106,6 +130,14 @@ class Interrupts:
         if self._is_reading:
             raise KeyboardInterrupt
         if len(self.received) > self._endured:
-            leave(self.status)
+            self._end(self.status)
         if self._tell is not None:
+            if len(self.received) == self._endured:
+                self.end_within(0.0, self.status)
             self._tell()
+
+    def _end(self, status: int) -> NoReturn:
+        try:
+            self.restore()
+        finally:
+            os._exit(status)

@@ -2,21 +2,20 @@
 
 `LiveTranscript` redraws a region at the end of the screen, 15 times a second by the wall at most
 and never for more than a fifth of the time; the goal, its body and the world know nothing of it.
-What is to stay is printed above the region, as plain text. `Region` alone moves the cursor.
-
-Source: ECMA-48 for the control sequences; the terminals' mode 2026 for frames without flicker.
+What is to stay is printed above the region, as plain text.
 """
 
 from __future__ import annotations
 
-import os
 import time
 from typing import TYPE_CHECKING, Final, TextIO
 
 import anyio
 
 from turtleact import render
-from turtleact.commands.transcript import PlainTranscript, note
+from turtleact.commands.stderr import note
+from turtleact.commands.terminal import Region
+from turtleact.commands.transcript import PlainTranscript
 from turtleact.geometry import distance
 from turtleact.interfaces import to_dict
 from turtleact.interfaces.standard import TurtlePose
@@ -32,13 +31,16 @@ if TYPE_CHECKING:
     from turtleact.interfaces import Message
     from turtleact.topics import Subscription
 
-__all__ = ["LiveTranscript", "Region"]
+__all__ = ["LiveTranscript"]
 
 PERIOD: Final = 1 / 15
 """Wall seconds from frame to frame, at least."""
 
 SHARE: Final = 0.2
 """The part of the time that drawing may take."""
+
+FULL: Final = 2
+"""Lines of a frame that fill the window, beside one that may: they become two if it shrinks."""
 
 NEAR: Final = 0.15
 """A place that the turtle has come as near as this (m) is behind it."""
@@ -69,9 +71,9 @@ class LiveTranscript:
         """The goal is about to be sent."""
         self._plain.sending(goal)
 
-    def rejected(self) -> None:
+    def rejected(self, reason: str) -> None:
         """The server did not take the goal."""
-        self._plain.rejected()
+        self._plain.rejected(reason)
 
     def accepted(self, sent: Sent) -> None:
         """The server took the goal."""
@@ -80,11 +82,12 @@ class LiveTranscript:
 
     async def animate(self) -> None:
         """Draw a frame now and then."""
-        while True:
-            began = time.monotonic()
-            self._draw()
-            spent = time.monotonic() - began
-            await anyio.sleep(max(PERIOD, spent / SHARE) - spent)
+        with self._region.held():
+            while True:
+                began = time.monotonic()
+                self._draw()
+                spent = time.monotonic() - began
+                await anyio.sleep(max(PERIOD, spent / SHARE) - spent)
 
     def feedback(self, feedback: Message) -> None:
         """A feedback message came."""
@@ -108,59 +111,14 @@ class LiveTranscript:
         note(text)
 
     def close(self) -> None:
-        """Take the display away."""
-        self._region.clear()
+        """Take the display away, and give the terminal back."""
+        self._region.restore()
 
     def _draw(self) -> None:
-        width, height = (size - 1 for size in self._region.size())
+        columns, rows = self._region.size()
+        width, height = columns - 1, max(rows - 1 - FULL, 1)
         content = self._picture.compose(width=width, height=height)
         self._region.draw(render.lines(content, width=width, height=height))
-
-
-class Region:
-    """Some lines at the end of the screen that are drawn again and again.
-
-    Between two frames the hidden cursor stands at the beginning of the first line. A terminal
-    that is resized, and wraps the lines anew, keeps the cursor with its line: so the next frame
-    begins where the last one did.
-
-    Args:
-        stream: The terminal.
-    """
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-        self._is_drawn = False
-
-    def size(self) -> tuple[int, int]:
-        """Columns and lines of the window, as they are now."""
-        try:
-            columns, rows = os.get_terminal_size(self._stream.fileno())
-        except OSError:
-            columns, rows = 0, 0
-        return columns or 80, rows or 24
-
-    def draw(self, lines: Sequence[str]) -> None:
-        """Put these lines where the last ones were; the window must have a line more."""
-        text = "\n".join(f"{line}\x1b[K" for line in lines)
-        back = f"\x1b[{len(lines) - 1}A" if len(lines) > 1 else ""
-        self._write(f"\x1b[?2026h\x1b[?25l\r{text}\x1b[J{back}\r\x1b[?2026l")
-        self._is_drawn = True
-
-    def say(self, text: str) -> None:
-        """Print text that stays; the next frame is drawn below it."""
-        self.clear()
-        self._write(text)
-
-    def clear(self) -> None:
-        """Take the lines away, and give the cursor back."""
-        if self._is_drawn:
-            self._is_drawn = False
-            self._write("\r\x1b[J\x1b[?25h")
-
-    def _write(self, text: str) -> None:
-        self._stream.write(text)
-        self._stream.flush()
 
 
 class _Picture:

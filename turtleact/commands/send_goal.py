@@ -95,6 +95,7 @@ def run(order: Order, interrupts: Interrupts) -> int:
     if order.view != "json":
         say(WAITING)
     transcript = choose_transcript(order)
+    interrupts.restore = transcript.close
     try:
         return asyncio.run(_Sending(order, name, goal, transcript, interrupts).run())
     finally:
@@ -163,7 +164,7 @@ class _Sending:
                     self._sent = Sent(node, self._name, action_type.type_name, goal, handle)
                     status = await self._follow(self._sent, beside)
             except GoalRejected as error:
-                self._transcript.rejected()
+                self._transcript.rejected(error.reason)
                 self._transcript.note(str(error))
                 status = REJECTED
             beside.cancel_scope.cancel()
@@ -178,7 +179,8 @@ class _Sending:
             transcript.note(ENDED_WITH_WORLD)
             return SUCCEEDED
         if self._order.timeout is not None:
-            beside.start_soon(self._time_out, self._order.timeout)
+            beside.start_soon(self._time_out, sent, self._order.timeout)
+            self._interrupts.end_within(self._order.timeout + PATIENCE, TIMEOUT)
         beside.start_soon(transcript.animate)
         if transcript.wants_feedback:
             async for feedback in handle:
@@ -208,10 +210,12 @@ class _Sending:
         await self._interrupts.wait(2)
         self._let_go(self._interrupts.status)
 
-    async def _time_out(self, seconds: float) -> None:
+    async def _time_out(self, sent: Sent, seconds: float) -> None:
         await anyio.sleep(seconds)
+        if sent.handle.status.is_terminal:  # in the same moment
+            return
         self._transcript.note(f"no result after {seconds:g} s")
-        if self._sent is not None and await self._cancel(self._sent, TIMEOUT):
+        if await self._cancel(sent, TIMEOUT):
             await anyio.sleep(PATIENCE)
         self._let_go(TIMEOUT)
 

@@ -6,11 +6,11 @@ Each block is flushed as it is printed, so that a pipe sees it at once.
 from __future__ import annotations
 
 import json
-import sys
 import textwrap
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+from turtleact.commands.stderr import note
 from turtleact.interfaces import to_json, to_yaml
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from turtleact.interfaces import Message
     from turtleact.node import Node
 
-__all__ = ["WAITING", "JsonTranscript", "PlainTranscript", "Sent", "Transcript", "note", "say"]
+__all__ = ["WAITING", "JsonTranscript", "PlainTranscript", "Sent", "Transcript", "say"]
 
 WAITING = "Waiting for an action server to become available...\n"
 
@@ -34,8 +34,8 @@ class Transcript(Protocol):
     def sending(self, goal: Message) -> None:
         """The goal is about to be sent."""
 
-    def rejected(self) -> None:
-        """The server did not take the goal."""
+    def rejected(self, reason: str) -> None:
+        """The server did not take the goal; the reason is noted besides."""
 
     def accepted(self, sent: Sent) -> None:
         """The server took the goal."""
@@ -59,7 +59,7 @@ class Transcript(Protocol):
         """Something that belongs to no goal happened."""
 
     def close(self) -> None:
-        """Nothing moves any more; what stands stays."""
+        """Nothing moves any more; what stands stays. Never blocks, and may be called anywhere."""
 
 
 class Sent(NamedTuple):
@@ -85,12 +85,6 @@ def say(text: str) -> None:
     print(text, end="", flush=True)
 
 
-def note(text: str) -> None:
-    """Print a line on stderr, if there is one."""
-    if sys.stderr is not None:
-        print(f"turtleact: {text}", file=sys.stderr, flush=True)
-
-
 class PlainTranscript:
     """The transcript of ``ros2 action send_goal``, with all YAML indented alike.
 
@@ -107,7 +101,7 @@ class PlainTranscript:
         """The goal is about to be sent."""
         self._say(f"Sending goal:\n{_indented(goal, 5)}\n")
 
-    def rejected(self) -> None:
+    def rejected(self, reason: str) -> None:  # noqa: ARG002  # ros2 does not tell it here
         """The server did not take the goal."""
         self._say("Goal was rejected.\n")
 
@@ -143,7 +137,7 @@ class PlainTranscript:
 
 
 class JsonTranscript:
-    """One JSON object a line; its ``event`` is accepted, status, feedback or result."""
+    """One JSON object a line; its ``event`` is accepted, rejected, status, feedback or result."""
 
     wants_feedback = True
 
@@ -154,8 +148,9 @@ class JsonTranscript:
     def sending(self, goal: Message) -> None:
         """No event."""
 
-    def rejected(self) -> None:
-        """No event: stderr and the exit status tell it."""
+    def rejected(self, reason: str) -> None:
+        """The server did not take the goal; it has no id."""
+        self._tell("rejected", reason=json.dumps(reason, ensure_ascii=False))
 
     def accepted(self, sent: Sent) -> None:
         """The server took the goal."""

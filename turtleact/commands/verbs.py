@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Sequence
+from difflib import get_close_matches
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Protocol, cast
+from typing import TYPE_CHECKING, Annotated, Protocol, cast, runtime_checkable
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -36,6 +37,15 @@ _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+)+")
 _TEXT = "\0"
 """Stands before an argument that begins with a dash and is no option; no argument can hold it."""
 
+MOST_DIGITS = 18
+"""A whole number has no more, so that it fits 64 bits."""
+
+LONGEST_SHOWN = 60
+"""So many characters of an argument are repeated in an error."""
+
+NEAR = 0.75
+"""How much alike a mistyped option and the one that was meant are, from 0 to 1."""
+
 _EXAMPLES = """\b
 Examples:
   turtleact send-goal fibonacci "order: 5" --feedback
@@ -51,13 +61,14 @@ def parse(arguments: Sequence[str]) -> Job:
         UsageError: if it cannot be understood; the text names the mistake and where to get help.
     """
     command = get_command(app)
-    try:
-        job = command.main(list(arguments), prog_name="turtleact", standalone_mode=False)
+    try:  # what `main` does besides is to have its own view of a reader that has gone
+        with command.make_context("turtleact", list(arguments)) as context:
+            job = command.invoke(context)
     except _ArgumentError as error:
         raise UsageError(_explain(error)) from None
-    except typer.Abort:
-        raise KeyboardInterrupt from None
-    return cast("Job", job) if callable(job) else partial(_exit_status, int(job or 0))
+    except typer.Exit as printed:
+        return partial(_exit_status, printed.exit_code)
+    return cast("Job", job) if callable(job) else partial(_exit_status, 0)
 
 
 class Verb(TyperCommand):
@@ -202,7 +213,8 @@ def _number(option: str, text: str, *, least: float) -> float:
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and value >= least):
-        raise UsageError(f"{option} is a number of seconds, {least:g} or more, not '{text}'")
+        problem = f"is a number of seconds, {least:g} or more, not {_quoted(text)}"
+        raise UsageError(f"{option} {problem}")
     return value
 
 
@@ -212,17 +224,36 @@ def _factor(text: str) -> float:
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and value > 0):
-        raise UsageError(f"--speed is a number above zero, or max, not '{text}'")
+        raise UsageError(f"--speed is a number above zero, or max, not {_quoted(text)}")
+    if value > 1:
+        from turtleact.clock import FASTEST
+
+        if value > FASTEST:
+            problem = f"is {FASTEST:g} at most, not {_quoted(text)}; max is as fast as it computes"
+            raise UsageError(f"--speed {problem}")
     return value
 
 
 def _whole(option: str, text: str) -> int:
-    if not (text.isascii() and text.isdigit()):
-        raise UsageError(f"{option} is a whole number, 0 or more, not '{text}'")
+    if not (text.isascii() and text.isdigit() and len(text) <= MOST_DIGITS):
+        problem = f"is a whole number, 0 or more, of {MOST_DIGITS} digits at most"
+        raise UsageError(f"{option} {problem}, not {_quoted(text)}")
     return int(text)
 
 
+def _quoted(text: str) -> str:
+    return f"'{text}'" if len(text) <= LONGEST_SHOWN else f"'{text[:LONGEST_SHOWN]}…'"
+
+
 # getting along with Typer
+
+
+@runtime_checkable
+class _Suggesting(Protocol):
+    """What Typer's and click's NoSuchOption have in common."""
+
+    option_name: str
+    possibilities: Sequence[str] | None
 
 
 class _Parameter(Protocol):
@@ -251,6 +282,10 @@ def _take(
 
 def _explain(error: Exception) -> str:
     """Typer's message in our form, and where there is help."""
+    if isinstance(error, _Suggesting):  # Typer suggests --plain for --domain
+        error.possibilities = get_close_matches(
+            error.option_name, error.possibilities or (), cutoff=NEAR
+        )
     message = str(getattr(error, "format_message", error.__str__)()).rstrip(".")
     for marker in (_TEXT, repr(_TEXT)[1:-1]):
         message = message.replace(marker, "")

@@ -24,9 +24,10 @@ from yaml.resolver import BaseResolver
 from yaml.scanner import Scanner
 
 from turtleact.interfaces.copying import error_class
+from turtleact.interfaces.definition import INTEGER_RANGES
 from turtleact.interfaces.mapping import from_dict, to_dict
 from turtleact.interfaces.types import Message
-from turtleact.interfaces.values import describe
+from turtleact.interfaces.values import Spelled, describe
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -51,11 +52,15 @@ WORDS = {
     **dict.fromkeys(("false", "False", "FALSE"), False),
 }
 NULLS = frozenset({"", "~", "null", "Null", "NULL"})
-integer_pattern = re.compile(r"[-+]?(?:0|[1-9][0-9]{0,999})|0x[0-9a-fA-F]{1,999}")
+integer_pattern = re.compile(r"[-+]?(?:0|[1-9][0-9]*)|0x[0-9a-fA-F]+")
+#: Python takes long to read longer ones, or refuses them.
+LONGEST_INTEGER = 1000
 float_pattern = re.compile(
     r"[-+]?(?:(?:0|[1-9][0-9]*)(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
     r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)"
 )
+FLOATS = frozenset({"float32", "float64"})
+NUMBERS = FLOATS | set(INTEGER_RANGES)
 #: Text that needs no quotes in any YAML, but for the words that YAML 1.1 takes for others.
 plain_pattern = re.compile(r"[A-Za-z_](?:[A-Za-z0-9_ ./()%!?+=;,-]*[A-Za-z0-9_./()%!?+=;,-])?")
 misread_pattern = re.compile(r"y|n|yes|no|on|off|true|false|null", re.IGNORECASE)
@@ -133,16 +138,6 @@ class Document(msgspec.Struct, frozen=True):
         raise error(where, f"{problem}\n  {shown}\n  {caret}")
 
 
-class Spelled:
-    """What fits no field, but is named in the error as it was written."""
-
-    def __init__(self, word: str) -> None:
-        self.word = word
-
-    def __repr__(self) -> str:
-        return self.word
-
-
 class Loader(Reader, Scanner, Parser, Composer, BaseResolver):
     """PyYAML up to its nodes: it makes no objects, so there is nothing to be safe from."""
 
@@ -175,14 +170,42 @@ def tree_of(document: Document) -> object:
         document.refuse(f"{len(text)} characters are too many: at most {MOST_JSON}")
     if text.lstrip()[:1] == "{":
         try:
-            return named_oddities(document, json.loads(text, object_pairs_hook=unique), 0)
-        except (ValueError, RecursionError):
-            # Not JSON, or not sound: YAML takes most of it, and knows the place of the mistake.
-            pass
+            return json_tree(document)
+        except (ValueError, RecursionError) as error:
+            # YAML takes most of it, and knows the place of the mistake.
+            if len(text) > MOST_YAML:
+                refuse_json(document, error)
     if len(text) > MOST_YAML:
         document.refuse(f"{len(text)} characters of YAML are too many: at most {MOST_YAML}")
     node = compose(document)
     return {} if node is None else Expansion(document).value(node, 0)
+
+
+def json_tree(document: Document) -> object:
+    """The plain values that a JSON text says; raises what `json.loads` does."""
+
+    def number(word: str) -> object:
+        return scalar(word, document.allow_nonfinite)
+
+    def oddity(word: str) -> object:
+        return float(word) if document.allow_nonfinite else Spelled(word)
+
+    value = json.loads(
+        document.text,
+        object_pairs_hook=unique,
+        parse_int=number,
+        parse_float=number,
+        parse_constant=oddity,
+    )
+    return sounded(document, value, 0)
+
+
+def refuse_json(document: Document, error: ValueError | RecursionError) -> NoReturn:
+    """Raises for what is wrong with a JSON text that is too long to be read as YAML."""
+    if isinstance(error, json.JSONDecodeError):
+        place = error.lineno - 1, error.colno - 1
+        document.refuse(f"{error.msg}; it is too long to be YAML", place)
+    document.refuse(TOO_DEEP if isinstance(error, RecursionError) else str(error))
 
 
 def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
@@ -193,19 +216,15 @@ def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
     return result
 
 
-def named_oddities(document: Document, value: object, depth: int) -> object:
-    """A JSON value, with null and the non-finite spelled as in the text."""
+def sounded(document: Document, value: object, depth: int) -> object:
+    """A JSON value, its depth measured, and null spelled as in the text."""
     if depth > DEEPEST:
         document.refuse(TOO_DEEP)
     if isinstance(value, dict):
-        return {key: named_oddities(document, item, depth + 1) for key, item in value.items()}
+        return {key: sounded(document, item, depth + 1) for key, item in value.items()}
     if isinstance(value, list):
-        return [named_oddities(document, item, depth + 1) for item in value]
-    if value is None:
-        return Spelled("null")
-    if isinstance(value, float) and not math.isfinite(value) and not document.allow_nonfinite:
-        return Spelled(str(value))
-    return value
+        return [sounded(document, item, depth + 1) for item in value]
+    return Spelled("null") if value is None else value
 
 
 def compose(document: Document) -> Node | None:
@@ -281,11 +300,15 @@ def scalar(word: str, allow_nonfinite: bool) -> object:
     if word in WORDS:
         return WORDS[word]
     if integer_pattern.fullmatch(word):
+        if len(word) > LONGEST_INTEGER:
+            return Spelled(f"a number of {len(word)} digits", NUMBERS)
         return int(word, 16 if word.startswith("0x") else 10)
     if not float_pattern.fullmatch(word):
         return word
-    number = float(word.lower().replace(".inf", "inf").replace(".nan", "nan"))
-    return number if math.isfinite(number) or allow_nonfinite else Spelled(word)
+    if "n" not in word.lower():
+        number = float(word)
+        return number if math.isfinite(number) else Spelled(word, FLOATS)
+    return float(word.lower().replace(".", "")) if allow_nonfinite else Spelled(word)
 
 
 def block(mapping: dict[str, object]) -> list[str]:

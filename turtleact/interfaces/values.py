@@ -23,13 +23,13 @@ from turtleact.errors import InvalidMessage
 from turtleact.interfaces.definition import BYTE_TYPES, INTEGER_RANGES, ArrayForm
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Collection, Iterable, Sequence
 
     from turtleact.interfaces.definition import FieldType
 
     Convert = Callable[[object], object]
 
-__all__ = ["FLOAT32_LIMIT", "converter", "describe", "expected", "misfit"]
+__all__ = ["FLOAT32_LIMIT", "Spelled", "converter", "describe", "expected", "misfit"]
 
 #: Where rounding to float32 turns to infinity: half a step above the largest float32.
 FLOAT32_LIMIT = (2 - 2**-24) * 2.0**127
@@ -77,6 +77,22 @@ class ShortRepr(reprlib.Repr):
 SHORT = ShortRepr()
 
 
+class Spelled:
+    """What a text says and no field takes; an error names it as it was written.
+
+    Attributes:
+        word: As it was written, or what it is.
+        fits: Names of the types that would take it if it were not too large.
+    """
+
+    def __init__(self, word: str, fits: Collection[str] = ()) -> None:
+        self.word = word
+        self.fits = fits
+
+    def __repr__(self) -> str:
+        return self.word
+
+
 def converter(field_type: FieldType, element: Convert | None = None) -> Convert:
     """A function that gives the value a field of this type would hold, or raises.
 
@@ -96,24 +112,27 @@ def whole_number(field_type: FieldType, value: object) -> int:
     name = field_type.name
     if name == "byte" and isinstance(value, bytes) and len(value) == 1:
         return value[0]
+    low, high = INTEGER_RANGES[name]
+    if is_too_large(field_type, value):
+        raise out_of_range(field_type, value, low, high)
     if is_bool(value) or not hasattr(value, "__index__"):
         raise misfit(field_type, value)
     try:
         number = int(operator.index(value))
     except TypeError as error:
         raise misfit(field_type, value) from error
-    low, high = INTEGER_RANGES[name]
     if not low <= number <= high:
-        problem = f"{describe(number)} is out of range for {name} ({low} to {high})"
-        raise InvalidMessage("", problem)
+        raise out_of_range(field_type, number, low, high)
     return number
 
 
 def number(field_type: FieldType, value: object) -> float:
     """A float; ints and numpy's numbers are converted. Never rounded to float32."""
+    limit, edge = FLOAT_LIMITS[field_type.name]
+    if is_too_large(field_type, value):
+        raise out_of_range(field_type, value, f"-{edge}", edge)
     if is_bool(value) or not isinstance(value, numbers.Real):
         raise misfit(field_type, value)
-    limit, edge = FLOAT_LIMITS[field_type.name]
     try:
         result = float(value)
     except OverflowError:
@@ -121,8 +140,7 @@ def number(field_type: FieldType, value: object) -> float:
     else:
         fits = abs(result) < limit or not math.isfinite(result)
     if not fits:
-        problem = f"{describe(value)} is out of range for {field_type.name} (-{edge} to {edge})"
-        raise InvalidMessage("", problem)
+        raise out_of_range(field_type, value, f"-{edge}", edge)
     return result
 
 
@@ -192,6 +210,17 @@ def check_length(field_type: FieldType, length: int) -> None:
         raise InvalidMessage("", f"at most {size} elements, got {length}")
     if field_type.form is ArrayForm.FIXED and length != size:
         raise InvalidMessage("", f"exactly {size} elements, got {length}")
+
+
+def is_too_large(field_type: FieldType, value: object) -> bool:
+    """Whether a text says a number that even Python does not take."""
+    return isinstance(value, Spelled) and field_type.name in value.fits
+
+
+def out_of_range(field_type: FieldType, value: object, low: object, high: object) -> InvalidMessage:
+    """The error for a number that is too small or too large."""
+    problem = f"{describe(value)} is out of range for {field_type.name} ({low} to {high})"
+    return InvalidMessage("", problem)
 
 
 def is_bool(value: object) -> bool:

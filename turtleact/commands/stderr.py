@@ -1,0 +1,35 @@
+"""What the user is told besides: a line on stderr, whatever is in it and whatever becomes of it."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import TextIO
+
+__all__ = ["abandon", "note", "printable"]
+
+
+def note(text: str) -> None:
+    """Print a line on stderr; where that cannot be, nobody is there to be told."""
+    if sys.stderr is None:
+        return
+    try:
+        print(f"turtleact: {printable(text)}", file=sys.stderr, flush=True)
+    except OSError:
+        abandon(sys.stderr)
+
+
+def printable(text: str) -> str:
+    """A text that commands no terminal: of all control characters only line breaks are left."""
+    return "".join(c if c.isprintable() or c == "\n" else _escaped(c) for c in text)
+
+
+def abandon(stream: TextIO) -> None:
+    """Let what is written to this stream go nowhere, so that Python's own last flush succeeds."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)
+
+
+def _escaped(character: str) -> str:
+    return character.encode("unicode_escape").decode("ascii")
