@@ -447,3 +447,20 @@ async def test_two_readers_of_one_handle_share_its_feedback():
         for _ in range(50):
             read += [await anext(first), await anext(second)]
         assert [message.so_far[0] for message in read] == list(range(100))
+
+
+@READERS
+async def test_a_body_goes_on_although_its_reader_is_collected_in_another_thread(read):
+    source = Source()
+    gc.disable()
+    try:
+        async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
+            holder: list[object] = [read(handle)]
+            holder.append(holder)
+            assert await source.settle() < MANY
+            del holder
+            await anyio.to_thread.run_sync(gc.collect)
+            await source.settle()
+            assert handle.done
+    finally:
+        gc.enable()

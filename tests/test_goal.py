@@ -289,6 +289,7 @@ def test_a_pinned_result_is_forgotten_once_nobody_waits():
     goal = ended_goal(table, waiters=1)
     held(table, ID_1, 100)
     goal.waiters = 0
+    table.unpin(goal)
     assert not held(table, ID_1, 101)
 
 
@@ -462,7 +463,9 @@ class Retention(RuleBasedStateMachine):
     @precondition(lambda self: self.goals)
     @rule(data=st.data())
     def wait_no_more(self, data):
-        data.draw(st.sampled_from(self.goals)).waiters = 0
+        goal = data.draw(st.sampled_from(self.goals))
+        goal.waiters = 0
+        self.table.unpin(goal)
 
     @precondition(lambda self: self.goals)
     @rule(data=st.data())
@@ -489,6 +492,7 @@ class Retention(RuleBasedStateMachine):
         """Everything ended and its time over: nothing is left."""
         for goal in self.goals:
             goal.waiters = 0
+            self.table.unpin(goal)
             if not goal.ended:
                 self.table.end(goal, self.now)
         if self.keep_ns is not None:

@@ -33,7 +33,7 @@ class Journal:
         node.on_transition(self.note)
 
     def note(self, handle, old, new):
-        assert handle.status is new
+        assert handle.status >= new  # a hook may have changed it meanwhile
         self.changes.setdefault(handle.request.upto, []).append((old.name, new.name))
 
 
@@ -517,3 +517,50 @@ async def entered_with(served, listen):
 @pytest.fixture(params=[awaited_with, entered_with])
 def send_with(request):
     return request.param
+
+
+# --- hooks that change what they hear of ---
+
+
+async def test_a_hook_may_cancel_a_goal_that_is_accepted(send):
+    gate = Gate()
+    async with lab(gate.wait) as served:
+        journal = Journal(served.node)
+
+        def hook(handle, old, new):
+            if new is GoalStatus.ACCEPTED:
+                served.server.cancel_nowait(served.active[-1])
+
+        served.node.on_transition(hook)
+        assert (await send(served, goal(1))).status is GoalStatus.CANCELED
+        assert journal.changes == {1: [ACCEPT, CANCEL_WAITING, CANCELED]}
+
+
+async def test_a_later_hook_hears_of_changes_in_order_although_an_earlier_one_makes_them(send):
+    async with lab(Gate().wait) as served:
+
+        def hook(handle, old, new):
+            if new is GoalStatus.EXECUTING:
+                served.server.cancel_nowait(served.active[0])
+
+        served.node.on_transition(hook)
+        heard = []
+        served.node.on_transition(lambda handle, old, new: heard.append((old.name, new.name)))
+        await send(served, goal(1))
+        assert heard == [ACCEPT, EXECUTE, CANCEL, CANCELED]
+
+
+@pytest.mark.parametrize("policy", ["queue", "preempt"])
+async def test_a_hook_may_send_a_goal_at_the_end_of_another(policy):
+    async with lab(count, policy=policy) as served:
+        journal = Journal(served.node)
+
+        def hook(handle, old, new):
+            if handle.request.upto and new is GoalStatus.SUCCEEDED:
+                served.server.begin(goal(0), None, None)
+
+        served.node.on_transition(hook)
+        async with served.client.send_goal(goal(1)) as handle:
+            assert (await handle.outcome()).reason == ""
+        await settle()
+        assert journal.changes[0] == [ACCEPT, EXECUTE, ("EXECUTING", "SUCCEEDED")]

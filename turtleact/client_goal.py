@@ -10,6 +10,7 @@ Source: rclpy ``action/client.py`` for names and meaning.
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Coroutine
+from threading import get_ident
 from typing import (
     ClassVar,
     Generic,
@@ -114,8 +115,9 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
 
     ``async for feedback in handle`` gives each feedback message once, in order, those too that were
     published before the iteration began, and ends when the goal does. Nothing is lost to the sender
-    while it iterates, and a body that runs far ahead of it waits; before and after that, and for
-    those who have attached themselves, the newest 1,024 are kept, and `missed` counts the others.
+    while it iterates, and a generator that runs far ahead of it waits; before and after that, and
+    for those who have attached themselves, the newest 1,024 are kept, and `missed` counts the
+    others.
 
     `done`, `status`, `last_feedback` and `cancel_nowait` are for callers that cannot wait.
 
@@ -256,6 +258,13 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         if not self._readers:
             self.stop_reading()
 
+    def forget_reader(self, thread: int) -> None:
+        """Note that an iterator is gone; one in a cycle is collected in whatever thread."""
+        if get_ident() == thread:
+            self.end_reading()
+        else:
+            self._server.from_anywhere(self.end_reading)
+
     def stop_reading(self) -> None:
         """Let the body run ahead: nobody iterates any more."""
         log = self._goal.feedback
@@ -282,10 +291,11 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
 class _Reading(Generic[F]):
     """One ``async for``: when it is left, by ``break`` too, the body need not wait for it."""
 
-    __slots__ = ("_handle",)
+    __slots__ = ("_handle", "_thread")
 
     def __init__(self, handle: ClientGoalHandle[R, F]) -> None:
         self._handle = handle
+        self._thread = get_ident()
 
     def __aiter__(self) -> Self:
         return self
@@ -294,16 +304,17 @@ class _Reading(Generic[F]):
         return self._handle.__anext__()
 
     def __del__(self) -> None:
-        self._handle.end_reading()
+        self._handle.forget_reader(self._thread)
 
 
 class _Events(Generic[F, R]):
     """One ``async for`` over all that happens to a goal."""
 
-    __slots__ = ("_handle", "_step", "_told")
+    __slots__ = ("_handle", "_step", "_thread", "_told")
 
     def __init__(self, handle: ClientGoalHandle[R, F]) -> None:
         self._handle = handle
+        self._thread = get_ident()
         self._step: Literal["accepted", "under way", "ended", "over"] = "accepted"
         self._told = 0  # how many states of the goal's history
 
@@ -332,7 +343,7 @@ class _Events(Generic[F, R]):
         raise StopAsyncIteration
 
     def __del__(self) -> None:
-        self._handle.end_reading()
+        self._handle.forget_reader(self._thread)
 
     def _next_status(self, goal: Goal) -> GoalStatus | None:
         """The next state of the history, if no unread feedback went before it."""

@@ -67,7 +67,7 @@ class Execution:
         check_result: The checked copy of a result.
         also_feedback: Told of each feedback message, with its goal; must not raise.
         watch: Told of each change of a goal's state, before and after; must not raise.
-        release: Told of each goal that has ended.
+        release: Told of each goal that has ended; may answer what starts another.
         ended: Fires whenever a goal has ended. Like the three above None, until somebody wants it.
     """
 
@@ -100,7 +100,7 @@ class Execution:
         self.check_result = cast("Check", snapshotter(self._result_type, root="result"))
         self.also_feedback: Callable[[Goal, object], object] | None = None
         self.watch: Watch | None = None
-        self.release: Callable[[Goal], object] | None = None
+        self.release: Callable[[Goal], Callable[[], object] | None] | None = None
         self.ended: Signal | None = None
 
     # starting
@@ -298,10 +298,11 @@ class Execution:
         self._table.end(goal, self._now())
         before = goal.status
         goal.apply(event)
+        start_next = None if self.release is None else self.release(goal)
         if self.watch is not None:
             self.watch(goal, before, goal.status)
-        if self.release is not None:
-            self.release(goal)
+        if start_next is not None:
+            self._tasks.soon(start_next)
         if self.ended is not None:
             self.ended.fire()
 

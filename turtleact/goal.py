@@ -271,6 +271,7 @@ class GoalTable:
         self._active: dict[Goal, None] = {}
         self._named: dict[bytes, Goal] = {}
         self._expiries: list[tuple[int, bytes]] = []
+        self._pinned: set[Goal] = set()  # their time is over, but somebody waits
 
     @property
     def active(self) -> list[Goal]:
@@ -326,15 +327,17 @@ class GoalTable:
     def expire(self, now: int) -> None:
         """Forget the goals whose time is over and for which nobody waits."""
         expiries = self._expiries
-        pinned = []
         while expiries and expiries[0][0] <= now:
-            entry = heapq.heappop(expiries)
-            if self._named[entry[1]].waiters:
-                pinned.append(entry)
-            else:
-                del self._named[entry[1]]
-        for entry in pinned:
-            heapq.heappush(expiries, entry)
+            goal = self._named[heapq.heappop(expiries)[1]]
+            self._pinned.add(goal)
+            if not goal.waiters:
+                self.unpin(goal)
+
+    def unpin(self, goal: Goal) -> None:
+        """Note that nobody waits for a goal any more: it is forgotten if its time is over."""
+        if goal in self._pinned and goal.id is not None:
+            self._pinned.remove(goal)
+            del self._named[goal.id]
 
     def _schedule(self, goal: Goal) -> None:
         if self._keep_ns is not None and goal.id is not None:

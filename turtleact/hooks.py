@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -15,6 +16,8 @@ __all__ = ["Hooks", "Transition"]
 logger = logging.getLogger("turtleact.server")
 
 Transition: TypeAlias = Callable[[ServerGoalHandle[Any, Any, Any], GoalStatus, GoalStatus], object]
+
+Change: TypeAlias = tuple[ServerGoalHandle[Any, Any, Any], GoalStatus, GoalStatus]
 
 
 class Hooks:
@@ -36,6 +39,7 @@ class Hooks:
         self._execution = execution
         self._make_handle = make_handle
         self._hooks: list[Transition] = []
+        self._untold: deque[Change] = deque()
 
     def __bool__(self) -> bool:
         return bool(self._hooks)
@@ -53,9 +57,13 @@ class Hooks:
 
     def tell(self, goal: Goal, old: GoalStatus, new: GoalStatus) -> None:
         """Call all hooks; what they raise is logged and does no harm."""
-        handle = self._make_handle(goal)
-        for hook in tuple(self._hooks):
-            try:
-                hook(handle, old, new)
-            except Exception:
-                logger.exception("a hook on the transitions of %s failed", self._name)
+        self._untold.append((self._make_handle(goal), old, new))
+        if len(self._untold) > 1:  # a hook has made the change, and others have yet to hear of the
+            return  # one before: they are told below
+        while self._untold:
+            for hook in tuple(self._hooks):
+                try:
+                    hook(*self._untold[0])
+                except Exception:
+                    logger.exception("a hook on the transitions of %s failed", self._name)
+            self._untold.popleft()

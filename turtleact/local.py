@@ -60,6 +60,9 @@ class LocalServer(Protocol):
     async def wait_for_end(self, goal: Goal) -> None:
         """Wait until a goal has ended."""
 
+    def from_anywhere(self, callback: Callable[[], object]) -> None:
+        """Call something soon, from any thread."""
+
     def name_goal(self, goal: Goal) -> bytes:
         """The id of a goal; it gets one if it has none."""
 

@@ -97,6 +97,7 @@ class ActionServer(Generic[G, R, F]):
         self.endpoints: Endpoints | None = None
         self._now = node.clock.now
         self._tasks = tasks
+        self.from_anywhere = tasks.from_anywhere
         self._goal_callback = options.get("goal_callback")
         cancel_callback = options.get("cancel_callback")
         self._on_client_lost = options.get("on_client_lost", "keep")
@@ -166,7 +167,7 @@ class ActionServer(Generic[G, R, F]):
             GoalRejected: if it is not taken.
         """
         goal = self._admit(request, goal_id, on_feedback, sender, is_streamed=is_streamed)
-        if goal.status is not _ACCEPTED:
+        if goal.status is not _ACCEPTED and not goal.ended:
             self.execution.start(goal)
         return goal
 
@@ -193,7 +194,7 @@ class ActionServer(Generic[G, R, F]):
         if self.asks_first:
             yield from self.ask(request).__await__()
         goal = self._admit(request, goal_id, on_feedback, sender)
-        if self._can_borrow and goal.status is not _ACCEPTED:
+        if self._can_borrow and goal.status is _EXECUTING:
             running, context = self.execution.run(goal), copy_context()
             has_ended, began = False, monotonic()
             try:
@@ -204,7 +205,7 @@ class ActionServer(Generic[G, R, F]):
                 self.execution.report_blocking(goal, took)
             if not has_ended:
                 yield from self.execution.lend(goal, running, waits_for, context).__await__()
-        else:
+        elif not goal.ended:
             if goal.status is not _ACCEPTED:
                 self.execution.start(goal)
             yield from self._wait_out(goal).__await__()
@@ -229,6 +230,8 @@ class ActionServer(Generic[G, R, F]):
                 await signal.wait()
         finally:
             goal.waiters -= 1
+            if not goal.waiters:
+                self._table.unpin(goal)
 
     async def cancel_and_wait(self, goal: Goal) -> None:
         """Ask a goal to cancel and wait for its end, shielded, `GRACE` seconds at most."""
@@ -325,17 +328,19 @@ class ActionServer(Generic[G, R, F]):
 
     def _enter(self, goal: Goal) -> None:
         """Give a goal its place, or a place to wait in."""
-        claim = Claim(self, goal)
+        claim = goal.body = Claim(self, goal)
         entry = None if self._slot is None else self._slot.enter(claim)
         if entry is not None and entry.admission is Admission.REFUSE:
             self._table.forget(goal)
             raise GoalRejected(entry.reason)
         if self.hooks:
             self.hooks.tell(goal, GoalStatus.UNKNOWN, _ACCEPTED)
+        if goal.ended:  # a hook has canceled it
+            return
         if entry is None or entry.admission is Admission.START:
+            goal.body = None
             self.execution.move(goal, GoalEvent.EXECUTE)
             return
-        goal.body = claim
         if entry.displaced is not None or entry.evicted:
             reason = f"preempted by {claim.label}"
             for each in (entry.displaced, *entry.evicted):
@@ -353,17 +358,16 @@ class ActionServer(Generic[G, R, F]):
             self.execution.move(goal, GoalEvent.EXECUTE)
             self.execution.start(goal, claim.context)
 
-    def _release(self, goal: Goal) -> None:
-        """Give a goal's place to the next one."""
+    def _release(self, goal: Goal) -> Callable[[], None] | None:
+        """Give a goal's place to the next one; answer what starts that one."""
         following = cast("Slot[Claim]", self._slot).leave(goal)
-        if following is not None:
-            self._tasks.soon(following.start)
+        return None if following is None else following.start
 
     # ending a goal from outside
 
     def evict(self, goal: Goal, reason: str) -> None:
         """Cancel a goal by the server's own decision, unless it is being canceled already."""
-        if not goal.reason and goal.status is not _CANCELING:
+        if goal.status.is_active and not goal.reason and goal.status is not _CANCELING:
             goal.reason = reason
             if goal.body is not None:
                 goal.body.cancel()

@@ -19,6 +19,7 @@ import asyncio
 import logging
 import sys
 from collections.abc import Callable, Coroutine
+from contextlib import suppress
 from contextvars import Context, copy_context
 from typing import TYPE_CHECKING, Protocol
 
@@ -57,6 +58,9 @@ class Tasks(Protocol):
 
     def soon(self, callback: Callable[[], object]) -> None:
         """Call something, not within this call if it may run a body's first step."""
+
+    def from_anywhere(self, callback: Callable[[], object]) -> None:
+        """Call something soon, from any thread; nothing happens once the loop is gone."""
 
     def signal(self) -> Signal:
         """A new signal."""
@@ -173,6 +177,11 @@ class AsyncioTasks:
         """Call something in the loop's next turn: it may run a body's first step."""
         self._loop.call_soon(callback)
 
+    def from_anywhere(self, callback: Callable[[], object]) -> None:
+        """Call something soon, from any thread; nothing happens once the loop is gone."""
+        with suppress(RuntimeError):  # the loop is closed
+            self._loop.call_soon_threadsafe(callback)
+
     def signal(self) -> AsyncioSignal:
         """A new signal."""
         return AsyncioSignal(self._loop)
@@ -183,18 +192,18 @@ class AsyncioTasks:
 
 
 class AsyncioSignal:
-    """A list of futures; a canceled waiter takes its own out."""
+    """Futures, in the order of their coming; a canceled waiter takes its own out."""
 
     __slots__ = ("_loop", "_waiting")
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self._waiting: list[asyncio.Future[None]] = []
+        self._waiting: dict[asyncio.Future[None], None] = {}
 
     def fire(self) -> None:
         """Wake all that wait now."""
         if self._waiting:
-            waiting, self._waiting = self._waiting, []
+            waiting, self._waiting = self._waiting, {}
             for future in waiting:
                 if not future.done():
                     future.set_result(None)
@@ -202,12 +211,11 @@ class AsyncioSignal:
     async def wait(self) -> None:
         """Wait for the next fire. Cancelling: safe, nothing is lost."""
         future = self._loop.create_future()
-        self._waiting.append(future)
+        self._waiting[future] = None
         try:
             await future
         except asyncio.CancelledError:
-            if future in self._waiting:
-                self._waiting.remove(future)
+            self._waiting.pop(future, None)
             raise
 
 
@@ -223,6 +231,7 @@ class TrioTasks:
         import trio
 
         self._trio = trio
+        self._token = trio.lowlevel.current_trio_token()
         self.cancelled: type[BaseException] = trio.Cancelled
 
     def spawn(
@@ -238,6 +247,11 @@ class TrioTasks:
     def soon(self, callback: Callable[[], object]) -> None:
         """Call something now: what it spawns begins later."""
         callback()
+
+    def from_anywhere(self, callback: Callable[[], object]) -> None:
+        """Call something soon, from any thread; nothing happens once the loop is gone."""
+        with suppress(self._trio.RunFinishedError):
+            self._token.run_sync_soon(callback)
 
     def signal(self) -> TrioSignal:
         """A new signal."""
