@@ -89,7 +89,8 @@ async def test_two_worlds_do_not_see_each_other():
 async def test_a_speed_is_a_factor_of_wall_time(speed, clock, factor):
     async with open_world(speed=speed) as node:
         assert type(node.clock) is clock
-        assert node.clock.wall_seconds(1.0) == 1.0 / factor
+        assert isinstance(node.clock, ScaledClock)
+        assert node.clock.factor == factor
 
 
 async def test_the_speed_is_that_of_the_wall_unless_given():

@@ -88,10 +88,6 @@ def test_a_scaled_clock_has_a_highest_speed():
         ScaledClock(FASTEST + 0.1)
 
 
-def test_a_scaled_clock_says_how_long_its_seconds_last(wall):
-    assert ScaledClock(4).wall_seconds(2) == 0.5
-
-
 @pytest.mark.parametrize(
     ("factor", "seconds", "slept"), [(1, 2, 2), (4, 2, 0.5), (4, 0, 0), (4, -1, 0)]
 )
@@ -258,10 +254,6 @@ async def clock(anyio_backend):
 def test_virtual_time_begins_at_a_fixed_moment():
     clock = VirtualClock()
     assert (clock.time(), clock.now()) == (0.0, EPOCH)
-
-
-def test_a_virtual_second_lasts_at_most_a_second():
-    assert VirtualClock().wall_seconds(7) == 7
 
 
 async def test_virtual_time_leaps_to_the_next_deadline(clock):

@@ -227,7 +227,6 @@ async def test_a_detached_child_is_preempted_by_a_goal_that_comes_after_its_pare
     assert stage.log[-2:] == ["2 begun", "2 over"]
 
 
-@pytest.mark.xfail(reason="ActionServer._release does not ask Slot.overdue yet")
 async def test_a_detached_child_is_preempted_with_its_parent(send):
     stage = Stage()
 
@@ -719,7 +718,6 @@ def relay(numbers: list[int], callback: Callable[[object], object] | None):
         None,
         pytest.param(
             lambda message: None,
-            marks=pytest.mark.xfail(reason="a goal keeps its callback's context after its end"),
         ),
     ],
     ids=["plain", "feedback-callback"],

@@ -16,7 +16,7 @@ from turtleact.errors import InvalidOption
 from turtleact.goal import Goal
 from turtleact.slot import Admission, Rules, Slot
 
-START, WAIT, REFUSE = Admission.START, Admission.WAIT, Admission.REFUSE
+START, WAIT, REFUSE = Admission.START, Admission.WAIT, Admission.REJECT
 
 PARALLEL = Rules()
 TWO = Rules(max_active=2)

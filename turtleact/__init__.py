@@ -1,19 +1,9 @@
 """ROS 2 actions for asyncio.
 
-The layers, each built on those below it::
-
-    cli                      arguments in, exit status out
-    app, render              an embedded world; what a terminal shows
-    actions, sim.turtlesim   fibonacci, go_to, patrol; the turtles
-    node                     one participant's topics, services and actions
-    server, client           ActionServer, ActionClient and their goal handles
-    execution                how a body is run, and how it ends
-    body, topics, services   declared bodies; publishers, subscriptions; services and clients
-    transports               how messages travel
-    clock, tasks             time; tasks and wake-ups of the event loop
-    goal                     what may happen to a goal
-    interfaces               messages, services and actions as classes
-    names, geometry, errors
+Open a node with `open_node`, serve an action with `Node.serve`, send goals with a client of
+`Node.action_client`. The worlds of turtles are in `turtleact.app`, the types of fields in
+`turtleact.interfaces`, virtual time for tests in `turtleact.testing`. What is built on what stands
+in docs/architecture.md.
 
 A name is imported when it is first used, so that what needs little starts fast.
 """

@@ -10,11 +10,13 @@ from collections.abc import Callable
 from inspect import isawaitable
 from typing import TypeAlias
 
+import anyio
+
 from turtleact.errors import GoalRejected, Reject
 from turtleact.goal import CancelResponse, GoalResponse
 from turtleact.summaries import summary, text_of
 
-__all__ = ["CancelCallback", "GoalCallback", "ask_for_cancel", "ask_for_goal"]
+__all__ = ["CancelCallback", "GoalCallback", "Questions"]
 
 logger = logging.getLogger("turtleact.server")
 
@@ -22,45 +24,62 @@ GoalCallback: TypeAlias = Callable[..., object]
 CancelCallback: TypeAlias = Callable[..., object]
 
 
-async def ask_for_goal(server: str, callback: GoalCallback, request: object) -> None:
-    """Put a goal to a ``goal_callback``.
+class Questions:
+    """What a server asks its user; closing it ends the questions that are open.
 
     Args:
         server: The action's name.
-        callback: The callback.
-        request: The goal message.
-
-    Raises:
-        GoalRejected: if the goal is not taken.
     """
-    try:
-        answer = callback(request)
-        if isawaitable(answer):
-            answer = await answer
-    except Reject as verdict:
-        raise GoalRejected(text_of(verdict.reason)) from None
-    except Exception as error:
-        logger.exception("the goal_callback of %s failed; the goal is rejected", server)
-        raise GoalRejected(f"the goal_callback failed: {summary(error)}") from None
-    if answer is GoalResponse.REJECT:
-        raise GoalRejected("the goal_callback rejected it")
-    if answer is not GoalResponse.ACCEPT:
+
+    def __init__(self, server: str) -> None:
+        self._server = server
+        self._open: set[anyio.CancelScope] = set()
+
+    async def may_start(self, callback: GoalCallback, request: object) -> None:
+        """Put a goal message to a ``goal_callback``.
+
+        Raises:
+            GoalRejected: if the goal is not taken.
+        """
+        try:
+            answer = await self._answer(callback(request))
+        except Reject as verdict:
+            raise GoalRejected(text_of(verdict.reason)) from None
+        except Exception as error:
+            logger.exception("the goal_callback of %s failed; the goal is rejected", self._server)
+            raise GoalRejected(f"the goal_callback failed: {summary(error)}") from None
+        if answer is GoalResponse.ACCEPT:
+            return
+        if answer is GoalResponse.REJECT:
+            raise GoalRejected("the goal_callback rejected it")
+        if answer is _CLOSED:
+            raise GoalRejected(f"the server of '{self._server}' is shutting down")
         raise GoalRejected(f"the goal_callback answered {answer!r}, not a GoalResponse")
 
+    async def may_cancel(self, callback: CancelCallback, handle: object) -> bool:
+        """Put a goal, by its `turtleact.ServerGoalHandle`, to a ``cancel_callback``."""
+        try:
+            answer = await self._answer(callback(handle))
+        except Exception:
+            logger.exception("the cancel_callback of %s failed; the goal goes on", self._server)
+            return False
+        return answer is CancelResponse.ACCEPT
 
-async def ask_for_cancel(server: str, callback: CancelCallback, handle: object) -> bool:
-    """Put a goal that is to be canceled to a ``cancel_callback``; whether it agrees.
+    def close(self) -> None:
+        """Cancel the callbacks that have not answered yet."""
+        for scope in tuple(self._open):
+            scope.cancel()
 
-    Args:
-        server: The action's name.
-        callback: The callback.
-        handle: The goal's `turtleact.ServerGoalHandle`.
-    """
-    try:
-        answer = callback(handle)
-        if isawaitable(answer):
-            answer = await answer
-    except Exception:
-        logger.exception("the cancel_callback of %s failed; the goal goes on", server)
-        return False
-    return answer is CancelResponse.ACCEPT
+    async def _answer(self, given: object) -> object:
+        if not isawaitable(given):
+            return given
+        with anyio.CancelScope() as scope:
+            self._open.add(scope)
+            try:
+                return await given
+            finally:
+                self._open.remove(scope)
+        return _CLOSED
+
+
+_CLOSED = object()

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from turtleact.callbacks import CancelCallback, ask_for_cancel
+from turtleact.callbacks import CancelCallback, Questions
 from turtleact.execution import Execution
 from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable, cancel_code, select
 from turtleact.interfaces.standard import CancelGoal, GoalInfo
-from turtleact.tasks import Background
+from turtleact.tasks import Background, Tasks
 
 __all__ = ["Canceling"]
 
@@ -22,6 +22,8 @@ class Canceling:
     Args:
         name: The action's name.
         callback: The user's ``cancel_callback``; None agrees to every cancel.
+        questions: Puts the goals to the callback.
+        tasks: Runs what need not be waited for.
         table: The goals.
         execution: Runs them.
         make_handle: Makes what the callback is given.
@@ -33,6 +35,8 @@ class Canceling:
         name: str,
         callback: CancelCallback | None,
         *,
+        questions: Questions,
+        tasks: Tasks,
         table: GoalTable,
         execution: Execution,
         make_handle: Callable[[Goal], object],
@@ -40,6 +44,8 @@ class Canceling:
     ) -> None:
         self._name = name
         self._callback = callback
+        self._questions = questions
+        self._tasks = tasks
         self._table = table
         self._execution = execution
         self._make_handle = make_handle
@@ -52,27 +58,27 @@ class Canceling:
         named = self._table.find(wanted, now) if wanted else None
         by_id = wanted is not None and not stamp
         held = self._table.active if not by_id else [] if named is None else [named]
-        let_go: list[Goal] = []
+        canceled: list[Goal] = []
         kept: list[Goal] = []
         for goal in select(held, wanted, stamp):
-            (let_go if await self.let_go(goal) else kept).append(goal)
-        asked = len(let_go) + sum(goal.status.is_active for goal in kept)
-        code = cancel_code(named, by_id=by_id, asked=asked, let_go=len(let_go))
-        return CancelGoal.Response(int(code), [self._info(goal) for goal in let_go])
+            (canceled if await self.ask_and_cancel(goal) else kept).append(goal)
+        asked = len(canceled) + sum(goal.status.is_active for goal in kept)
+        code = cancel_code(named, by_id=by_id, asked=asked, let_go=len(canceled))
+        return CancelGoal.Response(int(code), [self._info(goal) for goal in canceled])
 
-    async def let_go(self, goal: Goal) -> bool:
-        """Ask whether a goal may be canceled, and cancel it; False if not, or if it has ended."""
+    async def ask_and_cancel(self, goal: Goal) -> bool:
+        """Cancel a goal if the user agrees; False if not, or if it has ended."""
         if self._callback is None or goal.status is GoalStatus.CANCELING:
             return self.cancel(goal)
-        agreed = await ask_for_cancel(self._name, self._callback, self._make_handle(goal))
+        agreed = await self._questions.may_cancel(self._callback, self._make_handle(goal))
         return agreed and self.cancel(goal)
 
-    def let_go_soon(self, goal: Goal) -> None:
-        """The same without waiting for the callback's answer, which is asked once at a time."""
+    def cancel_nowait(self, goal: Goal) -> None:
+        """The same without waiting for the user's answer, who is asked once at a time."""
         if self._callback is None:
             self.cancel(goal)
-        elif goal not in self._under_way:
-            asking = Background(self._ask(goal), f"a cancel of {self._name}")
+        elif goal.status.is_active and goal not in self._under_way:
+            asking = Background(self._ask(goal), f"a cancel of {self._name}", self._tasks)
             if not asking.has_ended:
                 self._under_way[goal] = asking
 
@@ -87,12 +93,12 @@ class Canceling:
         return True
 
     async def aclose(self) -> None:
-        """Wait for no answer of the callback any more."""
+        """Wait for no answer of the user any more."""
         for asking in list(self._under_way.values()):
             await asking.aclose()
 
     async def _ask(self, goal: Goal) -> None:
         try:
-            await self.let_go(goal)
+            await self.ask_and_cancel(goal)
         finally:
             self._under_way.pop(goal, None)

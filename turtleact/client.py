@@ -14,7 +14,6 @@ from inspect import iscoroutinefunction
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-import anyio
 import msgspec
 
 from turtleact.body import ActionType
@@ -25,6 +24,7 @@ from turtleact.interfaces import Message
 from turtleact.interfaces.standard import CancelGoal, Time
 from turtleact.local import LocalServer, OnFeedback
 from turtleact.names import ActionNames
+from turtleact.timeouts import check_timeout, within
 from turtleact.transports.base import Closeable, Transport
 
 __all__ = ["ActionClient", "Attach", "SendGoal"]
@@ -98,13 +98,25 @@ class ActionClient(Generic[G, R, F]):
 
         Raises:
             ServerUnavailable: (when awaited or entered) if nobody serves the action.
+            TurtleactError: likewise, if the client is closed.
             UnknownGoal: likewise, if the server does not hold the goal, or not any more.
         """
         return Attach(self, goal_id_bytes(goal_id))
 
     async def wait_for_server(self, timeout: float | None = None) -> bool:
-        """Wait until somebody serves the action; False if nobody does after ``timeout`` seconds."""
-        with anyio.move_on_after(timeout):
+        """Wait until somebody serves the action. Cancelling: safe.
+
+        Args:
+            timeout: How long to wait (s, by the clock of the graph); for ever if left out.
+
+        Returns:
+            Whether it is served.
+
+        Raises:
+            InvalidOption: if ``timeout`` is not a number.
+        """
+        check_timeout(timeout)
+        async with within(timeout, self._transport.clock):
             while self._find() is None:
                 await self._transport.wait_for_change()
         return self._find() is not None
@@ -177,7 +189,7 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
     ``await`` sends it and gives the result; canceling the waiting task cancels the goal, waits for
     its end and goes on. ``async with`` sends it and gives the handle; leaving the block with the
     goal still active cancels it and waits for its end, unless it was detached. As it is also a
-    coroutine, ``create_task`` and ``start_soon`` take it as it is.
+    coroutine, ``create_task`` takes it as it is, and ``start_soon`` takes `ActionClient.send_goal`.
     """
 
     _client: ActionClient[G, R, F]
@@ -210,10 +222,10 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
             self._calling.close()
 
     async def __aenter__(self) -> ClientGoalHandle[R, F]:
-        server = self._client.server()
-        if server.asks_first:
-            await server.ask(self._request)
-        goal = server.begin(self._request, self._goal_id, self._on_feedback, self._client)
+        server, request = self._client.server(), self._request
+        if server.waits_first():
+            request = await server.prepare(request)  # type: ignore[assignment]  # as it was
+        goal = server.begin(request, self._goal_id, self._on_feedback, self._client)
         handle: ClientGoalHandle[R, F] = ClientGoalHandle(server, goal)
         self._handle = handle
         return handle
@@ -247,7 +259,7 @@ class Attach(msgspec.Struct, Generic[R, F], eq=False):
         if goal is None:
             raise UnknownGoal(f"'{self._client.name}' holds no goal {self._goal_id.hex()}")
         goal.is_streamed = True
-        self._handle = ClientGoalHandle(server, goal, False)
+        self._handle = ClientGoalHandle(server, goal, _is_sender=False)
         return self._handle
 
     async def __aexit__(

@@ -69,9 +69,6 @@ class Clock(Protocol):
     async def sleep_until(self, deadline: float) -> None:
         """Wait until `time` has reached ``deadline``."""
 
-    def wall_seconds(self, seconds: float) -> float:
-        """How long some seconds of this clock last, at most, in wall time: for timeouts."""
-
     async def run(self) -> None:
         """Drive the clock for as long as it is needed; never returns by itself."""
 
@@ -140,10 +137,6 @@ class ScaledClock:
         """Wait until `time` has reached ``deadline``."""
         await self.sleep(deadline - self.time())
 
-    def wall_seconds(self, seconds: float) -> float:
-        """How long some seconds of this clock last in wall time, if nothing holds it up."""
-        return seconds / self.factor
-
     async def run(self) -> None:
         """Nothing drives wall time."""
         await anyio.sleep_forever()
@@ -207,10 +200,6 @@ class VirtualClock:
         except tasks.cancelled:
             _remove(self._sleepers, sleeper)
             raise
-
-    def wall_seconds(self, seconds: float) -> float:
-        """At most as long as they say: virtual time is never slower than the wall's."""
-        return seconds
 
     async def run(self) -> None:
         """Leap to the next deadline whenever every other task waits; never returns by itself."""

@@ -36,7 +36,7 @@ from turtleact.names import ActionNames
 from turtleact.server import ActionServer
 from turtleact.services import GRACE, ServiceServer
 from turtleact.tasks import Signal, Tasks
-from turtleact.transports.base import Closeable, Endpoint, EndpointKind, Publication, QoS, Transport
+from turtleact.transports.base import Endpoint, EndpointKind, Publication, QoS, Transport
 
 __all__ = ["ActionEndpoints"]
 
@@ -86,7 +86,8 @@ class ActionEndpoints:
         action = server.action_type.type_name
         if transport.local(names.send_goal, f"{action}_SendGoal") is not None:
             logger.warning("%s is served already; clients go to the first server", names.name)
-        self._opened: list[Closeable] = [
+        self._publications: list[Publication] = []
+        self._opened = [
             transport.serve(endpoint("service", at, type_name), handler)
             for at, type_name, handler in (
                 (names.send_goal, f"{action}_SendGoal", server),
@@ -100,10 +101,10 @@ class ActionEndpoints:
         ):
             publication = transport.advertise(endpoint("publisher", at, type_name, qos), source)
             source.publication = publication
-            self._opened.append(publication)
+            self._publications.append(publication)
 
     def close(self) -> None:
-        """Leave the graph; requests that are under way go on."""
+        """Serve no more; requests that are under way go on, and changes are still told."""
         for opened in self._opened:
             opened.close()
 
@@ -116,6 +117,8 @@ class ActionEndpoints:
         await self._services["GetResult"].drain()
         for service in self._services.values():
             await service.aclose()
+        for publication in self._publications:
+            publication.close()
 
     # the services
 
@@ -124,11 +127,13 @@ class ActionEndpoints:
         server, response = self._server, service_type.Response
 
         async def send_goal(request: Any) -> Message:  # noqa: ANN401  # of the action's own class
-            goal_id = request.goal_id.uuid
+            goal_id, message = request.goal_id.uuid, request.goal
+            if not any(goal_id):  # zeros name no goal: nobody could ask for it
+                return response(accepted=False)
             try:
-                if server.asks_first:
-                    await server.ask(request.goal)
-                goal = server.begin(request.goal, goal_id, None, is_streamed=False)
+                if server.waits_first():
+                    message = await server.prepare(message)
+                goal = server.begin(message, goal_id, None, is_streamed=False)
             except GoalRejected:
                 return response(accepted=False)
             return response(accepted=True, stamp=server.info(goal).stamp)

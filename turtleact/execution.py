@@ -30,7 +30,7 @@ from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable
 from turtleact.interfaces import Message, snapshotter
 from turtleact.stepping import Borrowed, Timed
 from turtleact.summaries import summary, text_of
-from turtleact.tasks import Signal, Tasks
+from turtleact.tasks import Signal, Tasks, is_cancellation
 
 __all__ = ["CURRENT_GOAL", "Execution", "Watch"]
 
@@ -181,12 +181,16 @@ class Execution:
             item = await step(None)
             while type(item) is not result_type:
                 try:
-                    message = goal.last_feedback = check(item)
+                    message = check(item)
                     log = goal.feedback
                     if goal.listener or goal.on_feedback or goal.ended or self.also_feedback:
+                        told = goal.status, goal.reason
                         self._hand_on(goal, message)
+                        if told != (goal.status, goal.reason):
+                            countdown = 1  # who was told has canceled it: see to that at once
                     elif log is not None:  # nobody is to be told: a shorter `_hand_on`
                         log.items.append(message)  # `_pause` trims it
+                        goal.last_feedback = message
                     elif goal.is_streamed:
                         self._hand_on(goal, message)
                     countdown -= 1
@@ -217,21 +221,22 @@ class Execution:
         if log.read is not None:
             log.weigh()
         if log.is_full:
-            drained = self._tasks.signal()
-            log.drained = drained
-            while log.is_full:
-                await drained.wait()
-            log.drained = None
+            drained = log.drained = self._tasks.signal()
+            try:
+                while log.is_full:
+                    await drained.wait()
+            finally:
+                log.drained = None
 
     def publish(self, goal: Goal, feedback: object) -> None:
         """Take a snapshot of feedback and hand it to all who read."""
         message = self._check_feedback(feedback)
         self._hand_on(goal, message)
-        goal.last_feedback = message
 
     def _hand_on(self, goal: Goal, message: object) -> None:
-        if goal.ended:
+        if goal.ended or goal.status is GoalStatus.ACCEPTED:
             raise InvalidTransition(goal.status, "feedback", goal.hex)
+        goal.last_feedback = message
         if goal.is_streamed:
             log = goal.feedback
             if log is None:
@@ -293,11 +298,11 @@ class Execution:
             goal.reason = reason
         if goal.body is not None:
             goal.body = None
-        if goal.parent is not None:
-            goal.parent = None  # or a chain of goals that send each other would never be forgotten
-        self._table.end(goal, self._now())
+        if goal.parent is not None or goal.on_feedback is not None:
+            goal.parent = goal.on_feedback = None  # or a chain of goals would never be forgotten
         before = goal.status
         goal.apply(event)
+        self._table.end(goal, self._now())
         start_next = None if self.release is None else self.release(goal)
         if self.watch is not None:
             self.watch(goal, before, goal.status)
@@ -321,7 +326,7 @@ class Execution:
         elif isinstance(error, Canceled) and (canceling or goal.reason):
             event = GoalEvent.CANCELED if canceling else GoalEvent.ABORT
             self._end_with(goal, event, error.result, "" if canceling else goal.reason)
-        elif self._is_cancellation(error):
+        elif is_cancellation(error, self._tasks):
             self._end_canceled(goal)
         else:
             logger.error("the body of goal %s of %s failed", goal.hex, self._name, exc_info=error)
@@ -341,11 +346,6 @@ class Execution:
             except InvalidMessage as error:
                 result, reason = None, f"{reason} (its result does not fit: {error})"
         self.end(goal, event, result, reason)
-
-    def _is_cancellation(self, error: BaseException) -> bool:
-        if isinstance(error, BaseExceptionGroup):
-            return error.split(self._tasks.cancelled)[1] is None
-        return isinstance(error, self._tasks.cancelled)
 
 
 def _is_thrown_in(error: BaseException) -> bool:

@@ -53,15 +53,18 @@ def goal_id_bytes(goal_id: bytes | str | uuid.UUID) -> bytes:
     >>> goal_id_bytes("0d4fd2a0d2b74b3f9a3f1f7c2f4f8f2e").hex()
     '0d4fd2a0d2b74b3f9a3f1f7c2f4f8f2e'
     """
-    if isinstance(goal_id, uuid.UUID):
-        return goal_id.bytes
     if isinstance(goal_id, str):
         try:
-            return uuid.UUID(goal_id).bytes
+            goal_id = uuid.UUID(goal_id).bytes
         except ValueError:
-            raise InvalidName(goal_id, "a goal id has 32 hexadecimal digits", 0) from None
+            problem = "a goal id has 32 hexadecimal digits"
+            raise InvalidName(str(goal_id), problem, 0) from None
+    if isinstance(goal_id, uuid.UUID):
+        goal_id = goal_id.bytes
     if not isinstance(goal_id, bytes):
         raise InvalidName(repr(goal_id), "a goal id has 16 bytes, or is a UUID", 0)
     if len(goal_id) != 16:
         raise InvalidName(goal_id.hex(), "a goal id has 16 bytes", 0)
+    if not any(goal_id):
+        raise InvalidName(goal_id.hex(), "zeros name no goal: a cancel of them means all goals", 0)
     return goal_id

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
-from turtleact.execution import Execution
+from turtleact.execution import CURRENT_GOAL, Execution
 from turtleact.goal import Goal, GoalStatus
 from turtleact.server_goal import ServerGoalHandle
 
@@ -60,6 +60,7 @@ class Hooks:
         self._untold.append((self._make_handle(goal), old, new))
         if len(self._untold) > 1:  # a hook has made the change, and others have yet to hear of the
             return  # one before: they are told below
+        token = CURRENT_GOAL.set(None)  # what a hook sends is no child of the goal it hears of
         while self._untold:
             for hook in tuple(self._hooks):
                 try:
@@ -67,3 +68,4 @@ class Hooks:
                 except Exception:
                     logger.exception("a hook on the transitions of %s failed", self._name)
             self._untold.popleft()
+        CURRENT_GOAL.reset(token)

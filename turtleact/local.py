@@ -19,10 +19,12 @@ class LocalServer(Protocol):
     """What a client asks of a server in its own process; see `turtleact.server.ActionServer`."""
 
     is_open: bool
-    asks_first: bool
 
-    async def ask(self, request: object) -> None:
-        """Ask the server's user whether to take a goal; only if `asks_first`."""
+    def waits_first(self) -> bool:
+        """Whether `prepare` is to be awaited before the next goal is begun."""
+
+    async def prepare(self, request: object) -> object:
+        """Let others run, and ask the server's user; answer what is to be begun."""
 
     def begin(
         self,

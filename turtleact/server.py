@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar, Unpack, cast
 import anyio
 
 from turtleact.body import ActionType, Body, ServerOptions
-from turtleact.callbacks import GoalCallback, ask_for_goal
+from turtleact.callbacks import Questions
 from turtleact.canceling import Canceling
 from turtleact.claim import Claim
 from turtleact.errors import GoalRejected, InvalidOption
@@ -62,6 +62,9 @@ _CANCELING = GoalStatus.CANCELING
 _SUCCEEDED = GoalStatus.SUCCEEDED
 _AT_ONCE = ((_EXECUTING, 0),)  # the history of a goal that did not wait to be started
 
+IN_A_ROW = 64
+"""So many goals are begun before others have their turn for sure."""
+
 GRACE = 5.0
 """How long a server that is closed waits for its bodies (s)."""
 
@@ -74,7 +77,6 @@ class ActionServer(Generic[G, R, F]):
         action_type: The action.
         node: What a body sees as ``handle.node``.
         is_open: Whether it takes goals.
-        asks_first: Whether a goal must be put to the user's ``goal_callback`` before it is begun.
         hooks: What is called at each change of a goal.
     """
 
@@ -105,9 +107,10 @@ class ActionServer(Generic[G, R, F]):
             problem = f"expected 'keep' or 'cancel', not {self._on_client_lost!r}"
             raise InvalidOption("on_client_lost", problem)
         self._slot = place
-        self.asks_first = self._goal_callback is not None
+        self._questions = Questions(name)
+        self._until_turn = IN_A_ROW
         self._can_borrow = tasks.can_borrow and cancel_callback is None
-        self._table = GoalTable(options.get("result_timeout", 10.0))
+        self._table = GoalTable(_result_timeout(options.get("result_timeout", 10.0)))
         goal_type = cast("type[Message]", action_type.Goal)
         self._check_goal = cast("Callable[[object], Message]", snapshotter(goal_type, root="goal"))
         make_handle = partial(ServerGoalHandle[G, R, F], self)
@@ -124,6 +127,8 @@ class ActionServer(Generic[G, R, F]):
         self._canceling = Canceling(
             name,
             cancel_callback,
+            questions=self._questions,
+            tasks=tasks,
             table=self._table,
             execution=self.execution,
             make_handle=make_handle,
@@ -139,15 +144,29 @@ class ActionServer(Generic[G, R, F]):
         """Answer a ``SendGoal`` request: the server stands for this service itself."""
         return await cast("Endpoints", self.endpoints).send_goal(request)
 
-    async def ask(self, request: object) -> None:
-        """Put a goal to the user's ``goal_callback``; only needed if `asks_first`.
+    def waits_first(self) -> bool:
+        """Whether `prepare` is to be awaited before the next goal is begun.
+
+        So it is if there is a ``goal_callback``; and after `IN_A_ROW` goals, as some never wait.
+        """
+        self._until_turn -= 1
+        return self._until_turn == 0 or self._goal_callback is not None
+
+    async def prepare(self, request: object) -> object:
+        """Let others run, and put a goal to the ``goal_callback``; answer what is to be begun.
 
         Raises:
             InvalidGoal: if the request does not fit the action.
             GoalRejected: if it is not taken.
         """
+        if self._until_turn <= 0:
+            self._until_turn = IN_A_ROW
+            await self._tasks.checkpoint()
+        if self._goal_callback is None:
+            return request
         message = self._check_goal(request)
-        await ask_for_goal(self.name, cast("GoalCallback", self._goal_callback), message)
+        await self._questions.may_start(self._goal_callback, message)
+        return message
 
     def begin(
         self,
@@ -191,8 +210,8 @@ class ActionServer(Generic[G, R, F]):
             GoalRejected: if it is not taken.
             GoalAborted, GoalCanceled: if it ends so.
         """
-        if self.asks_first:
-            yield from self.ask(request).__await__()
+        if self.waits_first():
+            request = yield from self.prepare(request).__await__()
         goal = self._admit(request, goal_id, on_feedback, sender)
         if self._can_borrow and goal.status is _EXECUTING:
             running, context = self.execution.run(goal), copy_context()
@@ -236,7 +255,7 @@ class ActionServer(Generic[G, R, F]):
     async def cancel_and_wait(self, goal: Goal) -> None:
         """Ask a goal to cancel and wait for its end, shielded, `GRACE` seconds at most."""
         with anyio.move_on_after(GRACE, shield=True):
-            await self._canceling.let_go(goal)
+            await self._canceling.ask_and_cancel(goal)
             await self.wait_for_end(goal)
 
     def signal(self, goal: Goal) -> Signal:
@@ -259,7 +278,7 @@ class ActionServer(Generic[G, R, F]):
 
     def cancel_nowait(self, goal: Goal) -> None:
         """Ask a goal to cancel; a ``cancel_callback`` answers in its own time."""
-        self._canceling.let_go_soon(goal)
+        self._canceling.cancel_nowait(goal)
 
     def client_lost(self, sender: object) -> None:
         """Note that a client has gone: its goals go on, unless ``on_client_lost`` is "cancel"."""
@@ -277,6 +296,7 @@ class ActionServer(Generic[G, R, F]):
         seconds is left behind, and logged. Every waiter gets its answer.
         """
         self.is_open = False
+        self._questions.close()
         if self.registration is not None:
             self.registration.close()
         ended = self.execution.ended = self.execution.ended or self._tasks.signal()
@@ -287,7 +307,10 @@ class ActionServer(Generic[G, R, F]):
                 await ended.wait()
         for goal in self._table.active:
             logger.error("goal %s of %s has not ended; it is left behind", goal.hex, self.name)
-            self.execution.end(goal, GoalEvent.ABORT, None, goal.reason)
+            if goal.body is not None:
+                goal.body.cancel()  # once more: it may have swallowed the first one
+            self.execution.end(goal, GoalEvent.ABORT, None, goal.reason or "shutdown")
+        self.execution.release = self._slot = None
         await self._canceling.aclose()
         if self.endpoints is not None:
             await self.endpoints.aclose()
@@ -330,7 +353,7 @@ class ActionServer(Generic[G, R, F]):
         """Give a goal its place, or a place to wait in."""
         claim = goal.body = Claim(self, goal)
         entry = None if self._slot is None else self._slot.enter(claim)
-        if entry is not None and entry.admission is Admission.REFUSE:
+        if entry is not None and entry.admission is Admission.REJECT:
             self._table.forget(goal)
             raise GoalRejected(entry.reason)
         if self.hooks:
@@ -341,11 +364,9 @@ class ActionServer(Generic[G, R, F]):
             goal.body = None
             self.execution.move(goal, GoalEvent.EXECUTE)
             return
-        if entry.displaced is not None or entry.evicted:
-            reason = f"preempted by {claim.label}"
-            for each in (entry.displaced, *entry.evicted):
-                if each is not None:
-                    each.evict(reason)
+        for each in (entry.displaced, *entry.evicted):
+            if each is not None:
+                each.evict(entry.reason)
 
     def drop(self, goal: Goal) -> None:
         """End a goal that waits to be started."""
@@ -360,7 +381,11 @@ class ActionServer(Generic[G, R, F]):
 
     def _release(self, goal: Goal) -> Callable[[], None] | None:
         """Give a goal's place to the next one; answer what starts that one."""
-        following = cast("Slot[Claim]", self._slot).leave(goal)
+        slot = cast("Slot[Claim]", self._slot)
+        following, overdue = slot.leave(goal), slot.overdue()
+        if overdue is not None:
+            for each in overdue.evicted:
+                each.evict(overdue.reason)
         return None if following is None else following.start
 
     # ending a goal from outside
@@ -379,3 +404,13 @@ class ActionServer(Generic[G, R, F]):
         except self._tasks.cancelled:
             await self.cancel_and_wait(goal)
             raise
+
+
+def _result_timeout(given: object) -> float | None:
+    """How long results are kept (s), if it is a time."""
+    if given is None:
+        return None
+    if isinstance(given, int | float) and not isinstance(given, bool) and 0 <= given < 1e9:
+        return given
+    problem = f"expected seconds from 0, or None for ever, not {given!r}"
+    raise InvalidOption("result_timeout", problem)

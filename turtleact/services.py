@@ -13,16 +13,13 @@ Source: rclpy ``service.py`` and ``client.py`` for names and meaning.
 from __future__ import annotations
 
 import logging
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from collections.abc import Awaitable, Callable
 from functools import partial
 from inspect import isasyncgenfunction, isawaitable, isgeneratorfunction, isroutine
-from numbers import Real
 from typing import Any, Generic, Protocol, TypeAlias, TypeVar, cast, runtime_checkable
 
 import anyio
 
-from turtleact.clock import Clock
 from turtleact.errors import (
     InvalidMessage,
     InvalidOption,
@@ -34,7 +31,8 @@ from turtleact.errors import (
 from turtleact.goal import Cancelable
 from turtleact.interfaces import Message, snapshotter
 from turtleact.summaries import summary
-from turtleact.tasks import Background, Signal, Tasks
+from turtleact.tasks import Signal, Tasks, is_cancellation
+from turtleact.timeouts import check_timeout, within
 from turtleact.transports.base import Closeable, Transport
 
 __all__ = ["ServiceClient", "ServiceServer", "ServiceType"]
@@ -177,7 +175,7 @@ class ServiceServer(Generic[Req, Res]):
 
     def _reason(self, error: BaseException) -> str:
         """What a caller that still waits is told of a handler's exception."""
-        if _is_cancellation(error, self._tasks.cancelled):
+        if is_cancellation(error, self._tasks):
             return "the handler was canceled from within"
         logger.error("the handler of service %s failed", self.name, exc_info=error)
         return f"the handler failed: {summary(error)}"
@@ -231,12 +229,12 @@ class ServiceClient(Generic[Req, Res]):
             ServiceError: if the handler failed; its traceback is in the server's log.
             ServiceTimeout: if there was no response within ``timeout``.
         """
-        _check_timeout(timeout)
+        check_timeout(timeout)
         await self._tasks.checkpoint()  # or a loop of calls that never wait would let nobody run
         server = self._server()
         if timeout is None:
             return cast("Res", await server.answer(request))
-        async with _within(timeout, self._transport.clock):
+        async with within(timeout, self._transport.clock):
             return cast("Res", await server.answer(request))
         raise ServiceTimeout(self.name, timeout)
 
@@ -252,8 +250,8 @@ class ServiceClient(Generic[Req, Res]):
         Raises:
             InvalidOption: if ``timeout`` is not a number.
         """
-        _check_timeout(timeout)
-        async with _within(timeout, self._transport.clock):
+        check_timeout(timeout)
+        async with within(timeout, self._transport.clock):
             while self._find() is None:
                 await self._transport.wait_for_change()
         return self._find() is not None
@@ -362,36 +360,5 @@ def _checked_handler(handler: object) -> Callable[[Message], object]:
     return cast("Callable[[Message], object]", handler)
 
 
-def _check_timeout(seconds: object) -> None:
-    is_number = isinstance(seconds, Real) and not isinstance(seconds, bool)
-    if seconds is not None and not (is_number and cast("float", seconds) == seconds):  # not nan
-        raise InvalidOption("timeout", f"expected a number of seconds or None, not {seconds!r}")
-
-
 def _checker(make: Callable[..., Message], root: str) -> Check:
     return cast("Check", snapshotter(cast("type[Message]", make), root=root))
-
-
-def _is_cancellation(error: BaseException, cancelled: type[BaseException]) -> bool:
-    if isinstance(error, BaseExceptionGroup):
-        return error.split(cancelled)[1] is None
-    return isinstance(error, cancelled)
-
-
-@asynccontextmanager
-async def _within(seconds: float | None, clock: Clock) -> AsyncIterator[None]:
-    """Cancel the block after some seconds of a clock and go on behind it; never, if None."""
-    if seconds is None:
-        yield
-        return
-    with anyio.CancelScope() as scope:
-        timer = Background(_cancel_after(seconds, clock, scope), "a timeout")
-        try:
-            yield
-        finally:
-            await timer.aclose()
-
-
-async def _cancel_after(seconds: float, clock: Clock, scope: anyio.CancelScope) -> None:
-    await clock.sleep(seconds)
-    scope.cancel()

@@ -3,13 +3,13 @@
 The rules, in prose:
 
 - ``parallel``: every goal starts. With ``max_active`` only so many run, the others wait in a queue.
-- ``reject``: while one runs, a new goal is refused.
+- ``reject``: while one runs, a new goal is rejected.
 - ``queue``: while one runs, new goals wait, first come first served.
 - ``preempt``: the running goal is told to give way, and the new one waits until its clean-up has
   ended. Only one waits: a still newer one takes its place.
 - A goal whose parent holds a place of the slot with another action runs in that very place, and
   the place is free again when both have ended.
-- A goal that would have to wait for its own parent is refused: a deadlock. So it is if all that
+- A goal that would have to wait for its own parent is rejected: a deadlock. So it is if all that
   run have sent one that waits here, and would wait for each other.
 
 Pure: a `Slot` says what is to be done; whoever asked does it.
@@ -100,15 +100,15 @@ class Admission(Enum):
 
     START = 1
     WAIT = 2
-    REFUSE = 3
+    REJECT = 3
 
 
 class Entry(msgspec.Struct, Generic[C], frozen=True):
     """What is to be done with a new goal.
 
     Attributes:
-        admission: Whether it starts, waits or is refused.
-        reason: Why it is refused, or why others are ended for it.
+        admission: Whether it starts, waits or is rejected.
+        reason: Why it is rejected, or why others are ended for it.
         displaced: The goal that has waited so far and is to be ended now.
         evicted: The goals that run and are to be canceled now.
     """
@@ -148,14 +148,14 @@ class Slot(Generic[C]):
             return Entry(Admission.START)
         if rival is not None and self._is_deadlock(claim):
             reason = f"a deadlock: it would wait for its own parent, {rival.label}"
-            return Entry(Admission.REFUSE, reason)
+            return Entry(Admission.REJECT, reason)
         if self.rules.policy == "preempt":
             return self._preempt(claim)
         if not self.rules.has_queue:
             holder = next(iter(next(iter(self._places.values())).values()))
-            return Entry(Admission.REFUSE, f"busy with {holder.label}")
+            return Entry(Admission.REJECT, f"busy with {holder.label}")
         if self.rules.queue_limit is not None and len(self._waiting) >= self.rules.queue_limit:
-            return Entry(Admission.REFUSE, f"the queue is full, {len(self._waiting)} wait already")
+            return Entry(Admission.REJECT, f"the queue is full, {len(self._waiting)} wait already")
         self._waiting[claim.goal] = claim
         return Entry(Admission.WAIT)
 

@@ -118,7 +118,8 @@ class Borrowed:
         self._goal = goal
         self._reporter = reporter
         self._task: asyncio.Task[object] | None = task
-        self._before = task.cancelling()
+        is_on_its_way = task._must_cancel  # type: ignore[attr-defined]
+        self._before = task.cancelling() - is_on_its_way
         self._asked = 0
         self._is_on_its_way = False
         self._thrown: asyncio.CancelledError | None = None

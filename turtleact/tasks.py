@@ -30,7 +30,7 @@ from turtleact.goal import Cancelable
 if TYPE_CHECKING:
     import trio
 
-__all__ = ["Background", "Signal", "Tasks", "current_tasks"]
+__all__ = ["Background", "Signal", "Tasks", "current_tasks", "is_cancellation"]
 
 logger = logging.getLogger("turtleact")
 
@@ -76,19 +76,29 @@ def current_tasks() -> Tasks:
     return TrioTasks()
 
 
+def is_cancellation(error: BaseException, tasks: Tasks) -> bool:
+    """Whether an exception is the event loop's cancellation, or a group of nothing else."""
+    if isinstance(error, BaseExceptionGroup):
+        return error.split(tasks.cancelled)[1] is None
+    return isinstance(error, tasks.cancelled)
+
+
 class Background:
     """A coroutine that runs beside its owner until it is closed; how it fails is logged.
 
     Args:
         running: The coroutine.
         name: What it is called in a log.
+        tasks: What runs it; the event loop that runs now if left out.
 
     Attributes:
         has_ended: Whether it is over.
     """
 
-    def __init__(self, running: Coroutine[object, object, None], name: str) -> None:
-        tasks = current_tasks()
+    def __init__(
+        self, running: Coroutine[object, object, None], name: str, tasks: Tasks | None = None
+    ) -> None:
+        tasks = current_tasks() if tasks is None else tasks
         self._name = name
         self.has_ended = False
         self._ended = tasks.signal()

@@ -77,9 +77,6 @@ class Jumping:
     async def sleep_until(self, deadline: float) -> None:
         await self._inner.sleep_until(deadline - self.ahead)
 
-    def wall_seconds(self, seconds: float) -> float:
-        return self._inner.wall_seconds(seconds)
-
     async def run(self) -> None:
         await self._inner.run()
 
