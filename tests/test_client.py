@@ -225,7 +225,7 @@ async def test_a_goal_sent_in_the_clean_up_of_a_canceled_task_runs():
 
 
 async def test_a_canceled_wait_is_bounded_where_the_server_does_not_let_the_goal_go(monkeypatch):
-    monkeypatch.setattr("turtleact.server.GRACE", 0.01)
+    monkeypatch.setattr("turtleact.server.action_server.GRACE", 0.01)
     gate = Gate()
 
     def hold(handle):

@@ -9,7 +9,7 @@ import pytest
 
 import turtleact
 from turtleact import CancelResponse, GoalStatus
-from turtleact.client_goal import FeedbackReceived, Outcome, ResultReceived, StatusChanged
+from turtleact.client.goal_handle import FeedbackReceived, Outcome, ResultReceived, StatusChanged
 from turtleact.errors import (
     Abort,
     GoalAborted,
@@ -89,7 +89,7 @@ async def told(handle):
 async def test_the_first_event_bears_the_id_and_the_stamp():
     async with lab(count) as served, served.client.send_goal(goal(), goal_id=ID) as handle:
         first = await anext(handle.events())
-        assert first == turtleact.client_goal.Accepted(ID, handle.stamp)
+        assert first == turtleact.client.goal_handle.Accepted(ID, handle.stamp)
         assert first.kind == "accepted"
 
 

@@ -20,8 +20,8 @@ from turtleact.errors import (
     InvalidMessage,
     InvalidTransition,
 )
-from turtleact.execution import BURST
 from turtleact.feedback import FeedbackLog
+from turtleact.server.execution import BURST
 
 from .lab import (
     ON_ASYNCIO,

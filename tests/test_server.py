@@ -807,7 +807,7 @@ class Stubborn:
 
 @pytest.fixture
 def short_grace(monkeypatch):
-    monkeypatch.setattr("turtleact.server.GRACE", 0.01)
+    monkeypatch.setattr("turtleact.server.action_server.GRACE", 0.01)
 
 
 @pytest.mark.usefixtures("short_grace")

@@ -16,7 +16,7 @@ import pytest
 from turtleact import GoalStatus, Outcome
 from turtleact.errors import Abort, GoalAborted, GoalCanceled
 from turtleact.goal import Goal
-from turtleact.stepping import BLOCKING, Borrowed, Timed
+from turtleact.server.stepping import BLOCKING, Borrowed, Timed
 
 from .lab import ON_ASYNCIO, feedback, goal, lab, result, running, settle, take_turns
 
@@ -40,8 +40,8 @@ class Time:
 @pytest.fixture
 def time(monkeypatch) -> Time:
     made = Time()
-    for module in ("stepping", "server"):
-        monkeypatch.setattr(f"turtleact.{module}.monotonic", made)
+    for module in ("stepping", "action_server"):
+        monkeypatch.setattr(f"turtleact.server.{module}.monotonic", made)
     return made
 
 

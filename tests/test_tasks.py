@@ -14,7 +14,7 @@ import anyio
 import pytest
 
 from turtleact.goal import Goal
-from turtleact.stepping import Borrowed
+from turtleact.server.stepping import Borrowed
 from turtleact.tasks import AsyncioTasks, Background, TrioTasks, current_tasks
 
 from .lab import ON_ASYNCIO, ON_TRIO, other_tasks, settle

@@ -1,9 +1,18 @@
 """ROS 2 actions for asyncio.
 
-Open a node with `open_node`, serve an action with `Node.serve`, send goals with a client of
-`Node.action_client`. The worlds of turtles are in `turtleact.app`, the types of fields in
-`turtleact.interfaces`, virtual time for tests in `turtleact.testing`. What is built on what stands
-in docs/architecture.md.
+The layers, each built on those below it::
+
+    cli                         arguments in, exit status out
+    app, render, testing        what is put together; what a terminal shows; virtual time
+    actions, sim                fibonacci, go_to, patrol; the turtles
+    node                        one participant's topics, services and actions
+    server, client              goals are taken, carried out, canceled; sent, read, waited for
+    body, topics, services      declared bodies; publishers, subscriptions; services
+    transports                  how messages travel
+    clock, tasks                time; tasks and wake-ups of the event loop
+    slot, goal, feedback        who may run; what may happen to a goal; what is kept of it
+    interfaces                  messages, services and actions as classes
+    names, geometry, errors
 
 A name is imported when it is first used, so that what needs little starts fast.
 """
@@ -15,8 +24,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from turtleact.body import action
-    from turtleact.client import ActionClient
-    from turtleact.client_goal import ClientGoalHandle, Outcome
+    from turtleact.client import ActionClient, ClientGoalHandle, Outcome
     from turtleact.errors import (
         Abort,
         Canceled,
@@ -39,8 +47,7 @@ if TYPE_CHECKING:
     from turtleact.goal import CancelResponse, GoalResponse, GoalStatus
     from turtleact.interfaces import Action, Message, Service, load_interface
     from turtleact.node import Node, open_node
-    from turtleact.server import ActionServer
-    from turtleact.server_goal import ServerGoalHandle
+    from turtleact.server import ActionServer, ServerGoalHandle
     from turtleact.services import ServiceClient, ServiceServer
     from turtleact.transports import QoS
 
@@ -90,13 +97,11 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "body": ("action",),
-    "client": ("ActionClient",),
-    "client_goal": ("ClientGoalHandle", "Outcome"),
+    "client": ("ActionClient", "ClientGoalHandle", "Outcome"),
     "goal": ("CancelResponse", "GoalResponse", "GoalStatus"),
     "interfaces": ("Action", "Message", "Service", "load_interface"),
     "node": ("Node", "open_node"),
-    "server": ("ActionServer",),
-    "server_goal": ("ServerGoalHandle",),
+    "server": ("ActionServer", "ServerGoalHandle"),
     "services": ("ServiceClient", "ServiceServer"),
     "transports": ("QoS",),
 }

@@ -17,7 +17,7 @@ import inspect
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
 from typing import Any, Generic, Literal, ParamSpec, Protocol, TypedDict, TypeVar, Unpack, cast
 
-from turtleact.errors import InvalidBody
+from turtleact.errors import InvalidBody, InvalidOption
 from turtleact.goal import CancelResponse, GoalResponse
 from turtleact.interfaces import Message
 from turtleact.slot import Policy
@@ -62,6 +62,25 @@ class ServerOptions(TypedDict, total=False):
     slot: str | None
     result_timeout: float | None
     on_client_lost: Literal["keep", "cancel"]
+
+
+def check_options(options: ServerOptions) -> None:
+    """Raise what a user is to be told of options that are none.
+
+    Raises:
+        InvalidOption: names the option.
+    """
+    lost, kept = options.get("on_client_lost", "keep"), options.get("result_timeout")
+    if lost not in ("keep", "cancel"):
+        raise InvalidOption("on_client_lost", f"expected 'keep' or 'cancel', not {lost!r}")
+    is_time = isinstance(kept, int | float) and not isinstance(kept, bool) and 0 <= kept < 1e9
+    if kept is not None and not is_time:
+        problem = f"expected seconds from 0, or None for ever, not {kept!r}"
+        raise InvalidOption("result_timeout", problem)
+    for name in ("goal_callback", "cancel_callback"):
+        callback = options.get(name)
+        if callback is not None and not callable(callback):
+            raise InvalidOption(name, f"expected a function, not {callback!r}")
 
 
 class ActionDeclaration(Generic[P, T]):

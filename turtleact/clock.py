@@ -21,15 +21,17 @@ import math
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Sized
+from collections.abc import AsyncIterator, Callable, Sized
+from contextlib import asynccontextmanager
 from functools import partial
+from numbers import Real
 from typing import Protocol, TypeVar, cast
 
 import anyio
 from anyio.lowlevel import RunVar
 
-from turtleact.errors import SimError
-from turtleact.tasks import Signal, Tasks, current_tasks
+from turtleact.errors import InvalidOption, SimError
+from turtleact.tasks import Background, Signal, Tasks, current_tasks
 
 __all__ = [
     "EPOCH",
@@ -38,8 +40,10 @@ __all__ = [
     "ScaledClock",
     "VirtualClock",
     "WallClock",
+    "check_timeout",
     "make_clock",
     "wait_until_idle",
+    "within",
 ]
 
 T = TypeVar("T", bound="tuple[object, ...]")
@@ -315,3 +319,36 @@ def _queue(loop: asyncio.AbstractEventLoop) -> Sized:
             raise SimError(f"virtual time does not work on the event loop {loop!r}")
         ready = held[0]
     return cast("Sized", ready)
+
+
+# timeouts
+
+
+def check_timeout(seconds: object) -> None:
+    """Raise what a user is to be told of a timeout that is none.
+
+    Raises:
+        InvalidOption: if it is neither a number nor None.
+    """
+    is_number = isinstance(seconds, Real) and not isinstance(seconds, bool)
+    if seconds is not None and not (is_number and cast("float", seconds) == seconds):  # not nan
+        raise InvalidOption("timeout", f"expected a number of seconds or None, not {seconds!r}")
+
+
+@asynccontextmanager
+async def within(seconds: float | None, clock: Clock) -> AsyncIterator[None]:
+    """Cancel the block after some seconds of a clock and go on behind it; never, if None."""
+    if seconds is None:
+        yield
+        return
+    with anyio.CancelScope() as scope:
+        timer = Background(_cancel_after(seconds, clock, scope), "a timeout")
+        try:
+            yield
+        finally:
+            await timer.aclose()
+
+
+async def _cancel_after(seconds: float, clock: Clock, scope: anyio.CancelScope) -> None:
+    await clock.sleep(seconds)
+    scope.cancel()

@@ -21,7 +21,7 @@ import heapq
 from collections.abc import Callable, Iterable, Mapping
 from enum import IntEnum
 from types import MappingProxyType
-from typing import Final, Protocol
+from typing import Final, Protocol, TypeAlias
 
 import msgspec
 
@@ -38,6 +38,7 @@ __all__ = [
     "GoalResponse",
     "GoalStatus",
     "GoalTable",
+    "OnFeedback",
     "cancel_code",
     "failure",
     "select",
@@ -142,6 +143,9 @@ class Cancelable(Protocol):
         """Ask it; it may still take its time."""
 
 
+OnFeedback: TypeAlias = Callable[[object], object]
+
+
 class Goal(msgspec.Struct, eq=False):
     """One goal, as the server holds it; a client in the same process reads the same object.
 
@@ -171,7 +175,7 @@ class Goal(msgspec.Struct, eq=False):
     status: GoalStatus = GoalStatus.ACCEPTED
     history: tuple[tuple[GoalStatus, int], ...] = ()
     id: bytes | None = None
-    on_feedback: Callable[[object], object] | None = None
+    on_feedback: OnFeedback | None = None
     is_streamed: bool = False
     feedback: FeedbackLog | None = None
     last_feedback: object = None

@@ -17,15 +17,15 @@ import anyio
 import msgspec
 
 from turtleact.body import ActionDeclaration, ActionType, ServerOptions
-from turtleact.claim import Claim
 from turtleact.client import ActionClient
 from turtleact.clock import Clock
-from turtleact.endpoints import ActionEndpoints
 from turtleact.errors import InvalidOption, TurtleactError
-from turtleact.hooks import Transition
 from turtleact.interfaces import Message
 from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
 from turtleact.server import ActionServer
+from turtleact.server.claim import Claim
+from turtleact.server.endpoints import ActionEndpoints
+from turtleact.server.hooks import Transition
 from turtleact.services import ServiceClient, ServiceServer, ServiceType
 from turtleact.slot import Rules, Slot
 from turtleact.tasks import current_tasks

@@ -20,6 +20,7 @@ from typing import Any, Generic, Protocol, TypeAlias, TypeVar, cast, runtime_che
 
 import anyio
 
+from turtleact.clock import check_timeout, within
 from turtleact.errors import (
     InvalidMessage,
     InvalidOption,
@@ -32,7 +33,6 @@ from turtleact.goal import Cancelable
 from turtleact.interfaces import Message, snapshotter
 from turtleact.summaries import summary
 from turtleact.tasks import Signal, Tasks, is_cancellation
-from turtleact.timeouts import check_timeout, within
 from turtleact.transports.base import Closeable, Transport
 
 __all__ = ["ServiceClient", "ServiceServer", "ServiceType"]

@@ -16,7 +16,7 @@ import anyio
 import pytest
 
 from turtleact import render
-from turtleact.client_goal import Outcome
+from turtleact.client.goal_handle import Outcome
 from turtleact.commands import live
 from turtleact.commands.live import LiveTranscript
 from turtleact.commands.terminal import GIVE_BACK

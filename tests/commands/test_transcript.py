@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from turtleact.client_goal import Outcome
+from turtleact.client.goal_handle import Outcome
 from turtleact.commands.transcript import JsonTranscript, PlainTranscript, Sent
 from turtleact.goal import GoalStatus
 from turtleact.interfaces.standard import Fibonacci, PatrolCommandInterface, Point, Time

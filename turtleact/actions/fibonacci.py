@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
     from turtleact.node import Node
-    from turtleact.server_goal import ServerGoalHandle
+    from turtleact.server import ServerGoalHandle
 
 __all__ = ["PACE", "fibonacci", "serve"]
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from turtleact.actions.driving import Turtles
     from turtleact.actions.steering import Steering
     from turtleact.node import Node
-    from turtleact.server_goal import ServerGoalHandle
+    from turtleact.server import ServerGoalHandle
 
 __all__ = ["GoTo", "serve"]
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from turtleact.actions.steering import Steering
     from turtleact.clock import Clock
     from turtleact.node import Node
-    from turtleact.server_goal import ServerGoalHandle
+    from turtleact.server import ServerGoalHandle
 
 __all__ = ["Patrol", "serve"]
 

@@ -25,7 +25,7 @@ from turtleact.transports import QoS
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from turtleact.client_goal import Outcome
+    from turtleact.client import Outcome
     from turtleact.commands.transcript import Sent
     from turtleact.goal import GoalStatus
     from turtleact.interfaces import Message

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from anyio.abc import TaskGroup
 
     from turtleact.body import ActionType
-    from turtleact.client_goal import Outcome
+    from turtleact.client import Outcome
     from turtleact.commands.goal_text import GoalText
     from turtleact.commands.interrupts import Interrupts
     from turtleact.interfaces import Message

@@ -14,7 +14,7 @@ from turtleact.commands.stderr import note
 from turtleact.interfaces import to_json, to_yaml
 
 if TYPE_CHECKING:
-    from turtleact.client_goal import ClientGoalHandle, Outcome
+    from turtleact.client import ClientGoalHandle, Outcome
     from turtleact.goal import GoalStatus
     from turtleact.interfaces import Message
     from turtleact.node import Node

@@ -7,8 +7,7 @@ from contextlib import asynccontextmanager
 from typing import Any, Generic, NamedTuple, TypeVar, overload
 
 from turtleact.body import ActionDeclaration
-from turtleact.client import ActionClient
-from turtleact.client_goal import Outcome
+from turtleact.client import ActionClient, Outcome
 from turtleact.interfaces import Message
 from turtleact.node import open_node
 from turtleact.server import ActionServer

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from typing import Protocol, TypeAlias, runtime_checkable
+from typing import Protocol, runtime_checkable
 
-from turtleact.goal import Goal
+from turtleact.goal import Goal, OnFeedback
 from turtleact.interfaces.standard import CancelGoal
 from turtleact.tasks import Signal
 
-__all__ = ["Endpoints", "LocalServer", "OnFeedback"]
-
-OnFeedback: TypeAlias = Callable[[object], object]
+__all__ = ["LocalServer"]
 
 
 @runtime_checkable
@@ -70,13 +68,3 @@ class LocalServer(Protocol):
 
     def signal(self, goal: Goal) -> Signal:
         """The signal that fires at each change of a goal."""
-
-
-class Endpoints(Protocol):
-    """What answers requests for an action; see `turtleact.endpoints`."""
-
-    async def send_goal(self, request: object) -> object:
-        """Answer a ``SendGoal`` request."""
-
-    async def aclose(self) -> None:
-        """Answer all who wait."""

@@ -1,9 +1,9 @@
 """An action's server: takes goals, runs their bodies in tasks of its own, and outlives them.
 
 It decides which goals are taken and which are let go; what may happen to a goal stands in
-`turtleact.goal`, who may run in `turtleact.slot`, how a body is run in `turtleact.execution`, how
-messages travel in `turtleact.transports`. It holds every body that runs, cancels it, and waits for
-its end when it is closed.
+`turtleact.goal`, who may run in `turtleact.slot`, how a body is run in `execution`, how messages
+travel in `turtleact.transports`. It holds every body that runs, cancels it, and waits for its end
+when it is closed.
 
 A client in the same process is handed this very object, and the `Goal` that it made.
 
@@ -21,32 +21,26 @@ from typing import TYPE_CHECKING, Generic, TypeVar, Unpack, cast
 
 import anyio
 
-from turtleact.body import ActionType, Body, ServerOptions
-from turtleact.callbacks import Questions
-from turtleact.canceling import Canceling
-from turtleact.claim import Claim
-from turtleact.errors import GoalRejected, InvalidOption
-from turtleact.execution import CURRENT_GOAL, Execution
-from turtleact.goal import (
-    Goal,
-    GoalEvent,
-    GoalStatus,
-    GoalTable,
-    failure,
-)
+from turtleact.body import ActionType, Body, ServerOptions, check_options
+from turtleact.errors import GoalRejected
+from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable, OnFeedback, failure
 from turtleact.goal_id import new_goal_id
-from turtleact.hooks import Hooks
 from turtleact.interfaces import Message, snapshotter
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo, Time
-from turtleact.local import Endpoints, OnFeedback
-from turtleact.server_goal import ServerGoalHandle
+from turtleact.server.callbacks import Questions
+from turtleact.server.canceling import Canceling
+from turtleact.server.claim import Claim
+from turtleact.server.execution import CURRENT_GOAL, Execution
+from turtleact.server.goal_handle import ServerGoalHandle
+from turtleact.server.hooks import Hooks
+from turtleact.server.stepping import BLOCKING
 from turtleact.slot import Admission, Slot
-from turtleact.stepping import BLOCKING
 from turtleact.tasks import Signal, Tasks
 from turtleact.transports.base import Closeable
 
 if TYPE_CHECKING:
     from turtleact.node import Node
+    from turtleact.server.endpoints import ActionEndpoints
 
 __all__ = ["ActionServer"]
 
@@ -91,26 +85,24 @@ class ActionServer(Generic[G, R, F]):
         place: Slot[Claim] | None = None,
         **options: Unpack[ServerOptions],
     ) -> None:
+        check_options(options)
         self.node = node
         self.name = name
         self.action_type = action_type
         self.is_open = True
         self.registration: Closeable | None = None
-        self.endpoints: Endpoints | None = None
+        self.endpoints: ActionEndpoints | None = None
         self._now = node.clock.now
         self._tasks = tasks
         self.from_anywhere = tasks.from_anywhere
         self._goal_callback = options.get("goal_callback")
         cancel_callback = options.get("cancel_callback")
         self._on_client_lost = options.get("on_client_lost", "keep")
-        if self._on_client_lost not in ("keep", "cancel"):
-            problem = f"expected 'keep' or 'cancel', not {self._on_client_lost!r}"
-            raise InvalidOption("on_client_lost", problem)
         self._slot = place
         self._questions = Questions(name)
         self._until_turn = IN_A_ROW
         self._can_borrow = tasks.can_borrow and cancel_callback is None
-        self._table = GoalTable(_result_timeout(options.get("result_timeout", 10.0)))
+        self._table = GoalTable(options.get("result_timeout", 10.0))
         goal_type = cast("type[Message]", action_type.Goal)
         self._check_goal = cast("Callable[[object], Message]", snapshotter(goal_type, root="goal"))
         make_handle = partial(ServerGoalHandle[G, R, F], self)
@@ -142,7 +134,7 @@ class ActionServer(Generic[G, R, F]):
 
     async def answer(self, request: object) -> object:
         """Answer a ``SendGoal`` request: the server stands for this service itself."""
-        return await cast("Endpoints", self.endpoints).send_goal(request)
+        return await cast("ActionEndpoints", self.endpoints).send_goal(request)
 
     def waits_first(self) -> bool:
         """Whether `prepare` is to be awaited before the next goal is begun.
@@ -368,10 +360,6 @@ class ActionServer(Generic[G, R, F]):
             if each is not None:
                 each.evict(entry.reason)
 
-    def drop(self, goal: Goal) -> None:
-        """End a goal that waits to be started."""
-        self.execution.drop(goal)
-
     def start_waiting(self, goal: Goal, claim: Claim) -> None:
         """Start a goal whose turn has come, unless it has ended meanwhile."""
         if goal.body is claim:
@@ -404,13 +392,3 @@ class ActionServer(Generic[G, R, F]):
         except self._tasks.cancelled:
             await self.cancel_and_wait(goal)
             raise
-
-
-def _result_timeout(given: object) -> float | None:
-    """How long results are kept (s), if it is a time."""
-    if given is None:
-        return None
-    if isinstance(given, int | float) and not isinstance(given, bool) and 0 <= given < 1e9:
-        return given
-    problem = f"expected seconds from 0, or None for ever, not {given!r}"
-    raise InvalidOption("result_timeout", problem)

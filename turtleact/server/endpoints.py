@@ -33,7 +33,7 @@ from turtleact.interfaces.standard import (
     GoalStatusMessage,
 )
 from turtleact.names import ActionNames
-from turtleact.server import ActionServer
+from turtleact.server.action_server import ActionServer
 from turtleact.services import GRACE, ServiceServer
 from turtleact.tasks import Signal, Tasks
 from turtleact.transports.base import Endpoint, EndpointKind, Publication, QoS, Transport

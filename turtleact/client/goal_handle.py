@@ -23,11 +23,11 @@ from typing import (
 
 import msgspec
 
+from turtleact.client.local_server import LocalServer
 from turtleact.feedback import FeedbackLog
 from turtleact.goal import Goal, GoalStatus, failure
 from turtleact.interfaces import Message
 from turtleact.interfaces.standard import CancelGoal, Time
-from turtleact.local import LocalServer
 
 __all__ = [
     "Accepted",

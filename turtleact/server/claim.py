@@ -9,6 +9,7 @@ from contextvars import copy_context
 from typing import Protocol
 
 from turtleact.goal import Goal
+from turtleact.server.execution import Execution
 
 __all__ = ["Claim", "Claimant"]
 
@@ -17,15 +18,13 @@ class Claimant(Protocol):
     """What a claim asks of the server that made it; see `turtleact.server.ActionServer`."""
 
     name: str
+    execution: Execution
 
     def name_goal(self, goal: Goal) -> bytes:
         """The id of a goal; it gets one if it has none."""
 
     def start_waiting(self, goal: Goal, claim: Claim) -> None:
         """Start a goal whose turn has come, unless it has ended."""
-
-    def drop(self, goal: Goal) -> None:
-        """End a goal that waits to be started."""
 
     def evict(self, goal: Goal, reason: str) -> None:
         """Cancel a goal by the server's own decision."""
@@ -59,7 +58,7 @@ class Claim:
 
     def cancel(self) -> None:
         """End the goal while it waits."""
-        self._server.drop(self.goal)
+        self._server.execution.drop(self.goal)
 
     def evict(self, reason: str) -> None:
         """End the goal, or have its body canceled, by the server's own decision."""

@@ -7,9 +7,9 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
-from turtleact.execution import CURRENT_GOAL, Execution
 from turtleact.goal import Goal, GoalStatus
-from turtleact.server_goal import ServerGoalHandle
+from turtleact.server.execution import CURRENT_GOAL, Execution
+from turtleact.server.goal_handle import ServerGoalHandle
 
 __all__ = ["Hooks", "Transition"]
 

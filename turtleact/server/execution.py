@@ -28,7 +28,7 @@ from turtleact.errors import (
 from turtleact.feedback import FeedbackLog
 from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable
 from turtleact.interfaces import Message, snapshotter
-from turtleact.stepping import Borrowed, Timed
+from turtleact.server.stepping import Borrowed, Timed
 from turtleact.summaries import summary, text_of
 from turtleact.tasks import Signal, Tasks, is_cancellation
 

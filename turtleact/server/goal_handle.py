@@ -12,7 +12,7 @@ from turtleact.interfaces import Message
 from turtleact.interfaces.standard import Time
 
 if TYPE_CHECKING:
-    from turtleact.server import ActionServer
+    from turtleact.server.action_server import ActionServer
 
 __all__ = ["ServerGoalHandle"]
 

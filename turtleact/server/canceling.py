@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from turtleact.callbacks import CancelCallback, Questions
-from turtleact.execution import Execution
 from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable, cancel_code, select
 from turtleact.interfaces.standard import CancelGoal, GoalInfo
+from turtleact.server.callbacks import CancelCallback, Questions
+from turtleact.server.execution import Execution
 from turtleact.tasks import Background, Tasks
 
 __all__ = ["Canceling"]

@@ -1,7 +1,7 @@
 """An action's client: sends goals, takes hold of those of others, cancels them.
 
 It knows what a caller may ask of an action; what it holds of a goal stands in
-`turtleact.client_goal`. A server in the same process is used directly (`LocalServer`).
+`turtleact.client.goal_handle`. A server in the same process is used directly (`LocalServer`).
 
 Source: rclpy ``action/client.py`` for names and meaning.
 """
@@ -17,14 +17,15 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import msgspec
 
 from turtleact.body import ActionType
-from turtleact.client_goal import ClientGoalHandle
+from turtleact.client.goal_handle import ClientGoalHandle
+from turtleact.client.local_server import LocalServer
+from turtleact.clock import check_timeout, within
 from turtleact.errors import InvalidOption, ServerUnavailable, TurtleactError, UnknownGoal
+from turtleact.goal import OnFeedback
 from turtleact.goal_id import goal_id_bytes
 from turtleact.interfaces import Message
 from turtleact.interfaces.standard import CancelGoal, Time
-from turtleact.local import LocalServer, OnFeedback
 from turtleact.names import ActionNames
-from turtleact.timeouts import check_timeout, within
 from turtleact.transports.base import Closeable, Transport
 
 __all__ = ["ActionClient", "Attach", "SendGoal"]
