@@ -7,6 +7,7 @@ import gc
 import logging
 import sys
 from collections.abc import Callable, Coroutine
+from contextlib import nullcontext
 from contextvars import ContextVar, copy_context
 from typing import Any
 
@@ -1001,7 +1002,8 @@ async def test_closing_the_caller_of_a_canceled_coroutine_takes_the_cancel_back(
     call.send(None)
     loan.borrowed.cancel()
     call.close()
-    with pytest.raises(asyncio.CancelledError):  # it is on its way already
+    on_its_way = sys.version_info < (3, 13)  # from then on `Task.uncancel` stops it
+    with pytest.raises(asyncio.CancelledError) if on_its_way else nullcontext():
         await asyncio.sleep(0)
     assert me().cancelling() == 0
 
