@@ -11,3 +11,4 @@ from turtleact.interfaces.registry import REGISTRY
 def own_registry(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(REGISTRY, "_known", dict(REGISTRY._known))
     monkeypatch.setattr(REGISTRY, "files", dict(REGISTRY.files))
+    monkeypatch.setattr(REGISTRY, "prefixes", ())

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import builtins
+import keyword
 import os
 from pathlib import Path
 from typing import Any
@@ -9,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from turtleact.errors import InvalidInterface, UnknownInterface
+from turtleact.interfaces import from_dict, from_text, snapshot, to_dict, to_yaml
 from turtleact.interfaces.classes import (
     class_of,
     get_interface,
@@ -17,6 +20,7 @@ from turtleact.interfaces.classes import (
     known_interfaces,
     load_interface,
     load_interfaces,
+    load_workspace,
 )
 from turtleact.interfaces.definition import (
     PRIMITIVES,
@@ -248,6 +252,97 @@ def test_a_file_with_a_name_of_no_interface_is_told(tmp_path):
     write(tmp_path, "example_msgs/msg/order", "int32 x")
     with pytest.raises(InvalidInterface, match=r"order.msg: say its full name"):
         load_interfaces(tmp_path)
+
+
+@pytest.mark.parametrize("prefix", ["share", "install/example_msgs/share"])
+def test_a_folder_may_be_where_ros_packages_are_installed(tmp_path, prefix):
+    write(tmp_path / prefix, "example_msgs/msg/Inner", "int32 x")
+    write(tmp_path / prefix, "example_msgs/srv/Outer", "Inner inner\n---")
+    names = load_interfaces(tmp_path / prefix.split("/")[0].replace("share", ""))
+    assert names == ("example_msgs/msg/Inner", "example_msgs/srv/Outer")
+    outer: Any = get_interface("example_msgs/srv/Outer")
+    assert outer.Request().inner.x == 0
+
+
+def test_an_interface_of_an_installed_package_is_found(tmp_path):
+    write(tmp_path / "share", "example_msgs/msg/Inner", "geometry_msgs/Point at")
+    write(tmp_path / "share", "example_msgs/action/Outer", "Inner inner\n---\n---")
+    load_workspace(tmp_path)
+    assert {"example_msgs/msg/Inner", "example_msgs/action/Outer"} <= set(known_interfaces())
+    outer: Any = get_interface("example_msgs/Outer")
+    assert outer.Goal().inner.at == Point()
+    with pytest.raises(UnknownInterface, match="did you mean 'example_msgs/action/Outer'"):
+        get_interface("example_msgs/action/Outre")
+
+
+def test_an_installed_package_comes_after_what_ships_and_what_was_loaded(tmp_path):
+    write(tmp_path / "own", "example_msgs/msg/Order", "int32 own")
+    write(tmp_path / "share", "example_msgs/msg/Order", "int32 installed")
+    write(tmp_path / "share", "std_msgs/msg/Header", "int32 installed")
+    load_workspace(tmp_path)
+    load_interfaces(tmp_path / "own")
+    assert [field.name for field in fields(get_message("example_msgs/Order"))] == ["own"]
+    assert len(fields(get_message("std_msgs/msg/Header"))) == 2
+
+
+def test_the_first_prefix_that_has_an_interface_gives_it(tmp_path):
+    for prefix, field in (("overlay", "over"), ("underlay", "under")):
+        write(tmp_path / prefix / "share", "example_msgs/msg/Order", f"int32 {field}")
+    write(tmp_path / "underlay" / "share", "example_msgs/msg/Base", "int32 x")
+    load_workspace(tmp_path / "overlay")
+    load_workspace(os.fspath(tmp_path / "underlay"))
+    assert [field.name for field in fields(get_message("example_msgs/Order"))] == ["over"]
+    assert get_interface("example_msgs/Base").type_name == "example_msgs/msg/Base"
+
+
+def test_what_is_no_prefix_is_passed_over(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "share", "stray_msgs/msg/Order", "int32 x")
+    write(tmp_path / "prefix" / "share", "stray_msgs/msg/order", "int32 x")
+    load_workspace("", tmp_path / "nowhere", tmp_path / "prefix")
+    known = known_interfaces()
+    assert "std_msgs/msg/Header" in known
+    assert not [name for name in known if "stray_msgs" in name or not name]
+    with pytest.raises(UnknownInterface):
+        get_interface("stray_msgs/msg/Order")
+
+
+def test_a_mistake_in_an_installed_file_names_it(tmp_path):
+    write(tmp_path / "share", "example_msgs/msg/Order", "float46 x")
+    load_workspace(tmp_path)
+    with pytest.raises(InvalidInterface, match=r"Order.msg:1:1: unknown type 'float46'"):
+        get_interface("example_msgs/msg/Order")
+
+
+def test_a_header_is_the_packages_own(tmp_path):
+    write(tmp_path, "example_msgs/msg/Header", "int32 own")
+    write(tmp_path, "example_msgs/msg/Order", "Header header")
+    write(tmp_path, "other_msgs/msg/Order", "Header header")
+    load_interfaces(tmp_path)
+    order: Any = get_interface("example_msgs/msg/Order")
+    assert order().header.own == 0
+    with pytest.raises(InvalidInterface, match="did you mean 'example_msgs/msg/Header'"):
+        get_interface("other_msgs/msg/Order")
+
+
+def odd_names() -> list[str]:
+    words = [*keyword.kwlist, *keyword.softkwlist, *dir(builtins), *dir(Message), *dir(type)]
+    own = ["self", "cls", "type_name", "copy", "cls", "m", "v0", "fields", "int32", "classvar"]
+    return sorted({w.lower() for w in [*words, *own] if w.isalnum() and not w[0].isdigit()})
+
+
+def test_a_field_may_have_any_name_that_ros_takes():
+    names = odd_names()
+    text = "\n".join(f"int32 {name} {value}" for value, name in enumerate(names, 1))
+    cls: Any = load_interface(text, type_name="example_msgs/msg/Odd")
+    message = cls()
+    attributes = [f"{name}_" if keyword.iskeyword(name) else name for name in names]
+    assert [getattr(message, name) for name in attributes] == list(range(1, len(names) + 1))
+    assert list(to_dict(message)) == names
+    assert snapshot(message) == message == from_dict(cls, to_dict(message))
+    assert from_text(cls, to_yaml(message)) == message
+    assert interface_text(cls) == text
+    assert cls.type_name == "example_msgs/msg/Odd"
 
 
 def test_a_message_that_contains_itself_is_refused(tmp_path):

@@ -26,8 +26,16 @@ from turtleact.interfaces import (
     to_dict,
 )
 from turtleact.interfaces.definition import ArrayForm
+from turtleact.interfaces.implying import event_message
 from turtleact.interfaces.registry import REGISTRY
-from turtleact.interfaces.standard import UUID, CancelGoal, Fibonacci, Point, Time
+from turtleact.interfaces.standard import (
+    UUID,
+    CancelGoal,
+    Fibonacci,
+    Point,
+    ServiceEventInfo,
+    Time,
+)
 from turtleact.interfaces.types import fields, nested_classes
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -338,6 +346,34 @@ def test_a_name_gives_the_part_of_a_service(part):
     assert get_interface(f"{CancelGoal.type_name}_{part}") is getattr(CancelGoal, part)
 
 
+def test_a_name_gives_the_event_of_a_service():
+    event = get_message(f"{CancelGoal.type_name}_Event")
+    assert event.__name__ == "CancelGoal_Event"
+    assert nested_classes(event) == (ServiceEventInfo, CancelGoal.Request, CancelGoal.Response)
+    assert [str(field.type) for field in fields(event)[1:]] == [
+        "action_msgs/srv/CancelGoal_Request[<=1]",
+        "action_msgs/srv/CancelGoal_Response[<=1]",
+    ]
+
+
+def test_an_event_is_the_same_every_time():
+    name = f"{Fibonacci.type_name}_SendGoal_Event"
+    assert get_interface(name) is get_interface(name)
+    assert nested_classes(get_message(name))[1] is implied(Fibonacci).send_goal.Request
+
+
+def test_an_event_holds_at_most_one_request():
+    event: Any = get_message(f"{CancelGoal.type_name}_Event")
+    assert event() == event(info=ServiceEventInfo(), request=[], response=[])
+    with pytest.raises(InvalidMessage, match=r"^message\.request: at most 1 elements, got 2"):
+        snapshot(event(request=[CancelGoal.Request(), CancelGoal.Request()]))
+
+
+def test_the_base_of_all_services_implies_nothing():
+    with pytest.raises(InvalidInterface, match="'' is no full interface name"):
+        event_message(Service)
+
+
 def test_nothing_is_made_before_it_is_asked_for():
     action = load_action("int32 x\n---\n---", "example_msgs/action/Late")
     get_interface("example_msgs/action/Late_Goal")
@@ -397,6 +433,9 @@ def test_a_name_gives_the_types_of_the_latest_action():
         "action_msgs/srv/CancelGoal_SendGoal",
         "action_msgs/srv/CancelGoal_Goal",
         "geometry_msgs/msg/Point_Goal",
+        "geometry_msgs/msg/Point_Event",
+        "example_interfaces/action/Fibonacci_Event",
+        "action_msgs/srv/CancelGoal_Request_Event",
     ],
 )
 def test_what_nothing_implies_is_unknown(name):

@@ -13,10 +13,12 @@ from turtleact.interfaces.classes import (
     known_interfaces,
     load_interface,
     load_interfaces,
+    load_workspace,
 )
 from turtleact.interfaces.copying import snapshot, snapshotter
 from turtleact.interfaces.implying import Implied, implied
 from turtleact.interfaces.mapping import from_dict, to_dict
+from turtleact.interfaces.type_hash import type_hash
 from turtleact.interfaces.types import (
     Action,
     Message,
@@ -42,6 +44,7 @@ from turtleact.interfaces.types import (
 )
 
 if TYPE_CHECKING:
+    from turtleact.interfaces.cdr import decode, encode
     from turtleact.interfaces.text import from_text, to_json, to_yaml
 
 __all__ = [
@@ -54,6 +57,8 @@ __all__ = [
     "bounded",
     "byte",
     "char",
+    "decode",
+    "encode",
     "fields",
     "float32",
     "float64",
@@ -69,12 +74,14 @@ __all__ = [
     "known_interfaces",
     "load_interface",
     "load_interfaces",
+    "load_workspace",
     "snapshot",
     "snapshotter",
     "string",
     "to_dict",
     "to_json",
     "to_yaml",
+    "type_hash",
     "uint8",
     "uint16",
     "uint32",
@@ -84,9 +91,13 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    """Imports ``text``, and PyYAML with it, when one of its functions is first asked for."""
-    if name not in ("from_text", "to_json", "to_yaml"):
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from turtleact.interfaces import text
+    """Imports ``cdr``, or ``text`` and PyYAML, when one of its functions is first asked for."""
+    if name in ("decode", "encode"):
+        from turtleact.interfaces import cdr
 
-    return getattr(text, name)
+        return getattr(cdr, name)
+    if name in ("from_text", "to_json", "to_yaml"):
+        from turtleact.interfaces import text
+
+        return getattr(text, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,8 +1,9 @@
 """Definitions and classes, both ways; and finding an interface by its name.
 
 An interface that no Python class declares is made from its text when it is first asked for: from
-the folders given to ``load_interfaces``, then from the files that ship in ``standard``. The one
-module of its row that opens files.
+the folders given to ``load_interfaces``, then from the files that ship in ``standard``, then from
+the ROS packages installed where ``load_workspace`` was told. The one module of its row that opens
+files.
 """
 
 from __future__ import annotations
@@ -39,9 +40,13 @@ __all__ = [
     "known_interfaces",
     "load_interface",
     "load_interfaces",
+    "load_workspace",
 ]
 
 KINDS = ("msg", "srv", "action")
+
+#: Where packages lie in a folder: side by side, in a ROS prefix, or in one of several prefixes.
+LAYOUTS = ("*", "share/*", "*/share/*")
 
 #: The former name of ``implied``.
 implied_types = implied
@@ -90,10 +95,12 @@ def load_interface(source: str | Path, *, type_name: str = "") -> Interface:
 
 
 def load_interfaces(folder: str | Path) -> tuple[str, ...]:
-    """Makes every ``PACKAGE/KIND/NAME.EXT`` under a folder known, and gives their names.
+    """Makes every ``PACKAGE/KIND/NAME.EXT`` in a folder known, and gives their names.
 
-    A file is read when its interface is first asked for; it goes before one that ships. A class
-    already known under a name stays, if the file says the same.
+    The folder holds packages, as ``src`` of a workspace may, or is where ROS packages were
+    installed: a prefix such as ``/opt/ros/jazzy``, with the packages in ``share``, or a folder of
+    prefixes, as colcon's ``install``. A file is read when its interface is first asked for; it
+    goes before one that ships. A class already known under a name stays, if the file says the same.
 
     Raises:
         InvalidInterface: if there is no such folder, or a file's name is no interface's name.
@@ -101,10 +108,7 @@ def load_interfaces(folder: str | Path) -> tuple[str, ...]:
     root = Path(folder)
     if not root.is_dir():
         raise InvalidInterface("no such folder", source=str(folder))
-    found: dict[str, Path] = {}
-    for kind in KINDS:
-        for path in sorted(root.glob(f"*/{kind}/*.{kind}")):
-            found[named(name_of(path), str(path))] = path
+    found = {named(name_of(path), str(path)): path for path in files_in(root, *LAYOUTS)}
     REGISTRY.files.update(found)
     for name, path in found.items():
         held = REGISTRY.get(name)
@@ -113,9 +117,23 @@ def load_interfaces(folder: str | Path) -> tuple[str, ...]:
     return tuple(sorted(found))
 
 
+def load_workspace(*prefixes: str | Path) -> None:
+    """Makes the interfaces of installed ROS packages known, after those that ship.
+
+    Looks for ``share/PACKAGE/KIND/NAME.EXT`` when an interface is first asked for, not before.
+    A prefix that does not exist is passed over, as ROS does.
+
+    Args:
+        prefixes: What ``AMENT_PREFIX_PATH`` lists; of two with the same interface, the first gives
+            it. An empty text is none.
+    """
+    added = [Path(prefix) for prefix in prefixes if prefix]
+    REGISTRY.prefixes = tuple(dict.fromkeys((*REGISTRY.prefixes, *added)))
+
+
 def known_interfaces() -> tuple[str, ...]:
     """The names of all interfaces that can be had, without the types that others imply."""
-    names = {*REGISTRY.names(), *REGISTRY.files, *shipped_names()}
+    names = {*REGISTRY.names(), *REGISTRY.files, *shipped_names(), *installed_names()}
     return tuple(sorted(name for name in names if owner_and_part(name)[0] not in names))
 
 
@@ -173,7 +191,7 @@ def look_up(type_name: str, making: tuple[str, ...]) -> Interface | None:
     found = found or REGISTRY.get(type_name)
     if found is not None:
         return found
-    file = REGISTRY.files.get(type_name) or shipped(type_name)
+    file = REGISTRY.files.get(type_name) or shipped(type_name) or installed(type_name)
     return None if file is None else build(parse(read(file), type_name, source=str(file)), making)
 
 
@@ -204,6 +222,12 @@ def as_path(source: str | Path) -> Path | None:
         return source
     is_path = "\n" not in source and source.endswith(tuple(f".{kind}" for kind in KINDS))
     return Path(source) if is_path else None
+
+
+def files_in(root: Path, *layouts: str) -> list[Path]:
+    """The interface files under a folder, where packages lie as these patterns say."""
+    patterns = [f"{packages}/{kind}/*.{kind}" for packages in layouts for kind in KINDS]
+    return [path for pattern in patterns for path in sorted(root.glob(pattern))]
 
 
 def name_of(path: Path) -> str:
@@ -261,3 +285,17 @@ def shipped_names() -> set[str]:
         for package, kind in kinds
         for file in kind.iterdir()
     }
+
+
+def installed(type_name: str) -> Traversable | None:
+    """The file of an interface in an installed ROS package, or None."""
+    package, kind, name = type_name.split("/")
+    places = [prefix / "share" / package / kind for prefix in REGISTRY.prefixes]
+    files = (place / f"{name}.{kind}" for place in places)
+    return next((file for file in files if file.is_file()), None)
+
+
+def installed_names() -> set[str]:
+    """The names of the interfaces of installed ROS packages."""
+    files = [path for prefix in REGISTRY.prefixes for path in files_in(prefix, "share/*")]
+    return {name_of(path) for path in files} - {""}

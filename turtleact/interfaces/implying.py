@@ -1,21 +1,22 @@
 """The types that a service or an action implies, and the names they go by.
 
 ROS 2 sends no goal, result or feedback bare: each travels in a message or service made for its
-action. Such a type is built on the action's own classes, once, when it is first asked for.
-``NAME_Event``, which only the introspection of services sends, is not made. Knows no text and no
-file.
+action; ``NAME_Event`` is what the introspection of a service sends. Such a type is built on the
+action's or service's own classes, once, when it is first asked for. Knows no text and no file.
 
-Source: ``rosidl_parser/definition.py``, class ``Action``.
+Source: ``rosidl_parser/definition.py``, classes ``Action`` and ``Service``.
 """
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING, cast
 
 import msgspec
 
-from turtleact.interfaces.definition import check_type_name
-from turtleact.interfaces.standard import UUID, Time
+from turtleact.interfaces.annotations import annotation_of
+from turtleact.interfaces.definition import ArrayForm, FieldType, check_type_name
+from turtleact.interfaces.standard import UUID, ServiceEventInfo, Time
 from turtleact.interfaces.types import PARTS, Action, Message, MessageMeta, Service, bool_, int8
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ if TYPE_CHECKING:
         feedback: Message = field(default_factory=Message)
 
 
-__all__ = ["Implied", "implied", "owner_and_part", "part_of"]
+__all__ = ["Implied", "event_message", "implied", "owner_and_part", "part_of"]
 
 
 class Implied(msgspec.Struct, frozen=True):
@@ -76,7 +77,7 @@ WRAPPERS = {
     "GetResult": "get_result",
     "FeedbackMessage": "feedback_message",
 }
-SUFFIXES = frozenset({*PARTS["srv"], *PARTS["action"], *WRAPPERS})
+SUFFIXES = frozenset({*PARTS["srv"], *PARTS["action"], *WRAPPERS, "Event"})
 
 
 def implied(action_type: type[Action]) -> Implied:
@@ -94,6 +95,16 @@ def implied(action_type: type[Action]) -> Implied:
     return cast("Implied", action_type._implied)
 
 
+def event_message(service: type[Service]) -> type[Message]:
+    """What the introspection of this service sends: ``NAME_Event``, the same class every time.
+
+    Raises:
+        InvalidInterface: if the class has no type name.
+    """
+    # mypy asks the class's instances for a hash, but it is the class that is looked up.
+    return made_event(service)  # type: ignore[arg-type]
+
+
 def owner_and_part(type_name: str) -> tuple[str, str]:
     """The service or action that a name says implies it, and as what; two empty strings if none.
 
@@ -108,6 +119,8 @@ def part_of(owner: Interface | None, part: str) -> Interface | None:
     """The type that goes by the name of ``owner`` and ``_PART``, or None."""
     if owner is None or issubclass(owner, Message):
         return None
+    if issubclass(owner, Service) and part == "Event":
+        return event_message(owner)
     if issubclass(owner, Action) and part in WRAPPERS:
         return cast("Interface", getattr(implied(owner), WRAPPERS[part]))
     own = PARTS["srv" if issubclass(owner, Service) else "action"]
@@ -138,6 +151,20 @@ def make_implied(action: type[Action]) -> Implied:
     )
 
 
+@functools.cache
+def made_event(service: type[Service]) -> type[Message]:
+    """Makes the type; fields and their order are ROS's."""
+    check_type_name(service.type_name)
+    return message(
+        f"{service.type_name}_Event",
+        {
+            "info": ServiceEventInfo,
+            "request": at_most_one(service.Request),
+            "response": at_most_one(service.Response),
+        },
+    )
+
+
 def service(
     type_name: str, request: Mapping[str, object], response: Mapping[str, object]
 ) -> type[Service]:
@@ -154,6 +181,11 @@ def message(type_name: str, annotations: Mapping[str, object]) -> type[Message]:
     name, body = naming(type_name)
     body["__annotations__"] = annotations
     return cast("type[Message]", MessageMeta(name, (Message,), body, type_name=type_name))
+
+
+def at_most_one(part: type[Message]) -> object:
+    """The annotation of a list that holds one such message, or none."""
+    return annotation_of(FieldType(part.type_name, None, ArrayForm.BOUNDED, 1), part)
 
 
 def naming(type_name: str) -> tuple[str, dict[str, object]]:

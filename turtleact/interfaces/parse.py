@@ -9,6 +9,8 @@ Source: the ROS 2 article "Interface definition", and ``rosidl_adapter/parser.py
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import math
 import re
 from typing import TYPE_CHECKING, NoReturn, cast
@@ -32,6 +34,8 @@ from turtleact.interfaces.definition import (
 from turtleact.interfaces.values import converter
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from turtleact.interfaces.definition import Definition, Primitive
 
 __all__ = ["parse"]
@@ -61,16 +65,12 @@ member_pattern = re.compile(
     r"\s*(?P<type>\S+)(?:\s+(?P<name>[^\s=]+)\s*(?P<sign>=?)\s*(?P<value>.*?))?\s*"
 )
 type_pattern = re.compile(
-    r"(?P<name>[A-Za-z][A-Za-z0-9_/]*)(?:<=(?P<string>\d{1,9}))?"
-    r"(?:\[(?P<bound><=)?(?P<size>\d{0,9})\])?"
+    r"(?P<name>[A-Za-z][A-Za-z0-9_/]*)(?:<=(?P<string>\d{1,19}))?"
+    r"(?:\[(?P<bound><=)?(?P<size>\d{0,19})\])?"
 )
 nested_pattern = re.compile(
     r"(?:(?P<package>[a-z](?:_?[a-z0-9])*)/(?:msg/)?)?(?P<name>[A-Z][A-Za-z0-9]*)"
 )
-integer_pattern = re.compile(
-    r"[-+]?(?:\d{1,40}|0[xX][0-9a-fA-F]{1,40}|0[bB][01]{1,80}|0[oO][0-7]{1,40})"
-)
-float_pattern = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 quoted = r"""(?:"(?:\\"|[^"])*"|'(?:\\'|[^'])*')"""
 item_pattern = re.compile(rf"\s*({quoted}|[^,\"'\s][^,]*?)\s*(?:,|$)")
 comment_pattern = re.compile(rf"(?:(?<=[\s=\[,]){quoted}|[^#])*")
@@ -202,8 +202,6 @@ def full_name(line: Line, name: str, column: int, package: str) -> str:
     """A primitive's name as it is, a message's in full."""
     if name in PRIMITIVES:
         return name
-    if name == "Header":
-        return "std_msgs/msg/Header"
     match = nested_pattern.fullmatch(name)
     if match is None:
         hint = f", did you mean '{FOREIGN[name]}'?" if name in FOREIGN else ""
@@ -217,9 +215,9 @@ def parse_value(
     """A default or a constant's value."""
     if field_type.is_nested:
         line.refuse(f"a message ({field_type}) has no default", column)
-    if not text:
+    if not text and not field_type.is_string:
         line.refuse("expected a value after '='", column)
-    if field_type.is_string and text[0] in "\"'" and not re.fullmatch(quoted, text):
+    if field_type.is_string and text[:1] in ("'", '"') and not re.fullmatch(quoted, text):
         line.refuse("a quote is opened and not closed", column)
     value = (
         parse_list(line, text, field_type.element, column=column)
@@ -262,11 +260,18 @@ def literal(text: str, field_type: FieldType) -> object:
         return unquoted(text)
     if name == "bool":
         return {"true": True, "1": True, "false": False, "0": False}.get(text.lower(), text)
-    if name in INTEGER_RANGES and integer_pattern.fullmatch(text):
-        return int(text, 0) if text.lstrip("-+0")[:1].isalpha() else int(text)
-    if name.startswith("float") and float_pattern.fullmatch(text):
-        return float(text)
+    for read in NUMBERS[name]:
+        with contextlib.suppress(ValueError):
+            return read(text)
     return text
+
+
+#: How the word for a number is read, as ``rosidl_adapter`` does: ``007`` is 7, ``0x10`` is 16.
+NUMBERS: dict[str, tuple[Callable[[str], object], ...]] = {
+    **dict.fromkeys(INTEGER_RANGES, (int, functools.partial(int, base=0))),
+    "float32": (float,),
+    "float64": (float,),
+}
 
 
 def unquoted(text: str) -> str:

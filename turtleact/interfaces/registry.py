@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
+    from pathlib import Path
 
     from turtleact.interfaces.definition import Definition
     from turtleact.interfaces.types import Action, Message, Service
@@ -27,6 +28,8 @@ class Registry:
         self._known: dict[str, tuple[Interface, Definition]] = {}
         #: Files that hold interfaces nobody has asked for yet.
         self.files: dict[str, Traversable] = {}
+        #: Where ROS packages are installed, the first one before the others.
+        self.prefixes: tuple[Path, ...] = ()
 
     def add(self, interface: Interface, definition: Definition) -> Interface:
         """Makes a class known, and gives the one that goes by its name from now on."""

@@ -68,7 +68,8 @@ class Canceling:
 
     async def ask_and_cancel(self, goal: Goal) -> bool:
         """Cancel a goal if the user agrees; False if not, or if it has ended."""
-        if self._callback is None or goal.status is GoalStatus.CANCELING:
+        has_ended = not goal.status.is_active  # perhaps while the user was asked of another
+        if has_ended or self._callback is None or goal.status is GoalStatus.CANCELING:
             return self.cancel(goal)
         agreed = await self._questions.may_cancel(self._callback, self._make_handle(goal))
         return agreed and self.cancel(goal)

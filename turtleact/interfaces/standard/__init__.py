@@ -15,11 +15,14 @@ from turtleact.interfaces.types import (
     Message,
     Service,
     array,
+    char,
     float32,
     float64,
     int8,
     int32,
+    int64,
     string,
+    uint8,
     uint32,
 )
 
@@ -34,6 +37,7 @@ __all__ = [
     "GoalStatusMessage",
     "PatrolCommandInterface",
     "Point",
+    "ServiceEventInfo",
     "Time",
     "TurtlePose",
     "Twist",
@@ -107,6 +111,20 @@ class CancelGoal(Service, type_name="action_msgs/srv/CancelGoal"):
 
         return_code: int8 = 0
         goals_canceling: list[GoalInfo] = field(default_factory=list)
+
+
+class ServiceEventInfo(Message, type_name="service_msgs/msg/ServiceEventInfo"):
+    """Which call of a service an event is about, and what has just happened to it."""
+
+    REQUEST_SENT: ClassVar[uint8] = 0
+    REQUEST_RECEIVED: ClassVar[uint8] = 1
+    RESPONSE_SENT: ClassVar[uint8] = 2
+    RESPONSE_RECEIVED: ClassVar[uint8] = 3
+
+    event_type: uint8 = 0
+    stamp: Time = field(default_factory=Time)
+    client_gid: array[list[char], 16] = field(default_factory=lambda: [0] * 16)
+    sequence_number: int64 = 0
 
 
 class Point(Message, type_name="geometry_msgs/msg/Point"):

@@ -1,0 +1,296 @@
+"""The decoder of a message class, as generated source.
+
+It raises ``struct.error`` or ``ValueError`` for what it cannot read, without a path: ``locating``
+finds the place. It makes nothing that is longer than the data it has at hand: each length is
+compared with what is left, or each element takes a byte at least.
+"""
+
+from __future__ import annotations
+
+import array
+import functools
+import struct
+import sys
+from typing import TYPE_CHECKING, TypeVar
+
+from turtleact.interfaces.cdr.layout import (
+    COUNT,
+    EMPTY,
+    FORMATS,
+    HEADER_SIZE,
+    WIDEST,
+    Item,
+    Source,
+    code_in_run,
+    common_alignment,
+    is_in_run,
+    is_inlined,
+    members,
+    padding,
+    phases,
+    run,
+    size_of,
+)
+from turtleact.interfaces.definition import ArrayForm
+from turtleact.interfaces.types import Message
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from turtleact.interfaces.definition import Field, FieldType
+
+    #: Makes a sequence of the bytes of its elements.
+    Make = Callable[[bytes], object]
+    #: Reads an element at a place, and tells the place after it.
+    Part = Callable[[bytes, int], tuple[object, int]]
+
+__all__ = ["decoder", "narrow"]
+
+M = TypeVar("M", bound=Message)
+
+
+@functools.cache
+def decoder(cls: type[M], order: str, arrays: str) -> Callable[[bytes], M]:
+    """The function that reads messages of this class.
+
+    Args:
+        cls: The class.
+        order: The byte order, ``<`` or ``>``.
+        arrays: What holds sequences of numbers: ``list``, ``array`` or ``numpy``.
+    """
+    reader = Reader("data", order, arrays, place=HEADER_SIZE)
+    value = reader.message(cls)
+    reader.flush()
+    reader.source.add(f"return {value}")
+    return reader.source.function()  # type: ignore[return-value]  # the text is made to be so
+
+
+@functools.cache
+def part_decoder(cls: type[Message], order: str, arrays: str) -> Part:
+    """The function that reads a message inside another, wherever that stands."""
+    reader = Reader("data, p", order, arrays, place=None)
+    value = reader.message(cls)
+    reader.flush()
+    reader.source.add(f"return {value}, p")
+    return reader.source.function()  # type: ignore[return-value]  # the text is made to be so
+
+
+@functools.cache
+def text_decoder(field_type: FieldType, order: str) -> Part:
+    """The function that reads a text in a sequence."""
+    reader = Reader("data, p", order, "list", place=None)
+    reader.source.add(f"return {reader.text(field_type.element)}, p")
+    return reader.source.function()  # type: ignore[return-value]  # the text is made to be so
+
+
+class Reader:
+    """Writes a decoder.
+
+    Each method adds the text that reads a value, and gives the expression for it, which may be used
+    once the pending run is flushed.
+
+    Attributes:
+        source: The text so far.
+        pending: The run that is not read yet.
+        place: Where that starts, or None where only the text's ``p`` knows.
+    """
+
+    def __init__(self, signature: str, order: str, arrays: str, *, place: int | None) -> None:
+        self.source = Source(signature)
+        self.source.names |= {"short": struct.error, "unpack": struct.unpack_from}
+        self.pending: list[Item] = []
+        self.order = order
+        self.arrays = arrays
+        self.place = place
+
+    def message(self, cls: type[Message]) -> str:
+        """Reads a message's fields."""
+        values = [self.field(cls, field, nested) for field, nested in members(cls)]
+        if not values:
+            self.pending.append(Item(EMPTY))
+        return f"{self.source.hold(cls)}({', '.join(values)})"
+
+    def field(self, cls: type[Message], field: Field, nested: type[Message] | None) -> str:
+        """Reads one field."""
+        is_bytes = field.name in cls._shape.bytes_fields
+        if field.type.name in FORMATS:
+            return self.numbers(field.type, is_bytes=is_bytes)
+        if field.type.is_sequence:
+            return self.sequence(field.type, nested)
+        if nested is None:
+            return self.text(field.type)
+        if is_inlined(nested):
+            return self.message(nested)
+        value = self.source.fresh()
+        part = self.source.hold(part_decoder(nested, self.order, self.arrays))
+        self.flush()
+        self.settle()
+        self.source.add(f"{value}, p = {part}(data, p)")
+        return value
+
+    def numbers(self, field_type: FieldType, *, is_bytes: bool) -> str:
+        """Reads a number, or a sequence of numbers."""
+        value = self.source.fresh()
+        if not field_type.is_sequence:
+            self.pending.append(Item(code_in_run(field_type), value))
+            return value
+        code = FORMATS[field_type.name]
+        make = "" if is_bytes else self.source.hold(maker(self.arrays, self.order, code))
+        if is_in_run(field_type):
+            self.pending.append(Item(code_in_run(field_type), value))
+            return f"{make}({value})"
+        count = self.count(field_type)
+        self.align(size_of(code), count)
+        if self.arrays == "list" and not is_bytes:
+            self.source.add(f'{value} = list(unpack(f"{self.order}{{{count}}}{code}", data, p))')
+            self.source.add(f"p += {count} * {size_of(code)}")
+            return value
+        self.slice(value, f"{count} * {size_of(code)}")
+        return f"{make}({value})"
+
+    def text(self, field_type: FieldType) -> str:
+        """Reads a text; ROS 2 writes no NUL at the end of a wstring."""
+        count, value = self.source.fresh(), self.source.fresh()
+        self.pending.append(Item(COUNT, count))
+        self.flush()
+        if field_type.name == "string":
+            self.slice(value, count)
+            self.source.add(f'{value} = {value}.decode("utf-8", "replace").removesuffix("\\0")')
+        else:
+            self.slice(value, f"{count} * 4")
+            self.source.add(f"{value} = {self.source.hold(narrow)}({value}, {self.order!r})")
+        if field_type.string_bound is not None:
+            self.guard(f"len({value}) > {field_type.string_bound}")
+        return value
+
+    def sequence(self, field_type: FieldType, nested: type[Message] | None) -> str:
+        """Reads a sequence of texts or messages."""
+        value = self.source.fresh()
+        count = self.count(field_type)
+        counted = field_type.form is not ArrayForm.FIXED
+        size = 0 if nested is None else common_alignment(nested, counted=counted)
+        if nested is not None and size:
+            self.rows(nested, value, count, size)
+            return value
+        part = (
+            text_decoder(field_type, self.order)
+            if nested is None
+            else part_decoder(nested, self.order, self.arrays)
+        )
+        self.source.add(f"{value} = []")
+        self.source.add(f"for _ in range({count}):")
+        self.source.add(f" x, p = {self.source.hold(part)}(data, p); {value}.append(x)")
+        return value
+
+    def rows(self, cls: type[Message], value: str, count: str, size: int) -> None:
+        """Reads messages that are a run each, at equal distances."""
+        self.align(size, count)
+        expression = self.message(cls)
+        items, self.pending = self.pending, []
+        reader = run(self.order, items, HEADER_SIZE)
+        self.slice(value, f"{count} * {reader.size}")
+        each = f"for {targets(items)} in {self.source.hold(reader.iter_unpack)}({value})"
+        self.source.add(f"{value} = [{expression} {each}]")
+
+    def count(self, field_type: FieldType) -> str:
+        """Reads the length of a sequence, unless that is fixed; ``p`` is the place after it."""
+        if field_type.form is ArrayForm.FIXED:
+            self.flush()
+            self.settle()
+            return str(field_type.size)
+        count = self.source.fresh()
+        self.pending.append(Item(COUNT, count))
+        self.flush()
+        self.settle()
+        if field_type.form is ArrayForm.BOUNDED:
+            self.guard(f"{count} > {field_type.size}")
+        return count
+
+    def slice(self, value: str, size: str) -> None:
+        """Takes so many bytes."""
+        self.settle()
+        self.source.add(f"q = p; p += {size}")
+        self.guard("p > len(data)")
+        self.source.add(f"{value} = data[q:p]")
+
+    def align(self, size: int, count: str) -> None:
+        """Leaves out the padding before elements, if there are any."""
+        pads = [padding(place, size) for place in range(WIDEST)]
+        if any(pads):
+            self.source.add(f"if {count}: p += {self.source.hold(pads)}[p & 7]")
+
+    def guard(self, condition: str) -> None:
+        """Refuses what cannot be."""
+        self.source.add(f"if {condition}: raise short")
+
+    def settle(self) -> None:
+        """Makes ``p`` the place."""
+        if self.place is not None:
+            self.source.add(f"p = {self.place}")
+            self.place = None
+
+    def flush(self) -> None:
+        """Reads the pending run."""
+        if not self.pending:
+            return
+        items, self.pending = self.pending, []
+        into = targets(items)
+        if self.place is not None:
+            reader = run(self.order, items, self.place)
+            self.source.add(f"{into} = {self.source.hold(reader.unpack_from)}(data, {self.place})")
+            self.place += reader.size
+            return
+        table = [(reader.unpack_from, reader.size) for reader in phases(self.order, items)]
+        self.source.add(f"read, size = {self.source.hold(table)}[p & 7]")
+        self.source.add(f"{into} = read(data, p)")
+        self.source.add("p += size")
+
+
+def targets(items: list[Item]) -> str:
+    """What the values of a run are assigned to."""
+    return f"[{', '.join(item.text for item in items if item.text)}]"
+
+
+def narrow(content: bytes, order: str) -> str:
+    """The text of a wstring; a whole character in one unit is taken too.
+
+    Raises:
+        ValueError: for a unit that is no character.
+    """
+    codec = "utf-32-le" if order == "<" else "utf-32-be"
+    units = content.decode(codec, "surrogatepass")
+    return units.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
+
+
+def maker(arrays: str, order: str, code: str) -> Make:
+    """What makes a sequence of numbers of the bytes of its elements."""
+    if arrays == "numpy":
+        return numpy_maker(order, code)
+    if arrays == "array" and code != "?":
+        is_swapped = (order == "<") != (sys.byteorder == "little")
+        return functools.partial(as_array, code, is_swapped=is_swapped)
+    return functools.partial(as_list, order, code)
+
+
+def as_list(order: str, code: str, content: bytes) -> list[object]:
+    """A list of the numbers."""
+    return list(struct.unpack(f"{order}{len(content) // size_of(code)}{code}", content))
+
+
+def as_array(
+    code: str, content: bytes, *, is_swapped: bool
+) -> array.array[int] | array.array[float]:
+    """An array of the numbers."""
+    result: array.array[int] | array.array[float] = array.array(code)
+    result.frombytes(content)
+    if is_swapped:
+        result.byteswap()
+    return result
+
+
+def numpy_maker(order: str, code: str) -> Make:
+    """What makes an array of numpy, with memory of its own."""
+    import numpy as np  # costs more than all the rest of the package
+
+    stored, native = np.dtype("B" if code == "?" else order + code), np.dtype(code)
+    return lambda content: np.frombuffer(content, stored).astype(native)

@@ -1,0 +1,278 @@
+"""The encoder of a message class, as generated source.
+
+It takes what is of the expected Python type, or what ``struct`` takes for it, and raises anything
+for the rest, without a path: ``encode`` then asks ``copying`` to convert the message or to say what
+is wrong. What ``struct`` would take and must not, is looked at here.
+"""
+
+from __future__ import annotations
+
+import functools
+import struct
+import sys
+from typing import TYPE_CHECKING
+
+from turtleact.interfaces.cdr.layout import (
+    COUNT,
+    EMPTY,
+    FORMATS,
+    HEADER,
+    HEADER_SIZE,
+    WIDEST,
+    Item,
+    Source,
+    code_in_run,
+    common_alignment,
+    is_in_run,
+    is_inlined,
+    members,
+    padding,
+    phases,
+    run,
+    size_of,
+)
+from turtleact.interfaces.definition import BYTE_TYPES, ArrayForm
+from turtleact.interfaces.types import fields
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from turtleact.interfaces.definition import FieldType
+    from turtleact.interfaces.types import Message
+
+    Content = Callable[[object], bytes]
+
+__all__ = ["encoder"]
+
+
+@functools.cache
+def encoder(cls: type[Message]) -> Callable[[Message], bytes]:
+    """The function that gives the CDR of messages of this class, header included."""
+    writer = Writer("m", place=0)
+    writer.pending.append(Item(f"{HEADER_SIZE}s", writer.source.hold(HEADER)))
+    writer.message(cls, "m")
+    writer.finish()
+    return writer.source.function()  # type: ignore[return-value]  # the text is made to be so
+
+
+@functools.cache
+def part_encoder(cls: type[Message]) -> Callable[[Message, bytearray], None]:
+    """The function that adds a message inside another, wherever that ends."""
+    writer = Writer("m, out", place=None)
+    writer.guard(f"type(m) is not {writer.source.hold(cls)}")
+    writer.message(cls, "m")
+    writer.flush()
+    return writer.source.function()  # type: ignore[return-value]  # the text is made to be so
+
+
+class Writer:
+    """Writes an encoder.
+
+    Attributes:
+        source: The text so far.
+        pending: The run that has not been written yet.
+        place: Where that starts, or None where this is not known beforehand.
+        is_begun: Whether the text has made ``out``, the bytes so far.
+    """
+
+    def __init__(self, signature: str, place: int | None) -> None:
+        self.source = Source(signature)
+        self.source.names |= {"unfit": struct.error, "pack": struct.pack}
+        self.pending: list[Item] = []
+        self.place = place
+        self.is_begun = place is None
+
+    def guard(self, condition: str) -> None:
+        """Refuses a value that must not be written."""
+        self.source.add(f"if {condition}: raise unfit")
+
+    def message(self, cls: type[Message], value: str) -> None:
+        """Writes a message's fields; ``value`` is the message in the text."""
+        for field, nested in members(cls):
+            variable = self.source.fresh()
+            self.source.add(f"{variable} = {value}.{field.attribute}")
+            if field.type.is_sequence:
+                self.sequence(field.type, nested, variable)
+            else:
+                self.single(field.type, nested, variable)
+        if not fields(cls):
+            self.pending.append(Item(EMPTY))
+
+    def single(self, field_type: FieldType, nested: type[Message] | None, value: str) -> None:
+        """Writes one number, text or message."""
+        if nested is None and is_in_run(field_type):
+            if field_type.name == "bool":
+                self.guard(f"{value} is not True and {value} is not False")
+            self.pending.append(Item(code_in_run(field_type), value))
+        elif nested is None:
+            self.text(field_type, value)
+        elif is_inlined(nested):
+            self.guard(f"type({value}) is not {self.source.hold(nested)}")
+            self.message(nested, value)
+        else:
+            self.flush()
+            self.source.add(f"{self.source.hold(part_encoder(nested))}({value}, out)")
+
+    def text(self, field_type: FieldType, value: str) -> None:
+        """Writes a text: its length, then its characters."""
+        self.bound(field_type.string_bound, value)
+        content = self.source.fresh()
+        if field_type.name == "string":
+            self.source.add(f"{content} = {self.source.hold(str.encode)}({value})")
+            self.pending.append(Item(COUNT, f"len({content}) + 1"))
+            self.content(content)
+            self.pending.append(Item("x"))  # the NUL that ends it
+        else:
+            self.source.add(f"{content} = {self.source.hold(wide)}({value})")
+            self.pending.append(Item(COUNT, f"len({content}) // 4"))
+            self.content(content)
+
+    def sequence(self, field_type: FieldType, nested: type[Message] | None, value: str) -> None:
+        """Writes a sequence: its length, unless that is fixed, then its elements."""
+        if field_type.form is ArrayForm.FIXED:
+            self.guard(f"len({value}) != {field_type.size}")
+        else:
+            self.bound(field_type.size or None, value)
+            self.pending.append(Item(COUNT, f"len({value})"))
+        if field_type.name in FORMATS:
+            self.numbers(field_type, value)
+            return
+        self.guard(f"type({value}) is not list")
+        self.flush()
+        counted = field_type.form is not ArrayForm.FIXED
+        size = 0 if nested is None else common_alignment(nested, counted=counted)
+        if nested is None:
+            self.source.add(
+                f"for x in {value}: {self.source.hold(text_encoder(field_type))}(x, out)"
+            )
+        elif not size:
+            self.source.add(f"for x in {value}: {self.source.hold(part_encoder(nested))}(x, out)")
+        else:
+            self.rows(nested, value, size)
+
+    def numbers(self, field_type: FieldType, value: str) -> None:
+        """Writes the numbers of a sequence."""
+        code = FORMATS[field_type.name]
+        content = self.source.fresh()
+        if field_type.name in BYTE_TYPES:
+            other = f"{self.source.hold(octets)}({value})"
+            self.source.add(f"{content} = {value} if type({value}) is bytes else {other}")
+        elif field_type.name == "bool":
+            self.source.add(f"{content} = {self.source.hold(truths)}({value})")
+        else:
+            fast = f'pack(f"<{{len({value})}}{code}", *{value})'
+            other = f"{self.source.hold(functools.partial(copied, code))}({value})"
+            self.source.add(f"{content} = {fast} if type({value}) is list else {other}")
+        if is_in_run(field_type):
+            self.pending.append(Item(code_in_run(field_type), content))
+            return
+        self.flush()
+        self.align(size_of(code), content)
+        self.content(content)
+
+    def rows(self, cls: type[Message], value: str, size: int) -> None:
+        """Writes messages that are a run each, at equal distances."""
+        self.align(size, value)
+        self.source.add(f"for x in {value}:")
+        self.source.depth += 1
+        self.guard(f"type(x) is not {self.source.hold(cls)}")
+        self.message(cls, "x")
+        items, self.pending = self.pending, []
+        self.source.add(f"out += {self.call(run('<', items, HEADER_SIZE).pack, items)}")
+        self.source.depth -= 1
+
+    def align(self, size: int, value: str) -> None:
+        """Writes the padding before elements, if there are any."""
+        self.flush()
+        pads = [bytes(padding(place, size)) for place in range(WIDEST)]
+        if any(pads):
+            self.source.add(f"if {value}: out += {self.source.hold(pads)}[len(out) & 7]")
+
+    def bound(self, size: int | None, value: str) -> None:
+        """Refuses what is longer than its bound."""
+        if size is not None:
+            self.guard(f"len({value}) > {size}")
+
+    def content(self, value: str) -> None:
+        """Writes bytes of any number."""
+        self.flush()
+        self.source.add(f"out += {value}")
+
+    def flush(self) -> None:
+        """Writes the pending run."""
+        if not self.pending:
+            return
+        if self.is_begun:
+            self.source.add(f"out += {self.take()}")
+        else:
+            self.source.add(f"out = bytearray({self.take()})")
+        self.is_begun, self.place = True, None
+
+    def finish(self) -> None:
+        """Writes the pending run and the end."""
+        if not self.is_begun:
+            self.source.add(f"return {self.take()}")
+            return
+        self.flush()
+        self.source.add("return bytes(out)")
+
+    def take(self) -> str:
+        """The pending run as an expression; nothing is pending then."""
+        items, self.pending = self.pending, []
+        if self.place is not None:
+            return self.call(run("<", items, self.place).pack, items)
+        table = [packer.pack for packer in phases("<", items)]
+        return self.call(table, items, "[len(out) & 7]")
+
+    def call(self, function: object, items: list[Item], index: str = "") -> str:
+        """The call that packs these values."""
+        values = ", ".join(item.text for item in items if item.text)
+        return f"{self.source.hold(function)}{index}({values})"
+
+
+@functools.cache
+def text_encoder(field_type: FieldType) -> Callable[[str, bytearray], None]:
+    """The function that adds a text in a sequence."""
+    writer = Writer("m, out", place=None)
+    writer.text(field_type.element, "m")
+    writer.flush()
+    return writer.source.function()  # type: ignore[return-value]  # the text is made to be so
+
+
+def wide(text: str) -> bytes:
+    """The content of a wstring: each unit of UTF-16 in four bytes, as ROS 2 has it."""
+    units = str.encode(text, "utf-16-le")
+    count = len(units) // 2
+    return struct.pack(f"<{count}I", *struct.unpack(f"<{count}H", units))
+
+
+def octets(value: object) -> bytes:
+    """The content of a sequence of bytes."""
+    return bytes(value) if type(value) is list else copied("B", value)
+
+
+def truths(value: object) -> bytes:
+    """The content of a sequence of bools; ``struct`` would take anything for one."""
+    if type(value) is not list:
+        return copied("?", value)
+    if any(item is not True and item is not False for item in value):
+        raise TypeError("a sequence of bools")
+    return bytes(value)
+
+
+#: What the elements of an array are, by the code that ``memoryview`` has for them.
+KINDS = {
+    "?": "bool",
+    **dict.fromkeys("bhilq", "signed"),
+    **dict.fromkeys("BHILQ", "unsigned"),
+    **dict.fromkeys("fd", "float"),
+}
+
+
+def copied(code: str, value: object) -> bytes:
+    """The content of an array of just such numbers as CDR has them."""
+    view = memoryview(value)  # type: ignore[arg-type]  # raises TypeError where it is none
+    wanted = (KINDS[code], size_of(code), 1, "little")
+    if (KINDS.get(view.format), view.itemsize, view.ndim, sys.byteorder) != wanted:
+        raise TypeError("an array of other elements")
+    return view.tobytes()

@@ -1,0 +1,155 @@
+"""The type hash (RIHS01), by which ROS 2 nodes tell whether they mean the same by a type's name.
+
+It is the SHA-256 of a description of the type and of all types in it: names, fields, their types
+and order. Defaults, constants and comments do not count. The text that is hashed is JSON, to the
+blank: ``", "`` and ``": "`` between things, ASCII only, no line break.
+
+Source: REP 2016 (rosidl calls it 2011), ``rosidl_generator_type_description/__init__.py``, and the
+numbers of ``type_description_interfaces/msg/FieldType.msg``.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import TYPE_CHECKING, NamedTuple
+
+from turtleact.interfaces.definition import ArrayForm, FieldType, check_type_name
+from turtleact.interfaces.implying import event_message, implied
+from turtleact.interfaces.types import Action, Service, fields, nested_classes
+
+if TYPE_CHECKING:
+    from turtleact.interfaces.registry import Interface
+
+__all__ = ["type_hash"]
+
+#: The number of each type; a ``char`` is a uint8 in ROS 2.
+TYPE_IDS = {
+    "int8": 2,
+    "uint8": 3,
+    "char": 3,
+    "int16": 4,
+    "uint16": 5,
+    "int32": 6,
+    "uint32": 7,
+    "int64": 8,
+    "uint64": 9,
+    "float32": 10,
+    "float64": 11,
+    "bool": 15,
+    "byte": 16,
+    "string": 17,
+    "wstring": 18,
+}
+NESTED_ID = 1
+
+#: What is added to the number of a string that has a bound.
+BOUNDED_STRING = 4
+
+#: What is added to the number of the element.
+FORM_IDS = {
+    ArrayForm.SINGLE: 0,
+    ArrayForm.FIXED: 48,
+    ArrayForm.BOUNDED: 96,
+    ArrayForm.UNBOUNDED: 144,
+}
+
+
+class Member(NamedTuple):
+    """One line of a description; ``nested`` is the type inside, or None."""
+
+    name: str
+    type: FieldType
+    nested: Interface | None = None
+
+
+#: C knows no empty struct, so rosidl puts this into one.
+PLACEHOLDER = Member("structure_needs_at_least_one_member", FieldType("uint8"))
+
+
+def type_hash(cls: Interface) -> str:
+    """The type hash of a message, service or action, as ROS 2 gives it from Iron on.
+
+    Made once a class, when first asked for. On the wire go those of messages and services, also
+    of the services that an action implies; that of an action itself does not.
+
+    Raises:
+        InvalidInterface: if the class has no type name.
+
+    >>> from turtleact.interfaces.standard import Point
+    >>> type_hash(Point)
+    'RIHS01_6963084842a9b04494d6b2941d11444708d892da2f4b09843b9c43f42a7f6881'
+    """
+    # mypy asks the class's instances for a hash, but it is the class that is looked up.
+    return hashed(cls)  # type: ignore[arg-type]
+
+
+@functools.cache
+def hashed(cls: Interface) -> str:
+    """The hash itself."""
+    import json  # nothing else here needs these two, which are slow to import
+    from hashlib import sha256
+
+    check_type_name(cls.type_name)
+    others = referenced(cls)
+    said = {
+        "type_description": description(cls),
+        "referenced_type_descriptions": [description(others[name]) for name in sorted(others)],
+    }
+    return f"RIHS01_{sha256(json.dumps(said).encode()).hexdigest()}"
+
+
+def referenced(cls: Interface) -> dict[str, Interface]:
+    """The types inside this one, down to the last, by name."""
+    found: dict[str, Interface] = {}
+    waiting = [cls]
+    while waiting:
+        for member in members(waiting.pop()):
+            if member.nested is not None and member.nested.type_name not in found:
+                found[member.nested.type_name] = member.nested
+                waiting.append(member.nested)
+    return found
+
+
+def description(cls: Interface) -> dict[str, object]:
+    """What is said of one type; the order of the keys counts."""
+    rows = [{"name": member.name, "type": field_type(member.type)} for member in members(cls)]
+    return {"type_name": cls.type_name, "fields": rows}
+
+
+def field_type(kind: FieldType) -> dict[str, object]:
+    """What is said of a field's type; the order of the keys counts."""
+    bound = kind.string_bound or 0
+    if kind.name == "wstring" and bound and kind.form is ArrayForm.UNBOUNDED:
+        # rosidl_parser takes the bound of the wstring for the bound of the list, too.
+        kind = FieldType(kind.name, bound, ArrayForm.BOUNDED, bound)
+    element = NESTED_ID if kind.is_nested else TYPE_IDS[kind.name] + BOUNDED_STRING * bool(bound)
+    return {
+        "type_id": element + FORM_IDS[kind.form],
+        "capacity": kind.size,
+        "string_capacity": bound,
+        "nested_type_name": kind.name if kind.is_nested else "",
+    }
+
+
+def members(cls: Interface) -> list[Member]:
+    """The fields of a message, or the types that make up a service or an action."""
+    if issubclass(cls, Action):
+        types = implied(cls)
+        inside: dict[str, Interface] = {
+            "goal": cls.Goal,
+            "result": cls.Result,
+            "feedback": cls.Feedback,
+            "send_goal_service": types.send_goal,
+            "get_result_service": types.get_result,
+            "feedback_message": types.feedback_message,
+        }
+    elif issubclass(cls, Service):
+        inside = {
+            "request_message": cls.Request,
+            "response_message": cls.Response,
+            "event_message": event_message(cls),
+        }
+    else:
+        own = zip(fields(cls), nested_classes(cls), strict=True)
+        return [Member(field.name, field.type, nested) for field, nested in own] or [PLACEHOLDER]
+    return [Member(name, FieldType(each.type_name), each) for name, each in inside.items()]
