@@ -11,8 +11,16 @@ import pytest
 
 from turtleact import CancelResponse, GoalResponse, GoalStatus, QoS
 from turtleact.app import open_world
-from turtleact.errors import InvalidName, InvalidOption, InvalidTransition
+from turtleact.errors import (
+    GoalAborted,
+    GoalRejected,
+    InvalidName,
+    InvalidOption,
+    InvalidTransition,
+)
+from turtleact.goal import CancelCode
 from turtleact.interfaces.standard import GoalStatusArray
+from turtleact.server.stepping import _ABANDONED
 
 from .lab import (
     ON_ASYNCIO,
@@ -25,6 +33,7 @@ from .lab import (
     lab,
     result,
     running,
+    settle,
     take_turns,
 )
 
@@ -291,3 +300,180 @@ async def test_the_newest_feedback_is_known_when_its_callback_is_called():
             handles.append(handle)
             await handle.outcome()
     assert seen == [feedback(1)]
+
+
+# --- what a body or callback does to others -----------------------------------------------------
+
+
+async def test_what_a_body_does_behind_its_result_does_not_change_it():
+    async def body(request):
+        counted = [0, 1]
+        try:
+            yield Count.Result(counted=counted)
+        finally:
+            counted.clear()
+
+    async with lab(body) as served:
+        assert await served.client.send_goal(goal()) == result(0, 1)
+
+
+async def test_a_result_is_not_changed_after_the_end():
+    handles: list[Any] = []
+
+    async def body(request, handle):
+        handles.append(handle)
+        return result(1)
+
+    async with lab(body) as served:
+        assert await served.client.send_goal(goal()) == result(1)
+        with pytest.raises(InvalidTransition, match="a partial result is not allowed"):
+            handles[0].set_partial_result(result(9))
+
+
+def canceled_future() -> asyncio.Future[Any]:
+    future = asyncio.get_running_loop().create_future()
+    future.cancel()
+    return future
+
+
+@ON_ASYNCIO
+async def test_a_hook_that_reads_a_canceled_future_silences_no_hook(caplog):
+    heard = []
+    async with lab(count) as served:
+        served.node.on_transition(lambda *_: canceled_future().result())
+        served.node.on_transition(lambda goal, old, new: heard.append(new.name))
+        assert await served.client.send_goal(goal(1)) == result(0)
+    assert heard == ["ACCEPTED", "EXECUTING", "SUCCEEDED"]
+    assert "a hook on the transitions of /count failed" in caplog.messages
+
+
+@ON_ASYNCIO
+async def test_a_feedback_callback_that_reads_a_canceled_future_does_not_cancel_the_body():
+    async with lab(count) as served:
+        sending = served.client.send_goal(
+            goal(), feedback_callback=lambda _: canceled_future().result()
+        )
+        assert await sending == result(0, 1, 2)
+
+
+@ON_ASYNCIO
+async def test_a_goal_callback_that_awaits_what_was_canceled_rejects():
+    async def wait(_):
+        await canceled_future()
+
+    async with lab(count, goal_callback=wait) as served:
+        with pytest.raises(GoalRejected, match="it waited for something that was canceled"):
+            await served.client.send_goal(goal())
+
+
+@ON_ASYNCIO
+async def test_a_cancel_callback_that_awaits_what_was_canceled_does_not_agree():
+    gate = Gate()
+
+    async def wait(_):
+        await canceled_future()
+
+    async with (
+        lab(gate.wait, cancel_callback=wait) as served,
+        served.client.send_goal(goal()) as handle,
+    ):
+        assert (await handle.cancel()).return_code == CancelCode.REJECTED
+        gate.opened.set()
+        assert await handle.result() == result(3)
+
+
+async def test_who_asks_a_server_that_is_closing_is_answered():
+    async def never(_):
+        await anyio.sleep_forever()
+
+    async def tidy(request):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await opened.wait()
+
+    opened = anyio.Event()
+    async with (
+        lab(tidy, cancel_callback=never) as served,
+        served.client.send_goal(goal()) as handle,
+        running(served.server.aclose),
+    ):
+        answer = await handle.cancel()
+        assert answer.goals_canceling == []
+        opened.set()
+
+
+class Stubborn:
+    """A body that swallows every cancellation, until it is told not to."""
+
+    def __init__(self) -> None:
+        self.may_end = False
+
+    async def __call__(self, request: Count.Goal) -> Count.Result:
+        while not self.may_end:
+            try:
+                await anyio.sleep_forever()
+            except anyio.get_cancelled_exc_class():
+                if self.may_end:
+                    raise
+        return result()
+
+
+@ON_ASYNCIO
+@pytest.mark.parametrize("how", ["the server is closed", "the caller is canceled"])
+async def test_a_stubborn_body_does_not_keep_the_one_who_awaits_it(how, monkeypatch):
+    for module in ("action_server", "stepping"):
+        monkeypatch.setattr(f"turtleact.server.{module}.GRACE", 0.01)
+    body = Stubborn()
+    async with lab(body) as served:
+        calling = asyncio.create_task(served.client.send_goal(goal()))
+        await settle()
+        if how == "the server is closed":
+            await served.server.aclose()
+            with pytest.raises(GoalAborted, match="shutdown"):
+                await calling
+        else:
+            calling.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await calling
+        body.may_end = True
+        for task in list(_ABANDONED):
+            task.cancel()
+        await settle()
+    assert not _ABANDONED
+
+
+@ON_ASYNCIO
+async def test_a_callers_scope_is_not_lost_to_a_cancel_of_the_goal():
+    inner = anyio.Event()
+
+    async def body(request):
+        async def tidy() -> None:
+            try:
+                await anyio.sleep_forever()
+            finally:
+                with anyio.CancelScope(shield=True):
+                    await inner.wait()
+
+        async with anyio.create_task_group() as group:
+            group.start_soon(tidy)
+            await anyio.sleep_forever()
+
+    async with lab(body) as served:
+        scopes: list[anyio.CancelScope] = []
+
+        async def call() -> str:
+            with anyio.CancelScope() as scope:
+                scopes.append(scope)
+                await served.client.send_goal(goal())
+            return "behind the scope"
+
+        calling = asyncio.create_task(call())
+        await settle()
+        scopes[0].cancel()
+        await settle()
+        await served.client.cancel_all()
+        await settle()
+        inner.set()
+        assert await calling == "behind the scope"

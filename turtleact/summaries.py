@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-__all__ = ["summary", "text_of"]
+__all__ = ["STOPS", "summary", "text_of"]
+
+STOPS = (KeyboardInterrupt, SystemExit, GeneratorExit)
+"""What stops the program or closes a coroutine; all else that a callback raises is its failure."""
 
 
 def summary(error: BaseException) -> str:

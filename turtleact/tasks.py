@@ -68,6 +68,9 @@ class Tasks(Protocol):
     async def checkpoint(self) -> None:
         """Let others run, once."""
 
+    def is_canceled(self) -> bool:
+        """Whether somebody has canceled the task that runs now; True where that cannot be told."""
+
 
 def current_tasks() -> Tasks:
     """The tasks of the event loop that runs now."""
@@ -105,10 +108,10 @@ class Background:
         self._cancelled = tasks.cancelled
         self._task = tasks.spawn(self._run(running), name)
 
-    async def aclose(self) -> None:
-        """Cancel it and wait for its end."""
+    async def aclose(self, timeout: float | None = None) -> None:
+        """Cancel it and wait for its end, ``timeout`` seconds at most."""
         self._task.cancel()
-        with anyio.CancelScope(shield=True):
+        with anyio.move_on_after(timeout, shield=True):
             while not self.has_ended:
                 await self._ended.wait()
 
@@ -200,6 +203,11 @@ class AsyncioTasks:
         """Let others run, once."""
         await asyncio.sleep(0)
 
+    def is_canceled(self) -> bool:
+        """Whether somebody has canceled the task that runs now."""
+        task = asyncio.current_task()
+        return task is None or task.cancelling() > 0
+
 
 class AsyncioSignal:
     """Futures, in the order of their coming; a canceled waiter takes its own out."""
@@ -270,6 +278,10 @@ class TrioTasks:
     async def checkpoint(self) -> None:
         """Let others run, once."""
         await self._trio.lowlevel.checkpoint()
+
+    def is_canceled(self) -> bool:
+        """Trio raises nothing else: nobody can await what was canceled."""
+        return True
 
 
 class TrioTask:

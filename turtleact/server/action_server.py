@@ -33,7 +33,7 @@ from turtleact.server.claim import Claim
 from turtleact.server.execution import CURRENT_GOAL, Execution
 from turtleact.server.goal_handle import ServerGoalHandle
 from turtleact.server.hooks import Hooks
-from turtleact.server.stepping import BLOCKING
+from turtleact.server.stepping import BLOCKING, GRACE
 from turtleact.slot import Admission, Slot
 from turtleact.tasks import Signal, Tasks
 from turtleact.transports.base import Closeable
@@ -58,9 +58,6 @@ _AT_ONCE = ((_EXECUTING, 0),)  # the history of a goal that did not wait to be s
 
 IN_A_ROW = 64
 """So many goals are begun before others have their turn for sure."""
-
-GRACE = 5.0
-"""How long a server that is closed waits for its bodies (s)."""
 
 
 class ActionServer(Generic[G, R, F]):
@@ -99,7 +96,7 @@ class ActionServer(Generic[G, R, F]):
         cancel_callback = options.get("cancel_callback")
         self._on_client_lost = options.get("on_client_lost", "keep")
         self._slot = place
-        self._questions = Questions(name)
+        self._questions = Questions(name, tasks)
         self._until_turn = IN_A_ROW
         self._can_borrow = tasks.can_borrow and cancel_callback is None
         self._table = GoalTable(options.get("result_timeout", 10.0))
@@ -299,8 +296,7 @@ class ActionServer(Generic[G, R, F]):
                 await ended.wait()
         for goal in self._table.active:
             logger.error("goal %s of %s has not ended; it is left behind", goal.hex, self.name)
-            if goal.body is not None:
-                goal.body.cancel()  # once more: it may have swallowed the first one
+            self.execution.abandon(goal)
             self.execution.end(goal, GoalEvent.ABORT, None, goal.reason or "shutdown")
         self.execution.release = self._slot = None
         await self._canceling.aclose()

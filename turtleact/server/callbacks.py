@@ -15,6 +15,7 @@ import anyio
 from turtleact.errors import GoalRejected, Reject
 from turtleact.goal import CancelResponse, GoalResponse
 from turtleact.summaries import summary, text_of
+from turtleact.tasks import Tasks
 
 __all__ = ["CancelCallback", "GoalCallback", "Questions"]
 
@@ -29,11 +30,14 @@ class Questions:
 
     Args:
         server: The action's name.
+        tasks: Knows whether a cancellation is that of the caller.
     """
 
-    def __init__(self, server: str) -> None:
+    def __init__(self, server: str, tasks: Tasks) -> None:
         self._server = server
+        self._tasks = tasks
         self._open: set[anyio.CancelScope] = set()
+        self._is_closed = False
 
     async def may_start(self, callback: GoalCallback, request: object) -> None:
         """Put a goal message to a ``goal_callback``.
@@ -66,7 +70,8 @@ class Questions:
         return answer is CancelResponse.ACCEPT
 
     def close(self) -> None:
-        """Cancel the callbacks that have not answered yet."""
+        """Cancel the callbacks that have not answered yet, and wait for none from now on."""
+        self._is_closed = True
         for scope in tuple(self._open):
             scope.cancel()
 
@@ -75,8 +80,14 @@ class Questions:
             return given
         with anyio.CancelScope() as scope:
             self._open.add(scope)
+            if self._is_closed:
+                scope.cancel()
             try:
                 return await given
+            except self._tasks.cancelled:
+                if scope.cancel_called or self._tasks.is_canceled():
+                    raise
+                raise RuntimeError("it waited for something that was canceled") from None
             finally:
                 self._open.remove(scope)
         return _CLOSED

@@ -11,6 +11,7 @@ from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable, cancel_code, 
 from turtleact.interfaces.standard import CancelGoal, GoalInfo
 from turtleact.server.callbacks import CancelCallback, Questions
 from turtleact.server.execution import Execution
+from turtleact.server.stepping import GRACE
 from turtleact.tasks import Background, Tasks
 
 __all__ = ["Canceling"]
@@ -96,7 +97,7 @@ class Canceling:
     async def aclose(self) -> None:
         """Wait for no answer of the user any more."""
         for asking in list(self._under_way.values()):
-            await asking.aclose()
+            await asking.aclose(GRACE)
 
     async def _ask(self, goal: Goal) -> None:
         try:

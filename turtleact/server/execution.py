@@ -29,7 +29,7 @@ from turtleact.feedback import FeedbackLog
 from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable
 from turtleact.interfaces import Message, snapshotter
 from turtleact.server.stepping import Borrowed, Timed
-from turtleact.summaries import summary, text_of
+from turtleact.summaries import STOPS, summary, text_of
 from turtleact.tasks import Signal, Tasks, is_cancellation
 
 __all__ = ["CURRENT_GOAL", "Execution", "Watch"]
@@ -167,7 +167,8 @@ class Execution:
                 raise
             return
         try:  # few names and short calls here: each takes its place in every goal's frame
-            result = self.check_result(result)
+            if result is None or not self._is_generator:  # else `_drive` has done it
+                result = self.check_result(result)
         except InvalidMessage as error:
             self._end_without_result(goal, result, error)
         else:
@@ -208,8 +209,13 @@ class Execution:
         except BaseException:
             await steps.aclose()
             raise
+        try:
+            result = self.check_result(item)  # now: the body may go on changing it
+        except InvalidMessage as misfit:
+            await steps.aclose()
+            raise Abort(f"the body's result does not fit: {misfit}") from None
         await _finish(steps)
-        return item
+        return result
 
     async def _pause(self, goal: Goal) -> None:
         """Let others run; if the sender reads and is far behind, let it catch up."""
@@ -247,7 +253,9 @@ class Execution:
         if goal.on_feedback is not None:
             try:
                 goal.on_feedback(message)
-            except Exception:
+            except STOPS:
+                raise
+            except BaseException:  # a cancellation too: nobody has canceled this body
                 logger.exception("the feedback_callback of goal %s failed", goal.hex)
         if self.also_feedback is not None:
             self.also_feedback(goal, message)
@@ -261,6 +269,13 @@ class Execution:
             seconds,
             goal.hex,
         )
+
+    def abandon(self, goal: Goal) -> None:
+        """Cancel a body once more, which may have swallowed the first time; let its caller go."""
+        if isinstance(goal.body, Borrowed):
+            goal.body.abandon()
+        elif goal.body is not None:
+            goal.body.cancel()
 
     # changing and ending
 

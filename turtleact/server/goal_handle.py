@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
+from turtleact.errors import InvalidTransition
 from turtleact.goal import Goal, GoalStatus
 from turtleact.interfaces import Message
 from turtleact.interfaces.standard import Time
@@ -74,5 +75,8 @@ class ServerGoalHandle(Generic[G, R, F]):
 
         Raises:
             InvalidMessage: if it is not this action's Result, or a value does not fit its type.
+            InvalidTransition: if the goal has ended.
         """
+        if self._goal.ended:
+            raise InvalidTransition(self._goal.status, "a partial result", self._goal.hex)
         self._goal.result = self._server.execution.check_result(result)

@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 from turtleact.goal import Goal, GoalStatus
 from turtleact.server.execution import CURRENT_GOAL, Execution
 from turtleact.server.goal_handle import ServerGoalHandle
+from turtleact.summaries import STOPS
 
 __all__ = ["Hooks", "Transition"]
 
@@ -65,7 +66,10 @@ class Hooks:
             for hook in tuple(self._hooks):
                 try:
                     hook(*self._untold[0])
-                except Exception:
+                except STOPS:
+                    self._untold.clear()
+                    raise
+                except BaseException:  # a cancellation too: nobody has canceled the hook
                     logger.exception("a hook on the transitions of %s failed", self._name)
             self._untold.popleft()
         CURRENT_GOAL.reset(token)

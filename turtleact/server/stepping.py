@@ -19,9 +19,12 @@ from typing import Any, Protocol, Self, TypeVar, cast
 
 from turtleact.goal import Goal
 
-__all__ = ["BLOCKING", "Borrowed", "Timed"]
+__all__ = ["BLOCKING", "GRACE", "Borrowed", "Timed"]
 
 T = TypeVar("T")
+
+GRACE = 5.0
+"""How long a caller that is canceled waits for the end of its goal (s)."""
 
 BLOCKING = 0.5
 """A step that takes longer is reported (s)."""
@@ -106,10 +109,12 @@ class Borrowed:
         "_before",
         "_context",
         "_goal",
+        "_is_abandoned",
         "_is_on_its_way",
         "_reporter",
         "_task",
         "_thrown",
+        "_timer",
     )
 
     def __init__(self, context: Context, goal: Goal, reporter: Reporter) -> None:
@@ -122,7 +127,9 @@ class Borrowed:
         self._before = task.cancelling() - is_on_its_way
         self._asked = 0
         self._is_on_its_way = False
+        self._is_abandoned = False
         self._thrown: asyncio.CancelledError | None = None
+        self._timer: asyncio.TimerHandle | None = None
 
     def cancel(self) -> None:
         """Let a cancellation arrive at the coroutine's next await."""
@@ -130,6 +137,11 @@ class Borrowed:
             self._asked += 1
             self._is_on_its_way = True
             self._task.cancel()
+
+    def abandon(self) -> None:
+        """Let the caller go on alone: the coroutine goes on, canceled, in a task of its own."""
+        self._is_abandoned = True
+        self.cancel()
 
     @property
     def is_caller_canceled(self) -> bool:
@@ -139,9 +151,11 @@ class Borrowed:
 
     @coroutine
     def go_on(
-        self, body: Coroutine[object, object, T], waits_for: object
-    ) -> Generator[object, object, T]:
+        self, body: Coroutine[object, object, None], waits_for: object
+    ) -> Generator[object, object, None]:
         """Run a coroutine that has had its first step, and waits for what it gave out then.
+
+        A caller that is canceled waits `GRACE` seconds for the end, and abandons the coroutine.
 
         Args:
             body: The coroutine.
@@ -158,6 +172,9 @@ class Borrowed:
                     raise
                 except BaseException as thrown:
                     self._note(thrown)
+                    if self._is_abandoned:
+                        self._part(body, thrown)
+                        break
                     began = monotonic()
                     waits_for = in_context(body.throw, thrown)
                 else:
@@ -166,8 +183,8 @@ class Borrowed:
                 if (took := monotonic() - began) > BLOCKING:
                     self._reporter.report_blocking(self._goal, took)
                 began = inf
-        except StopIteration as end:
-            value: T = end.value
+        except StopIteration:
+            pass
         finally:
             task = self._give_back()
             if (took := monotonic() - began) > BLOCKING:
@@ -182,19 +199,59 @@ class Borrowed:
                 raise self._thrown
             finally:
                 self._thrown = None  # or the exception would hold itself
-        return value
 
     def _note(self, thrown: BaseException) -> None:
         """Remember a cancellation that may be the caller's; a failed future is thrown in too."""
         if isinstance(thrown, asyncio.CancelledError):
-            self._is_on_its_way = False
-            if self.is_caller_canceled:
+            is_ours, self._is_on_its_way = self._is_on_its_way, False
+            if self.is_caller_canceled and not (is_ours and self._thrown):
                 self._thrown = thrown
+                if self._timer is None:
+                    loop = asyncio.get_running_loop()
+                    self._timer = loop.call_later(GRACE, self.abandon)
+
+    def _part(self, body: Coroutine[object, object, None], thrown: BaseException) -> None:
+        """Go on with the coroutine in a task of its own."""
+        task = asyncio.get_running_loop().create_task(_rest(body, thrown), context=self._context)
+        self._goal.body = task
+        _ABANDONED.add(task)
+        task.add_done_callback(_ABANDONED.discard)
 
     def _give_back(self) -> asyncio.Task[object]:
         """Take no more requests, and take those back that were made."""
         task = cast("asyncio.Task[object]", self._task)
         self._task = None
+        if self._timer is not None:
+            self._timer.cancel()
         for _ in range(self._asked):
             task.uncancel()
         return task
+
+
+#: Only the event loop would hold them otherwise, and it holds them weakly.
+_ABANDONED: set[asyncio.Task[None]] = set()
+
+
+async def _rest(body: Coroutine[object, object, None], thrown: BaseException) -> None:
+    """Go on with a coroutine that another task has abandoned."""
+    await _steps(body, thrown)
+
+
+@coroutine
+def _steps(
+    body: Coroutine[object, object, None], thrown: BaseException
+) -> Generator[object, object, None]:
+    try:
+        waits_for = body.throw(thrown)
+        while True:
+            try:
+                answer = yield waits_for
+            except GeneratorExit:
+                body.close()
+                raise
+            except BaseException as error:
+                waits_for = body.throw(error)
+            else:
+                waits_for = body.send(answer)
+    except StopIteration:
+        return
