@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable, Coroutine, Generator
-from inspect import iscoroutinefunction
+from inspect import CO_COROUTINE
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -79,7 +79,7 @@ class ActionClient(Generic[G, R, F]):
             GoalRejected: if the server does not take the goal.
             GoalAborted, GoalCanceled: (when awaited) if the goal ends so.
         """
-        if feedback_callback is not None and iscoroutinefunction(feedback_callback):
+        if feedback_callback is not None and _is_coroutine_function(feedback_callback):
             problem = "must be a plain function: it is called in the server's turn, not awaited"
             raise InvalidOption("feedback_callback", problem)
         return SendGoal(
@@ -270,3 +270,9 @@ class Attach(msgspec.Struct, Generic[R, F], eq=False):
         traceback: TracebackType | None,
     ) -> None:
         self._handle = None
+
+
+def _is_coroutine_function(callback: object) -> bool:
+    """What `inspect.iscoroutinefunction` says of functions and methods, and faster."""
+    code = getattr(callback, "__code__", None)
+    return code is not None and bool(code.co_flags & CO_COROUTINE)

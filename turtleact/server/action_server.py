@@ -199,7 +199,8 @@ class ActionServer(Generic[G, R, F]):
             GoalRejected: if it is not taken.
             GoalAborted, GoalCanceled: if it ends so.
         """
-        if self.waits_first():
+        self._until_turn -= 1
+        if not self._until_turn or self._goal_callback is not None:  # `waits_first`, but no call
             request = yield from self.prepare(request).__await__()
         goal = self._admit(request, goal_id, on_feedback, sender)
         if self._can_borrow and goal.status is _EXECUTING:

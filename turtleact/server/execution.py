@@ -185,9 +185,9 @@ class Execution:
                     message = check(item)
                     log = goal.feedback
                     if goal.listener or goal.on_feedback or goal.ended or self.also_feedback:
-                        told = goal.status, goal.reason
+                        status, reason = goal.status, goal.reason
                         self._hand_on(goal, message)
-                        if told != (goal.status, goal.reason):
+                        if goal.status is not status or goal.reason is not reason:
                             countdown = 1  # who was told has canceled it: see to that at once
                     elif log is not None:  # nobody is to be told: a shorter `_hand_on`
                         log.items.append(message)  # `_pause` trims it
