@@ -151,8 +151,8 @@ class Borrowed:
 
     @coroutine
     def go_on(
-        self, body: Coroutine[object, object, None], waits_for: object
-    ) -> Generator[object, object, None]:
+        self, body: Coroutine[object, object, T], waits_for: object
+    ) -> Generator[object, object, T | None]:
         """Run a coroutine that has had its first step, and waits for what it gave out then.
 
         A caller that is canceled waits `GRACE` seconds for the end, and abandons the coroutine.
@@ -162,7 +162,7 @@ class Borrowed:
             waits_for: What its first ``send`` gave.
         """
         in_context = self._context.run
-        began = inf
+        value, began = None, inf
         try:
             while True:
                 try:
@@ -183,8 +183,8 @@ class Borrowed:
                 if (took := monotonic() - began) > BLOCKING:
                     self._reporter.report_blocking(self._goal, took)
                 began = inf
-        except StopIteration:
-            pass
+        except StopIteration as end:
+            value = end.value
         finally:
             task = self._give_back()
             if (took := monotonic() - began) > BLOCKING:
@@ -199,6 +199,7 @@ class Borrowed:
                 raise self._thrown
             finally:
                 self._thrown = None  # or the exception would hold itself
+        return value
 
     def _note(self, thrown: BaseException) -> None:
         """Remember a cancellation that may be the caller's; a failed future is thrown in too."""
@@ -210,7 +211,7 @@ class Borrowed:
                     loop = asyncio.get_running_loop()
                     self._timer = loop.call_later(GRACE, self.abandon)
 
-    def _part(self, body: Coroutine[object, object, None], thrown: BaseException) -> None:
+    def _part(self, body: Coroutine[object, object, object], thrown: BaseException) -> None:
         """Go on with the coroutine in a task of its own."""
         task = asyncio.get_running_loop().create_task(_rest(body, thrown), context=self._context)
         self._goal.body = task
@@ -232,14 +233,14 @@ class Borrowed:
 _ABANDONED: set[asyncio.Task[None]] = set()
 
 
-async def _rest(body: Coroutine[object, object, None], thrown: BaseException) -> None:
+async def _rest(body: Coroutine[object, object, object], thrown: BaseException) -> None:
     """Go on with a coroutine that another task has abandoned."""
     await _steps(body, thrown)
 
 
 @coroutine
 def _steps(
-    body: Coroutine[object, object, None], thrown: BaseException
+    body: Coroutine[object, object, object], thrown: BaseException
 ) -> Generator[object, object, None]:
     try:
         waits_for = body.throw(thrown)
