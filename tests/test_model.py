@@ -43,8 +43,8 @@ from turtleact.errors import (
     UnknownGoal,
 )
 from turtleact.goal import TRANSITIONS, Goal, GoalStatus
-from turtleact.server.stepping import GRACE
 from turtleact.slot import Slot
+from turtleact.tasks import GRACE
 from turtleact.testing import virtual_backend
 from turtleact.transports import MemoryTransport
 

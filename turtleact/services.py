@@ -32,8 +32,13 @@ from turtleact.errors import (
 from turtleact.goal import Cancelable
 from turtleact.interfaces import Message, snapshotter
 from turtleact.summaries import summary
-from turtleact.tasks import Signal, Tasks, is_cancellation
-from turtleact.transports.base import Closeable, Transport
+from turtleact.tasks import GRACE, Signal, Tasks, is_cancellation
+from turtleact.transports.base import (
+    Closeable,
+    Transport,
+    wait_until_served,
+    why_not_served,
+)
 
 __all__ = ["ServiceClient", "ServiceServer", "ServiceType"]
 
@@ -45,9 +50,6 @@ ReqMade = TypeVar("ReqMade", bound=Message, covariant=True)
 ResMade = TypeVar("ResMade", bound=Message, covariant=True)
 
 Check: TypeAlias = Callable[[object], Message]
-
-GRACE = 5.0
-"""How long a handler that was canceled is waited for (s)."""
 
 
 class ServiceType(Protocol[ReqMade, ResMade]):
@@ -250,11 +252,7 @@ class ServiceClient(Generic[Req, Res]):
         Raises:
             InvalidOption: if ``timeout`` is not a number.
         """
-        check_timeout(timeout)
-        async with within(timeout, self._transport.clock):
-            while self._find() is None:
-                await self._transport.wait_for_change()
-        return self._find() is not None
+        return await wait_until_served(self._transport, self._find, timeout)
 
     async def aclose(self) -> None:
         """Leave the graph; calls that are under way go on."""
@@ -266,24 +264,13 @@ class ServiceClient(Generic[Req, Res]):
         if server is None or not server.is_open:
             server = self._found = self._find()
             if server is None:
-                raise ServerUnavailable(self.name, self._what_is_there(), kind="service")
+                problem = why_not_served(self._transport, self.name, self.service_type.type_name)
+                raise ServerUnavailable(self.name, problem, kind="service")
         return server
 
     def _find(self) -> LocalService | None:
         found = self._transport.local(self.name, self.service_type.type_name)
         return found if isinstance(found, LocalService) else None
-
-    def _what_is_there(self) -> str:
-        """Why there is no server to be found."""
-        wanted = self.service_type.type_name
-        types = {
-            endpoint.type_name
-            for endpoint in self._transport.endpoints()
-            if endpoint.kind == "service" and endpoint.name == self.name
-        } - {wanted}
-        if not types:
-            return "no server answers"
-        return f"it is served as {', '.join(sorted(types))}, not as {wanted}"
 
 
 class _Call:

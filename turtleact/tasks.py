@@ -30,9 +30,13 @@ from turtleact.goal import Cancelable
 if TYPE_CHECKING:
     import trio
 
-__all__ = ["Background", "Signal", "Tasks", "current_tasks", "is_cancellation"]
+__all__ = ["GRACE", "Background", "Signal", "Tasks", "current_tasks", "is_cancellation"]
 
 logger = logging.getLogger("turtleact")
+
+
+GRACE = 5.0
+"""How long what was canceled is waited for, before it is left behind (s)."""
 
 
 class Signal(Protocol):

@@ -19,14 +19,18 @@ import msgspec
 from turtleact.body import ActionType
 from turtleact.client.goal_handle import ClientGoalHandle
 from turtleact.client.local_server import LocalServer
-from turtleact.clock import check_timeout, within
 from turtleact.errors import InvalidOption, ServerUnavailable, TurtleactError, UnknownGoal
 from turtleact.goal import OnFeedback
 from turtleact.goal_id import goal_id_bytes
 from turtleact.interfaces import Message
 from turtleact.interfaces.standard import CancelGoal, Time
 from turtleact.names import ActionNames
-from turtleact.transports.base import Closeable, Transport
+from turtleact.transports.base import (
+    Closeable,
+    Transport,
+    wait_until_served,
+    why_not_served,
+)
 
 __all__ = ["ActionClient", "Attach", "SendGoal"]
 
@@ -116,11 +120,7 @@ class ActionClient(Generic[G, R, F]):
         Raises:
             InvalidOption: if ``timeout`` is not a number.
         """
-        check_timeout(timeout)
-        async with within(timeout, self._transport.clock):
-            while self._find() is None:
-                await self._transport.wait_for_change()
-        return self._find() is not None
+        return await wait_until_served(self._transport, self._find, timeout)
 
     async def cancel_all(self) -> CancelGoal.Response:
         """Ask the server to cancel every goal of the action."""
@@ -151,24 +151,13 @@ class ActionClient(Generic[G, R, F]):
                 raise TurtleactError(f"the client of action '{self.name}' is closed: open another")
             server = self._server = self._find()
             if server is None:
-                raise ServerUnavailable(self.name, self._what_is_there())
+                problem = why_not_served(self._transport, *self._service, suffix="_SendGoal")
+                raise ServerUnavailable(self.name, problem)
         return server
 
     def _find(self) -> LocalServer | None:
         found = self._transport.local(*self._service)
         return found if isinstance(found, LocalServer) else None
-
-    def _what_is_there(self) -> str:
-        """Why there is no server to be found."""
-        name, wanted = self._service
-        types = {
-            endpoint.type_name.removesuffix("_SendGoal")
-            for endpoint in self._transport.endpoints()
-            if endpoint.kind == "service" and endpoint.name == name and endpoint.type_name != wanted
-        }
-        if not types:
-            return "no server answers"
-        return f"it is served as {', '.join(sorted(types))}, not as {self.action_type.type_name}"
 
 
 if TYPE_CHECKING:

@@ -33,9 +33,9 @@ from turtleact.server.claim import Claim
 from turtleact.server.execution import CURRENT_GOAL, Execution
 from turtleact.server.goal_handle import ServerGoalHandle
 from turtleact.server.hooks import Hooks
-from turtleact.server.stepping import BLOCKING, GRACE
+from turtleact.server.stepping import BLOCKING
 from turtleact.slot import Admission, Slot
-from turtleact.tasks import Signal, Tasks
+from turtleact.tasks import GRACE, Signal, Tasks
 from turtleact.transports.base import Closeable
 
 if TYPE_CHECKING:
@@ -199,8 +199,7 @@ class ActionServer(Generic[G, R, F]):
             GoalRejected: if it is not taken.
             GoalAborted, GoalCanceled: if it ends so.
         """
-        self._until_turn -= 1
-        if not self._until_turn or self._goal_callback is not None:  # `waits_first`, but no call
+        if self.waits_first():
             request = yield from self.prepare(request).__await__()
         goal = self._admit(request, goal_id, on_feedback, sender)
         if self._can_borrow and goal.status is _EXECUTING:

@@ -11,8 +11,7 @@ from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable, cancel_code, 
 from turtleact.interfaces.standard import CancelGoal, GoalInfo
 from turtleact.server.callbacks import CancelCallback, Questions
 from turtleact.server.execution import Execution
-from turtleact.server.stepping import GRACE
-from turtleact.tasks import Background, Tasks
+from turtleact.tasks import GRACE, Background, Tasks
 
 __all__ = ["Canceling"]
 

@@ -34,8 +34,8 @@ from turtleact.interfaces.standard import (
 )
 from turtleact.names import ActionNames
 from turtleact.server.action_server import ActionServer
-from turtleact.services import GRACE, ServiceServer
-from turtleact.tasks import Signal, Tasks
+from turtleact.services import ServiceServer
+from turtleact.tasks import GRACE, Signal, Tasks
 from turtleact.transports.base import Endpoint, EndpointKind, Publication, QoS, Transport
 
 __all__ = ["ActionEndpoints"]

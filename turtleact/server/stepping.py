@@ -18,13 +18,11 @@ from types import coroutine
 from typing import Any, Protocol, Self, TypeVar, cast
 
 from turtleact.goal import Goal
+from turtleact.tasks import GRACE
 
-__all__ = ["BLOCKING", "GRACE", "Borrowed", "Timed"]
+__all__ = ["BLOCKING", "Borrowed", "Timed"]
 
 T = TypeVar("T")
-
-GRACE = 5.0
-"""How long a caller that is canceled waits for the end of its goal (s)."""
 
 BLOCKING = 0.5
 """A step that takes longer is reported (s)."""
@@ -173,7 +171,7 @@ class Borrowed:
                 except BaseException as thrown:
                     self._note(thrown)
                     if self._is_abandoned:
-                        self._part(body, thrown)
+                        self._part(body)
                         break
                     began = monotonic()
                     waits_for = in_context(body.throw, thrown)
@@ -211,9 +209,11 @@ class Borrowed:
                     loop = asyncio.get_running_loop()
                     self._timer = loop.call_later(GRACE, self.abandon)
 
-    def _part(self, body: Coroutine[object, object, object], thrown: BaseException) -> None:
-        """Go on with the coroutine in a task of its own."""
-        task = asyncio.get_running_loop().create_task(_rest(body, thrown), context=self._context)
+    def _part(self, body: Coroutine[object, object, object]) -> None:
+        """Go on with the coroutine, which waits, in a task of its own: its first step cancels."""
+        loop = asyncio.get_running_loop()
+        task = asyncio.Task(body, loop=loop, context=self._context)
+        task.cancel()
         self._goal.body = task
         _ABANDONED.add(task)
         task.add_done_callback(_ABANDONED.discard)
@@ -230,29 +230,4 @@ class Borrowed:
 
 
 #: Only the event loop would hold them otherwise, and it holds them weakly.
-_ABANDONED: set[asyncio.Task[None]] = set()
-
-
-async def _rest(body: Coroutine[object, object, object], thrown: BaseException) -> None:
-    """Go on with a coroutine that another task has abandoned."""
-    await _steps(body, thrown)
-
-
-@coroutine
-def _steps(
-    body: Coroutine[object, object, object], thrown: BaseException
-) -> Generator[object, object, None]:
-    try:
-        waits_for = body.throw(thrown)
-        while True:
-            try:
-                answer = yield waits_for
-            except GeneratorExit:
-                body.close()
-                raise
-            except BaseException as error:
-                waits_for = body.throw(error)
-            else:
-                waits_for = body.send(answer)
-    except StopIteration:
-        return
+_ABANDONED: set[asyncio.Task[object]] = set()

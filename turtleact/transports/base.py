@@ -25,10 +25,20 @@ from typing import Literal, Protocol
 
 import msgspec
 
-from turtleact.clock import Clock
+from turtleact.clock import Clock, check_timeout, within
 from turtleact.errors import InvalidMessage
 
-__all__ = ["Closeable", "Endpoint", "EndpointKind", "Publication", "QoS", "Source", "Transport"]
+__all__ = [
+    "Closeable",
+    "Endpoint",
+    "EndpointKind",
+    "Publication",
+    "QoS",
+    "Source",
+    "Transport",
+    "wait_until_served",
+    "why_not_served",
+]
 
 EndpointKind = Literal["publisher", "subscription", "service", "client"]
 
@@ -144,3 +154,42 @@ class Transport(Protocol):
 
     async def wait_for_change(self) -> None:
         """Wait until a node or endpoint comes or goes. Cancelling: safe."""
+
+
+async def wait_until_served(
+    transport: Transport, find: Callable[[], object | None], timeout: float | None
+) -> bool:
+    """Wait until ``find`` finds a server. Cancelling: safe.
+
+    Args:
+        transport: The graph.
+        find: Gives the server, or None.
+        timeout: How long to wait (s, by the clock of the graph); None for ever.
+
+    Raises:
+        InvalidOption: if ``timeout`` is not a number.
+    """
+    check_timeout(timeout)
+    async with within(timeout, transport.clock):
+        while find() is None:
+            await transport.wait_for_change()
+    return find() is not None
+
+
+def why_not_served(transport: Transport, service: str, wanted: str, suffix: str = "") -> str:
+    """Why there is no server to be found.
+
+    Args:
+        transport: The graph.
+        service: The fully qualified name of the service.
+        wanted: The type that was looked for.
+        suffix: What the types end in and users do not say.
+    """
+    types = {
+        endpoint.type_name.removesuffix(suffix)
+        for endpoint in transport.endpoints()
+        if endpoint.kind == "service" and endpoint.name == service and endpoint.type_name != wanted
+    }
+    if not types:
+        return "no server answers"
+    return f"it is served as {', '.join(sorted(types))}, not as {wanted.removesuffix(suffix)}"
