@@ -69,7 +69,11 @@ def files() -> list[Path]:
         folders[:] = [
             name for name in folders if name not in SKIPPED_FOLDERS and not is_cache(name)
         ]
-        found += [Path(folder, name) for name in names if not name.startswith(".coverage")]
+        found += [
+            Path(folder, name)
+            for name in names
+            if name != ".git" and not name.startswith(".coverage")  # a worktree's .git is a file
+        ]
     return sorted(found)
 
 
