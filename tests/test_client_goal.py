@@ -16,6 +16,7 @@ from turtleact.errors import (
     GoalCanceled,
     InvalidName,
     ServerUnavailable,
+    TurtleactError,
     UnknownGoal,
 )
 from turtleact.feedback import FeedbackLog
@@ -777,3 +778,41 @@ async def test_a_goal_of_others_can_be_canceled_without_waiting():
     async with lab(Gate().wait) as served, served.client.send_goal(goal(), goal_id=ID) as sent:
         (await served.client.attach(ID)).cancel_nowait()
         assert (await sent.outcome()).status is GoalStatus.CANCELED
+
+
+# --- once only ------------------------------------------------------------------------------
+
+
+async def await_it(sending):
+    await sending
+
+
+async def enter_it(sending):
+    async with sending:
+        pass
+
+
+@pytest.mark.parametrize("again", [await_it, enter_it])
+@pytest.mark.parametrize("first", [await_it, enter_it])
+async def test_a_goal_is_sent_once(first, again):
+    async with lab(count) as served:
+        sending = served.client.send_goal(goal())
+        await first(sending)
+        with pytest.raises(TurtleactError, match="has been sent: call send_goal again"):
+            await again(sending)
+
+
+async def test_the_handle_of_a_goal_that_was_forgotten_cancels_no_stranger():
+    gate, goal_id = Gate(), b"7" * 16
+
+    async def act(request):
+        return result() if request.upto == 1 else await gate.wait(request)
+
+    async with lab(act, result_timeout=0) as served:
+        async with served.client.send_goal(goal(1), goal_id=goal_id) as stale:
+            await stale.result()
+        async with served.client.send_goal(goal(2), goal_id=goal_id) as handle:
+            answer = await stale.cancel()
+            assert (answer.return_code, answer.goals_canceling) == (CancelCode.UNKNOWN_GOAL_ID, [])
+            gate.opened.set()
+            assert await handle.result() == result(2)

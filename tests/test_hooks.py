@@ -417,6 +417,41 @@ async def test_a_goal_that_waits_is_canceled_with_its_client():
             assert (first.status, second.status) == (GoalStatus.EXECUTING, GoalStatus.CANCELED)
 
 
+@pytest.mark.parametrize("loss", ["cancel", "keep"])
+@pytest.mark.parametrize("way", ["awaited", "entered"])
+async def test_a_client_may_leave_while_its_goal_is_with_the_goal_callback(way, loss):
+    asked, answered, begun = anyio.Event(), anyio.Event(), []
+
+    async def ask(request):
+        asked.set()
+        await answered.wait()
+        return turtleact.GoalResponse.ACCEPT
+
+    async def act(request):
+        begun.append(request.upto)
+        return result()
+
+    async def send():
+        if way == "awaited":
+            return await served.client.send_goal(goal())
+        async with served.client.send_goal(goal()) as handle:
+            return await handle.result()
+
+    async with (
+        lab(act, goal_callback=ask, on_client_lost=loss) as served,
+        running(send) as sent,
+    ):
+        await asked.wait()
+        await served.client.aclose()
+        answered.set()
+        await sent.done.wait()
+    if loss == "keep":
+        assert (sent.value, begun) == (result(), [3])
+    else:
+        assert isinstance(sent.error, GoalRejected)
+        assert (str(sent.error), begun) == ("the goal was rejected: its client has gone", [])
+
+
 async def test_the_goals_of_other_clients_go_on():
     gate = Gate()
     async with lab(gate.wait, on_client_lost="cancel") as served:

@@ -8,6 +8,7 @@ from contextlib import suppress
 from contextvars import ContextVar, copy_context
 from functools import partial
 from types import coroutine
+from typing import Any
 
 import anyio
 import anyio.lowlevel
@@ -16,7 +17,8 @@ import pytest
 from turtleact import GoalStatus, Outcome
 from turtleact.errors import Abort, GoalAborted, GoalCanceled
 from turtleact.goal import Goal
-from turtleact.server.stepping import BLOCKING, Borrowed, Timed
+from turtleact.server.stepping import BLOCKING, Borrowed, Owned
+from turtleact.tasks import current_tasks
 
 from .lab import ON_ASYNCIO, feedback, goal, lab, result, running, settle, take_turns
 
@@ -56,6 +58,8 @@ def give(value):
 
 
 GOAL = Goal(goal(), 0)
+NOBODY_ASKS: Any = None
+"""The tasks of what is not canceled."""
 
 
 class Reporter:
@@ -68,10 +72,15 @@ class Reporter:
         assert goal is GOAL
         self._on_slow(seconds)
 
+    def mark_canceling(self, goal: Goal) -> None:
+        raise AssertionError(f"no scope has canceled {goal}")
+
 
 async def step_by_step(body, on_slow=never):
     """Run a coroutine as a goal's task does."""
-    return await Timed(body(), GOAL, Reporter(on_slow))
+    owned = Owned(GOAL, Reporter(on_slow), NOBODY_ASKS)
+    owned.body = body()
+    return await owned
 
 
 # --- step by step -----------------------------------------------------------------------------
@@ -225,7 +234,7 @@ async def lend(body, on_slow=never, made=None):
     context = copy_context()
     running = body()
     waits_for = context.run(running.send, None)
-    borrowed = Borrowed(context, GOAL, Reporter(on_slow))
+    borrowed = Borrowed(context, GOAL, Reporter(on_slow), current_tasks(), None)
     if made is not None:
         made(borrowed)
     return await borrowed.go_on(running, waits_for)

@@ -16,7 +16,9 @@ import pytest
 
 from turtleact.goal import Goal
 from turtleact.server.stepping import Borrowed
-from turtleact.tasks import AsyncioTasks, Background, TrioTasks, current_tasks
+from turtleact.tasks import Background, current_tasks
+from turtleact.tasks.on_asyncio import AsyncioTasks
+from turtleact.tasks.on_trio import TrioTasks
 
 from .lab import ON_ASYNCIO, ON_TRIO, other_tasks, settle
 
@@ -436,11 +438,14 @@ class Loan:
             waits_for = context.run(coroutine.send, None)
         except StopIteration as end:
             return end.value
-        self.borrowed = Borrowed(context, Goal(None, 0), self)
+        self.borrowed = Borrowed(context, Goal(None, 0), self, current_tasks(), None)
         return await self.borrowed.go_on(coroutine, waits_for)
 
     def report_blocking(self, goal: Goal, seconds: float) -> None:
         self.slow.append(seconds)
+
+    def mark_canceling(self, goal: Goal) -> None:
+        """There is no goal here."""
 
     async def wait(self) -> str:
         """Let the cancellation out."""

@@ -12,7 +12,7 @@ import uuid
 from collections.abc import Callable, Coroutine, Generator
 from inspect import CO_COROUTINE
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 import msgspec
 
@@ -45,6 +45,7 @@ class ActionClient(Generic[G, R, F]):
     Attributes:
         name: The fully qualified name of the action.
         action_type: The action.
+        is_open: Whether it sends goals.
     """
 
     def __init__(
@@ -59,7 +60,7 @@ class ActionClient(Generic[G, R, F]):
         self._service = (names.send_goal, f"{action_type.type_name}_SendGoal")
         self.membership: Closeable | None = None
         self._server: LocalServer | None = None
-        self._is_open = True
+        self.is_open = True
 
     def send_goal(
         self,
@@ -82,6 +83,7 @@ class ActionClient(Generic[G, R, F]):
             ServerUnavailable: if nobody serves the action.
             GoalRejected: if the server does not take the goal.
             GoalAborted, GoalCanceled: (when awaited) if the goal ends so.
+            TurtleactError: (when awaited or entered) a second time.
         """
         if feedback_callback is not None and _is_coroutine_function(feedback_callback):
             problem = "must be a plain function: it is called in the server's turn, not awaited"
@@ -132,7 +134,7 @@ class ActionClient(Generic[G, R, F]):
 
     async def aclose(self) -> None:
         """Leave the graph; the goals it has sent go on, unless their server cancels them."""
-        self._is_open = False
+        self.is_open = False
         if self._server is not None:
             self._server.client_lost(self)
             self._server = None
@@ -147,7 +149,7 @@ class ActionClient(Generic[G, R, F]):
         """
         server = self._server
         if server is None or not server.is_open:
-            if not self._is_open:
+            if not self.is_open:
                 raise TurtleactError(f"the client of action '{self.name}' is closed: open another")
             server = self._server = self._find()
             if server is None:
@@ -188,8 +190,12 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
     _on_feedback: OnFeedback | None
     _handle: ClientGoalHandle[R, F] | None = None
     _calling: Generator[object, object, R] | None = None
+    _is_sent: bool = False
 
     def __await__(self) -> Generator[object, object, R]:
+        if self._is_sent:
+            raise _sent_before()
+        self._is_sent = True
         client = self._client
         calling = client.server().call(self._request, self._goal_id, self._on_feedback, client)
         return calling  # type: ignore[return-value]  # the result's class is R
@@ -212,9 +218,13 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
             self._calling.close()
 
     async def __aenter__(self) -> ClientGoalHandle[R, F]:
+        if self._is_sent:
+            raise _sent_before()
+        self._is_sent = True
         server, request = self._client.server(), self._request
         if server.waits_first():
-            request = await server.prepare(request)  # type: ignore[assignment]  # as it was
+            prepared = await server.prepare(request, self._client)
+            request = cast("G", prepared)
         goal = server.begin(request, self._goal_id, self._on_feedback, self._client)
         handle: ClientGoalHandle[R, F] = ClientGoalHandle(server, goal)
         self._handle = handle
@@ -259,6 +269,10 @@ class Attach(msgspec.Struct, Generic[R, F], eq=False):
         traceback: TracebackType | None,
     ) -> None:
         self._handle = None
+
+
+def _sent_before() -> TurtleactError:
+    return TurtleactError("this goal has been sent: call send_goal again to send another")
 
 
 def _is_coroutine_function(callback: object) -> bool:

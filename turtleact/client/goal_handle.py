@@ -25,7 +25,7 @@ import msgspec
 
 from turtleact.client.local_server import LocalServer
 from turtleact.feedback import FeedbackLog
-from turtleact.goal import Goal, GoalStatus, failure
+from turtleact.goal import CancelCode, Goal, GoalStatus, failure
 from turtleact.interfaces import Message
 from turtleact.interfaces.standard import CancelGoal, Time
 
@@ -226,6 +226,8 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
 
     async def cancel(self) -> CancelGoal.Response:
         """Ask the server to cancel the goal; the answer says whether it will."""
+        if self.done and self._server.find(self.goal_id) is not self._goal:  # it was forgotten
+            return CancelGoal.Response(CancelCode.UNKNOWN_GOAL_ID)
         return await self._server.cancel(self.goal_id, 0)
 
     def cancel_nowait(self) -> None:

@@ -21,7 +21,7 @@ class LocalServer(Protocol):
     def waits_first(self) -> bool:
         """Whether `prepare` is to be awaited before the next goal is begun."""
 
-    async def prepare(self, request: object) -> object:
+    async def prepare(self, request: object, sender: object) -> object:
         """Let others run, and ask the server's user; answer what is to be begun."""
 
     def begin(

@@ -35,7 +35,7 @@ from turtleact.server.goal_handle import ServerGoalHandle
 from turtleact.server.hooks import Hooks
 from turtleact.server.stepping import BLOCKING
 from turtleact.slot import Admission, Slot
-from turtleact.tasks import GRACE, Signal, Tasks
+from turtleact.tasks import DEEPEST, GRACE, Signal, Tasks
 from turtleact.transports.base import Closeable
 
 if TYPE_CHECKING:
@@ -141,12 +141,13 @@ class ActionServer(Generic[G, R, F]):
         self._until_turn -= 1
         return self._until_turn == 0 or self._goal_callback is not None
 
-    async def prepare(self, request: object) -> object:
+    async def prepare(self, request: object, sender: object = None) -> object:
         """Let others run, and put a goal to the ``goal_callback``; answer what is to be begun.
 
         Raises:
             InvalidGoal: if the request does not fit the action.
-            GoalRejected: if it is not taken.
+            GoalRejected: if it is not taken; if its client has gone meanwhile, and its goals with
+                it.
         """
         if self._until_turn <= 0:
             self._until_turn = IN_A_ROW
@@ -155,6 +156,8 @@ class ActionServer(Generic[G, R, F]):
             return request
         message = self._check_goal(request)
         await self._questions.may_start(self._goal_callback, message)
+        if self._on_client_lost == "cancel" and not getattr(sender, "is_open", True):
+            raise GoalRejected("its client has gone")
         return message
 
     def begin(
@@ -200,19 +203,24 @@ class ActionServer(Generic[G, R, F]):
             GoalAborted, GoalCanceled: if it ends so.
         """
         if self.waits_first():
-            request = yield from self.prepare(request).__await__()
+            request = yield from self.prepare(request, sender).__await__()
         goal = self._admit(request, goal_id, on_feedback, sender)
-        if self._can_borrow and goal.status is _EXECUTING:
-            running, context = self.execution.run(goal), copy_context()
+        tasks = self._tasks
+        if self._can_borrow and goal.status is _EXECUTING and tasks.depth < DEEPEST:
+            running, context, outer = self.execution.run(goal), copy_context(), tasks.scope()
             has_ended, began = False, monotonic()
+            tasks.depth += 1
             try:
                 waits_for = context.run(running.send, None)
             except StopIteration:
                 has_ended = True
+            finally:
+                tasks.depth -= 1
             if (took := monotonic() - began) > BLOCKING:
                 self.execution.report_blocking(goal, took)
             if not has_ended:
-                yield from self.execution.lend(goal, running, waits_for, context).__await__()
+                lent = self.execution.lend(goal, running, waits_for, context, outer)
+                yield from lent.__await__()
         elif not goal.ended:
             if goal.status is not _ACCEPTED:
                 self.execution.start(goal)

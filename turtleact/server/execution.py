@@ -28,9 +28,9 @@ from turtleact.errors import (
 from turtleact.feedback import FeedbackLog
 from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable
 from turtleact.interfaces import Message, snapshotter
-from turtleact.server.stepping import Borrowed, Timed
+from turtleact.server.stepping import Borrowed, Owned
 from turtleact.summaries import STOPS, summary, text_of
-from turtleact.tasks import Signal, Tasks, is_cancellation
+from turtleact.tasks import Scope, Signal, Tasks, is_cancellation
 
 __all__ = ["CURRENT_GOAL", "Execution", "Watch"]
 
@@ -112,13 +112,22 @@ class Execution:
             goal: The goal.
             context: What the task runs in; a copy of the current context if left out.
         """
-        task = self._tasks.spawn(self.run(goal, is_timed=True), self._name, context)
+        owned = Owned(goal, self, self._tasks)
+        task = self._tasks.spawn(self.run(goal, owned), self._name, context)
         if not goal.ended:
-            goal.body = task
+            owned.task = task
+            goal.body = owned
             if goal.status is _CANCELING or goal.reason:  # asked for in its own first step
-                task.cancel()
+                owned.cancel()
 
-    async def lend(self, goal: Goal, running: Running, waits_for: object, context: Context) -> None:
+    async def lend(
+        self,
+        goal: Goal,
+        running: Running,
+        waits_for: object,
+        context: Context,
+        outer: Scope | None,
+    ) -> None:
         """Run a body in the caller's own task, to its end (asyncio alone).
 
         Cancelling: the goal is asked to cancel, its end awaited, the cancellation raised again.
@@ -128,8 +137,9 @@ class Execution:
             running: `run` of that goal, after its first step.
             waits_for: What the first step gave.
             context: What the first step ran in.
+            outer: The scope that the caller was in before it.
         """
-        borrowed = Borrowed(context, goal, self)
+        borrowed = Borrowed(context, goal, self, self._tasks, outer)
         goal.body = borrowed
         if goal.status is _CANCELING or goal.reason:  # asked for in its own first step
             borrowed.cancel()
@@ -137,12 +147,12 @@ class Execution:
 
     # running
 
-    async def run(self, goal: Goal, *, is_timed: bool = False) -> None:
+    async def run(self, goal: Goal, owned: Owned | None = None) -> None:
         """Run a body and make its end the goal's end; raises only what stops the program.
 
         Args:
             goal: The goal.
-            is_timed: Whether to report what blocks the loop; else who calls this does.
+            owned: What its steps go through, if it has a task of its own.
         """
         if Execution.notes_parents:
             CURRENT_GOAL.set(goal)
@@ -156,8 +166,9 @@ class Execution:
                 running = self._call(goal.request)
             if self._is_generator:
                 running = self._drive(goal, running)  # type: ignore[arg-type]  # see Body
-            if is_timed:
-                running = Timed(running, goal, self)  # type: ignore[arg-type]
+            if owned is not None:
+                owned.body = running  # type: ignore[assignment]  # see Body
+                running = owned
             result = await running  # type: ignore[misc]  # see Body
         except BaseException as error:
             if _is_thrown_in(error):

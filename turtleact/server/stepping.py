@@ -1,7 +1,8 @@
 """Coroutines run step by step: in the caller's own task, and with an eye on the clock.
 
 A step is what happens between two waits. One that takes long has blocked the event loop, and
-everybody in it.
+everybody in it. A cancellation that finds a coroutine in a shielded scope is kept until the end of
+the step in which it leaves that scope; trio does so by itself.
 
 Source: ``asyncio.timeout`` for how a cancellation of one's own is told from that of others;
 asyncio's debug mode for what is told of slow callbacks.
@@ -17,10 +18,10 @@ from time import monotonic
 from types import coroutine
 from typing import Any, Protocol, Self, TypeVar, cast
 
-from turtleact.goal import Goal
-from turtleact.tasks import GRACE
+from turtleact.goal import Cancelable, Goal
+from turtleact.tasks import GRACE, Scope, Tasks
 
-__all__ = ["BLOCKING", "Borrowed", "Timed"]
+__all__ = ["BLOCKING", "Borrowed", "Owned"]
 
 T = TypeVar("T")
 
@@ -34,24 +35,39 @@ class Reporter(Protocol):
     def report_blocking(self, goal: Goal, seconds: float) -> None:
         """Say whose step it was, and how long it took."""
 
+    def mark_canceling(self, goal: Goal) -> None:
+        """Note that the caller's cancellation is the goal's."""
 
-class Timed:
-    """Awaits a coroutine as ``await`` does, with an eye on the clock.
+
+class Owned:
+    """A goal's body that has a task of its own; awaiting it runs the body.
 
     Args:
-        body: The coroutine of a goal's body.
         goal: The goal.
         reporter: Told of each step that blocks the loop.
+        tasks: The tasks of the event loop.
+
+    Attributes:
+        body: The coroutine, to be set before this is awaited.
+        task: The task; to be set before it is canceled.
     """
 
-    __slots__ = ("_body", "_goal", "_reporter")
+    __slots__ = ("_goal", "_is_due", "_reporter", "_tasks", "body", "task")
 
-    def __init__(
-        self, body: Coroutine[object, object, object], goal: Goal, reporter: Reporter
-    ) -> None:
-        self._body = body
+    body: Coroutine[object, object, object]
+    task: Cancelable
+
+    def __init__(self, goal: Goal, reporter: Reporter, tasks: Tasks) -> None:
         self._goal = goal
         self._reporter = reporter
+        self._tasks = tasks
+        self._is_due = False
+
+    def cancel(self) -> None:
+        """Let a cancellation arrive at the body's next await that is not shielded."""
+        self._is_due = _is_shielded(self._tasks, self.task, None)
+        if not self._is_due:
+            self.task.cancel()
 
     def __await__(self) -> Self:
         return self
@@ -66,23 +82,29 @@ class Timed:
         """Run one step."""
         began = monotonic()
         try:
-            return self._body.send(value)
+            waits_for = self.body.send(value)
         finally:
             if (took := monotonic() - began) > BLOCKING:
                 self._reporter.report_blocking(self._goal, took)
+        if self._is_due:
+            self.cancel()
+        return waits_for
 
     def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
         """Run one step that begins with an exception."""
         began = monotonic()
         try:
-            return self._body.throw(error)
+            waits_for = self.body.throw(error)
         finally:
             if (took := monotonic() - began) > BLOCKING:
                 self._reporter.report_blocking(self._goal, took)
+        if self._is_due:
+            self.cancel()
+        return waits_for
 
     def close(self) -> None:
         """Close the coroutine."""
-        self._body.close()
+        self.body.close()
 
 
 class Borrowed:
@@ -94,12 +116,14 @@ class Borrowed:
 
     A timeout or task group within the coroutine cancels the same task. Whose a cancellation was
     can be told once the coroutine has left these, for they take their own back: what is then left
-    in ``Task.cancelling()`` came from outside.
+    in ``Task.cancelling()`` came from outside. Those of anyio say at once whose they are.
 
     Args:
         context: What the coroutine runs in, a copy of the caller's: what it sets there stays there.
         goal: The goal that the coroutine runs for.
-        reporter: Told of each step that blocks the loop.
+        reporter: Told of each step that blocks the loop, and of the caller's cancellation.
+        tasks: The tasks of the event loop.
+        outer: The scope that the caller was in before the first step.
     """
 
     __slots__ = (
@@ -108,30 +132,41 @@ class Borrowed:
         "_context",
         "_goal",
         "_is_abandoned",
+        "_is_due",
         "_is_on_its_way",
+        "_outer",
         "_reporter",
         "_task",
+        "_tasks",
         "_thrown",
         "_timer",
     )
 
-    def __init__(self, context: Context, goal: Goal, reporter: Reporter) -> None:
+    def __init__(
+        self, context: Context, goal: Goal, reporter: Reporter, tasks: Tasks, outer: Scope | None
+    ) -> None:
         task = cast("asyncio.Task[object]", asyncio.current_task())
         self._context = context
         self._goal = goal
         self._reporter = reporter
+        self._tasks = tasks
+        self._outer = outer
         self._task: asyncio.Task[object] | None = task
         is_on_its_way = task._must_cancel  # type: ignore[attr-defined]
         self._before = task.cancelling() - is_on_its_way
         self._asked = 0
+        self._is_due = False
         self._is_on_its_way = False
         self._is_abandoned = False
         self._thrown: asyncio.CancelledError | None = None
         self._timer: asyncio.TimerHandle | None = None
 
     def cancel(self) -> None:
-        """Let a cancellation arrive at the coroutine's next await."""
-        if self._task is not None:
+        """Let a cancellation arrive at the coroutine's next await that is not shielded."""
+        if self._task is None:
+            return
+        self._is_due = not self._is_abandoned and _is_shielded(self._tasks, self._task, self._outer)
+        if not self._is_due:
             self._asked += 1
             self._is_on_its_way = True
             self._task.cancel()
@@ -159,7 +194,7 @@ class Borrowed:
             body: The coroutine.
             waits_for: What its first ``send`` gave.
         """
-        in_context = self._context.run
+        in_context, tasks = self._context.run, self._tasks
         value, began = None, inf
         try:
             while True:
@@ -174,16 +209,23 @@ class Borrowed:
                         self._part(body)
                         break
                     began = monotonic()
+                    tasks.depth += 1
                     waits_for = in_context(body.throw, thrown)
                 else:
                     began = monotonic()
+                    tasks.depth += 1
                     waits_for = in_context(body.send, answer)
+                tasks.depth -= 1
                 if (took := monotonic() - began) > BLOCKING:
                     self._reporter.report_blocking(self._goal, took)
                 began = inf
+                if self._is_due:
+                    self.cancel()
         except StopIteration as end:
             value = end.value
         finally:
+            if began < inf:  # in a step
+                tasks.depth -= 1
             task = self._give_back()
             if (took := monotonic() - began) > BLOCKING:
                 self._reporter.report_blocking(self._goal, took)
@@ -205,9 +247,19 @@ class Borrowed:
             is_ours, self._is_on_its_way = self._is_on_its_way, False
             if self.is_caller_canceled and not (is_ours and self._thrown):
                 self._thrown = thrown
+                if self._is_from_outside(thrown):
+                    self._reporter.mark_canceling(self._goal)
                 if self._timer is None:
                     loop = asyncio.get_running_loop()
                     self._timer = loop.call_later(GRACE, self.abandon)
+
+    def _is_from_outside(self, thrown: asyncio.CancelledError) -> bool:
+        """Whether a scope of the caller has canceled it; False if that cannot be told."""
+        reason = str(thrown.args[0]) if thrown.args else ""
+        own = self._tasks.scopes(cast("asyncio.Task[object]", self._task), self._outer)
+        return reason.startswith(_BY_SCOPE) and not any(
+            reason.startswith(f"{_BY_SCOPE}{id(scope):x}") for scope in own
+        )
 
     def _part(self, body: Coroutine[object, object, object]) -> None:
         """Go on with the coroutine, which waits, in a task of its own: its first step cancels."""
@@ -227,6 +279,14 @@ class Borrowed:
         for _ in range(self._asked):
             task.uncancel()
         return task
+
+
+_BY_SCOPE = "Cancelled via cancel scope "
+"""The reason that anyio gives for its cancellations begins so, and goes on with the scope's id."""
+
+
+def _is_shielded(tasks: Tasks, task: Cancelable, outer: Scope | None) -> bool:
+    return any(scope.shield for scope in tasks.scopes(task, outer))
 
 
 #: Only the event loop would hold them otherwise, and it holds them weakly.
