@@ -9,7 +9,7 @@ import pytest
 import turtleact
 from turtleact import GoalResponse, GoalStatus, QoS
 from turtleact.errors import InvalidMessage, ServerUnavailable
-from turtleact.interfaces import implied
+from turtleact.interfaces import WireFormat, implied, type_hash
 from turtleact.interfaces.standard import (
     UUID,
     CancelGoal,
@@ -18,6 +18,8 @@ from turtleact.interfaces.standard import (
     Time,
 )
 from turtleact.topics import Subscription
+from turtleact.transports import MemoryTransport
+from turtleact.transports.base import Endpoint, Format
 
 from .lab import Count, Gate, count, feedback, goal, lab, result, running, settle
 
@@ -253,3 +255,45 @@ async def test_an_action_that_is_served_twice_is_warned_of(caplog):
         assert not caplog.records
         served.node.action_server(Count, "count", count)
         assert caplog.messages == ["/count is served already; clients go to the first server"]
+
+
+async def test_the_services_answer_those_who_are_elsewhere():
+    async with lab(count) as served:
+        transport = served.node.transport
+
+        async def call(name: str, service: Any, request: Any) -> Any:
+            described = Endpoint("client", f"/count/_action/{name}", service.type_name, "/afar")
+            caller = transport.join(described, WireFormat(service, asks=True))
+            return (await caller.call(request)).message
+
+        request = IMPLIED.send_goal.Request(goal_id=ID, goal=goal())
+        assert (await call("send_goal", IMPLIED.send_goal, request)).accepted
+        answer = await call("get_result", IMPLIED.get_result, IMPLIED.get_result.Request(ID))
+        assert answer.result == result(0, 1, 2)
+        canceled = await call("cancel_goal", CancelGoal, CancelGoal.Request(GoalInfo(ID, Time())))
+        assert canceled.return_code == 3
+
+
+async def test_what_goes_over_a_wire_has_the_hashes_of_its_types():
+    transport = Notebook()
+    async with lab(count, transport=transport):
+        hashed = [transport.formats[name].type_hash for name in transport.formats]
+        known = (IMPLIED.send_goal, CancelGoal, IMPLIED.get_result)
+        topics = (IMPLIED.feedback_message, GoalStatusArray)
+        assert hashed == [type_hash(each) for each in (*known, *topics)]
+
+
+class Notebook(MemoryTransport):
+    """Notes the formats that endpoints come with."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.formats: dict[str, Format] = {}
+
+    def advertise(self, endpoint, format, source=None):
+        self.formats.setdefault(endpoint.name, format)
+        return super().advertise(endpoint, format, source)
+
+    def serve(self, endpoint, format, handler):
+        self.formats.setdefault(endpoint.name, format)
+        return super().serve(endpoint, format, handler)

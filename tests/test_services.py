@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, assert_type
 
 import anyio
 import anyio.lowlevel
+import msgspec
 import pytest
 
 import turtleact
@@ -28,10 +29,11 @@ from turtleact.errors import (
     ServiceTimeout,
     TurtleactError,
 )
-from turtleact.interfaces import Message, Service, get_interface, int32
+from turtleact.interfaces import Message, Service, WireFormat, get_interface, int32
 from turtleact.services import LocalService, ServiceClient, ServiceServer
 from turtleact.tasks import Background
 from turtleact.transports import MemoryTransport
+from turtleact.transports.base import Endpoint, Reply
 
 from .lab import ON_ASYNCIO, ON_TRIO, other_tasks, running, settle
 
@@ -1033,6 +1035,67 @@ async def test_a_client_on_no_transport_can_be_closed():
         client = ServiceClient(MemoryTransport(), Add, "/alone", tasks=served.server._tasks)
         await client.aclose()
         assert client.membership is None
+
+
+# --- servers that are not in this process ----------------------------------------------------
+
+
+class Afar:
+    """What a server elsewhere looks like from here: it can be called, and not be taken hold of."""
+
+    async def reply(self, request: Any, caller: bytes) -> Reply:
+        return Reply(add(request))
+
+
+@asynccontextmanager
+async def far_desk() -> AsyncIterator[tuple[MemoryTransport, Any]]:
+    transport = MemoryTransport()
+    async with turtleact.open_node("desk", transport=transport) as node:
+        yield transport, node.service_client(Add, "add")
+
+
+ENDPOINT = Endpoint("service", "/add", Add.type_name, "/afar")
+
+
+async def test_a_server_that_is_elsewhere_is_called():
+    async with far_desk() as (transport, client):
+        transport.serve(ENDPOINT, WireFormat(Add), Afar())
+        assert await client.call(numbers(2, 3)) == total(5)
+        assert await client.call(numbers(2, 3), timeout=100) == total(5)
+
+
+async def test_a_server_that_is_elsewhere_is_waited_for():
+    async with far_desk() as (transport, client):
+        async with running(client.wait_for_service) as waiting:
+            assert not waiting.done.is_set()
+            transport.serve(ENDPOINT, WireFormat(Add), Afar())
+        assert waiting.value is True
+
+
+async def test_a_request_that_does_not_fit_is_not_sent_elsewhere():
+    async with far_desk() as (transport, client):
+        transport.serve(ENDPOINT, WireFormat(Add), Afar())
+        with pytest.raises(InvalidMessage, match=r"request\.numbers\[0\]"):
+            await client.call(numbers("one"))
+
+
+async def test_a_server_answers_those_who_are_elsewhere():
+    async with desk() as served:
+        transport = served.node.transport
+        caller = transport.join(
+            msgspec.structs.replace(ENDPOINT, kind="client"), WireFormat(Add, asks=True)
+        )
+        assert await caller.call(numbers(2, 3)) == Reply(total(5))
+        await served.server.aclose()
+        with pytest.raises(ServerUnavailable):
+            await caller.call(numbers(2, 3))
+
+
+async def test_a_client_without_a_way_to_call_says_that_nobody_serves():
+    async with desk() as served:
+        client = ServiceClient(MemoryTransport(), Add, "/alone", tasks=served.server._tasks)
+        with pytest.raises(ServerUnavailable, match="service '/alone': no server answers"):
+            await client.call(numbers())
 
 
 # --- the graph ------------------------------------------------------------------------------

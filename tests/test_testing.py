@@ -26,6 +26,7 @@ from turtleact.actions.patrol import Patrol
 from turtleact.app import open_world
 from turtleact.clock import EPOCH, ScaledClock, WallClock
 from turtleact.errors import SimError
+from turtleact.interfaces import WireFormat
 from turtleact.interfaces.standard import Point, Twist, Vector3
 from turtleact.testing import FaultyTransport, run_goal, virtual_backend, wait_until_idle
 from turtleact.testing.plugin import anyio_backend  # noqa: F401  # all of this module is virtual
@@ -704,8 +705,8 @@ async def test_a_message_that_closes_its_reader_does_not_come_again():
         seen.append(message)
         opened.close()
 
-    opened = link.subscribe(endpoint, take)
-    link.advertise(Endpoint("publisher", "/twist", "T", "/lab")).publish("once")
+    opened = link.subscribe(endpoint, WireFormat(Twist), take)
+    link.advertise(Endpoint("publisher", "/twist", "T", "/lab"), WireFormat(Twist)).publish("once")
     assert seen == ["once"]
 
 
@@ -718,8 +719,10 @@ async def test_a_reader_that_fails_is_logged_and_harms_nobody(caplog, delay):
         raise LookupError("lost")
 
     async with FaultyTransport(MemoryTransport(), delay=delay) as link:
-        link.subscribe(Endpoint("subscription", "/twist", "T", "/lab"), fail)
-        publication = link.advertise(Endpoint("publisher", "/twist", "T", "/lab"))
+        link.subscribe(Endpoint("subscription", "/twist", "T", "/lab"), WireFormat(Twist), fail)
+        publication = link.advertise(
+            Endpoint("publisher", "/twist", "T", "/lab"), WireFormat(Twist)
+        )
         publication.publish(1)
         publication.publish(2)
         await anyio.sleep(2)

@@ -20,7 +20,7 @@ from turtleact.body import ActionDeclaration, ActionType, ServerOptions
 from turtleact.client import ActionClient
 from turtleact.clock import Clock
 from turtleact.errors import InvalidOption, TurtleactError
-from turtleact.interfaces import Message
+from turtleact.interfaces import Action, Message, Service, WireFormat, implied
 from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
 from turtleact.server import ActionServer
 from turtleact.server.claim import Claim
@@ -197,8 +197,10 @@ class Node:
             InvalidName: if the name breaks ROS 2's rules.
         """
         names = self._action_names(name)
-        type_name = f"{action_type.type_name}_SendGoal"
-        membership = self.transport.join(self._endpoint("client", names.send_goal, type_name))
+        endpoint = self._endpoint("client", names.send_goal, f"{action_type.type_name}_SendGoal")
+        action = cast("type[Action]", action_type)
+        format = WireFormat(lambda: implied(action).send_goal, asks=True)
+        membership = self.transport.join(endpoint, format)
         client = ActionClient(self.transport, action_type, names)
         client.membership = self._own(client, membership)
         return client
@@ -211,7 +213,7 @@ class Node:
         """
         name = resolve_name(topic, self.namespace, self.name)
         endpoint = self._endpoint("publisher", name, message_type.type_name, qos)
-        publication = self.transport.advertise(endpoint)
+        publication = self.transport.advertise(endpoint, WireFormat(message_type))
         publisher = Publisher(name, message_type, publication)
         publisher.membership = self._own(publisher, publication)
         return publisher
@@ -228,7 +230,7 @@ class Node:
         endpoint = self._endpoint("subscription", name, message_type.type_name, qos)
         subscription: Subscription[M] = Subscription(name, endpoint.qos.depth, self._tasks.signal())
         deliver = cast("Callable[[object], None]", subscription.deliver)
-        subscribed = self.transport.subscribe(endpoint, deliver)
+        subscribed = self.transport.subscribe(endpoint, WireFormat(message_type), deliver)
         subscription.membership = self._own(subscription, subscribed)
         return subscription
 
@@ -252,9 +254,9 @@ class Node:
         """
         full_name = resolve_name(name, self.namespace, self.name)
         server = ServiceServer(service_type, full_name, handler, tasks=self._tasks)
-        registration = self.transport.serve(
-            self._endpoint("service", full_name, service_type.type_name), server
-        )
+        endpoint = self._endpoint("service", full_name, service_type.type_name)
+        format = WireFormat(cast("type[Service]", service_type))
+        registration = self.transport.serve(endpoint, format, server)
         server.registration = self._own(server, registration)
         return server
 
@@ -267,11 +269,11 @@ class Node:
             InvalidName: if the name breaks ROS 2's rules.
         """
         full_name = resolve_name(name, self.namespace, self.name)
-        membership = self.transport.join(
-            self._endpoint("client", full_name, service_type.type_name)
-        )
+        endpoint = self._endpoint("client", full_name, service_type.type_name)
+        format = WireFormat(cast("type[Service]", service_type), asks=True)
         client = ServiceClient(self.transport, service_type, full_name, tasks=self._tasks)
-        client.membership = self._own(client, membership)
+        client.caller = self.transport.join(endpoint, format)
+        client.membership = self._own(client, client.caller)
         return client
 
     def count_publishers(self, topic: str) -> int:

@@ -1,7 +1,8 @@
 """Services as a node's user sees them: a server that answers requests, a client that calls.
 
 Knows requests, responses and who waits for whom; how they travel stands in `turtleact.transports`.
-A client in the same process is handed the very server (`LocalService`) and calls it.
+A client in the same process is handed the very server (`LocalService`) and calls it; another one
+sends its request by a `Caller`.
 
 - Each request is handled in a task of its own, which the server holds; several run side by side.
 - However a handler ends, its caller gets an answer: the response, or the reason why there is none.
@@ -34,7 +35,9 @@ from turtleact.interfaces import Message, snapshotter
 from turtleact.summaries import summary
 from turtleact.tasks import GRACE, Signal, Tasks, is_cancellation
 from turtleact.transports.base import (
+    Caller,
     Closeable,
+    Reply,
     Transport,
     wait_until_served,
     why_not_served,
@@ -132,6 +135,10 @@ class ServiceServer(Generic[Req, Res]):
             raise
         return cast("Res", call.take())
 
+    async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002  # all are equal
+        """Answer a request that came over a wire; as `answer`."""
+        return Reply(await self.answer(request))
+
     async def aclose(self) -> None:
         """Take no more requests, answer all who wait, and wait for the end of the handlers.
 
@@ -208,15 +215,18 @@ class ServiceClient(Generic[Req, Res]):
         self.name = name
         self.service_type = service_type
         self.membership: Closeable | None = None
+        self.caller: Caller | None = None
         self._transport = transport
         self._tasks = tasks
         self._found: LocalService | None = None
+        self._check_request = _checker(service_type.Request, "request")
 
     async def call(self, request: Req, timeout: float | None = None) -> Res:
         """Send a request and wait for its response.
 
         What is sent and what comes back are checked copies. Any number of calls may be under way.
-        Cancelling: cancels the handler of this request, and waits for its end (bounded).
+        Cancelling: cancels the handler of this request, and waits for its end (bounded); a handler
+        in another process goes on, as ROS 2 has no word for it.
 
         Args:
             request: The request message.
@@ -233,11 +243,10 @@ class ServiceClient(Generic[Req, Res]):
         """
         check_timeout(timeout)
         await self._tasks.checkpoint()  # or a loop of calls that never wait would let nobody run
-        server = self._server()
         if timeout is None:
-            return cast("Res", await server.answer(request))
+            return cast("Res", await self._answer(request))
         async with within(timeout, self._transport.clock):
-            return cast("Res", await server.answer(request))
+            return cast("Res", await self._answer(request))
         raise ServiceTimeout(self.name, timeout)
 
     async def wait_for_service(self, timeout: float | None = None) -> bool:
@@ -259,18 +268,25 @@ class ServiceClient(Generic[Req, Res]):
         if self.membership is not None:
             self.membership.close()
 
-    def _server(self) -> LocalService:
+    async def _answer(self, request: object) -> object:
+        """Have a server in this process handle the request, or else one in another."""
         server = self._found
         if server is None or not server.is_open:
-            server = self._found = self._find()
-            if server is None:
-                problem = why_not_served(self._transport, self.name, self.service_type.type_name)
-                raise ServerUnavailable(self.name, problem, kind="service")
-        return server
+            server = self._found = self._find_local()
+        if server is not None:
+            return await server.answer(request)
+        if self.caller is not None:
+            return (await self.caller.call(self._check_request(request))).message
+        problem = why_not_served(self._transport, self.name, self.service_type.type_name)
+        raise ServerUnavailable(self.name, problem, kind="service")
 
-    def _find(self) -> LocalService | None:
+    def _find_local(self) -> LocalService | None:
         found = self._transport.local(self.name, self.service_type.type_name)
         return found if isinstance(found, LocalService) else None
+
+    def _find(self) -> object | None:
+        afar = self.caller is not None and self.caller.is_served
+        return self._find_local() or (self.caller if afar else None)
 
 
 class _Call:

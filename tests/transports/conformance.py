@@ -7,16 +7,25 @@ on its way is waited for by `Peers.settle`.
 
 from __future__ import annotations
 
+import functools
 import logging
 import threading
 from collections.abc import Awaitable, Callable
 from contextlib import AbstractAsyncContextManager
 from typing import Any, NamedTuple, TypeAlias
 
+import anyio
 import pytest
 
+from turtleact.errors import (
+    InvalidMessage,
+    ServerUnavailable,
+    ServiceError,
+    TurtleactError,
+)
+from turtleact.interfaces import Message, Service, WireFormat, int32
 from turtleact.transports import QoS, Transport
-from turtleact.transports.base import Endpoint, EndpointKind
+from turtleact.transports.base import Endpoint, EndpointKind, Reply
 
 from ..lab import Count, feedback, running, take_turns
 
@@ -37,7 +46,21 @@ class Peers(NamedTuple):
 
 OpenPeers: TypeAlias = Callable[[], AbstractAsyncContextManager[Peers]]
 
+
+class Sum(Service, type_name="lab_interfaces/srv/Sum"):
+    """What the services of this suite are of."""
+
+    class Request(Message):
+        numbers: list[int32] = []
+
+    class Response(Message):
+        total: int32 = 0
+
+
 TYPE = Count.Feedback.type_name
+SPEECH = WireFormat(Count.Feedback)
+SERVING = WireFormat(Sum)
+ASKING = WireFormat(Sum, asks=True)
 LATCHED = QoS(depth=2, durability="transient_local")
 KINDS: tuple[EndpointKind, ...] = ("publisher", "subscription", "service", "client")
 
@@ -47,6 +70,27 @@ EACH_KIND = pytest.mark.parametrize("kind", KINDS)
 
 class Handler:
     """What serves a service; a transport does not look into it."""
+
+
+class Adder:
+    """A server that adds up; notes its callers, and waits or fails as told."""
+
+    def __init__(self, fail: Exception | None = None, gate: anyio.Event | None = None) -> None:
+        self.callers: list[bytes] = []
+        self.lost: list[bytes] = []
+        self._fail = fail
+        self._gate = gate
+
+    async def reply(self, request: Any, caller: bytes) -> Reply:
+        self.callers.append(caller)
+        if self._gate is not None:
+            await self._gate.wait()
+        if self._fail is not None:
+            raise self._fail
+        return Reply(Sum.Response(total=sum(request.numbers)), "added up")
+
+    def caller_lost(self, caller: bytes) -> None:
+        self.lost.append(caller)
 
 
 class Inbox:
@@ -61,6 +105,20 @@ class Inbox:
         self.threads.add(threading.get_ident())
 
 
+class Numbers:
+    """A source that shows a number."""
+
+    def __init__(self) -> None:
+        self.number = 0
+        self.told: list[bool] = []
+
+    def current(self) -> list[object]:
+        return [feedback(self.number)]
+
+    def readers_changed(self, *, has_readers: bool) -> None:
+        self.told.append(has_readers)
+
+
 def publisher(name: str = "/chatter", qos: QoS | None = None, type_name: str = TYPE) -> Endpoint:
     return Endpoint("publisher", name, type_name, "/talker", qos or QoS())
 
@@ -69,8 +127,16 @@ def subscription(name: str = "/chatter", qos: QoS | None = None, type_name: str 
     return Endpoint("subscription", name, type_name, "/listener", qos or QoS())
 
 
-def service(name: str = "/add", type_name: str = "lab_interfaces/srv/Add") -> Endpoint:
+def service(name: str = "/add", type_name: str = Sum.type_name) -> Endpoint:
     return Endpoint("service", name, type_name, "/adder")
+
+
+def client(name: str = "/add", type_name: str = Sum.type_name) -> Endpoint:
+    return Endpoint("client", name, type_name, "/asker")
+
+
+def numbers(*values: int) -> Sum.Request:
+    return Sum.Request(numbers=list(values))
 
 
 def of_kind(kind: EndpointKind, name: str = "/it") -> Endpoint:
@@ -80,12 +146,12 @@ def of_kind(kind: EndpointKind, name: str = "/it") -> Endpoint:
 def open_it(transport: Transport, endpoint: Endpoint) -> Any:
     """Open an endpoint by the method for its kind."""
     if endpoint.kind == "publisher":
-        return transport.advertise(endpoint)
+        return transport.advertise(endpoint, SPEECH)
     if endpoint.kind == "subscription":
-        return transport.subscribe(endpoint, Inbox().deliver)
+        return transport.subscribe(endpoint, SPEECH, Inbox().deliver)
     if endpoint.kind == "service":
-        return transport.serve(endpoint, Handler())
-    return transport.join(endpoint)
+        return transport.serve(endpoint, SERVING, Handler())
+    return transport.join(endpoint, ASKING)
 
 
 class TransportConformance:
@@ -101,8 +167,8 @@ class TransportConformance:
     async def test_a_message_reaches_a_subscription(self, transport, end):
         async with transport() as peers:
             inbox = Inbox()
-            getattr(peers, end).subscribe(subscription(), inbox.deliver)
-            publication = peers.here.advertise(publisher())
+            getattr(peers, end).subscribe(subscription(), SPEECH, inbox.deliver)
+            publication = peers.here.advertise(publisher(), SPEECH)
             await peers.settle()
             publication.publish(feedback(7))
             await peers.settle()
@@ -112,8 +178,8 @@ class TransportConformance:
     async def test_messages_arrive_in_the_order_of_their_publishing(self, transport, end):
         async with transport() as peers:
             inbox = Inbox()
-            getattr(peers, end).subscribe(subscription(qos=QoS(depth=200)), inbox.deliver)
-            publication = peers.here.advertise(publisher(qos=QoS(depth=200)))
+            getattr(peers, end).subscribe(subscription(qos=QoS(depth=200)), SPEECH, inbox.deliver)
+            publication = peers.here.advertise(publisher(qos=QoS(depth=200)), SPEECH)
             await peers.settle()
             for number in range(200):
                 publication.publish(feedback(number))
@@ -124,8 +190,8 @@ class TransportConformance:
         async with transport() as peers:
             inboxes = [Inbox(), Inbox(), Inbox()]
             for peer, inbox in zip((peers.here, peers.here, peers.there), inboxes, strict=True):
-                peer.subscribe(subscription(), inbox.deliver)
-            publication = peers.here.advertise(publisher())
+                peer.subscribe(subscription(), SPEECH, inbox.deliver)
+            publication = peers.here.advertise(publisher(), SPEECH)
             await peers.settle()
             publication.publish(feedback(7))
             await peers.settle()
@@ -134,9 +200,9 @@ class TransportConformance:
     async def test_two_subscriptions_may_share_what_takes_their_messages(self, transport):
         async with transport() as peers:
             inbox = Inbox()
-            first = peers.here.subscribe(subscription(), inbox.deliver)
-            peers.here.subscribe(subscription(), inbox.deliver)
-            publication = peers.here.advertise(publisher())
+            first = peers.here.subscribe(subscription(), SPEECH, inbox.deliver)
+            peers.here.subscribe(subscription(), SPEECH, inbox.deliver)
+            publication = peers.here.advertise(publisher(), SPEECH)
             await peers.settle()
             publication.publish(feedback(7))
             first.close()
@@ -148,8 +214,9 @@ class TransportConformance:
     async def test_a_subscription_hears_every_publisher(self, transport):
         async with transport() as peers:
             inbox = Inbox()
-            peers.here.subscribe(subscription(), inbox.deliver)
-            one, other = peers.here.advertise(publisher()), peers.there.advertise(publisher())
+            peers.here.subscribe(subscription(), SPEECH, inbox.deliver)
+            one = peers.here.advertise(publisher(), SPEECH)
+            other = peers.there.advertise(publisher(), SPEECH)
             await peers.settle()
             one.publish(feedback(1))
             await peers.settle()
@@ -165,8 +232,8 @@ class TransportConformance:
     async def test_a_subscription_of_something_else_hears_nothing(self, transport, wanted):
         async with transport() as peers:
             inbox = Inbox()
-            peers.there.subscribe(wanted, inbox.deliver)
-            publication = peers.here.advertise(publisher())
+            peers.there.subscribe(wanted, SPEECH, inbox.deliver)
+            publication = peers.here.advertise(publisher(), SPEECH)
             await peers.settle()
             publication.publish(feedback(7))
             await peers.settle()
@@ -175,8 +242,8 @@ class TransportConformance:
     async def test_a_message_is_delivered_where_the_event_loop_runs(self, transport):
         async with transport() as peers:
             inbox = Inbox()
-            peers.there.subscribe(subscription(), inbox.deliver)
-            publication = peers.here.advertise(publisher())
+            peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
+            publication = peers.here.advertise(publisher(), SPEECH)
             await peers.settle()
             publication.publish(feedback(7))
             await peers.settle()
@@ -184,11 +251,11 @@ class TransportConformance:
 
     async def test_a_message_can_be_published_where_nobody_reads(self, transport):
         async with transport() as peers:
-            publication = peers.here.advertise(publisher())
+            publication = peers.here.advertise(publisher(), SPEECH)
             publication.publish(feedback(7))
             inbox = Inbox()
             await peers.settle()
-            peers.there.subscribe(subscription(), inbox.deliver)
+            peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
             await peers.settle()
             assert inbox.numbers == []
 
@@ -200,9 +267,9 @@ class TransportConformance:
 
         async with transport() as peers:
             inbox = Inbox()
-            peers.there.subscribe(subscription(), fail)
-            peers.there.subscribe(subscription(), inbox.deliver)
-            publication = peers.here.advertise(publisher())
+            peers.there.subscribe(subscription(), SPEECH, fail)
+            peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
+            publication = peers.here.advertise(publisher(), SPEECH)
             await peers.settle()
             publication.publish(feedback(7))
             await peers.settle()
@@ -213,8 +280,8 @@ class TransportConformance:
             raise ValueError("no room")
 
         async with transport() as peers:
-            peers.there.subscribe(subscription(), fail)
-            publication = peers.here.advertise(publisher())
+            peers.there.subscribe(subscription(), SPEECH, fail)
+            publication = peers.here.advertise(publisher(), SPEECH)
             await peers.settle()
             publication.publish(feedback(7))
             await peers.settle()
@@ -232,8 +299,8 @@ class TransportConformance:
                 if inbox.numbers == [1]:
                     raise ValueError("no room")
 
-            peers.there.subscribe(subscription(), fail_once)
-            publication = peers.here.advertise(publisher())
+            peers.there.subscribe(subscription(), SPEECH, fail_once)
+            publication = peers.here.advertise(publisher(), SPEECH)
             await peers.settle()
             publication.publish(feedback(1))
             publication.publish(feedback(2))
@@ -249,10 +316,10 @@ class TransportConformance:
                 if inbox.numbers == [1]:
                     raise ValueError("no room")
 
-            publication = peers.here.advertise(publisher(qos=LATCHED))
+            publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH)
             publication.publish(feedback(1))
             await peers.settle()
-            peers.there.subscribe(subscription(qos=LATCHED), fail_once)
+            peers.there.subscribe(subscription(qos=LATCHED), SPEECH, fail_once)
             await peers.settle()
             publication.publish(feedback(2))
             await peers.settle()
@@ -263,12 +330,12 @@ class TransportConformance:
     @BOTH_WAYS
     async def test_a_late_subscription_gets_the_last_latched_messages_first(self, transport, end):
         async with transport() as peers:
-            publication = peers.here.advertise(publisher(qos=LATCHED))
+            publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH)
             for number in (1, 2, 3):
                 publication.publish(feedback(number))
             await peers.settle()
             inbox = Inbox()
-            getattr(peers, end).subscribe(subscription(qos=LATCHED), inbox.deliver)
+            getattr(peers, end).subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
             await peers.settle()
             publication.publish(feedback(4))
             await peers.settle()
@@ -277,22 +344,23 @@ class TransportConformance:
     async def test_latched_messages_of_several_publishers_all_come(self, transport):
         async with transport() as peers:
             for number in (1, 2):
-                peers.here.advertise(publisher(qos=LATCHED)).publish(feedback(number))
+                latched = peers.here.advertise(publisher(qos=LATCHED), SPEECH)
+                latched.publish(feedback(number))
             await peers.settle()
             inbox = Inbox()
-            peers.there.subscribe(subscription(qos=LATCHED), inbox.deliver)
+            peers.there.subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
             await peers.settle()
             assert sorted(inbox.numbers) == [1, 2]
 
     async def test_a_latched_message_does_not_come_twice(self, transport):
         async with transport() as peers:
             inbox = Inbox()
-            peers.there.subscribe(subscription(qos=LATCHED), inbox.deliver)
-            publication = peers.here.advertise(publisher(qos=LATCHED))
+            peers.there.subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
+            publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH)
             await peers.settle()
             publication.publish(feedback(1))
             await peers.settle()
-            peers.there.subscribe(subscription(qos=LATCHED), Inbox().deliver)
+            peers.there.subscribe(subscription(qos=LATCHED), SPEECH, Inbox().deliver)
             await peers.settle()
             assert inbox.numbers == [1]
 
@@ -303,11 +371,11 @@ class TransportConformance:
     )
     async def test_old_messages_come_only_if_both_sides_want_them(self, transport, sent, wanted):
         async with transport() as peers:
-            publication = peers.here.advertise(publisher(qos=sent))
+            publication = peers.here.advertise(publisher(qos=sent), SPEECH)
             publication.publish(feedback(1))
             await peers.settle()
             inbox = Inbox()
-            peers.there.subscribe(subscription(qos=wanted), inbox.deliver)
+            peers.there.subscribe(subscription(qos=wanted), SPEECH, inbox.deliver)
             await peers.settle()
             publication.publish(feedback(2))
             await peers.settle()
@@ -315,13 +383,13 @@ class TransportConformance:
 
     async def test_latched_messages_go_with_their_publisher(self, transport):
         async with transport() as peers:
-            publication = peers.here.advertise(publisher(qos=LATCHED))
+            publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH)
             publication.publish(feedback(1))
             await peers.settle()
             publication.close()
             await peers.settle()
             inbox = Inbox()
-            peers.there.subscribe(subscription(qos=LATCHED), inbox.deliver)
+            peers.there.subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
             await peers.settle()
             assert inbox.numbers == []
 
@@ -329,16 +397,16 @@ class TransportConformance:
 
     async def test_a_publisher_without_subscriptions_has_no_readers(self, transport):
         async with transport() as peers:
-            publication = peers.here.advertise(publisher())
-            peers.there.subscribe(subscription("/chatter2"), Inbox().deliver)
+            publication = peers.here.advertise(publisher(), SPEECH)
+            peers.there.subscribe(subscription("/chatter2"), SPEECH, Inbox().deliver)
             await peers.settle()
             assert not publication.has_readers
 
     @BOTH_WAYS
     async def test_a_publisher_has_readers_as_long_as_a_subscription_is_open(self, transport, end):
         async with transport() as peers:
-            publication = peers.here.advertise(publisher())
-            subscribed = getattr(peers, end).subscribe(subscription(), Inbox().deliver)
+            publication = peers.here.advertise(publisher(), SPEECH)
+            subscribed = getattr(peers, end).subscribe(subscription(), SPEECH, Inbox().deliver)
             await peers.settle()
             assert publication.has_readers
             subscribed.close()
@@ -347,13 +415,13 @@ class TransportConformance:
 
     async def test_a_publisher_that_latches_may_have_readers_later(self, transport):
         async with transport() as peers:
-            assert peers.here.advertise(publisher(qos=LATCHED)).has_readers
+            assert peers.here.advertise(publisher(qos=LATCHED), SPEECH).has_readers
 
     @pytest.mark.parametrize("qos", [QoS(), LATCHED], ids=["volatile", "latched"])
     async def test_a_closed_publisher_has_no_readers(self, transport, qos):
         async with transport() as peers:
-            publication = peers.here.advertise(publisher(qos=qos))
-            peers.there.subscribe(subscription(), Inbox().deliver)
+            publication = peers.here.advertise(publisher(qos=qos), SPEECH)
+            peers.there.subscribe(subscription(), SPEECH, Inbox().deliver)
             await peers.settle()
             publication.close()
             assert not publication.has_readers
@@ -364,9 +432,9 @@ class TransportConformance:
     async def test_a_closed_subscription_gets_nothing_more(self, transport, end):
         async with transport() as peers:
             inbox, other = Inbox(), Inbox()
-            subscribed = getattr(peers, end).subscribe(subscription(), inbox.deliver)
-            getattr(peers, end).subscribe(subscription(), other.deliver)
-            publication = peers.here.advertise(publisher())
+            subscribed = getattr(peers, end).subscribe(subscription(), SPEECH, inbox.deliver)
+            getattr(peers, end).subscribe(subscription(), SPEECH, other.deliver)
+            publication = peers.here.advertise(publisher(), SPEECH)
             await peers.settle()
             publication.publish(feedback(1))
             await peers.settle()
@@ -385,12 +453,9 @@ class TransportConformance:
                 subscribed[1 - mine].close()
 
             for mine in range(2):
-                subscribed.append(
-                    peers.there.subscribe(
-                        subscription(), lambda message, mine=mine: take_and_close(mine, message)
-                    )
-                )
-            publication = peers.here.advertise(publisher())
+                take = functools.partial(take_and_close, mine)
+                subscribed.append(peers.there.subscribe(subscription(), SPEECH, take))
+            publication = peers.here.advertise(publisher(), SPEECH)
             await peers.settle()
             publication.publish(feedback(1))
             await peers.settle()
@@ -404,8 +469,8 @@ class TransportConformance:
                 inbox.deliver(message)
                 subscribed.close()
 
-            subscribed = peers.there.subscribe(subscription(), take_one)
-            publication = peers.here.advertise(publisher())
+            subscribed = peers.there.subscribe(subscription(), SPEECH, take_one)
+            publication = peers.here.advertise(publisher(), SPEECH)
             await peers.settle()
             publication.publish(feedback(1))
             publication.publish(feedback(2))
@@ -419,9 +484,9 @@ class TransportConformance:
             def leave(message: object) -> None:
                 subscribed.close()
 
-            subscribed = peers.there.subscribe(subscription(), leave)
-            peers.there.subscribe(subscription(), other.deliver)
-            publication = peers.here.advertise(publisher())
+            subscribed = peers.there.subscribe(subscription(), SPEECH, leave)
+            peers.there.subscribe(subscription(), SPEECH, other.deliver)
+            publication = peers.here.advertise(publisher(), SPEECH)
             await peers.settle()
             publication.publish(feedback(1))
             await peers.settle()
@@ -430,8 +495,8 @@ class TransportConformance:
     async def test_a_closed_publisher_gives_nothing_more(self, transport):
         async with transport() as peers:
             inbox = Inbox()
-            peers.there.subscribe(subscription(), inbox.deliver)
-            publication = peers.here.advertise(publisher())
+            peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
+            publication = peers.here.advertise(publisher(), SPEECH)
             await peers.settle()
             publication.publish(feedback(1))
             await peers.settle()
@@ -442,12 +507,12 @@ class TransportConformance:
 
     async def test_a_topic_deserted_by_all_can_be_opened_again(self, transport):
         async with transport() as peers:
-            peers.here.advertise(publisher()).close()
-            peers.there.subscribe(subscription(), Inbox().deliver).close()
+            peers.here.advertise(publisher(), SPEECH).close()
+            peers.there.subscribe(subscription(), SPEECH, Inbox().deliver).close()
             await peers.settle()
             inbox = Inbox()
-            publication = peers.here.advertise(publisher())
-            peers.there.subscribe(subscription(), inbox.deliver)
+            publication = peers.here.advertise(publisher(), SPEECH)
+            peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
             await peers.settle()
             publication.publish(feedback(1))
             await peers.settle()
@@ -455,11 +520,11 @@ class TransportConformance:
 
     async def test_a_publisher_outlives_the_last_subscription(self, transport):
         async with transport() as peers:
-            publication = peers.here.advertise(publisher())
-            peers.there.subscribe(subscription(), Inbox().deliver).close()
+            publication = peers.here.advertise(publisher(), SPEECH)
+            peers.there.subscribe(subscription(), SPEECH, Inbox().deliver).close()
             await peers.settle()
             inbox = Inbox()
-            peers.there.subscribe(subscription(), inbox.deliver)
+            peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
             await peers.settle()
             publication.publish(feedback(1))
             await peers.settle()
@@ -468,10 +533,10 @@ class TransportConformance:
     async def test_a_subscription_outlives_the_last_publisher(self, transport):
         async with transport() as peers:
             inbox = Inbox()
-            peers.there.subscribe(subscription(), inbox.deliver)
-            peers.here.advertise(publisher()).close()
+            peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
+            peers.here.advertise(publisher(), SPEECH).close()
             await peers.settle()
-            publication = peers.here.advertise(publisher())
+            publication = peers.here.advertise(publisher(), SPEECH)
             await peers.settle()
             publication.publish(feedback(1))
             await peers.settle()
@@ -509,7 +574,7 @@ class TransportConformance:
     async def test_an_endpoint_shows_its_quality_of_service(self, transport):
         qos = QoS(depth=3, durability="transient_local", reliability="best_effort")
         async with transport() as peers:
-            peers.here.advertise(publisher(qos=qos))
+            peers.here.advertise(publisher(qos=qos), SPEECH)
             await peers.settle()
             assert [endpoint.qos for endpoint in peers.there.endpoints()] == [qos]
 
@@ -593,30 +658,270 @@ class TransportConformance:
 
     async def test_what_nobody_serves_is_not_found(self, transport):
         async with transport() as peers:
-            peers.here.join(Endpoint("client", "/add", "lab_interfaces/srv/Add", "/lab"))
-            assert peers.here.local("/add", "lab_interfaces/srv/Add") is None
+            peers.here.join(client(), ASKING)
+            assert peers.here.local("/add", Sum.type_name) is None
 
     async def test_the_very_handler_is_found(self, transport):
         async with transport() as peers:
             handler = Handler()
-            peers.here.serve(service(), handler)
-            assert peers.here.local("/add", "lab_interfaces/srv/Add") is handler
+            peers.here.serve(service(), SERVING, handler)
+            assert peers.here.local("/add", Sum.type_name) is handler
 
     @pytest.mark.parametrize(
-        "other", [service("/add2"), service(type_name="lab_interfaces/srv/Sum")]
+        "other", [service("/add2"), service(type_name="lab_interfaces/srv/Other")]
     )
     async def test_a_service_of_another_name_or_type_is_not_found(self, transport, other):
         async with transport() as peers:
-            peers.here.serve(other, Handler())
-            assert peers.here.local("/add", "lab_interfaces/srv/Add") is None
+            peers.here.serve(other, SERVING, Handler())
+            assert peers.here.local("/add", Sum.type_name) is None
 
     async def test_of_several_handlers_the_first_is_found_then_the_next(self, transport):
         async with transport() as peers:
             handlers = [Handler(), Handler()]
             found = []
-            for opened in [peers.here.serve(service(), handler) for handler in handlers]:
-                found.append(peers.here.local("/add", "lab_interfaces/srv/Add"))
+            for opened in [peers.here.serve(service(), SERVING, handler) for handler in handlers]:
+                found.append(peers.here.local("/add", Sum.type_name))
                 opened.close()
                 opened.close()
             assert found == handlers
-            assert peers.here.local("/add", "lab_interfaces/srv/Add") is None
+            assert peers.here.local("/add", Sum.type_name) is None
+
+    # calls
+
+    @BOTH_WAYS
+    async def test_a_call_gets_the_servers_reply(self, transport, end):
+        async with transport() as peers:
+            getattr(peers, end).serve(service(), SERVING, Adder())
+            caller = peers.here.join(client(), ASKING)
+            await peers.settle()
+            assert (await caller.call(numbers(2, 3))).message == Sum.Response(total=5)
+
+    @BOTH_WAYS
+    async def test_a_note_comes_beside_the_reply(self, transport, end):
+        async with transport() as peers:
+            getattr(peers, end).serve(service(), SERVING, Adder())
+            caller = peers.here.join(client(), ASKING)
+            await peers.settle()
+            assert (await caller.call(numbers())).note == "added up"
+
+    @BOTH_WAYS
+    async def test_a_caller_is_served_while_a_server_is_open(self, transport, end):
+        async with transport() as peers:
+            caller = peers.here.join(client(), ASKING)
+            seen = [caller.is_served]
+            offered = getattr(peers, end).serve(service(), SERVING, Adder())
+            await peers.settle()
+            seen.append(caller.is_served)
+            offered.close()
+            await peers.settle()
+            assert [*seen, caller.is_served] == [False, True, False]
+
+    async def test_who_waits_to_be_served_is_woken(self, transport):
+        async with transport() as peers:
+            caller = peers.here.join(client(), ASKING)
+
+            async def wait() -> None:
+                while not caller.is_served:
+                    await peers.here.wait_for_change()
+
+            async with running(wait) as waiting:
+                peers.there.serve(service(), SERVING, Adder())
+                await waiting.done.wait()
+            assert (await caller.call(numbers(1))).message == Sum.Response(total=1)
+
+    @BOTH_WAYS
+    async def test_several_calls_are_under_way_at_once(self, transport, end):
+        gate = anyio.Event()
+        async with transport() as peers:
+            getattr(peers, end).serve(service(), SERVING, adder := Adder(gate=gate))
+            caller = peers.here.join(client(), ASKING)
+            await peers.settle()
+            async with (
+                running(lambda: caller.call(numbers(1))) as one,
+                running(lambda: caller.call(numbers(2))) as other,
+            ):
+                await peers.settle()
+                assert len(adder.callers) == 2
+                gate.set()
+            assert (one.value.message.total, other.value.message.total) == (1, 2)
+
+    @BOTH_WAYS
+    async def test_a_server_knows_its_callers_apart(self, transport, end):
+        async with transport() as peers:
+            getattr(peers, end).serve(service(), SERVING, adder := Adder())
+            one, other = (peers.here.join(client(), ASKING) for _ in range(2))
+            await peers.settle()
+            for caller in (one, other, one):
+                await caller.call(numbers())
+            first, second, third = adder.callers
+            assert (len(first), first == third, first == second) == (16, True, False)
+
+    @BOTH_WAYS
+    async def test_a_server_is_told_of_a_caller_that_leaves(self, transport, end):
+        async with transport() as peers:
+            getattr(peers, end).serve(service(), SERVING, adder := Adder())
+            caller, _ = (peers.here.join(client(), ASKING) for _ in range(2))
+            await peers.settle()
+            await caller.call(numbers())
+            assert adder.lost == []
+            caller.close()
+            caller.close()
+            await peers.settle()
+            assert adder.lost == adder.callers
+
+    async def test_a_call_that_nobody_serves_ends_at_once(self, transport):
+        async with transport() as peers:
+            caller = peers.here.join(client(), ASKING)
+            with pytest.raises(ServerUnavailable, match="service '/add': no server answers"):
+                await caller.call(numbers())
+
+    @BOTH_WAYS
+    async def test_a_service_of_another_type_is_named(self, transport, end):
+        async with transport() as peers:
+            other = service(type_name="lab_interfaces/srv/Other")
+            getattr(peers, end).serve(other, SERVING, Adder())
+            caller = peers.here.join(client(), ASKING)
+            await peers.settle()
+            said = r"served as lab_interfaces/srv/Other, not as lab_interfaces/srv/Sum"
+            with pytest.raises(ServerUnavailable, match=said):
+                await caller.call(numbers())
+
+    async def test_what_cannot_reply_serves_no_calls(self, transport):
+        async with transport() as peers:
+            peers.here.serve(service(), SERVING, Handler())
+            caller = peers.here.join(client(), ASKING)
+            await peers.settle()
+            assert not caller.is_served
+            with pytest.raises(ServerUnavailable):
+                await caller.call(numbers())
+
+    @BOTH_WAYS
+    async def test_a_handler_that_fails_says_why(self, transport, end):
+        async with transport() as peers:
+            getattr(peers, end).serve(service(), SERVING, Adder(fail=ValueError("no room")))
+            caller = peers.here.join(client(), ASKING)
+            await peers.settle()
+            said = "service '/add': the handler failed: ValueError: no room"
+            with pytest.raises(ServiceError, match=said):
+                await caller.call(numbers())
+
+    @BOTH_WAYS
+    @pytest.mark.parametrize(
+        "error",
+        [
+            ServiceError("/add", "too many: at most 3"),
+            ServerUnavailable("/add", "the server was closed", kind="service"),
+            InvalidMessage("request.numbers[1]", "expected a number: not 'two'"),
+        ],
+        ids=lambda error: type(error).__name__,
+    )
+    async def test_what_a_handler_raises_on_purpose_comes_as_it_is(self, transport, end, error):
+        async with transport() as peers:
+            getattr(peers, end).serve(service(), SERVING, Adder(fail=error))
+            caller = peers.here.join(client(), ASKING)
+            await peers.settle()
+            with pytest.raises(TurtleactError) as caught:
+                await caller.call(numbers())
+            assert (type(caught.value), caught.value.args) == (type(error), error.args)
+
+    @BOTH_WAYS
+    async def test_a_service_that_closes_still_answers_what_is_under_way(self, transport, end):
+        gate = anyio.Event()
+        async with transport() as peers:
+            offered = getattr(peers, end).serve(service(), SERVING, Adder(gate=gate))
+            caller = peers.here.join(client(), ASKING)
+            await peers.settle()
+            async with running(lambda: caller.call(numbers(4))) as called:
+                await peers.settle()
+                offered.close()
+                await peers.settle()
+                gate.set()
+            assert called.value.message == Sum.Response(total=4)
+
+    @BOTH_WAYS
+    async def test_a_call_that_is_canceled_harms_no_other(self, transport, end):
+        gate = anyio.Event()
+        async with transport() as peers:
+            getattr(peers, end).serve(service(), SERVING, Adder(gate=gate))
+            caller = peers.here.join(client(), ASKING)
+            await peers.settle()
+            async with (
+                running(lambda: caller.call(numbers(1))) as one,
+                running(lambda: caller.call(numbers(2))) as other,
+            ):
+                await peers.settle()
+                one.scope.cancel()
+                await one.done.wait()
+                gate.set()
+            assert (one.value, other.value.message.total) == (None, 2)
+
+    async def test_a_closed_caller_calls_no_more(self, transport):
+        async with transport() as peers:
+            peers.there.serve(service(), SERVING, Adder())
+            caller = peers.here.join(client(), ASKING)
+            await peers.settle()
+            caller.close()
+            with pytest.raises(TurtleactError, match="the client of service '/add' is closed"):
+                await caller.call(numbers())
+
+    # waiting for readers
+
+    async def test_a_publisher_that_sends_little_is_not_congested(self, transport):
+        async with transport() as peers:
+            peers.there.subscribe(subscription(), SPEECH, Inbox().deliver)
+            publication = peers.here.advertise(publisher(), SPEECH)
+            await peers.settle()
+            publication.publish(feedback(1))
+            await publication.drained()
+            assert not publication.is_congested
+
+    @BOTH_WAYS
+    async def test_a_source_is_told_of_its_first_and_last_reader(self, transport, end):
+        async with transport() as peers:
+            source = Numbers()
+            peers.here.advertise(publisher(), SPEECH, source)
+            for _ in range(2):
+                opened = [
+                    getattr(peers, end).subscribe(subscription(), SPEECH, Inbox().deliver)
+                    for _ in range(2)
+                ]
+                await peers.settle()
+                for each in opened:
+                    each.close()
+                await peers.settle()
+            assert source.told == [True, False, True, False]
+
+    @BOTH_WAYS
+    async def test_a_late_reader_gets_what_a_source_makes(self, transport, end):
+        async with transport() as peers:
+            source = Numbers()
+            publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH, source)
+            source.number = 5
+            publication.refresh()
+            await peers.settle()
+            getattr(peers, end).subscribe(
+                subscription(qos=LATCHED), SPEECH, (inbox := Inbox()).deliver
+            )
+            await peers.settle()
+            assert inbox.numbers[-1:] == [5]
+
+    @BOTH_WAYS
+    async def test_a_reader_is_sent_what_a_source_has_changed(self, transport, end):
+        async with transport() as peers:
+            source, inbox = Numbers(), Inbox()
+            publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH, source)
+            getattr(peers, end).subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
+            await peers.settle()
+            source.number = 5
+            publication.refresh()
+            await peers.settle()
+            assert inbox.numbers[-1:] == [5]
+
+    async def test_refreshing_without_a_source_publishes_nothing(self, transport):
+        async with transport() as peers:
+            inbox = Inbox()
+            publication = peers.here.advertise(publisher(), SPEECH)
+            peers.here.subscribe(subscription(), SPEECH, inbox.deliver)
+            publication.refresh()
+            await peers.settle()
+            assert inbox.numbers == []

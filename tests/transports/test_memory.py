@@ -13,6 +13,7 @@ from ..lab import feedback, settle
 from .conformance import (
     KINDS,
     LATCHED,
+    SPEECH,
     Peers,
     TransportConformance,
     of_kind,
@@ -36,24 +37,24 @@ class TestMemoryTransport(TransportConformance):
 async def test_a_message_is_handed_on_as_it_is_in_the_publishers_own_call():
     seen: list[object] = []
     transport, message = MemoryTransport(), feedback(1)
-    transport.subscribe(subscription(), seen.append)
-    transport.advertise(publisher()).publish(message)
+    transport.subscribe(subscription(), SPEECH, seen.append)
+    transport.advertise(publisher(), SPEECH).publish(message)
     assert seen[0] is message
 
 
 async def test_a_latched_message_is_there_when_subscribing_returns():
     seen: list[object] = []
     transport = MemoryTransport()
-    transport.advertise(publisher(qos=LATCHED)).publish(feedback(1))
-    transport.subscribe(subscription(qos=LATCHED), seen.append)
+    transport.advertise(publisher(qos=LATCHED), SPEECH).publish(feedback(1))
+    transport.subscribe(subscription(qos=LATCHED), SPEECH, seen.append)
     assert seen == [feedback(1)]
 
 
 async def test_two_transports_are_two_graphs():
     seen: list[object] = []
     one, other = MemoryTransport(), MemoryTransport()
-    one.subscribe(subscription(), seen.append)
-    other.advertise(publisher()).publish(feedback(1))
+    one.subscribe(subscription(), SPEECH, seen.append)
+    other.advertise(publisher(), SPEECH).publish(feedback(1))
     assert (seen, one.endpoints()) == ([], (subscription(),))
 
 

@@ -42,6 +42,7 @@ from turtleact.interfaces.types import (
     uint64,
     wstring,
 )
+from turtleact.interfaces.wire_format import WireFormat
 
 if TYPE_CHECKING:
     from turtleact.interfaces.cdr import decode, encode
@@ -52,6 +53,7 @@ __all__ = [
     "Implied",
     "Message",
     "Service",
+    "WireFormat",
     "array",
     "bool_",
     "bounded",

@@ -36,7 +36,7 @@ from turtleact.server.hooks import Hooks
 from turtleact.server.stepping import BLOCKING
 from turtleact.slot import Admission, Slot
 from turtleact.tasks import DEEPEST, GRACE, Signal, Tasks
-from turtleact.transports.base import Closeable
+from turtleact.transports.base import Closeable, Reply
 
 if TYPE_CHECKING:
     from turtleact.node import Node
@@ -132,6 +132,10 @@ class ActionServer(Generic[G, R, F]):
     async def answer(self, request: object) -> object:
         """Answer a ``SendGoal`` request: the server stands for this service itself."""
         return await cast("ActionEndpoints", self.endpoints).send_goal(request)
+
+    async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002  # all are equal
+        """Answer a ``SendGoal`` request that came over a wire."""
+        return Reply(await self.answer(request))
 
     def waits_first(self) -> bool:
         """Whether `prepare` is to be awaited before the next goal is begun.

@@ -25,7 +25,7 @@ import anyio
 
 from turtleact.errors import GoalRejected
 from turtleact.goal import Goal, GoalStatus
-from turtleact.interfaces import Action, Implied, Message, implied
+from turtleact.interfaces import Action, Implied, Message, WireFormat, implied
 from turtleact.interfaces.standard import (
     UUID,
     CancelGoal,
@@ -36,7 +36,7 @@ from turtleact.names import ActionNames
 from turtleact.server.action_server import ActionServer
 from turtleact.services import ServiceServer
 from turtleact.tasks import GRACE, Signal, Tasks
-from turtleact.transports.base import Endpoint, EndpointKind, Publication, QoS, Transport
+from turtleact.transports.base import Endpoint, EndpointKind, Publication, QoS, Reply, Transport
 
 __all__ = ["ActionEndpoints"]
 
@@ -86,22 +86,20 @@ class ActionEndpoints:
         action = server.action_type.type_name
         if transport.local(names.send_goal, f"{action}_SendGoal") is not None:
             logger.warning("%s is served already; clients go to the first server", names.name)
-        self._publications: list[Publication] = []
         self._opened = [
-            transport.serve(endpoint("service", at, type_name), handler)
-            for at, type_name, handler in (
-                (names.send_goal, f"{action}_SendGoal", server),
-                (names.cancel_goal, CancelGoal.type_name, self._services["CancelGoal"]),
-                (names.get_result, f"{action}_GetResult", self._services["GetResult"]),
+            transport.serve(endpoint("service", at, type_name), WireFormat(interface), handler)
+            for at, type_name, interface, handler in (
+                (names.send_goal, f"{action}_SendGoal", lambda: _implied(server).send_goal, server),
+                (names.cancel_goal, CancelGoal.type_name, CancelGoal, self._services["CancelGoal"]),
+                (
+                    names.get_result,
+                    f"{action}_GetResult",
+                    lambda: _implied(server).get_result,
+                    self._services["GetResult"],
+                ),
             )
         ]
-        for at, type_name, qos, source in (
-            (names.feedback, f"{action}_FeedbackMessage", QoS(), _Feedback(server)),
-            (names.status, GoalStatusArray.type_name, STATUS_QOS, _Status(server)),
-        ):
-            publication = transport.advertise(endpoint("publisher", at, type_name, qos), source)
-            source.publication = publication
-            self._publications.append(publication)
+        self._publications = self._advertise(transport, endpoint)
 
     def close(self) -> None:
         """Serve no more; requests that are under way go on, and changes are still told."""
@@ -119,6 +117,20 @@ class ActionEndpoints:
             await service.aclose()
         for publication in self._publications:
             publication.close()
+
+    def _advertise(self, transport: Transport, endpoint: MakeEndpoint) -> list[Publication]:
+        """Open the topics."""
+        server, names = self._server, self._names
+        feedback, status = _Feedback(server), _Status(server)
+        described = endpoint(
+            "publisher", names.feedback, f"{server.action_type.type_name}_FeedbackMessage"
+        )
+        format = WireFormat(lambda: _implied(server).feedback_message)
+        feedback.publication = transport.advertise(described, format, feedback)
+        described = endpoint("publisher", names.status, GoalStatusArray.type_name, STATUS_QOS)
+        format = WireFormat(GoalStatusArray)
+        status.publication = transport.advertise(described, format, status)
+        return [feedback.publication, status.publication]
 
     # the services
 
@@ -195,6 +207,10 @@ class _Lazy:
             self._waiting -= 1
             self._answered.fire()
 
+    async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002  # all are equal
+        """Answer a request that came over a wire; as `answer`."""
+        return Reply(await self.answer(request))
+
     async def drain(self) -> None:
         """Wait until all who wait have their answer, `GRACE` seconds at most."""
         with anyio.move_on_after(GRACE, shield=True):
@@ -254,7 +270,7 @@ class _Status:
         self._is_watching = has_readers
 
     def _publish(self, *_change: object) -> None:
-        self.publication.publish(*self.current())
+        self.publication.refresh()
 
 
 def _implied(server: ActionServer[Any, Any, Any]) -> Implied:

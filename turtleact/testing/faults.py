@@ -25,7 +25,7 @@ from turtleact.clock import Clock
 from turtleact.errors import SimError
 from turtleact.tasks import Background
 from turtleact.transports import Transport
-from turtleact.transports.base import Closeable, Endpoint, Publication, Source
+from turtleact.transports.base import Caller, Closeable, Endpoint, Format, Publication, Source
 
 __all__ = ["Faults", "FaultyTransport"]
 
@@ -127,27 +127,29 @@ class FaultyTransport:
         """What has become of the messages so far."""
         return Faults(**self.counts, on_their_way=sum(map(len, self._links)))
 
-    def subscribe(self, endpoint: Endpoint, deliver: Deliver) -> Closeable:
+    def subscribe(self, endpoint: Endpoint, format: Format, deliver: Deliver) -> Closeable:
         """Open the receiving end of a topic, behind the faults."""
         name = f"{endpoint.node} {endpoint.name}"
         self._names[name] += 1
         chance = random.Random(f"{self._seed} {name} {self._names[name]}")  # noqa: S311  # no secret
         link = _Link(self, endpoint.name, deliver, chance)
         self._links.append(link)
-        link.inner = self._transport.subscribe(endpoint, link.take)
+        link.inner = self._transport.subscribe(endpoint, format, link.take)
         return link
 
-    def advertise(self, endpoint: Endpoint, source: Source | None = None) -> Publication:
+    def advertise(
+        self, endpoint: Endpoint, format: Format, source: Source | None = None
+    ) -> Publication:
         """Open the sending end of a topic."""
-        return self._transport.advertise(endpoint, source)
+        return self._transport.advertise(endpoint, format, source)
 
-    def serve(self, endpoint: Endpoint, handler: object) -> Closeable:
+    def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
         """Offer ``handler`` as the server of a service."""
-        return self._transport.serve(endpoint, handler)
+        return self._transport.serve(endpoint, format, handler)
 
-    def join(self, endpoint: Endpoint) -> Closeable:
-        """Appear in the graph as a client of a service."""
-        return self._transport.join(endpoint)
+    def join(self, endpoint: Endpoint, format: Format) -> Caller:
+        """Appear in the graph as a client of a service; what it calls passes without faults."""
+        return self._transport.join(endpoint, format)
 
     def local(self, name: str, type_name: str) -> object | None:
         """The handler that serves a service, cut or not."""

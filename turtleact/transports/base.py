@@ -1,7 +1,8 @@
-"""How messages travel: publish and subscribe, serve and find, between the nodes of one graph.
+"""How messages travel: publish and subscribe, serve and call, between the nodes of one graph.
 
 A transport knows no goal and no message class. It carries what it is given between `Endpoint`
-objects that agree in name and type. Its guarantees:
+objects that agree in name and type; where bytes must travel, the `Format` that comes with each
+endpoint makes them. Its guarantees:
 
 - The messages of one publisher reach each subscription in the order in which they were published.
 - `Transport.subscribe` calls ``deliver`` in the event loop of the subscriber; what ``deliver``
@@ -9,11 +10,11 @@ objects that agree in name and type. Its guarantees:
 - A transient-local publisher's last messages reach a subscription that comes later, first of all.
 - What is closed gets and gives nothing more: the latched messages of a publisher go with it.
 - Quality of service never keeps two endpoints apart.
+- A call ends: with a reply, or with the reason why there is none.
 
-Services, so far, are those of the same process: `Transport.serve` offers an object, and
-`Transport.local` hands that very object to a client, which calls it; no request passes through the
-transport. The calls of an action and of a plain service go this one way, each with its own kind of
-object. A transport that reaches other processes brings calls of encoded messages besides.
+A service is an object that `Transport.serve` offers. Within its own process `Transport.local` hands
+that very object to a client, which uses it as it likes; no request passes through the transport.
+All others reach it by the `Caller` that `Transport.join` gives, if it is `Replying`.
 
 Source: ROS 2 ``rmw``; the QoS policies of the ROS 2 documentation.
 """
@@ -21,7 +22,7 @@ Source: ROS 2 ``rmw``; the QoS policies of the ROS 2 documentation.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import msgspec
 
@@ -29,11 +30,16 @@ from turtleact.clock import Clock, check_timeout, within
 from turtleact.errors import InvalidMessage
 
 __all__ = [
+    "Caller",
+    "CallerAware",
     "Closeable",
     "Endpoint",
     "EndpointKind",
+    "Format",
     "Publication",
     "QoS",
+    "Reply",
+    "Replying",
     "Source",
     "Transport",
     "wait_until_served",
@@ -82,6 +88,8 @@ class Endpoint(msgspec.Struct, frozen=True):
         type_name: The interface, ``pkg/kind/Name``.
         node: The fully qualified name of its node.
         qos: Quality of service, for topics.
+        type_hash: The hash of its type, where it is known from a wire.
+        gid: The 16 bytes that name it on a wire, where it has such.
     """
 
     kind: EndpointKind
@@ -89,6 +97,25 @@ class Endpoint(msgspec.Struct, frozen=True):
     type_name: str
     node: str
     qos: QoS = QoS()
+    type_hash: str = ""
+    gid: bytes = b""
+
+
+class Format(Protocol):
+    """How an endpoint writes what it sends and reads what it receives.
+
+    The server of a service reads requests and writes responses, its client the other way round.
+    """
+
+    @property
+    def type_hash(self) -> str:
+        """The hash of the message or service, ``RIHS01_…``."""
+
+    def encode(self, message: object) -> bytes:
+        """What is sent, as bytes; raises `InvalidMessage` for what does not fit."""
+
+    def decode(self, data: bytes) -> object:
+        """What was received; raises `InvalidMessage` for bytes that are no such message."""
 
 
 class Closeable(Protocol):
@@ -105,8 +132,18 @@ class Publication(Closeable, Protocol):
     def has_readers(self) -> bool:
         """Whether anybody would get a message published now, or may later, as it is latched."""
 
+    @property
+    def is_congested(self) -> bool:
+        """Whether more is on its way than the readers take; who loses nothing, waits then."""
+
     def publish(self, message: object) -> None:
         """Send a message to every subscription; it must not be changed afterwards."""
+
+    def refresh(self) -> None:
+        """Publish what the source makes now; over a wire once for many calls in a row."""
+
+    async def drained(self) -> None:
+        """Wait until it is not congested. Cancelling: safe."""
 
 
 class Source(Protocol):
@@ -119,6 +156,54 @@ class Source(Protocol):
         """Called when the first reader has come, and when the last one has gone."""
 
 
+class Reply(msgspec.Struct, frozen=True):
+    """What a server answers.
+
+    Attributes:
+        message: The response.
+        note: A short text beside it, which peers of another kind do not see.
+    """
+
+    message: object
+    note: str = ""
+
+
+class Caller(Closeable, Protocol):
+    """The asking end of a service."""
+
+    @property
+    def is_served(self) -> bool:
+        """Whether a call would reach a server now; what changes it is a change of the graph."""
+
+    async def call(self, request: object) -> Reply:
+        """Send a request, and wait for the reply.
+
+        Cancelling: safe; a server in the same process is told.
+
+        Raises:
+            InvalidMessage: if the request does not fit its type; nothing was sent.
+            ServerUnavailable: if nobody serves it, or under another type, or the server went away.
+            ServiceError: if the handler failed; what it raised on purpose comes as it is.
+            TurtleactError: if the caller is closed.
+        """
+
+
+@runtime_checkable
+class Replying(Protocol):
+    """A handler that answers callers of any process."""
+
+    async def reply(self, request: object, caller: bytes) -> Reply:
+        """Answer a request; ``caller`` is the gid of its client."""
+
+
+@runtime_checkable
+class CallerAware(Protocol):
+    """A handler that is told when a caller of its service has gone."""
+
+    def caller_lost(self, caller: bytes) -> None:
+        """Note that the client of this gid was closed, or has died."""
+
+
 class Transport(Protocol):
     """A graph of endpoints.
 
@@ -128,17 +213,25 @@ class Transport(Protocol):
 
     clock: Clock
 
-    def advertise(self, endpoint: Endpoint, source: Source | None = None) -> Publication:
+    def advertise(
+        self, endpoint: Endpoint, format: Format, source: Source | None = None
+    ) -> Publication:
         """Open the sending end of a topic; with a source, nothing is latched but what it makes."""
 
-    def subscribe(self, endpoint: Endpoint, deliver: Callable[[object], None]) -> Closeable:
+    def subscribe(
+        self, endpoint: Endpoint, format: Format, deliver: Callable[[object], None]
+    ) -> Closeable:
         """Open the receiving end of a topic; ``deliver`` gets each message."""
 
-    def serve(self, endpoint: Endpoint, handler: object) -> Closeable:
-        """Offer ``handler`` as the server of a service, and appear in the graph as such."""
+    def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
+        """Offer ``handler`` as the server of a service, and appear in the graph as such.
 
-    def join(self, endpoint: Endpoint) -> Closeable:
-        """Appear in the graph as a client of a service."""
+        Each request of another process runs in a task of its own, which the transport ends when it
+        is closed itself; closing the service lets those under way go on.
+        """
+
+    def join(self, endpoint: Endpoint, format: Format) -> Caller:
+        """Appear in the graph as a client of a service, and be able to call it."""
 
     def local(self, name: str, type_name: str) -> object | None:
         """The handler that serves a service in this very process, if there is one."""

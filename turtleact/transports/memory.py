@@ -1,6 +1,7 @@
 """Inside one process: hands each message on as it is, in the publisher's own call.
 
-Messages are shared, not copied: a publisher gives away a snapshot. One event loop only.
+Messages are shared, not copied: a publisher gives away a snapshot. No format is ever asked, nothing
+is ever congested. One event loop only.
 """
 
 from __future__ import annotations
@@ -12,8 +13,22 @@ from functools import partial
 from typing import TypeAlias, TypeVar
 
 from turtleact.clock import Clock, WallClock
+from turtleact.errors import ServerUnavailable, ServiceError, TurtleactError
+from turtleact.summaries import summary
 from turtleact.tasks import Signal, current_tasks
-from turtleact.transports.base import Closeable, Endpoint, Publication, QoS, Source
+from turtleact.transports.base import (
+    Caller,
+    CallerAware,
+    Closeable,
+    Endpoint,
+    Format,
+    Publication,
+    QoS,
+    Reply,
+    Replying,
+    Source,
+    why_not_served,
+)
 
 __all__ = ["MemoryTransport"]
 
@@ -44,7 +59,12 @@ class MemoryTransport:
         self._opened = 0
         self._changed: Signal | None = None
 
-    def advertise(self, endpoint: Endpoint, source: Source | None = None) -> Publication:
+    def advertise(
+        self,
+        endpoint: Endpoint,
+        format: Format,  # noqa: ARG002  # no bytes travel here
+        source: Source | None = None,
+    ) -> Publication:
         """Open the sending end of a topic; with a source, nothing is latched but what it makes."""
         topic = self._topic(endpoint)
         publication = _Publication(topic, endpoint.qos, source)
@@ -55,7 +75,12 @@ class MemoryTransport:
             source.readers_changed(has_readers=True)
         return publication
 
-    def subscribe(self, endpoint: Endpoint, deliver: Deliver) -> Closeable:
+    def subscribe(
+        self,
+        endpoint: Endpoint,
+        format: Format,  # noqa: ARG002  # as above
+        deliver: Deliver,
+    ) -> Closeable:
         """Open the receiving end of a topic; latched messages are delivered before this returns."""
         topic = self._topic(endpoint)
         reader = _Reader(topic.key[0], deliver)
@@ -69,20 +94,41 @@ class MemoryTransport:
         reader.on_close = self._appear(self._endpoints, endpoint, leave)
         return reader
 
-    def serve(self, endpoint: Endpoint, handler: object) -> Closeable:
+    def serve(
+        self,
+        endpoint: Endpoint,
+        format: Format,  # noqa: ARG002  # as above
+        handler: object,
+    ) -> Closeable:
         """Offer ``handler`` as a server; of several, the one that came first is found."""
         key, offer = _key(endpoint), _Offer(handler)
         self._handlers.setdefault(key, []).append(offer)
         return _Opened(self._appear(self._endpoints, endpoint, partial(self._revoke, key, offer)))
 
-    def join(self, endpoint: Endpoint) -> Closeable:
-        """Appear in the graph as a client of a service."""
-        return _Opened(self._appear(self._endpoints, endpoint, _nothing))
+    def join(
+        self,
+        endpoint: Endpoint,
+        format: Format,  # noqa: ARG002  # as above
+    ) -> Caller:
+        """Appear in the graph as a client of a service, and be able to call it."""
+        caller = _Caller(self, endpoint, endpoint.gid or self._opened.to_bytes(16))
+        leave = partial(self._lose, caller)
+        caller.on_close = self._appear(self._endpoints, endpoint, leave)
+        return caller
 
     def local(self, name: str, type_name: str) -> object | None:
         """The handler that serves a service, if there is one."""
         offers = self._handlers.get((name, type_name))
         return offers[0].handler if offers else None
+
+    def handlers(self, name: str) -> list[object]:
+        """The handlers of all services of that name, whatever their type."""
+        return [
+            offer.handler
+            for key, offers in self._handlers.items()
+            if key[0] == name
+            for offer in offers
+        ]
 
     def enter(self, node: str) -> Closeable:
         """Appear in the graph as a node."""
@@ -101,6 +147,11 @@ class MemoryTransport:
         if self._changed is None:
             self._changed = current_tasks().signal()
         await self._changed.wait()
+
+    def tell_change(self) -> None:
+        """Wake all who wait for a change: one was made elsewhere."""
+        if self._changed is not None:
+            self._changed.fire()
 
     def _topic(self, endpoint: Endpoint) -> _Topic:
         key = _key(endpoint)
@@ -124,18 +175,19 @@ class MemoryTransport:
         self._opened += 1
         number = self._opened
         table[number] = entry
-        self._notify()
+        self.tell_change()
 
         def disappear() -> None:
             if table.pop(number, None) is not None:
                 leave()
-                self._notify()
+                self.tell_change()
 
         return disappear
 
-    def _notify(self) -> None:
-        if self._changed is not None:
-            self._changed.fire()
+    def _lose(self, caller: _Caller) -> None:
+        for handler in self.handlers(caller.endpoint.name):
+            if isinstance(handler, CallerAware):
+                handler.caller_lost(caller.gid)
 
 
 class _Topic:
@@ -176,6 +228,10 @@ class _Publication:
     def has_readers(self) -> bool:
         return self._is_open and (self._keeps or bool(self._topic.readers))
 
+    @property
+    def is_congested(self) -> bool:
+        return False
+
     def latched(self) -> Sequence[object]:
         if self.source is None or not self._is_latched:
             return self._latch
@@ -186,6 +242,14 @@ class _Publication:
             self._latch.append(message)
             for reader in tuple(self._topic.readers):
                 reader.take(message)
+
+    def refresh(self) -> None:
+        if self.source is not None and self._topic.readers:
+            for message in self.source.current():
+                self.publish(message)
+
+    async def drained(self) -> None:
+        """Nothing is ever congested."""
 
     def close(self) -> None:
         self._is_open = False
@@ -212,6 +276,43 @@ class _Reader:
     def close(self) -> None:
         self._is_open = False
         self.on_close()
+
+
+class _Caller:
+    """The asking end of a service."""
+
+    on_close: Leave
+
+    def __init__(self, transport: MemoryTransport, endpoint: Endpoint, gid: bytes) -> None:
+        self.endpoint = endpoint
+        self.gid = gid
+        self._transport = transport
+        self._is_open = True
+
+    @property
+    def is_served(self) -> bool:
+        return isinstance(self._handler(), Replying)
+
+    async def call(self, request: object) -> Reply:
+        name, handler = self.endpoint.name, self._handler()
+        if not self._is_open:
+            raise TurtleactError(f"the client of service '{name}' is closed: open another")
+        if not isinstance(handler, Replying):
+            problem = why_not_served(self._transport, name, self.endpoint.type_name)
+            raise ServerUnavailable(name, problem, kind="service")
+        try:
+            return await handler.reply(request, self.gid)
+        except TurtleactError:
+            raise
+        except Exception as error:
+            raise ServiceError(name, f"the handler failed: {summary(error)}") from error
+
+    def close(self) -> None:
+        self._is_open = False
+        self.on_close()
+
+    def _handler(self) -> object | None:
+        return self._transport.local(self.endpoint.name, self.endpoint.type_name)
 
 
 class _Offer:
