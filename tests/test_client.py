@@ -24,7 +24,6 @@ from turtleact.errors import (
 )
 from turtleact.goal import CancelCode
 from turtleact.tasks import current_tasks
-from turtleact.transports import MemoryTransport
 
 from .lab import (
     ON_ASYNCIO,
@@ -581,12 +580,6 @@ async def test_a_client_that_is_closed_lets_its_goals_go_on():
         await served.client.aclose()
         gate.opened.set()
         assert await handle.result() == result(7)
-
-
-async def test_a_client_that_belongs_to_no_node_can_be_closed():
-    transport = MemoryTransport()
-    names = turtleact.names.action_names("/count")
-    await turtleact.ActionClient(transport, Count, names).aclose()
 
 
 # --- canceled at every point ----------------------------------------------------------------

@@ -16,7 +16,6 @@ from turtleact.errors import (
     GoalCanceled,
     InvalidName,
     ServerUnavailable,
-    TurtleactError,
     UnknownGoal,
 )
 from turtleact.feedback import FeedbackLog
@@ -780,26 +779,7 @@ async def test_a_goal_of_others_can_be_canceled_without_waiting():
         assert (await sent.outcome()).status is GoalStatus.CANCELED
 
 
-# --- once only ------------------------------------------------------------------------------
-
-
-async def await_it(sending):
-    await sending
-
-
-async def enter_it(sending):
-    async with sending:
-        pass
-
-
-@pytest.mark.parametrize("again", [await_it, enter_it])
-@pytest.mark.parametrize("first", [await_it, enter_it])
-async def test_a_goal_is_sent_once(first, again):
-    async with lab(count) as served:
-        sending = served.client.send_goal(goal())
-        await first(sending)
-        with pytest.raises(TurtleactError, match="has been sent: call send_goal again"):
-            await again(sending)
+# --- stale handles ---------------------------------------------------------------------------
 
 
 async def test_the_handle_of_a_goal_that_was_forgotten_cancels_no_stranger():

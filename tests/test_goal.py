@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
@@ -170,7 +172,7 @@ def test_a_goal_shows_its_id_in_hexadecimal():
     [(GoalStatus.CANCELED, GoalCanceled), (GoalStatus.ABORTED, GoalAborted)],
 )
 def test_a_failed_goal_tells_its_reason_and_result(status, error):
-    told = failure(make_goal(status=status, reason="too far", result="half"))
+    told: Any = failure(make_goal(status=status, reason="too far", result="half"))
     assert (type(told), told.reason, told.result) == (error, "too far", "half")
 
 

@@ -1058,7 +1058,7 @@ class World:
             forget(goal)
             del self._goals[number_of(goal)]
 
-        self._slots.append(server._slot)
+        self._slots.append(server._reception.slot)
         table.add, table.forget = note, unnote  # type: ignore[method-assign]  # to see them all
         return server
 

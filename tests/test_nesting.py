@@ -770,8 +770,10 @@ class Household:
 
     def is_over(self, outer: Lab, inner: Lab) -> bool:
         held = [*outer.active, *inner.active]
-        slots = [each.server._slot for each in (outer, inner) if each.server._slot is not None]
-        idle = all((each._places, each._waiting, each._taken) == ({}, {}, 0) for each in slots)
+        slots = [each.server._reception.slot for each in (outer, inner)]
+        idle = all(
+            (each._places, each._waiting, each._taken) == ({}, {}, 0) for each in slots if each
+        )
         return (held, self.active, self.busy.active, idle) == ([], 0, 0, True)
 
 

@@ -132,7 +132,7 @@ def beside(served: Lab, name: str, body: Callable[..., object], **options: Any) 
 
 def is_idle(served: Lab) -> bool:
     """Whether a server holds nothing any more, its slot neither."""
-    slot = served.server._slot
+    slot = served.server._reception.slot
     if slot is None:  # a server that has closed has let go of it
         return not served.server.is_open and served.active == []
     return (served.active, slot._places, slot._waiting, slot._taken) == ([], {}, {}, 0)
@@ -736,7 +736,7 @@ async def half_started(stage: Stage, **options: Any) -> AsyncIterator[tuple[Lab,
             stage.wash(1)
             while not first.ended:
                 await take(1)
-            slot = served.server._slot
+            slot = served.server._reception.slot
             assert slot is not None
             assert two._goal in slot._places
             assert two.status is GoalStatus.ACCEPTED

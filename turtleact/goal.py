@@ -25,7 +25,7 @@ from typing import Final, Protocol, TypeAlias
 
 import msgspec
 
-from turtleact.errors import GoalAborted, GoalCanceled, GoalError, InvalidTransition
+from turtleact.errors import GoalAborted, GoalCanceled, InvalidTransition, TurtleactError
 from turtleact.feedback import FeedbackLog, Listener
 
 __all__ = [
@@ -168,6 +168,8 @@ class Goal(msgspec.Struct, eq=False):
         waiters: How many wait for its result; the table keeps it as long as there are any.
         parent: The goal whose body has sent it, if one has.
         sender: The client that has sent it.
+        published: How many of its feedback messages went out to the feedback topic.
+        error: Why nothing more will be heard of it; its state is UNKNOWN then.
     """
 
     request: object
@@ -187,6 +189,8 @@ class Goal(msgspec.Struct, eq=False):
     waiters: int = 0
     parent: Goal | None = None
     sender: object = None
+    published: int = 0
+    error: TurtleactError | None = None
 
     @property
     def hex(self) -> str:
@@ -210,8 +214,10 @@ class Goal(msgspec.Struct, eq=False):
             self.listener.fire()
 
 
-def failure(goal: Goal) -> GoalError:
+def failure(goal: Goal) -> TurtleactError:
     """What a goal that ended without success tells the one who waits for it."""
+    if goal.error is not None:
+        return goal.error
     kind = GoalCanceled if goal.status is GoalStatus.CANCELED else GoalAborted
     return kind(goal.reason, goal.result)
 

@@ -18,9 +18,11 @@ import msgspec
 
 from turtleact.body import ActionDeclaration, ActionType, ServerOptions
 from turtleact.client import ActionClient
+from turtleact.client.distant_server import DistantServer
+from turtleact.client.links import Links
 from turtleact.clock import Clock
 from turtleact.errors import InvalidOption, TurtleactError
-from turtleact.interfaces import Action, Message, Service, WireFormat, implied
+from turtleact.interfaces import Message, Service, WireFormat
 from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
 from turtleact.server import ActionServer
 from turtleact.server.claim import Claim
@@ -197,12 +199,11 @@ class Node:
             InvalidName: if the name breaks ROS 2's rules.
         """
         names = self._action_names(name)
-        endpoint = self._endpoint("client", names.send_goal, f"{action_type.type_name}_SendGoal")
-        action = cast("type[Action]", action_type)
-        format = WireFormat(lambda: implied(action).send_goal, asks=True)
-        membership = self.transport.join(endpoint, format)
-        client = ActionClient(self.transport, action_type, names)
-        client.membership = self._own(client, membership)
+        links = Links(self.transport, self._endpoint, names, action_type)
+        goal_type = cast("type[Message]", action_type.Goal)
+        distant = DistantServer(links, goal_type, self._tasks, self.clock.now)
+        client = ActionClient(self.transport, action_type, names, distant)
+        client.membership = self._own(client, links)
         return client
 
     def publisher(self, message_type: type[M], topic: str, qos: QoS | None = None) -> Publisher[M]:

@@ -1,7 +1,8 @@
 """An action's client: sends goals, takes hold of those of others, cancels them.
 
 It knows what a caller may ask of an action; what it holds of a goal stands in
-`turtleact.client.goal_handle`. A server in the same process is used directly (`LocalServer`).
+`turtleact.client.goal_handle`. A server in the same process is used directly, one elsewhere by way
+of messages (`GoalServer`).
 
 Source: rclpy ``action/client.py`` for names and meaning.
 """
@@ -12,13 +13,14 @@ import uuid
 from collections.abc import Callable, Coroutine, Generator
 from inspect import CO_COROUTINE
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import msgspec
 
 from turtleact.body import ActionType
+from turtleact.client.distant_server import DistantServer
 from turtleact.client.goal_handle import ClientGoalHandle
-from turtleact.client.local_server import LocalServer
+from turtleact.client.goal_server import GoalServer
 from turtleact.errors import InvalidOption, ServerUnavailable, TurtleactError, UnknownGoal
 from turtleact.goal import OnFeedback
 from turtleact.goal_id import goal_id_bytes
@@ -53,13 +55,15 @@ class ActionClient(Generic[G, R, F]):
         transport: Transport,
         action_type: ActionType[G, R, F],
         names: ActionNames,
+        distant: DistantServer,
     ) -> None:
         self.name = names.name
         self.action_type = action_type
         self._transport = transport
         self._service = (names.send_goal, f"{action_type.type_name}_SendGoal")
         self.membership: Closeable | None = None
-        self._server: LocalServer | None = None
+        self._distant = distant
+        self._server: GoalServer | None = None
         self.is_open = True
 
     def send_goal(
@@ -83,7 +87,6 @@ class ActionClient(Generic[G, R, F]):
             ServerUnavailable: if nobody serves the action.
             GoalRejected: if the server does not take the goal.
             GoalAborted, GoalCanceled: (when awaited) if the goal ends so.
-            TurtleactError: (when awaited or entered) a second time.
         """
         if feedback_callback is not None and _is_coroutine_function(feedback_callback):
             problem = "must be a plain function: it is called in the server's turn, not awaited"
@@ -135,13 +138,14 @@ class ActionClient(Generic[G, R, F]):
     async def aclose(self) -> None:
         """Leave the graph; the goals it has sent go on, unless their server cancels them."""
         self.is_open = False
-        if self._server is not None:
+        self._distant.client_lost(self)
+        if self._server is not None and self._server is not self._distant:
             self._server.client_lost(self)
-            self._server = None
+        self._server = None
         if self.membership is not None:
             self.membership.close()
 
-    def server(self) -> LocalServer:
+    def server(self) -> GoalServer:
         """The server of the action.
 
         Raises:
@@ -157,9 +161,11 @@ class ActionClient(Generic[G, R, F]):
                 raise ServerUnavailable(self.name, problem)
         return server
 
-    def _find(self) -> LocalServer | None:
+    def _find(self) -> GoalServer | None:
         found = self._transport.local(*self._service)
-        return found if isinstance(found, LocalServer) else None
+        if isinstance(found, GoalServer):
+            return found
+        return self._distant if self._distant.is_open else None
 
 
 if TYPE_CHECKING:
@@ -190,12 +196,8 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
     _on_feedback: OnFeedback | None
     _handle: ClientGoalHandle[R, F] | None = None
     _calling: Generator[object, object, R] | None = None
-    _is_sent: bool = False
 
     def __await__(self) -> Generator[object, object, R]:
-        if self._is_sent:
-            raise _sent_before()
-        self._is_sent = True
         client = self._client
         calling = client.server().call(self._request, self._goal_id, self._on_feedback, client)
         return calling  # type: ignore[return-value]  # the result's class is R
@@ -218,14 +220,10 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
             self._calling.close()
 
     async def __aenter__(self) -> ClientGoalHandle[R, F]:
-        if self._is_sent:
-            raise _sent_before()
-        self._is_sent = True
-        server, request = self._client.server(), self._request
-        if server.waits_first():
-            prepared = await server.prepare(request, self._client)
-            request = cast("G", prepared)
-        goal = server.begin(request, self._goal_id, self._on_feedback, self._client)
+        server = self._client.server()
+        goal = server.begin(self._request, self._goal_id, self._on_feedback, self._client)
+        if goal is None:
+            goal = await server.take(self._request, self._goal_id, self._on_feedback, self._client)
         handle: ClientGoalHandle[R, F] = ClientGoalHandle(server, goal)
         self._handle = handle
         return handle
@@ -255,10 +253,9 @@ class Attach(msgspec.Struct, Generic[R, F], eq=False):
 
     async def __aenter__(self) -> ClientGoalHandle[R, F]:
         server = self._client.server()
-        goal = server.find(self._goal_id)
+        goal = await server.attach(self._goal_id)
         if goal is None:
             raise UnknownGoal(f"'{self._client.name}' holds no goal {self._goal_id.hex()}")
-        goal.is_streamed = True
         self._handle = ClientGoalHandle(server, goal, _is_sender=False)
         return self._handle
 
@@ -269,10 +266,6 @@ class Attach(msgspec.Struct, Generic[R, F], eq=False):
         traceback: TracebackType | None,
     ) -> None:
         self._handle = None
-
-
-def _sent_before() -> TurtleactError:
-    return TurtleactError("this goal has been sent: call send_goal again to send another")
 
 
 def _is_coroutine_function(callback: object) -> bool:

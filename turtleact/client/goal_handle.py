@@ -1,8 +1,8 @@
 """A goal as its client sees it: its feedback, its events, its end, and how to cancel it.
 
-It reads the very `Goal` that a server in the same process holds (`LocalServer`). The one who has
-sent the goal reads without loss, and is waited for; others, who have attached themselves, get what
-is kept.
+It reads a `Goal`: the very one that a server in the same process holds, or one that is kept up to
+date by messages (`GoalServer`). The one who has sent the goal reads without loss, and is waited
+for; others, who have attached themselves, get what is kept.
 
 Source: rclpy ``action/client.py`` for names and meaning.
 """
@@ -23,9 +23,9 @@ from typing import (
 
 import msgspec
 
-from turtleact.client.local_server import LocalServer
+from turtleact.client.goal_server import GoalServer
 from turtleact.feedback import FeedbackLog
-from turtleact.goal import CancelCode, Goal, GoalStatus, failure
+from turtleact.goal import Goal, GoalStatus, failure
 from turtleact.interfaces import Message
 from turtleact.interfaces.standard import CancelGoal, Time
 
@@ -125,7 +125,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         missed: How many feedback messages this reader has lost.
     """
 
-    _server: LocalServer
+    _server: GoalServer
     _goal: Goal
     _is_sender: bool = True
     _next: int = 0
@@ -185,6 +185,8 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
                             log.relieve()
                     return log.items[at]  # type: ignore[return-value]  # the server checked it
             if goal.ended:
+                if goal.error is not None:
+                    raise goal.error
                 raise StopAsyncIteration
             await self._server.signal(goal).wait()
 
@@ -203,6 +205,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         Raises:
             GoalAborted: if the goal was aborted.
             GoalCanceled: if the goal was canceled.
+            ServerUnavailable: if its server has gone.
         """
         goal = self._goal
         if not goal.ended:
@@ -212,10 +215,16 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         raise failure(goal)
 
     async def outcome(self) -> Outcome[R]:
-        """Wait for the end; never raises for a goal that did not succeed. Cancelling: safe."""
+        """Wait for the end; never raises for a goal that did not succeed. Cancelling: safe.
+
+        Raises:
+            ServerUnavailable: if its server has gone.
+        """
         goal = self._goal
         if not goal.ended:
             await self._wait()
+        if goal.error is not None:
+            raise goal.error
         return Outcome(goal.status, cast("R", goal.result), goal.reason)
 
     @property
@@ -226,9 +235,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
 
     async def cancel(self) -> CancelGoal.Response:
         """Ask the server to cancel the goal; the answer says whether it will."""
-        if self.done and self._server.find(self.goal_id) is not self._goal:  # it was forgotten
-            return CancelGoal.Response(CancelCode.UNKNOWN_GOAL_ID)
-        return await self._server.cancel(self.goal_id, 0)
+        return await self._server.cancel_goal(self._goal)
 
     def cancel_nowait(self) -> None:
         """Ask the server to cancel the goal; `status` tells in time whether it has agreed."""
@@ -335,6 +342,8 @@ class _Events(Generic[F, R]):
                 return StatusChanged(status)
             if handle.next_unread is not None:
                 return FeedbackReceived(await handle.__anext__())
+            if goal.error is not None:
+                raise goal.error
             if goal.ended:
                 self._step = "ended"
                 return StatusChanged(goal.status)

@@ -23,18 +23,27 @@ import anyio
 
 from turtleact.body import ActionType, Body, ServerOptions, check_options
 from turtleact.errors import GoalRejected
-from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable, OnFeedback, failure
+from turtleact.goal import (
+    CancelCode,
+    Goal,
+    GoalEvent,
+    GoalStatus,
+    GoalTable,
+    OnFeedback,
+    failure,
+)
 from turtleact.goal_id import new_goal_id
-from turtleact.interfaces import Message, snapshotter
+from turtleact.interfaces import Message
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo, Time
 from turtleact.server.callbacks import Questions
 from turtleact.server.canceling import Canceling
 from turtleact.server.claim import Claim
-from turtleact.server.execution import CURRENT_GOAL, Execution
+from turtleact.server.execution import Execution
 from turtleact.server.goal_handle import ServerGoalHandle
 from turtleact.server.hooks import Hooks
+from turtleact.server.reception import Reception
 from turtleact.server.stepping import BLOCKING
-from turtleact.slot import Admission, Slot
+from turtleact.slot import Slot
 from turtleact.tasks import DEEPEST, GRACE, Signal, Tasks
 from turtleact.transports.base import Closeable, Reply
 
@@ -95,13 +104,10 @@ class ActionServer(Generic[G, R, F]):
         self._goal_callback = options.get("goal_callback")
         cancel_callback = options.get("cancel_callback")
         self._on_client_lost = options.get("on_client_lost", "keep")
-        self._slot = place
         self._questions = Questions(name, tasks)
         self._until_turn = IN_A_ROW
         self._can_borrow = tasks.can_borrow and cancel_callback is None
         self._table = GoalTable(options.get("result_timeout", 10.0))
-        goal_type = cast("type[Message]", action_type.Goal)
-        self._check_goal = cast("Callable[[object], Message]", snapshotter(goal_type, root="goal"))
         make_handle = partial(ServerGoalHandle[G, R, F], self)
         self.execution = Execution(
             name,
@@ -123,9 +129,15 @@ class ActionServer(Generic[G, R, F]):
             make_handle=make_handle,
             info=self.info,
         )
-        if place is not None:
-            self.execution.release = self._release
-            Execution.notes_parents = True
+        self._reception = Reception(
+            name,
+            cast("type[Message]", action_type.Goal),
+            slot=place,
+            table=self._table,
+            execution=self.execution,
+            hooks=self.hooks,
+            now=self._now,
+        )
 
     # what a client in the same process calls
 
@@ -133,19 +145,19 @@ class ActionServer(Generic[G, R, F]):
         """Answer a ``SendGoal`` request: the server stands for this service itself."""
         return await cast("ActionEndpoints", self.endpoints).send_goal(request)
 
-    async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002  # all are equal
+    async def reply(self, request: object, caller: bytes) -> Reply:
         """Answer a ``SendGoal`` request that came over a wire."""
-        return Reply(await self.answer(request))
+        return await cast("ActionEndpoints", self.endpoints).reply(request, caller)
 
-    def waits_first(self) -> bool:
-        """Whether `prepare` is to be awaited before the next goal is begun.
+    def _waits_first(self) -> bool:
+        """Whether `_prepare` is to be awaited before the next goal is begun.
 
         So it is if there is a ``goal_callback``; and after `IN_A_ROW` goals, as some never wait.
         """
         self._until_turn -= 1
         return self._until_turn == 0 or self._goal_callback is not None
 
-    async def prepare(self, request: object, sender: object = None) -> object:
+    async def _prepare(self, request: object, sender: object) -> object:
         """Let others run, and put a goal to the ``goal_callback``; answer what is to be begun.
 
         Raises:
@@ -158,7 +170,7 @@ class ActionServer(Generic[G, R, F]):
             await self._tasks.checkpoint()
         if self._goal_callback is None:
             return request
-        message = self._check_goal(request)
+        message = self._reception.check_goal(request)
         await self._questions.may_start(self._goal_callback, message)
         if self._on_client_lost == "cancel" and not getattr(sender, "is_open", True):
             raise GoalRejected("its client has gone")
@@ -172,16 +184,43 @@ class ActionServer(Generic[G, R, F]):
         sender: object = None,
         *,
         is_streamed: bool = True,
-    ) -> Goal:
+    ) -> Goal | None:
         """Take up a goal, and start its body unless it has to wait.
 
-        Its feedback is kept for a reader if it ``is_streamed``.
+        Its feedback is kept for a reader if it ``is_streamed``. None, and nothing done, if `take`
+        is to be awaited instead: there is somebody to ask, or others have to have their turn.
 
         Raises:
             InvalidGoal: if the request does not fit the action.
             GoalRejected: if it is not taken.
         """
-        goal = self._admit(request, goal_id, on_feedback, sender, is_streamed=is_streamed)
+        if self._waits_first():
+            return None
+        return self._begin(request, goal_id, on_feedback, sender, is_streamed=is_streamed)
+
+    async def take(
+        self,
+        request: object,
+        goal_id: bytes | None,
+        on_feedback: OnFeedback | None,
+        sender: object = None,
+        *,
+        is_streamed: bool = True,
+    ) -> Goal:
+        """As `begin`, after others have had their turn, and the user was asked."""
+        request = await self._prepare(request, sender)
+        return self._begin(request, goal_id, on_feedback, sender, is_streamed=is_streamed)
+
+    def _begin(
+        self,
+        request: object,
+        goal_id: bytes | None,
+        on_feedback: OnFeedback | None,
+        sender: object,
+        *,
+        is_streamed: bool,
+    ) -> Goal:
+        goal = self._reception.admit(request, goal_id, on_feedback, sender, is_streamed=is_streamed)
         if goal.status is not _ACCEPTED and not goal.ended:
             self.execution.start(goal)
         return goal
@@ -206,9 +245,9 @@ class ActionServer(Generic[G, R, F]):
             GoalRejected: if it is not taken.
             GoalAborted, GoalCanceled: if it ends so.
         """
-        if self.waits_first():
-            request = yield from self.prepare(request, sender).__await__()
-        goal = self._admit(request, goal_id, on_feedback, sender)
+        if self._waits_first():
+            request = yield from self._prepare(request, sender).__await__()
+        goal = self._reception.admit(request, goal_id, on_feedback, sender)
         tasks = self._tasks
         if self._can_borrow and goal.status is _EXECUTING and tasks.depth < DEEPEST:
             running, context, outer = self.execution.run(goal), copy_context(), tasks.scope()
@@ -236,6 +275,13 @@ class ActionServer(Generic[G, R, F]):
     def find(self, goal_id: bytes) -> Goal | None:
         """The goal of that id; None if it was never held, or is not held any more."""
         return self._table.find(goal_id, self._now())
+
+    async def attach(self, goal_id: bytes) -> Goal | None:
+        """The goal of that id, if it is held; its feedback is kept from now on."""
+        goal = self.find(goal_id)
+        if goal is not None:
+            goal.is_streamed = True
+        return goal
 
     def held(self) -> list[Goal]:
         """All goals held: the active ones, and those whose result is kept."""
@@ -273,6 +319,13 @@ class ActionServer(Generic[G, R, F]):
         """A goal's id and stamp, as sent."""
         return GoalInfo(UUID(self.name_goal(goal)), Time(*divmod(goal.stamp, 1_000_000_000)))
 
+    async def cancel_goal(self, goal: Goal) -> CancelGoal.Response:
+        """Answer a request to cancel one goal, which may have been forgotten."""
+        goal_id = self.name_goal(goal)
+        if goal.ended and self.find(goal_id) is not goal:
+            return CancelGoal.Response(CancelCode.UNKNOWN_GOAL_ID)
+        return await self.cancel(goal_id, 0)
+
     async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
         """Answer a cancel request: by id, by stamp (ns), by both, or for every goal."""
         return await self._canceling.answer(goal_id, stamp, self._now())
@@ -285,8 +338,12 @@ class ActionServer(Generic[G, R, F]):
         """Note that a client has gone: its goals go on, unless ``on_client_lost`` is "cancel"."""
         if self._on_client_lost == "cancel":
             for goal in self._table.active:
-                if goal.sender is sender:
+                if goal.sender == sender:
                     self._canceling.cancel(goal)
+
+    def caller_lost(self, caller: bytes) -> None:
+        """Note that a client elsewhere has gone."""
+        self.client_lost(caller)
 
     # the end
 
@@ -297,12 +354,13 @@ class ActionServer(Generic[G, R, F]):
         seconds is left behind, and logged. Every waiter gets its answer.
         """
         self.is_open = False
+        self._reception.is_open = False
         self._questions.close()
         if self.registration is not None:
             self.registration.close()
         ended = self.execution.ended = self.execution.ended or self._tasks.signal()
         for goal in self._table.active:
-            self.evict(goal, "shutdown")
+            self._reception.evict(goal, "shutdown")
         with anyio.move_on_after(GRACE, shield=True):
             while self._table.active:
                 await ended.wait()
@@ -310,88 +368,10 @@ class ActionServer(Generic[G, R, F]):
             logger.error("goal %s of %s has not ended; it is left behind", goal.hex, self.name)
             self.execution.abandon(goal)
             self.execution.end(goal, GoalEvent.ABORT, None, goal.reason or "shutdown")
-        self.execution.release = self._slot = None
+        self._reception.leave_slot()
         await self._canceling.aclose()
         if self.endpoints is not None:
             await self.endpoints.aclose()
-
-    # taking a goal
-
-    def _admit(
-        self,
-        request: object,
-        goal_id: bytes | None,
-        on_feedback: OnFeedback | None,
-        sender: object,
-        *,
-        is_streamed: bool = False,
-    ) -> Goal:
-        """Hold a goal; it is ACCEPTED if it has to wait, else EXECUTING, and to be started."""
-        if not self.is_open:
-            raise GoalRejected(f"the server of '{self.name}' is shutting down")
-        if on_feedback is not None:  # in the sender's context, not in that of the body
-            on_feedback = partial(copy_context().run, on_feedback)  # type: ignore[call-arg]
-        goal = Goal(
-            self._check_goal(request),
-            self._now(),
-            _EXECUTING,
-            _AT_ONCE,
-            goal_id,
-            on_feedback,
-            is_streamed,
-            parent=CURRENT_GOAL.get(),
-            sender=sender,
-        )
-        if not self._table.add(goal):
-            raise GoalRejected(f"the server still holds a goal of the id {goal.hex}")
-        if self._slot is not None or self.execution.watch is not None:
-            goal.status, goal.history = _ACCEPTED, ()
-            self._enter(goal)
-        return goal
-
-    def _enter(self, goal: Goal) -> None:
-        """Give a goal its place, or a place to wait in."""
-        claim = goal.body = Claim(self, goal)
-        entry = None if self._slot is None else self._slot.enter(claim)
-        if entry is not None and entry.admission is Admission.REJECT:
-            self._table.forget(goal)
-            raise GoalRejected(entry.reason)
-        if self.hooks:
-            self.hooks.tell(goal, GoalStatus.UNKNOWN, _ACCEPTED)
-        if goal.ended:  # a hook has canceled it
-            return
-        if entry is None or entry.admission is Admission.START:
-            goal.body = None
-            self.execution.move(goal, GoalEvent.EXECUTE)
-            return
-        for each in (entry.displaced, *entry.evicted):
-            if each is not None:
-                each.evict(entry.reason)
-
-    def start_waiting(self, goal: Goal, claim: Claim) -> None:
-        """Start a goal whose turn has come, unless it has ended meanwhile."""
-        if goal.body is claim:
-            goal.body = None
-            self.execution.move(goal, GoalEvent.EXECUTE)
-            self.execution.start(goal, claim.context)
-
-    def _release(self, goal: Goal) -> Callable[[], None] | None:
-        """Give a goal's place to the next one; answer what starts that one."""
-        slot = cast("Slot[Claim]", self._slot)
-        following, overdue = slot.leave(goal), slot.overdue()
-        if overdue is not None:
-            for each in overdue.evicted:
-                each.evict(overdue.reason)
-        return None if following is None else following.start
-
-    # ending a goal from outside
-
-    def evict(self, goal: Goal, reason: str) -> None:
-        """Cancel a goal by the server's own decision, unless it is being canceled already."""
-        if goal.status.is_active and not goal.reason and goal.status is not _CANCELING:
-            goal.reason = reason
-            if goal.body is not None:
-                goal.body.cancel()
 
     async def _wait_out(self, goal: Goal) -> None:
         """Wait until a goal has ended. Cancelling: cancels the goal, and waits for its end."""

@@ -18,13 +18,15 @@ Source: rcl_action ``action_server.c``; the ROS 2 design article "Actions".
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
-from typing import Any, Protocol, cast
+from collections.abc import Awaitable, Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, cast
 
 import anyio
 
 from turtleact.errors import GoalRejected
 from turtleact.goal import Goal, GoalStatus
+from turtleact.goal_note import GoalNote
 from turtleact.interfaces import Action, Implied, Message, WireFormat, implied
 from turtleact.interfaces.standard import (
     UUID,
@@ -35,22 +37,12 @@ from turtleact.interfaces.standard import (
 from turtleact.names import ActionNames
 from turtleact.server.action_server import ActionServer
 from turtleact.services import ServiceServer
-from turtleact.tasks import GRACE, Signal, Tasks
-from turtleact.transports.base import Endpoint, EndpointKind, Publication, QoS, Reply, Transport
+from turtleact.tasks import GRACE, Tasks
+from turtleact.transports.base import STATUS_QOS, MakeEndpoint, Publication, Reply, Transport
 
 __all__ = ["ActionEndpoints"]
 
 logger = logging.getLogger("turtleact.server")
-
-STATUS_QOS = QoS(depth=1, durability="transient_local")
-
-
-class MakeEndpoint(Protocol):
-    """Makes the description of an endpoint of the server's node."""
-
-    def __call__(
-        self, kind: EndpointKind, name: str, type_name: str, qos: QoS | None = None
-    ) -> Endpoint: ...
 
 
 class ActionEndpoints:
@@ -75,30 +67,25 @@ class ActionEndpoints:
         self._server = server
         self._names = names
         self._tasks = tasks
-        self._services = {
-            kind: _Lazy(server, make, tasks.signal())
-            for kind, make in (
-                ("SendGoal", self._make_send_goal),
-                ("CancelGoal", self._make_cancel_goal),
-                ("GetResult", self._make_get_result),
-            )
-        }
+        self._send_goal = _Lazy(names.send_goal, lambda: self._implied.send_goal, self._take, tasks)
+        self._cancel_goal = _Lazy(names.cancel_goal, lambda: CancelGoal, self._cancel, tasks)
+        self._get_result = _Lazy(
+            names.get_result, lambda: self._implied.get_result, self._wait, tasks
+        )
         action = server.action_type.type_name
         if transport.local(names.send_goal, f"{action}_SendGoal") is not None:
             logger.warning("%s is served already; clients go to the first server", names.name)
         self._opened = [
-            transport.serve(endpoint("service", at, type_name), WireFormat(interface), handler)
-            for at, type_name, interface, handler in (
-                (names.send_goal, f"{action}_SendGoal", lambda: _implied(server).send_goal, server),
-                (names.cancel_goal, CancelGoal.type_name, CancelGoal, self._services["CancelGoal"]),
-                (
-                    names.get_result,
-                    f"{action}_GetResult",
-                    lambda: _implied(server).get_result,
-                    self._services["GetResult"],
-                ),
+            transport.serve(
+                endpoint("service", each.name, type_name), WireFormat(each.find_type), handler
+            )
+            for each, type_name, handler in (
+                (self._send_goal, f"{action}_SendGoal", server),
+                (self._cancel_goal, CancelGoal.type_name, self._cancel_goal),
+                (self._get_result, f"{action}_GetResult", self._get_result),
             )
         ]
+        self._feedback = _Feedback(server)
         self._publications = self._advertise(transport, endpoint)
 
     def close(self) -> None:
@@ -108,12 +95,17 @@ class ActionEndpoints:
 
     async def send_goal(self, request: object) -> object:
         """Answer a ``SendGoal`` request."""
-        return await self._services["SendGoal"].answer(request)
+        return await self._send_goal.answer(request)
+
+    async def reply(self, request: object, caller: bytes) -> Reply:
+        """Answer a ``SendGoal`` request that came over a wire."""
+        self._feedback.send_always()
+        return await self._send_goal.reply(request, caller)
 
     async def aclose(self) -> None:
         """Answer all who still wait; with results, as the goals have ended."""
-        await self._services["GetResult"].drain()
-        for service in self._services.values():
+        await self._get_result.drain()
+        for service in (self._send_goal, self._cancel_goal, self._get_result):
             await service.aclose()
         for publication in self._publications:
             publication.close()
@@ -121,95 +113,97 @@ class ActionEndpoints:
     def _advertise(self, transport: Transport, endpoint: MakeEndpoint) -> list[Publication]:
         """Open the topics."""
         server, names = self._server, self._names
-        feedback, status = _Feedback(server), _Status(server)
+        feedback, status = self._feedback, _Status(server)
         described = endpoint(
             "publisher", names.feedback, f"{server.action_type.type_name}_FeedbackMessage"
         )
-        format = WireFormat(lambda: _implied(server).feedback_message)
+        format = WireFormat(lambda: self._implied.feedback_message)
         feedback.publication = transport.advertise(described, format, feedback)
         described = endpoint("publisher", names.status, GoalStatusArray.type_name, STATUS_QOS)
         format = WireFormat(GoalStatusArray)
         status.publication = transport.advertise(described, format, status)
         return [feedback.publication, status.publication]
 
+    @property
+    def _implied(self) -> Implied:
+        return _implied(self._server)
+
     # the services
 
-    def _make_send_goal(self) -> ServiceServer[Any, Any]:
-        service_type = _implied(self._server).send_goal
-        server, response = self._server, service_type.Response
-
-        async def send_goal(request: Any) -> Message:  # noqa: ANN401  # of the action's own class
-            goal_id, message = request.goal_id.uuid, request.goal
-            if not any(goal_id):  # zeros name no goal: nobody could ask for it
-                return response(accepted=False)
-            try:
-                if server.waits_first():
-                    message = await server.prepare(message)
-                goal = server.begin(message, goal_id, None, is_streamed=False)
-            except GoalRejected:
-                return response(accepted=False)
-            return response(accepted=True, stamp=server.info(goal).stamp)
-
-        return ServiceServer(service_type, self._names.send_goal, send_goal, tasks=self._tasks)
-
-    def _make_cancel_goal(self) -> ServiceServer[Any, Any]:
-        server = self._server
-
-        async def cancel_goal(request: CancelGoal.Request) -> CancelGoal.Response:
-            stamp = request.goal_info.stamp
-            nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec
-            return await server.cancel(request.goal_info.goal_id.uuid, nanoseconds)
-
-        return ServiceServer(CancelGoal, self._names.cancel_goal, cancel_goal, tasks=self._tasks)
-
-    def _make_get_result(self) -> ServiceServer[Any, Any]:
-        service_type = _implied(self._server).get_result
-        server, response = self._server, service_type.Response
-
-        async def get_result(request: Any) -> Message:  # noqa: ANN401  # of the action's own class
-            goal = server.find(request.goal_id.uuid)
+    async def _take(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401  # see below
+        server, response = self._server, self._implied.send_goal.Response
+        goal_id, message = request.goal_id.uuid, request.goal
+        if not any(goal_id):
+            note = GoalNote("zeros name no goal: nobody could ask for it")
+            return Reply(response(accepted=False), note.write())
+        try:
+            goal = server.begin(message, goal_id, None, caller, is_streamed=False)
             if goal is None:
-                return response(status=GoalStatus.UNKNOWN)
-            await server.wait_for_end(goal)
-            return response(status=int(goal.status), result=cast("Message", goal.result))
+                goal = await server.take(message, goal_id, None, caller, is_streamed=False)
+        except GoalRejected as rejected:
+            return Reply(response(accepted=False), GoalNote(rejected.reason).write())
+        return Reply(response(accepted=True, stamp=server.info(goal).stamp))
 
-        return ServiceServer(service_type, self._names.get_result, get_result, tasks=self._tasks)
+    async def _cancel(self, request: Any, _caller: bytes) -> Reply:  # noqa: ANN401
+        stamp = request.goal_info.stamp
+        nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec
+        return Reply(await self._server.cancel(request.goal_info.goal_id.uuid, nanoseconds))
+
+    async def _wait(self, request: Any, _caller: bytes) -> Reply:  # noqa: ANN401
+        server, response = self._server, self._implied.get_result.Response
+        goal = server.find(request.goal_id.uuid)
+        if goal is None:
+            return Reply(response(status=GoalStatus.UNKNOWN))
+        await server.wait_for_end(goal)
+        note = GoalNote(goal.reason, goal.published)
+        message = response(status=int(goal.status), result=cast("Message", goal.result))
+        return Reply(message, note.write())
 
 
 class _Lazy:
-    """A service that is made with its first request: its classes take a while to make."""
+    """A service that is made with its first request: its classes take a while to make.
+
+    Requests from a wire are not checked again: they were read as what they have to be.
+
+    Args:
+        name: The name of the service.
+        find_type: Makes its class.
+        handle: Takes a request, of that very class, and the gid of its client, if it has one.
+        tasks: Runs what answers requests.
+
+    Attributes:
+        name: The name of the service.
+        find_type: Makes its class.
+        is_open: Whether it takes requests.
+    """
 
     def __init__(
         self,
-        server: ActionServer[Any, Any, Any],
-        make: Callable[[], ServiceServer[Any, Any]],
-        answered: Signal,
+        name: str,
+        find_type: Callable[[], Any],
+        handle: Callable[[Any, bytes], Awaitable[Reply]],
+        tasks: Tasks,
     ) -> None:
-        self._server = server
-        self._make = make
-        self._answered = answered
+        self.name = name
+        self.find_type = find_type
+        self.is_open = True
+        self._handle = handle
+        self._tasks = tasks
+        self._answered = tasks.signal()
         self._waiting = 0
         self._made: ServiceServer[Any, Any] | None = None
-
-    @property
-    def is_open(self) -> bool:
-        """Whether it takes requests."""
-        return self._server.is_open
 
     async def answer(self, request: object) -> object:
         """Have a request handled, and wait for its response."""
         if self._made is None:
             self._made = self._make()
-        self._waiting += 1
-        try:
+        with self._counting():
             return await self._made.answer(request)
-        finally:
-            self._waiting -= 1
-            self._answered.fire()
 
-    async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002  # all are equal
-        """Answer a request that came over a wire; as `answer`."""
-        return Reply(await self.answer(request))
+    async def reply(self, request: object, caller: bytes) -> Reply:
+        """Answer a request that came over a wire."""
+        with self._counting():
+            return await self._handle(request, caller)
 
     async def drain(self) -> None:
         """Wait until all who wait have their answer, `GRACE` seconds at most."""
@@ -219,8 +213,24 @@ class _Lazy:
 
     async def aclose(self) -> None:
         """Answer all who wait."""
+        self.is_open = False
         if self._made is not None:
             await self._made.aclose()
+
+    @contextmanager
+    def _counting(self) -> Iterator[None]:
+        self._waiting += 1
+        try:
+            yield
+        finally:
+            self._waiting -= 1
+            self._answered.fire()
+
+    def _make(self) -> ServiceServer[Any, Any]:
+        async def handle(request: object) -> object:
+            return (await self._handle(request, b"")).message
+
+        return ServiceServer(self.find_type(), self.name, handle, tasks=self._tasks)
 
 
 class _Feedback:
@@ -230,17 +240,28 @@ class _Feedback:
 
     def __init__(self, server: ActionServer[Any, Any, Any]) -> None:
         self._server = server
+        self._is_sent_always = False
 
     def current(self) -> Sequence[object]:
         """Feedback is for those who are there."""
         return ()
 
+    def send_always(self) -> None:
+        """Publish from now on: who sends goals over a wire reads, be it known here yet or not."""
+        self._is_sent_always = True
+        self.readers_changed(has_readers=True)
+
     def readers_changed(self, *, has_readers: bool) -> None:
         """Publish while somebody reads."""
-        self._server.execution.also_feedback = self._publish if has_readers else None
+        execution = self._server.execution
+        if has_readers or self._is_sent_always:
+            execution.also_feedback, execution.outlet = self._publish, self.publication
+        else:
+            execution.also_feedback = execution.outlet = None
 
     def _publish(self, goal: Goal, feedback: Any) -> None:  # noqa: ANN401  # of the action's own class
         message = _implied(self._server).feedback_message
+        goal.published += 1
         self.publication.publish(message(UUID(self._server.name_goal(goal)), feedback))
 
 

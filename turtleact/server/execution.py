@@ -15,7 +15,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Coroutine
 from contextvars import Context, ContextVar
-from typing import ClassVar, TypeAlias, cast
+from typing import ClassVar, Protocol, TypeAlias, cast
 
 from turtleact.body import ActionType, Body, Steps
 from turtleact.clock import Clock
@@ -28,7 +28,7 @@ from turtleact.errors import (
 from turtleact.feedback import FeedbackLog
 from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable
 from turtleact.interfaces import Message, snapshotter
-from turtleact.server.stepping import Borrowed, Owned
+from turtleact.server.stepping import Borrowed, Owned, finish
 from turtleact.summaries import STOPS, summary, text_of
 from turtleact.tasks import Scope, Signal, Tasks, is_cancellation
 
@@ -51,6 +51,15 @@ _CANCELING = GoalStatus.CANCELING
 _SUCCEED = GoalEvent.SUCCEED
 
 
+class Outlet(Protocol):
+    """What feedback leaves by; see `turtleact.transports.base.Publication`."""
+
+    @property
+    def is_congested(self) -> bool: ...
+
+    async def drained(self) -> None: ...
+
+
 class Execution:
     """Carries out the goals of one server.
 
@@ -66,9 +75,10 @@ class Execution:
     Attributes:
         check_result: The checked copy of a result.
         also_feedback: Told of each feedback message, with its goal; must not raise.
+        outlet: Where that goes: bodies wait while it is congested.
         watch: Told of each change of a goal's state, before and after; must not raise.
         release: Told of each goal that has ended; may answer what starts another.
-        ended: Fires whenever a goal has ended. Like the three above None, until somebody wants it.
+        ended: Fires whenever a goal has ended. Like the four above None, until somebody wants it.
     """
 
     #: Whether a body's goal is noted as the parent of those that it sends: from the first slot on,
@@ -99,6 +109,7 @@ class Execution:
         self._check_feedback = cast("Check", snapshotter(feedback_type, root="feedback"))
         self.check_result = cast("Check", snapshotter(self._result_type, root="result"))
         self.also_feedback: Callable[[Goal, object], object] | None = None
+        self.outlet: Outlet | None = None
         self.watch: Watch | None = None
         self.release: Callable[[Goal], Callable[[], object] | None] | None = None
         self.ended: Signal | None = None
@@ -225,12 +236,14 @@ class Execution:
         except InvalidMessage as misfit:
             await steps.aclose()
             raise Abort(f"the body's result does not fit: {misfit}") from None
-        await _finish(steps)
+        await finish(steps)
         return result
 
     async def _pause(self, goal: Goal) -> None:
         """Let others run; if the sender reads and is far behind, let it catch up."""
         await self._tasks.checkpoint()
+        if self.outlet is not None and self.outlet.is_congested:
+            await self.outlet.drained()
         log = goal.feedback
         if log is None:
             return
@@ -378,19 +391,3 @@ def _is_thrown_in(error: BaseException) -> bool:
     """Whether the event loop is gone, and closes the coroutine; not an exception of the body."""
     trace = error.__traceback__
     return isinstance(error, GeneratorExit) and trace is not None and trace.tb_next is None
-
-
-async def _finish(steps: Steps) -> None:
-    """Let a generator run on behind its result: the result stands, whatever it does."""
-    try:
-        extra = await steps.asend(None)
-        logger.warning("a body yielded %s after its result; it is closed", type(extra).__name__)
-        await steps.aclose()
-    except StopAsyncIteration:
-        return
-    except (GeneratorExit, KeyboardInterrupt, SystemExit):
-        raise
-    except Exception:
-        logger.exception("a body failed after it had yielded its result; the result stands")
-    except BaseException:
-        logger.info("a body was canceled after it had yielded its result; the result stands")

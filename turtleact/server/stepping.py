@@ -11,6 +11,7 @@ asyncio's debug mode for what is told of slow callbacks.
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Coroutine, Generator
 from contextvars import Context
 from math import inf
@@ -18,12 +19,15 @@ from time import monotonic
 from types import coroutine
 from typing import Any, Protocol, Self, TypeVar, cast
 
+from turtleact.body import Steps
 from turtleact.goal import Cancelable, Goal
 from turtleact.tasks import GRACE, Scope, Tasks
 
-__all__ = ["BLOCKING", "Borrowed", "Owned"]
+__all__ = ["BLOCKING", "Borrowed", "Owned", "finish"]
 
 T = TypeVar("T")
+
+logger = logging.getLogger("turtleact.server")
 
 BLOCKING = 0.5
 """A step that takes longer is reported (s)."""
@@ -279,6 +283,22 @@ class Borrowed:
         for _ in range(self._asked):
             task.uncancel()
         return task
+
+
+async def finish(steps: Steps) -> None:
+    """Let a generator run on behind its result: the result stands, whatever it does."""
+    try:
+        extra = await steps.asend(None)
+        logger.warning("a body yielded %s after its result; it is closed", type(extra).__name__)
+        await steps.aclose()
+    except StopAsyncIteration:
+        return
+    except (GeneratorExit, KeyboardInterrupt, SystemExit):
+        raise
+    except Exception:
+        logger.exception("a body failed after it had yielded its result; the result stands")
+    except BaseException:
+        logger.info("a body was canceled after it had yielded its result; the result stands")
 
 
 _BY_SCOPE = "Cancelled via cancel scope "

@@ -30,12 +30,14 @@ from turtleact.clock import Clock, check_timeout, within
 from turtleact.errors import InvalidMessage
 
 __all__ = [
+    "STATUS_QOS",
     "Caller",
     "CallerAware",
     "Closeable",
     "Endpoint",
     "EndpointKind",
     "Format",
+    "MakeEndpoint",
     "Publication",
     "QoS",
     "Reply",
@@ -78,6 +80,9 @@ _POLICIES = {
     "reliability": ("reliable", "best_effort"),
 }
 
+STATUS_QOS = QoS(depth=1, durability="transient_local")
+"""That of an action's status topic."""
+
 
 class Endpoint(msgspec.Struct, frozen=True):
     """One end of a topic or service.
@@ -116,6 +121,15 @@ class Format(Protocol):
 
     def decode(self, data: bytes) -> object:
         """What was received; raises `InvalidMessage` for bytes that are no such message."""
+
+
+class MakeEndpoint(Protocol):
+    """Makes the description of an endpoint of some node."""
+
+    def __call__(
+        self, kind: EndpointKind, name: str, type_name: str, qos: QoS | None = None
+    ) -> Endpoint:
+        """The description."""
 
 
 class Closeable(Protocol):

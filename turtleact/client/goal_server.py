@@ -1,4 +1,9 @@
-"""What clients ask of a server in their own process: no message travels, objects are shared."""
+"""What clients ask of an action's server, whether it is in their own process or not.
+
+In the same process they are handed the server itself: no message travels, the `Goal` objects are
+the server's own. Elsewhere `turtleact.client.distant_server.DistantServer` stands for it, with
+goals that it keeps up to date by messages.
+"""
 
 from __future__ import annotations
 
@@ -9,20 +14,16 @@ from turtleact.goal import Goal, OnFeedback
 from turtleact.interfaces.standard import CancelGoal
 from turtleact.tasks import Signal
 
-__all__ = ["LocalServer"]
+__all__ = ["GoalServer"]
 
 
 @runtime_checkable
-class LocalServer(Protocol):
-    """What a client asks of a server in its own process; see `turtleact.server.ActionServer`."""
+class GoalServer(Protocol):
+    """An action's server, as its clients see it; see `turtleact.server.ActionServer`."""
 
-    is_open: bool
-
-    def waits_first(self) -> bool:
-        """Whether `prepare` is to be awaited before the next goal is begun."""
-
-    async def prepare(self, request: object, sender: object) -> object:
-        """Let others run, and ask the server's user; answer what is to be begun."""
+    @property
+    def is_open(self) -> bool:
+        """Whether it takes goals."""
 
     def begin(
         self,
@@ -30,8 +31,17 @@ class LocalServer(Protocol):
         goal_id: bytes | None,
         on_feedback: OnFeedback | None,
         sender: object,
+    ) -> Goal | None:
+        """Take up a goal and start its body, if nothing is to be awaited; else None: see `take`."""
+
+    async def take(
+        self,
+        request: object,
+        goal_id: bytes | None,
+        on_feedback: OnFeedback | None,
+        sender: object,
     ) -> Goal:
-        """Take up a goal, start its body, keep its feedback."""
+        """Take up a goal once that can be decided, start its body, keep its feedback."""
 
     def call(
         self,
@@ -42,23 +52,26 @@ class LocalServer(Protocol):
     ) -> Generator[object, object, object]:
         """Take up a goal and run it to its end."""
 
-    def find(self, goal_id: bytes) -> Goal | None:
-        """The goal of that id, if it is held."""
+    async def attach(self, goal_id: bytes) -> Goal | None:
+        """The goal of that id, if it is held; its feedback is kept from now on."""
 
-    def cancel_nowait(self, goal: Goal) -> None:
-        """Ask for a goal to be canceled, without waiting."""
-
-    def client_lost(self, sender: object) -> None:
-        """Note that a client has gone."""
+    async def cancel_goal(self, goal: Goal) -> CancelGoal.Response:
+        """Answer a request to cancel one goal."""
 
     async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
         """Answer a cancel request: by id, by stamp (ns), by both, or for every goal."""
+
+    def cancel_nowait(self, goal: Goal) -> None:
+        """Ask for a goal to be canceled, without waiting."""
 
     async def cancel_and_wait(self, goal: Goal) -> None:
         """Ask for a goal to be canceled and wait for its end."""
 
     async def wait_for_end(self, goal: Goal) -> None:
         """Wait until a goal has ended."""
+
+    def client_lost(self, sender: object) -> None:
+        """Note that a client has gone."""
 
     def from_anywhere(self, callback: Callable[[], object]) -> None:
         """Call something soon, from any thread."""

@@ -1,0 +1,399 @@
+"""Goals of a server that is reached by messages alone: the contract is the same."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import anyio
+import anyio.lowlevel
+import pytest
+
+import turtleact
+from turtleact import CancelResponse, GoalResponse, GoalStatus
+from turtleact.client.goal_handle import Outcome
+from turtleact.errors import (
+    Abort,
+    Canceled,
+    GoalAborted,
+    GoalCanceled,
+    GoalRejected,
+    InvalidGoal,
+    Reject,
+    ServerUnavailable,
+    UnknownGoal,
+)
+from turtleact.goal import CancelCode
+from turtleact.interfaces.standard import Time
+from turtleact.transports import MemoryTransport
+
+from .lab import Count, Gate, Lab, count, feedback, goal, result, running, settle
+from .test_execution import awaited, entered
+from .test_policies import Send
+
+ID = bytes(range(16))
+
+
+class Apart:
+    """A graph whose servers are all elsewhere: nobody is handed the server itself."""
+
+    def __init__(self, transport: MemoryTransport) -> None:
+        self._transport = transport
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._transport, name)
+
+    def local(self, name: str, type_name: str) -> None:
+        """There is none in this process."""
+
+
+@asynccontextmanager
+async def apart(execute: Any, **options: Any) -> AsyncIterator[Lab]:
+    """A node that serves `Count`, and the client of another that reaches it by messages alone."""
+    transport = MemoryTransport()
+    near: Any = Apart(transport)
+    async with (
+        turtleact.open_node("far", transport=transport) as far,
+        turtleact.open_node("near", transport=near) as node,
+    ):
+        server = far.action_server(Count, "count", execute, **options)
+        yield Lab(node, server, node.action_client(Count, "count"))
+        assert node.transport.local("/count/_action/send_goal", "") is None
+
+
+@pytest.fixture(params=[awaited, entered])
+def send(request) -> Send:
+    """The two ways to wait for a goal."""
+    way: Send = request.param
+    return way
+
+
+# --- ends ---------------------------------------------------------------------------------------
+
+
+async def test_a_goal_succeeds(send):
+    async with apart(count) as served:
+        assert await send(served, goal()) == Outcome(GoalStatus.SUCCEEDED, result(0, 1, 2))
+
+
+@pytest.mark.parametrize(
+    ("error", "outcome"),
+    [
+        (Abort("too far", result(7)), Outcome(GoalStatus.ABORTED, result(7), "too far")),
+        (ValueError("mine"), Outcome(GoalStatus.ABORTED, result(), "ValueError: mine")),
+    ],
+)
+async def test_the_reason_and_the_result_of_an_aborted_goal_arrive(send, error, outcome):
+    async def act(request):
+        raise error
+
+    async with apart(act) as served:
+        assert await send(served, goal()) == outcome
+
+
+async def test_a_canceled_goal_brings_its_result(send):
+    async def act(request):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            raise Canceled(result(1))
+
+    async with apart(act) as served, running(lambda: send(served, goal())) as sent:
+        response = await served.client.cancel_all()
+        assert len(response.goals_canceling) == 1
+        await sent.done.wait()
+        assert sent.value == Outcome(GoalStatus.CANCELED, result(1))
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+async def test_a_rejected_goal_brings_the_reason(send, at_once):
+    async def ask(request):
+        if not at_once:
+            await anyio.lowlevel.checkpoint()
+        raise Reject("not today")
+
+    async with apart(count, goal_callback=ask) as served:
+        with pytest.raises(GoalRejected) as caught:
+            await send(served, goal())
+        assert caught.value.reason == "not today"
+        assert served.active == []
+
+
+async def test_a_goal_that_does_not_fit_is_not_sent(send):
+    async with apart(count) as served:
+        with pytest.raises(InvalidGoal):
+            await send(served, "three")
+
+
+async def test_without_a_server_it_is_unavailable_at_once(send):
+    async with apart(count) as served:
+        await served.server.aclose()
+        with pytest.raises(ServerUnavailable, match="action '/count': no server answers"):
+            await send(served, goal())
+
+
+async def test_a_client_waits_for_its_server():
+    transport = MemoryTransport()
+    near: Any = Apart(transport)
+    async with (
+        turtleact.open_node("far", transport=transport) as far,
+        turtleact.open_node("near", transport=near) as node,
+    ):
+        client = node.action_client(Count, "count")
+        async with running(client.wait_for_server) as waiting:
+            assert not waiting.done.is_set()
+            far.action_server(Count, "count", count)
+            await waiting.done.wait()
+        assert await client.send_goal(goal()) == result(0, 1, 2)
+
+
+# --- feedback -----------------------------------------------------------------------------------
+
+
+async def test_all_feedback_comes_in_order_and_before_the_end():
+    async with apart(count) as served, served.client.send_goal(goal(50)) as handle:
+        seen = [each.so_far async for each in handle]
+        assert seen == [list(range(n + 1)) for n in range(50)]
+        assert handle.last_feedback == feedback(*range(50))
+        assert await handle.result() == result(*range(50))
+        assert handle.missed == 0
+
+
+async def test_a_callback_hears_all_feedback(send):
+    seen: list[Any] = []
+    async with apart(count) as served:
+        await served.client.send_goal(goal(5), feedback_callback=seen.append)
+    assert [each.so_far[-1] for each in seen] == [0, 1, 2, 3, 4]
+
+
+async def test_a_callback_that_fails_does_no_harm(caplog):
+    def fail(message):
+        raise ValueError("mine")
+
+    async with apart(count) as served:
+        assert await served.client.send_goal(goal(1), feedback_callback=fail) == result(0)
+    assert "the feedback_callback of goal" in caplog.text
+
+
+async def test_feedback_of_others_is_not_heard():
+    async with apart(count) as served, served.client.send_goal(goal(3)) as first:
+        async with served.client.send_goal(goal(5)) as second:
+            assert len([each async for each in second]) == 5
+        assert len([each async for each in first]) == 3
+
+
+async def test_events_tell_the_whole_story():
+    async with apart(count) as served, served.client.send_goal(goal(2), goal_id=ID) as handle:
+        events: list[Any] = [event async for event in handle.events()]
+    kinds = [(event.kind, getattr(event, "status", None)) for event in events]
+    assert kinds == [
+        ("accepted", None),
+        ("status", GoalStatus.EXECUTING),
+        ("feedback", None),
+        ("feedback", None),
+        ("status", GoalStatus.SUCCEEDED),
+        ("result", None),
+    ]
+    assert events[0].goal_id == ID
+
+
+# --- canceling ----------------------------------------------------------------------------------
+
+
+async def test_a_handle_cancels_its_goal_and_shows_it():
+    cleaned = anyio.Event()
+
+    async def act(request):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await cleaned.wait()
+
+    async with apart(act) as served, served.client.send_goal(goal()) as handle:
+        await settle()
+        assert handle.status is GoalStatus.EXECUTING
+        response = await handle.cancel()
+        assert (response.return_code, handle.status) == (CancelCode.NONE, GoalStatus.CANCELING)
+        cleaned.set()
+        assert (await handle.outcome()).status is GoalStatus.CANCELED
+        assert (await handle.cancel()).return_code == CancelCode.GOAL_TERMINATED
+
+
+async def test_a_cancel_that_cannot_wait_is_heard():
+    async with apart(Gate().wait) as served, served.client.send_goal(goal()) as handle:
+        handle.cancel_nowait()
+        assert (await handle.outcome()).status is GoalStatus.CANCELED
+
+
+async def test_a_refused_cancel_is_told():
+    gate = Gate()
+    async with (
+        apart(gate.wait, cancel_callback=lambda _: CancelResponse.REJECT) as served,
+        served.client.send_goal(goal()) as handle,
+    ):
+        assert (await handle.cancel()).return_code == CancelCode.REJECTED
+        gate.opened.set()
+        assert await handle.result() == result(3)
+
+
+async def test_leaving_the_block_cancels_the_goal():
+    gate = Gate()
+    async with apart(gate.wait) as served:
+        async with served.client.send_goal(goal()) as handle:
+            await gate.started.wait()
+        assert (handle.status, gate.log) == (GoalStatus.CANCELED, ["begun", "canceled", "over"])
+
+
+async def test_a_detached_goal_goes_on():
+    gate = Gate()
+    async with apart(gate.wait) as served:
+        async with served.client.send_goal(goal(), goal_id=ID) as handle:
+            handle.detach()
+        assert len(served.active) == 1
+        async with served.client.attach(ID) as again:
+            gate.opened.set()
+            assert await again.result() == result(3)
+
+
+async def test_a_canceled_caller_has_its_goal_canceled(send):
+    gate = Gate()
+    async with apart(gate.wait) as served, running(lambda: send(served, goal())) as sent:
+        await gate.started.wait()
+        sent.scope.cancel()
+        await sent.done.wait()
+        assert gate.log == ["begun", "canceled", "over"]
+
+
+async def test_a_goal_that_is_accepted_after_its_sender_was_canceled_is_canceled(send):
+    asked, answer = anyio.Event(), anyio.Event()
+    gate = Gate()
+
+    async def ask(request):
+        asked.set()
+        await answer.wait()
+        return GoalResponse.ACCEPT
+
+    async with (
+        apart(gate.wait, goal_callback=ask) as served,
+        running(lambda: send(served, goal())) as sent,
+    ):
+        await asked.wait()
+        sent.scope.cancel()
+        await settle()
+        answer.set()
+        await sent.done.wait()
+        assert gate.log in ([], ["begun", "canceled", "over"])
+        assert served.active == []
+
+
+async def test_goals_are_canceled_by_the_time_of_their_acceptance():
+    async with apart(Gate().wait) as served, served.client.send_goal(goal()) as handle:
+        stamp = handle.stamp
+        assert stamp.sec > 0
+        early = await served.client.cancel_before(Time(sec=stamp.sec - 1))
+        assert early.goals_canceling == []
+        late = await served.client.cancel_before(stamp)
+        assert [info.goal_id.uuid for info in late.goals_canceling] == [handle.goal_id]
+
+
+# --- goals of others ----------------------------------------------------------------------------
+
+
+async def test_a_goal_that_is_not_held_cannot_be_attached():
+    async with apart(count) as served:
+        with pytest.raises(UnknownGoal):
+            await served.client.attach(ID)
+
+
+async def test_an_attached_reader_hears_what_comes():
+    gate = Gate()
+
+    async def act(request):
+        yield feedback(1)
+        await gate.opened.wait()
+        yield feedback(2)
+        yield result(3)
+
+    async with apart(act) as served, served.client.send_goal(goal(), goal_id=ID) as own:
+        other = served.node.action_client(Count, "count")
+        async with other.attach(ID) as handle:
+            assert handle.status is GoalStatus.EXECUTING
+            assert handle.stamp == own.stamp
+            gate.opened.set()
+            assert [each.so_far async for each in handle] == [[2]]
+            assert await handle.result() == result(3)
+        assert await own.result() == result(3)
+
+
+async def test_a_kept_result_can_be_attached():
+    async with apart(count) as served:
+        await served.client.send_goal(goal(2), goal_id=ID)
+        async with served.client.attach(ID) as handle:
+            assert await handle.result() == result(0, 1)
+
+
+# --- when one side goes -------------------------------------------------------------------------
+
+
+async def test_a_server_that_closes_aborts_its_goals(send):
+    gate = Gate()
+    async with apart(gate.wait) as served, running(lambda: send(served, goal())) as sent:
+        await gate.started.wait()
+        await served.server.aclose()
+        await sent.done.wait()
+        assert sent.value == Outcome(GoalStatus.ABORTED, result(), "shutdown")
+
+
+async def test_goals_are_canceled_with_their_client_where_the_server_says_so():
+    gate = Gate()
+    async with apart(gate.wait, on_client_lost="cancel") as served:
+        async with served.client.send_goal(goal()) as handle:
+            handle.detach()
+            await gate.started.wait()
+        await served.client.aclose()
+        await settle()
+        assert gate.log == ["begun", "canceled", "over"]
+        with pytest.raises(ServerUnavailable, match="the client was closed"):
+            await handle.outcome()
+
+
+async def test_a_closed_client_sends_nothing(send):
+    async with apart(count) as served:
+        await served.client.aclose()
+        with pytest.raises(turtleact.errors.TurtleactError, match="is closed: open another"):
+            await send(served, goal())
+
+
+async def test_nothing_is_left_of_goals_that_have_ended(send):
+    async with apart(count) as served:
+        for _ in range(20):
+            await send(served, goal())
+        distant = served.client._distant
+        await settle()
+        assert (distant._followed, served.active) == ({}, [])
+
+
+async def test_many_goals_at_once(send):
+    async with apart(count) as served, anyio.create_task_group() as group:
+
+        async def check(number: int) -> None:
+            outcome = await send(served, goal(number % 7))
+            assert outcome.result == result(*range(number % 7))
+
+        for number in range(100):
+            group.start_soon(check, number)
+
+
+@pytest.mark.parametrize("kind", [GoalAborted, GoalCanceled])
+async def test_the_errors_of_a_failed_goal(kind):
+    async def act(request):
+        if kind is GoalAborted:
+            raise Abort("no")
+        await anyio.sleep_forever()
+
+    async with apart(act) as served, served.client.send_goal(goal()) as handle:
+        await handle.cancel()
+        with pytest.raises(kind):
+            await handle.result()

@@ -1,0 +1,379 @@
+"""A server in another process, as its clients see it: goals that messages keep up to date.
+
+For each goal that it sends or follows it holds a `Goal` of its own, and a task that sends the
+request, waits for the result, and makes both known in the goal. Feedback and status come by topic.
+
+- The topics are open before the first request is sent, so no feedback can come too early.
+- A result that overtakes feedback waits for it: the server says how much there is (`GoalNote`).
+- A server that goes away ends its goals here, with a `ServerUnavailable` for all who wait.
+
+Source: rcl_action ``action_client.c``; the ROS 2 design article "Actions".
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Generator
+from contextvars import copy_context
+from functools import partial
+from typing import Any, Final, cast
+
+import anyio
+
+from turtleact.client.followed import Followed, move, nanoseconds, status_of
+from turtleact.client.links import Links
+from turtleact.errors import GoalRejected, ServerUnavailable, TurtleactError, UnknownGoal
+from turtleact.goal import Cancelable, Goal, GoalStatus, OnFeedback, failure
+from turtleact.goal_id import new_goal_id
+from turtleact.goal_note import GoalNote
+from turtleact.interfaces import Message, snapshotter
+from turtleact.interfaces.standard import (
+    UUID,
+    CancelGoal,
+    GoalInfo,
+    GoalStatusArray,
+    GoalStatusMessage,
+    Time,
+)
+from turtleact.summaries import summary
+from turtleact.tasks import GRACE, Signal, Tasks
+
+__all__ = ["DistantServer"]
+
+logger = logging.getLogger("turtleact.client")
+
+BACK_WITHIN: Final = 0.5
+"""A server that has gone and is back after so long was only out of reach (s)."""
+
+LATE_FEEDBACK: Final = 1.0
+"""Feedback that is behind its goal's result is waited for so long (s)."""
+
+
+class DistantServer:
+    """Stands for a server that is reached by messages alone.
+
+    Args:
+        links: The endpoints.
+        goal_type: The class of the goal messages.
+        tasks: Runs what waits for replies.
+        now: The time (ns since the epoch).
+    """
+
+    def __init__(
+        self,
+        links: Links,
+        goal_type: type[Message],
+        tasks: Tasks,
+        now: Callable[[], int],
+    ) -> None:
+        self.from_anywhere = tasks.from_anywhere
+        self._links = links
+        self._check_goal = cast("Callable[[object], Message]", snapshotter(goal_type, root="goal"))
+        self._tasks = tasks
+        self._now = now
+        self._followed: dict[bytes, Followed] = {}
+        self._canceling: set[Cancelable] = set()
+        self._status = tasks.signal()
+        self._held: dict[bytes, GoalStatusMessage] | None = None  # the last status, if one has come
+
+    @property
+    def is_open(self) -> bool:
+        """Whether somebody serves the action out there."""
+        return self._links.is_served
+
+    # sending
+
+    def begin(
+        self,
+        request: object,
+        goal_id: bytes | None,
+        on_feedback: OnFeedback | None,
+        sender: object,
+    ) -> None:
+        """No goal can be taken up without waiting: see `take`."""
+
+    async def take(
+        self,
+        request: object,
+        goal_id: bytes | None,
+        on_feedback: OnFeedback | None,
+        sender: object,
+    ) -> Goal:
+        """Send a goal and wait for its acceptance.
+
+        Cancelling: the goal is canceled, be it accepted late; its end is awaited (bounded).
+
+        Raises:
+            InvalidGoal: if the request does not fit the action; nothing was sent.
+            GoalRejected: if it is not taken.
+            ServerUnavailable: if nobody serves the action, or its server goes away.
+        """
+        self._links.watch_status(self._on_status)
+        followed = self._send(request, goal_id, on_feedback, sender)
+        goal = followed.goal
+        try:
+            while not (followed.is_accepted or goal.ended):
+                await self.signal(goal).wait()
+        except self._tasks.cancelled:
+            await self._give_up(followed)
+            raise
+        if goal.error is not None and not followed.is_accepted:
+            raise goal.error
+        return goal
+
+    def call(
+        self,
+        request: object,
+        goal_id: bytes | None,
+        on_feedback: OnFeedback | None,
+        sender: object,
+    ) -> Generator[object, object, object]:
+        """Send a goal and wait for its result; raises as `take` does, and for its failure.
+
+        Cancelling: the goal is canceled, and its end awaited (bounded).
+        """
+        return self._call(request, goal_id, on_feedback, sender).__await__()
+
+    async def _call(
+        self,
+        request: object,
+        goal_id: bytes | None,
+        on_feedback: OnFeedback | None,
+        sender: object,
+    ) -> object:
+        followed = self._send(request, goal_id, on_feedback, sender)
+        goal = followed.goal
+        try:
+            await self.wait_for_end(goal)
+        except self._tasks.cancelled:
+            await self._give_up(followed)
+            raise
+        if goal.status is GoalStatus.SUCCEEDED:
+            return goal.result
+        raise failure(goal)
+
+    def _send(
+        self,
+        request: object,
+        goal_id: bytes | None,
+        on_feedback: OnFeedback | None,
+        sender: object,
+    ) -> Followed:
+        message = self._check_goal(request)
+        if goal_id is None:
+            goal_id = new_goal_id()
+        if goal_id in self._followed:
+            raise GoalRejected(f"the server still holds a goal of the id {goal_id.hex()}")
+        self._links.open(self._on_feedback)
+        if on_feedback is not None:  # in the sender's context, not in that of the topic
+            on_feedback = partial(copy_context().run, on_feedback)  # type: ignore[call-arg]
+        goal = Goal(message, 0, id=goal_id, on_feedback=on_feedback, sender=sender)
+        return self._follow(goal, is_sender=True)
+
+    def _follow(self, goal: Goal, *, is_sender: bool) -> Followed:
+        """Keep a goal up to date until it has ended."""
+        followed = Followed(goal, is_sender=is_sender)
+        self._followed[cast("bytes", goal.id)] = followed
+        running = self._run(followed)
+        followed.task = self._tasks.spawn(running, f"a goal of {self._links.name}")
+        return followed
+
+    async def _give_up(self, followed: Followed) -> None:
+        """Have a goal canceled whose sender has gone, and wait for its end, `GRACE` s at most."""
+        followed.is_given_up = True
+        with anyio.move_on_after(GRACE, shield=True):
+            if followed.is_accepted:
+                await self.cancel_goal(followed.goal)
+            await self.wait_for_end(followed.goal)
+
+    # what becomes of a goal
+
+    async def _run(self, followed: Followed) -> None:
+        """Send a goal, unless somebody else has, and see it to its end."""
+        goal = followed.goal
+        try:
+            if not followed.is_accepted:
+                await self._ask(followed)
+            if followed.is_given_up:
+                await self.cancel_goal(goal)
+            await self._await_result(followed)
+        except ServerUnavailable as error:
+            self._lose(goal, self._unavailable(error.problem))
+        except TurtleactError as error:
+            self._lose(goal, error)
+        except self._tasks.cancelled:
+            self._lose(goal, self._unavailable("the client was closed"))
+            raise
+        except Exception as error:
+            logger.exception("goal %s of %s cannot be followed", goal.hex, self._links.name)
+            self._lose(goal, TurtleactError(f"the goal cannot be followed: {summary(error)}"))
+        finally:
+            self._followed.pop(cast("bytes", goal.id), None)
+
+    async def _ask(self, followed: Followed) -> None:
+        """Send the request; raises unless it is accepted."""
+        goal, links = followed.goal, self._links
+        request = links.implied.send_goal.Request(
+            UUID(cast("bytes", goal.id)), cast("Message", goal.request)
+        )
+        reply = await links.send_goal.call(request)
+        response: Any = reply.message
+        if not response.accepted:
+            raise GoalRejected(GoalNote.read(reply.note).reason)
+        goal.stamp = nanoseconds(response.stamp)
+        followed.is_accepted = True
+        self.signal(goal).fire()
+
+    async def _await_result(self, followed: Followed) -> None:
+        goal, links = followed.goal, self._links
+        request = links.implied.get_result.Request(UUID(cast("bytes", goal.id)))
+        while True:
+            try:
+                reply = await links.get_result.call(request)
+                break
+            except ServerUnavailable:
+                if not await self._is_back():
+                    raise
+        response: Any = reply.message
+        status, note = status_of(response.status), GoalNote.read(reply.note)
+        if not status.is_terminal:
+            raise UnknownGoal(f"'{links.name}' holds no goal {goal.hex}, or not any more")
+        if followed.is_sender:
+            await self._await_feedback(followed, note.feedback)
+        goal.result, goal.reason = response.result, note.reason
+        goal.ended = self._now()
+        move(goal, status)
+
+    async def _await_feedback(self, followed: Followed, count: int) -> None:
+        """Wait for the feedback that the result has overtaken."""
+        with anyio.move_on_after(LATE_FEEDBACK):
+            while followed.received < count:
+                await self.signal(followed.goal).wait()
+        if followed.received < count:
+            lost = count - followed.received
+            logger.warning("%d feedback messages of goal %s were lost", lost, followed.goal.hex)
+
+    async def _is_back(self) -> bool:
+        """Whether the server was out of reach for a moment only."""
+        with anyio.move_on_after(BACK_WITHIN):
+            await self._links.wait_until_served()
+        return self._links.is_served
+
+    def _unavailable(self, problem: str) -> ServerUnavailable:
+        return ServerUnavailable(self._links.name, problem)
+
+    def _lose(self, goal: Goal, error: TurtleactError) -> None:
+        """End a goal of which nothing more will be heard."""
+        if not goal.ended:
+            goal.error, goal.status, goal.ended = error, GoalStatus.UNKNOWN, self._now()
+            self.signal(goal).fire()
+
+    # topics
+
+    def _on_feedback(self, message: Any) -> None:  # noqa: ANN401  # of the action's own class
+        followed = self._followed.get(bytes(message.goal_id.uuid))
+        if followed is not None:
+            followed.take(message.feedback)
+            self.signal(followed.goal).fire()
+
+    def _on_status(self, array: GoalStatusArray) -> None:
+        self._held = {bytes(each.goal_info.goal_id.uuid): each for each in array.status_list}
+        for goal_id, followed in self._followed.items():
+            if goal_id in self._held:
+                _update(followed.goal, self._held[goal_id])
+        self._status.fire()
+
+    # goals that are there
+
+    async def attach(self, goal_id: bytes) -> Goal | None:
+        """A goal that somebody else has sent, by what the status says; None if it is not held."""
+        followed = self._followed.get(goal_id)
+        if followed is not None:
+            return followed.goal
+        self._links.open(self._on_feedback)
+        self._links.watch_status(self._on_status)
+        with anyio.move_on_after(GRACE):
+            while self._held is None:
+                await self._status.wait()
+        if self._held is None or goal_id not in self._held:
+            return None
+        goal = Goal(None, 0, id=goal_id)
+        _update(goal, self._held[goal_id])
+        return self._follow(goal, is_sender=False).goal
+
+    async def wait_for_end(self, goal: Goal) -> None:
+        """Wait until a goal has ended. Cancelling: safe, the goal goes on."""
+        signal = self.signal(goal)
+        while not goal.ended:
+            await signal.wait()
+
+    def signal(self, goal: Goal) -> Signal:
+        """The signal that fires at each change of a goal."""
+        if goal.listener is None:
+            goal.listener = self._tasks.signal()
+        return goal.listener  # type: ignore[return-value]  # nobody else puts one there
+
+    def name_goal(self, goal: Goal) -> bytes:
+        """The id of a goal; it has had one from the start."""
+        return cast("bytes", goal.id)
+
+    # canceling
+
+    async def cancel_goal(self, goal: Goal) -> CancelGoal.Response:
+        """Ask the server to cancel one goal."""
+        return await self.cancel(goal.id, 0)
+
+    async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
+        """Ask the server to cancel by id, by stamp (ns), by both, or every goal.
+
+        Raises:
+            ServerUnavailable: if nobody answers.
+        """
+        self._links.open(self._on_feedback)
+        time = Time(*divmod(stamp, 1_000_000_000))
+        named = UUID() if goal_id is None else UUID(goal_id)
+        request = CancelGoal.Request(GoalInfo(named, time))
+        try:
+            reply = await self._links.cancel_goal.call(request)
+        except ServerUnavailable as error:
+            raise self._unavailable(error.problem) from None
+        response = cast("CancelGoal.Response", reply.message)
+        for info in response.goals_canceling:
+            followed = self._followed.get(bytes(info.goal_id.uuid))
+            if followed is not None:
+                move(followed.goal, GoalStatus.CANCELING)
+        return response
+
+    def cancel_nowait(self, goal: Goal) -> None:
+        """Ask the server to cancel a goal, without waiting."""
+
+        async def ask() -> None:
+            try:
+                await self.cancel_goal(goal)
+            except TurtleactError as error:
+                logger.warning("goal %s could not be canceled: %s", goal.hex, error)
+
+        self._tasks.spawn(ask(), f"a cancel of {self._links.name}")
+
+    async def cancel_and_wait(self, goal: Goal) -> None:
+        """Ask the server to cancel a goal and wait for its end, shielded, `GRACE` s at most."""
+        with anyio.move_on_after(GRACE, shield=True):
+            try:
+                await self.cancel_goal(goal)
+            except ServerUnavailable:
+                return
+            await self.wait_for_end(goal)
+
+    def client_lost(self, sender: object) -> None:  # noqa: ARG002  # it has this one alone
+        """Follow no goal any more, and leave the graph."""
+        for followed in list(self._followed.values()):
+            followed.task.cancel()
+        self._links.close()
+
+
+def _update(goal: Goal, told: GoalStatusMessage) -> None:
+    """Take over what the status says of a goal; its end comes with the result."""
+    goal.stamp = nanoseconds(told.goal_info.stamp)
+    status = status_of(told.status)
+    if not status.is_terminal:
+        move(goal, status)

@@ -1,0 +1,134 @@
+"""The endpoints of an action's client: three services that it calls, two topics that it reads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, cast
+
+from turtleact.body import ActionType
+from turtleact.interfaces import Action, Implied, WireFormat, implied
+from turtleact.interfaces.standard import CancelGoal, GoalStatusArray
+from turtleact.names import ActionNames
+from turtleact.transports.base import (
+    STATUS_QOS,
+    Caller,
+    Closeable,
+    MakeEndpoint,
+    QoS,
+    Transport,
+    wait_until_served,
+)
+
+__all__ = ["Links"]
+
+
+class Links:
+    """The endpoints of one client.
+
+    At first it only shows itself, as a client of ``send_goal``: the others cost something, and a
+    server in the same process needs none of them.
+
+    Args:
+        transport: Where they are opened.
+        endpoint: Describes them.
+        names: Their names.
+        action_type: The action.
+
+    Attributes:
+        name: The fully qualified name of the action.
+        send_goal: Asks for goals to be taken.
+        cancel_goal: Asks for goals to be canceled; there once `open` was called.
+        get_result: Asks for results; likewise.
+    """
+
+    cancel_goal: Caller
+    get_result: Caller
+
+    def __init__(
+        self,
+        transport: Transport,
+        endpoint: MakeEndpoint,
+        names: ActionNames,
+        action_type: ActionType[Any, Any, Any],
+    ) -> None:
+        self.name = names.name
+        self._transport = transport
+        self._endpoint = endpoint
+        self._names = names
+        self._action_type = action_type
+        self._opened: list[Closeable] = []
+        self._is_open = False
+        self._watches_status = False
+        self.send_goal = self._join(
+            names.send_goal, "SendGoal", WireFormat(lambda: self.implied.send_goal, asks=True)
+        )
+
+    @property
+    def implied(self) -> Implied:
+        """The services and the message that the action is sent in."""
+        return implied(cast("type[Action]", self._action_type))
+
+    @property
+    def is_served(self) -> bool:
+        """Whether there is a server to call."""
+        return self.send_goal.is_served
+
+    async def wait_until_served(self) -> None:
+        """Wait for a server. Cancelling: safe."""
+        await wait_until_served(self._transport, lambda: self.is_served or None, None)
+
+    def open(self, on_feedback: Callable[[Any], None]) -> None:
+        """Open the other services and the feedback topic; a second time does nothing."""
+        if self._is_open:
+            return
+        self._is_open = True
+        names, action = self._names, self._action_type.type_name
+        self._subscribe(
+            names.feedback,
+            f"{action}_FeedbackMessage",
+            WireFormat(lambda: self.implied.feedback_message),
+            on_feedback,
+        )
+        self.get_result = self._join(
+            names.get_result, "GetResult", WireFormat(lambda: self.implied.get_result, asks=True)
+        )
+        self.cancel_goal = self._transport.join(
+            self._endpoint("client", names.cancel_goal, CancelGoal.type_name),
+            WireFormat(CancelGoal, asks=True),
+        )
+        self._opened.append(self.cancel_goal)
+
+    def watch_status(self, on_status: Callable[[Any], None]) -> None:
+        """Open the status topic; a second time does nothing."""
+        if not self._watches_status:
+            self._watches_status = True
+            self._subscribe(
+                self._names.status,
+                GoalStatusArray.type_name,
+                WireFormat(GoalStatusArray),
+                on_status,
+                STATUS_QOS,
+            )
+
+    def close(self) -> None:
+        """Leave the graph."""
+        for opened in reversed(self._opened):
+            opened.close()
+        self._opened.clear()
+
+    def _join(self, name: str, kind: str, format: WireFormat) -> Caller:
+        type_name = f"{self._action_type.type_name}_{kind}"
+        caller = self._transport.join(self._endpoint("client", name, type_name), format)
+        self._opened.append(caller)
+        return caller
+
+    def _subscribe(
+        self,
+        name: str,
+        type_name: str,
+        format: WireFormat,
+        deliver: Callable[[Any], None],
+        qos: QoS | None = None,
+    ) -> None:
+        endpoint = self._endpoint("subscription", name, type_name, qos)
+        self._opened.append(self._transport.subscribe(endpoint, format, deliver))
