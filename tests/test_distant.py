@@ -69,6 +69,12 @@ def send(request) -> Send:
     return way
 
 
+@pytest.fixture(autouse=True)
+def no_patience(monkeypatch) -> None:
+    """What a server that has died is waited for: nothing."""
+    monkeypatch.setattr("turtleact.client.distant_server.BACK_WITHIN", 0.0)
+
+
 # --- ends ---------------------------------------------------------------------------------------
 
 
@@ -317,6 +323,7 @@ async def test_an_attached_reader_hears_what_comes():
         yield result(3)
 
     async with apart(act) as served, served.client.send_goal(goal(), goal_id=ID) as own:
+        await settle()
         other = served.node.action_client(Count, "count")
         async with other.attach(ID) as handle:
             assert handle.status is GoalStatus.EXECUTING
@@ -394,6 +401,204 @@ async def test_the_errors_of_a_failed_goal(kind):
         await anyio.sleep_forever()
 
     async with apart(act) as served, served.client.send_goal(goal()) as handle:
-        await handle.cancel()
+        if kind is GoalCanceled:
+            await handle.cancel()
         with pytest.raises(kind):
             await handle.result()
+
+
+# --- servers that die ---------------------------------------------------------------------------
+
+
+class Cut:
+    """A graph like `Apart`, whose servers can die without a word.
+
+    Attributes:
+        is_cut: Whether they have: no call finds a server.
+        returns: Whether they come back the next time that somebody waits for them.
+        withholds: How many feedback messages get lost.
+        delays: Whether the request for a result is late.
+    """
+
+    def __init__(self, transport: MemoryTransport) -> None:
+        self._transport = transport
+        self._dying: list[anyio.CancelScope] = []
+        self.is_cut = False
+        self.returns = False
+        self.withholds = 0
+        self.delays = False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._transport, name)
+
+    def local(self, name: str, type_name: str) -> None:
+        """There is none in this process."""
+
+    def cut(self) -> None:
+        """Let the servers die: calls that wait for an answer get none."""
+        self.is_cut = True
+        for scope in self._dying:
+            scope.cancel()
+
+    def join(self, endpoint: Any, format: Any) -> Any:
+        return CutCaller(self, self._transport.join(endpoint, format), endpoint.name)
+
+    def subscribe(self, endpoint: Any, format: Any, deliver: Any) -> Any:
+        def take(message: object) -> None:
+            if endpoint.name.endswith("feedback") and self.withholds:
+                self.withholds -= 1
+            else:
+                deliver(message)
+
+        return self._transport.subscribe(endpoint, format, take)
+
+    async def wait_for_change(self) -> None:
+        if self.returns:
+            self.is_cut = False
+        else:
+            await self._transport.wait_for_change()
+
+
+class CutCaller:
+    """A caller whose server may die."""
+
+    def __init__(self, graph: Cut, caller: Any, name: str) -> None:
+        self._graph = graph
+        self._caller = caller
+        self._name = name
+        self.close = caller.close
+
+    @property
+    def is_served(self) -> bool:
+        return not self._graph.is_cut and self._caller.is_served
+
+    async def call(self, request: object) -> Any:
+        if self._graph.delays and self._name.endswith("get_result"):
+            await settle()
+        if not self._graph.is_cut:
+            with anyio.CancelScope() as scope:
+                self._graph._dying.append(scope)
+                return await self._caller.call(request)
+        raise ServerUnavailable(self._name, "the server went away", kind="service")
+
+
+@asynccontextmanager
+async def cut(execute: Any, **options: Any) -> AsyncIterator[tuple[Lab, Cut]]:
+    """As `apart`, with a server that can die."""
+    transport = MemoryTransport()
+    graph: Any = Cut(transport)
+    async with (
+        turtleact.open_node("far", transport=transport) as far,
+        turtleact.open_node("near", transport=graph) as node,
+    ):
+        server = far.action_server(Count, "count", execute, **options)
+        yield Lab(node, server, node.action_client(Count, "count")), graph
+
+
+async def test_a_server_that_dies_is_told_to_all_who_wait(send):
+    gate = Gate()
+    async with cut(gate.wait) as (served, graph), running(lambda: send(served, goal())) as sent:
+        await gate.started.wait()
+        graph.cut()
+        await sent.done.wait()
+        assert isinstance(sent.error, ServerUnavailable)
+        assert str(sent.error) == "action '/count': the server went away"
+
+
+async def test_a_reader_and_a_teller_of_events_hear_of_the_death():
+    gate = Gate()
+    async with cut(gate.stream) as (served, graph), served.client.send_goal(goal()) as handle:
+        await gate.started.wait()
+        graph.cut()
+        with pytest.raises(ServerUnavailable):
+            async for _ in handle:
+                pass
+        with pytest.raises(ServerUnavailable):
+            async for _ in handle.events():
+                pass
+        with pytest.raises(ServerUnavailable):
+            await handle.result()
+        assert (handle.status, handle.done) == (GoalStatus.UNKNOWN, True)
+
+
+async def test_a_server_that_comes_back_at_once_is_asked_again(send, monkeypatch):
+    gate = Gate()
+    async with cut(gate.wait) as (served, graph), running(lambda: send(served, goal())) as sent:
+        await gate.started.wait()
+        monkeypatch.setattr("turtleact.client.distant_server.BACK_WITHIN", 5.0)
+        graph.returns = True
+        graph.cut()
+        await settle()
+        gate.opened.set()
+        await sent.done.wait()
+        assert sent.value == Outcome(GoalStatus.SUCCEEDED, result(3))
+
+
+async def test_a_result_that_a_server_has_forgotten_is_unknown(send):
+    async with cut(count, result_timeout=0) as (served, graph):
+        graph.delays = True
+        with pytest.raises(UnknownGoal, match="holds no goal"):
+            await send(served, goal(0))
+
+
+async def test_a_cancel_that_finds_no_server_is_told(caplog):
+    gate = Gate()
+    async with cut(gate.wait) as (served, graph), served.client.send_goal(goal()) as handle:
+        handle.detach()
+        await gate.started.wait()
+        graph.is_cut = True
+        with pytest.raises(ServerUnavailable, match="action '/count': the server went away"):
+            await handle.cancel()
+        handle.cancel_nowait()
+        await settle()
+        assert "could not be canceled: action '/count'" in caplog.text
+
+
+async def test_leaving_the_block_of_a_lost_goal_does_not_hang():
+    gate = Gate()
+    async with cut(gate.wait) as (served, graph), served.client.send_goal(goal()):
+        await gate.started.wait()
+        graph.is_cut = True
+
+
+async def test_lost_feedback_is_waited_for_and_then_logged(caplog, monkeypatch):
+    async with cut(count) as (served, graph):
+        graph.withholds = 2
+        monkeypatch.setattr("turtleact.client.distant_server.LATE_FEEDBACK", 0.0)
+        assert await served.client.send_goal(goal(5)) == result(0, 1, 2, 3, 4)
+    assert "2 feedback messages of goal" in caplog.text
+
+
+async def test_a_second_attachment_of_a_client_shares_the_goal():
+    gate = Gate()
+    async with (
+        apart(gate.wait) as served,
+        served.client.send_goal(goal(), goal_id=ID) as own,
+        served.client.attach(ID) as again,
+    ):
+        gate.opened.set()
+        assert await again.result() == await own.result() == result(3)
+
+
+async def test_an_id_that_is_under_way_is_refused_here():
+    gate = Gate()
+    async with apart(gate.wait) as served, served.client.send_goal(goal(), goal_id=ID):
+        with pytest.raises(GoalRejected, match="still holds a goal of the id 000102"):
+            await served.client.send_goal(goal(), goal_id=ID)
+
+
+async def test_a_reader_far_behind_loses_the_oldest(monkeypatch):
+    monkeypatch.setattr("turtleact.client.followed.MOST_UNREAD", 3000)
+
+    async def act(request):
+        for number in range(8000):
+            yield feedback(number)
+        yield result()
+
+    async with apart(act) as served, served.client.send_goal(goal()) as handle:
+        reader = aiter(handle)
+        first = await anext(reader)
+        await settle()
+        rest = [each async for each in reader]
+        assert 1 + len(rest) + handle.missed == 8000
+        assert (first, rest[-1]) == (feedback(0), feedback(7999))

@@ -265,16 +265,13 @@ class Loop(NamedTuple):
 
     Attributes:
         is_eager: Whether the first step of a body is taken as soon as it is started.
-        can_borrow: Whether an awaited body runs in its client's task. That a client was canceled is
-            known at the end of such a body only.
-        keeps_shields: Whether a cancellation waits for the end of a shielded wait.
+        can_borrow: Whether an awaited body runs in its client's task.
         grace: How long a client waits for a goal that it has canceled, and a server that is closed
             for its bodies (s); without end where time stands still but for the clock's own.
     """
 
     is_eager: bool
     can_borrow: bool
-    keeps_shields: bool
     grace: float
 
 
@@ -330,13 +327,14 @@ class Process:
     def is_about_to_stop(self) -> bool:
         return self._is_stopped and self._wait is not None and not self._wait.is_shielded
 
+    @property
+    def is_shielded(self) -> bool:
+        return self._wait is not None and self._wait.is_shielded
+
     def is_waiting(self, wait: Wait) -> bool:
         return self._wait is wait
 
     def cancel(self) -> None:
-        is_shielded = self._wait is not None and self._wait.is_shielded
-        if is_shielded and not self._model.loop.keeps_shields:
-            raise OpenError
         if not self.is_canceled:
             self.is_canceled = self._is_stopped = True
             self._model.soon(self._stop)
@@ -377,7 +375,6 @@ class ModelGoal:
         self.kept_from = 0
         self.asked = 0
         self.is_asked_for = False
-        self.has_lost_caller = False
         self.process: Process | None = None
         self.end = Moment()
         self.end_of_body = Moment()
@@ -692,8 +689,6 @@ class Model:
         if verdict == "nothing":
             self.end(goal, "ABORTED", None, "no result")
             return
-        if goal.has_lost_caller and goal.status == "EXECUTING":
-            goal.enter("CANCELING")
         is_canceling = goal.status == "CANCELING"
         if verdict == "abort":
             self.end(goal, "ABORTED", None, "given up")
@@ -752,6 +747,9 @@ class Model:
                     return ("canceled",)
             if script.is_unwelcome:
                 raise RefusedError("the goal_callback rejected it")
+            is_lost = send is not None and send.client in server.lost
+            if is_lost and server.plan.on_client_lost == "cancel":
+                raise RefusedError("its client has gone")
         goal = ModelGoal(script, server, parent)
         goal_id, client = (send.goal_id, send.client) if send is not None else (0, None)
         self.take(goal, goal_id, client)
@@ -782,7 +780,10 @@ class Model:
         """Cancel a goal and wait for its end."""
         if is_lent:
             assert goal.process is not None
-            goal.has_lost_caller = True
+            if goal.process.is_shielded:
+                raise OpenError  # its parents hear of it only behind that
+            if goal.status == "EXECUTING":
+                goal.enter("CANCELING")
             goal.process.cancel()
             yield Wait(self.now + self.loop.grace, goal.end_of_body, is_shielded=True)
             if not goal.end_of_body.has_come:
@@ -1399,7 +1400,7 @@ def play(plan: Plan, backend: str) -> None:
     """Let the model and turtleact play a plan, and compare."""
     is_asyncio = backend != "trio"
     has_virtual_time = backend != "uvloop"
-    loop = Loop(is_asyncio, is_asyncio, not is_asyncio, GRACE if has_virtual_time else math.inf)
+    loop = Loop(is_asyncio, is_asyncio, GRACE if has_virtual_time else math.inf)
     try:
         expected = Play(plan, loop)
     except OpenError:

@@ -71,7 +71,7 @@ class Owned:
         """Let a cancellation arrive at the body's next await that is not shielded."""
         self._is_due = _is_shielded(self._tasks, self.task, None)
         if not self._is_due:
-            self.task.cancel()
+            self._tasks.cancel(self.task, f"{_BY_GOAL}{id(self):x}")
 
     def __await__(self) -> Self:
         return self
@@ -120,7 +120,8 @@ class Borrowed:
 
     A timeout or task group within the coroutine cancels the same task. Whose a cancellation was
     can be told once the coroutine has left these, for they take their own back: what is then left
-    in ``Task.cancelling()`` came from outside. Those of anyio say at once whose they are.
+    in ``Task.cancelling()`` came from outside. Those of anyio and of goals say at once whose they
+    are.
 
     Args:
         context: What the coroutine runs in, a copy of the caller's: what it sets there stays there.
@@ -173,7 +174,7 @@ class Borrowed:
         if not self._is_due:
             self._asked += 1
             self._is_on_its_way = True
-            self._task.cancel()
+            self._task.cancel(f"{_BY_GOAL}{id(self):x}")
 
     def abandon(self) -> None:
         """Let the caller go on alone: the coroutine goes on, canceled, in a task of its own."""
@@ -258,8 +259,10 @@ class Borrowed:
                     self._timer = loop.call_later(GRACE, self.abandon)
 
     def _is_from_outside(self, thrown: asyncio.CancelledError) -> bool:
-        """Whether a scope of the caller has canceled it; False if that cannot be told."""
+        """Whether a scope or goal of the caller has canceled it; False if that cannot be told."""
         reason = str(thrown.args[0]) if thrown.args else ""
+        if reason.startswith(_BY_GOAL):
+            return reason != f"{_BY_GOAL}{id(self):x}"
         own = self._tasks.scopes(cast("asyncio.Task[object]", self._task), self._outer)
         return reason.startswith(_BY_SCOPE) and not any(
             reason.startswith(f"{_BY_SCOPE}{id(scope):x}") for scope in own
@@ -300,6 +303,9 @@ async def finish(steps: Steps) -> None:
     except BaseException:
         logger.info("a body was canceled after it had yielded its result; the result stands")
 
+
+_BY_GOAL = "Cancelled via goal "
+"""The reason that a goal gives begins so; what takes its steps has an id, with which it goes on."""
 
 _BY_SCOPE = "Cancelled via cancel scope "
 """The reason that anyio gives for its cancellations begins so, and goes on with the scope's id."""

@@ -53,6 +53,9 @@ class Tasks(Protocol):
     def scopes(self, task: Cancelable, outer: Scope | None) -> Iterator[Scope]:
         """The cancel scopes that a task has entered inside ``outer``, the innermost first."""
 
+    def cancel(self, task: Cancelable, reason: str) -> None:
+        """Cancel a task, with a reason for those who are told of it there (asyncio alone)."""
+
     def soon(self, callback: Callable[[], object]) -> None:
         """Call something, not within this call if it may run a body's first step."""
 

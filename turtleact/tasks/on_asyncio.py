@@ -110,6 +110,10 @@ class AsyncioTasks:
     def _catch(self, step: Callable[[], object], *, context: Context) -> None:  # noqa: ARG002
         self._step = step
 
+    def cancel(self, task: Cancelable, reason: str) -> None:
+        """Cancel a task; the reason becomes the argument of its `asyncio.CancelledError`."""
+        task.cancel(reason)  # type: ignore[call-arg]  # an asyncio.Task, or a `_Late`
+
     def soon(self, callback: Callable[[], object]) -> None:
         """Call something in the loop's next turn: it may run a body's first step."""
         self._loop.call_soon(callback)
@@ -148,11 +152,11 @@ class _Late:
         self._is_canceled = False
         loop.call_soon(self._begin)
 
-    def cancel(self) -> None:
+    def cancel(self, reason: str | None = None) -> None:
         """Let a cancellation arrive at the coroutine's next await, not before its first step."""
         self._is_canceled = True
         if self.task is not None:
-            self.task.cancel()
+            self.task.cancel(reason)
 
     def _begin(self) -> None:
         self.task = self._start()

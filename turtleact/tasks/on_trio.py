@@ -46,6 +46,10 @@ class TrioTasks:
         """Trio's own scopes heed shields."""
         return iter(())
 
+    def cancel(self, task: Cancelable, reason: str) -> None:  # noqa: ARG002
+        """Cancel a task; trio needs no reason."""
+        task.cancel()
+
     def soon(self, callback: Callable[[], object]) -> None:
         """Call something now: what it spawns begins later."""
         callback()
