@@ -278,8 +278,8 @@ async def test_a_client_waits_for_its_server_by_the_clock_of_the_graph():
     async with open_world(speed="max") as node:
         before = node.clock.now()
         client = node.action_client(Count, "nobody")
-        assert not await client.wait_for_server(timeout=3600)
-        assert node.clock.now() - before >= 3600 * 10**9
+        assert not await client.wait_for_server(timeout=60)
+        assert node.clock.now() - before >= 60 * 10**9
 
 
 async def test_the_newest_feedback_is_known_when_its_callback_is_called():
