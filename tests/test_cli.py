@@ -170,6 +170,7 @@ def test_help_is_printed(arguments, capsys):
         "Commands:\n"
         "  send-goal   Send a goal, follow it to its end, print the result.\n"
         "  action      The verbs of 'ros2 action': send_goal.\n"
+        "  interface   The verbs of 'ros2 interface': list, package, packages, proto, show.\n"
     )
 
 

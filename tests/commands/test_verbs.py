@@ -5,6 +5,8 @@ import sys
 
 import pytest
 import typer
+from typer.core import TyperGroup
+from typer.main import get_command
 
 from turtleact.commands import VERBS, send_goal, verbs
 from turtleact.commands.goal_text import GoalText
@@ -129,15 +131,30 @@ def test_a_group_prints_what_there_is(arguments, capsys, interrupts):
     assert "send_goal  Send a goal" in capsys.readouterr().out
 
 
+def test_only_the_group_that_is_asked_for_is_imported():
+    code = (
+        "import sys; from turtleact.commands.verbs import parse; parse(['interface', 'list']);"
+        "print(*sorted(each for each in sys.modules if each.startswith('turtleact.')))"
+    )
+    assert subprocess.check_output([sys.executable, "-c", code], text=True).split() == [
+        "turtleact.commands",
+        "turtleact.commands.interrupts",
+        "turtleact.commands.verbs",
+        "turtleact.commands.verbs.arguments",
+        "turtleact.commands.verbs.interface",
+        "turtleact.errors",
+    ]
+
+
 def test_the_help_of_a_verb_shows_examples(capsys, interrupts):
     assert verbs.parse(["send-goal", "-h"])(interrupts) == 0
     assert '  turtleact send-goal fibonacci "order: 5" --feedback\n' in capsys.readouterr().out
 
 
 def test_the_table_of_verbs_names_what_typer_knows():
-    commands = [each.name for each in verbs.app.registered_commands]
-    groups = [each.name for each in verbs.app.registered_groups]
-    assert list(VERBS) == commands + groups
+    command = get_command(verbs.assemble(VERBS))
+    assert isinstance(command, TyperGroup)
+    assert list(command.commands) == list(VERBS)
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), BrokenPipeError()], ids=repr)

@@ -13,5 +13,6 @@ __all__ = ["VERBS"]
 VERBS: Final = {
     "send-goal": "Send a goal, follow it to its end, print the result.",
     "action": "The verbs of 'ros2 action': send_goal.",
+    "interface": "The verbs of 'ros2 interface': list, package, packages, proto, show.",
 }
 """What there is, and what it does."""

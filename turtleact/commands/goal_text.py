@@ -1,4 +1,4 @@
-"""Where the text of a goal comes from: the command line, standard input, or a file."""
+"""Where the text of a goal, or another message, comes from: the arguments, stdin, or a file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MOST = 2**22
 
 
 class GoalText(NamedTuple):
-    """The text of a goal.
+    """The text of a goal, a request or a message.
 
     Attributes:
         text: YAML or JSON.
@@ -30,21 +30,34 @@ class GoalText(NamedTuple):
 
     @classmethod
     def read(
-        cls, given: str | None, *, stdin: bool, path: str | None, interrupts: Interrupts
+        cls,
+        given: str | None,
+        *,
+        stdin: bool,
+        path: str | None,
+        interrupts: Interrupts,
+        what: str = "goal",
     ) -> GoalText:
         """The text from the one of the three that was chosen; ``{}`` if none was.
+
+        Args:
+            given: What stands among the arguments.
+            stdin: Whether stdin is read.
+            path: The file that is read.
+            interrupts: The signals that end the reading.
+            what: What the text is of.
 
         Raises:
             UsageError: if it cannot be read, is empty, is too long, or is not UTF-8.
             KeyboardInterrupt: if a signal comes while it is waited for.
         """
         if not stdin and path is None:
-            text, source = "{}" if given is None else given, "goal"
+            text, source = "{}" if given is None else given, what
         else:
             source = "stdin" if path is None else path if path.isprintable() else ascii(path)
             text = _decoded(_read(path, source, interrupts), source)
         if not text.strip():  # whoever was to say it has failed
-            raise UsageError(f"{source}: is empty; the default goal is {{}}")
+            raise UsageError(f"{source}: is empty; the default {what} is {{}}")
         return cls(text, source)
 
 

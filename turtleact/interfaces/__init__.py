@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from turtleact.interfaces.classes import (
     get_interface,
+    interface_source,
     interface_text,
     known_interfaces,
     load_interface,
@@ -72,6 +73,7 @@ __all__ = [
     "int16",
     "int32",
     "int64",
+    "interface_source",
     "interface_text",
     "known_interfaces",
     "load_interface",

@@ -36,6 +36,7 @@ __all__ = [
     "class_of",
     "get_interface",
     "implied_types",
+    "interface_source",
     "interface_text",
     "known_interfaces",
     "load_interface",
@@ -149,6 +150,25 @@ def interface_text(cls: Interface) -> str:
     int32[] partial_sequence
     """
     return definition_text(definition(cls))
+
+
+def interface_source(type_name: str) -> str:
+    """The text of an interface as its author wrote it, where there is a file, else as is implied.
+
+    A file in an installed ROS package goes before the one that ships, if both say the same: it has
+    comments.
+
+    Raises:
+        UnknownInterface: with the nearest known name.
+        InvalidInterface: if a file that holds it is malformed.
+    """
+    cls = get_interface(type_name)
+    said, name = definition(cls), cls.type_name
+    for file in (REGISTRY.files.get(name), installed(name), shipped(name)):
+        text = "" if file is None else read(file)
+        if file is not None and parse(text, name, source=str(file)) == said:
+            return text
+    return definition_text(said)
 
 
 def class_of(definition: Definition) -> Interface:

@@ -1,0 +1,260 @@
+"""``interface``: what there is, as ``ros2 interface`` prints it."""
+
+from __future__ import annotations
+
+import io
+import json
+import shlex
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+import turtleact.actions  # noqa: F401  # for the interfaces that they declare
+from turtleact.commands import interfaces
+from turtleact.errors import UsageError
+from turtleact.interfaces.registry import REGISTRY
+
+GOLDEN = json.loads(Path(__file__).with_name("golden").joinpath("verbs.json").read_text())
+SHOWN = [case for case in GOLDEN if " interface show " in case["command"]]
+
+
+@pytest.fixture(autouse=True)
+def own_registry(monkeypatch):
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    monkeypatch.setattr(REGISTRY, "_known", dict(REGISTRY._known))
+    monkeypatch.setattr(REGISTRY, "files", dict(REGISTRY.files))
+    monkeypatch.setattr(REGISTRY, "prefixes", ())
+
+
+@pytest.fixture
+def install(tmp_path, monkeypatch):
+    """Puts an interface file into a ROS workspace that is sourced."""
+
+    def put(type_name, text, *, is_sourced=True):
+        package, kind, name = type_name.split("/")
+        share = tmp_path / "share" if is_sourced else tmp_path
+        path = share / package / kind / f"{name}.{kind}"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+        if is_sourced:
+            monkeypatch.setenv("AMENT_PREFIX_PATH", f"/nowhere:{tmp_path}")
+        return tmp_path
+
+    return put
+
+
+def arguments_of(case):
+    return shlex.split(case["command"])[1:]
+
+
+# --- as recorded ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("case", SHOWN, ids=lambda case: case["case"])
+def test_a_definition_is_shown_as_ros2_shows_it(turtleact, install, case):
+    lines = [line for line in case["stdout"].splitlines() if not line.startswith("\t")]
+    install(arguments_of(case)[-1], "\n".join(lines) + "\n")
+    ran = turtleact(*arguments_of(case))
+    assert (ran.status, ran.out) == (case["exit"], case["stdout"])
+
+
+def test_a_prototype_is_printed_as_ros2_prints_it(turtleact):
+    [case] = [case for case in GOLDEN if case["case"] == "interface_proto"]
+    assert turtleact(*arguments_of(case)).out == case["stdout"]
+
+
+def test_all_that_ros2_lists_is_listed_in_its_order(turtleact):
+    [case] = [case for case in GOLDEN if case["case"] == "interface_list_a"]
+    recorded = case["stdout"].splitlines()
+    listed = turtleact(*arguments_of(case)).out.splitlines()
+    assert [line for line in listed if line in recorded] == recorded
+
+
+# --- list, package, packages ----------------------------------------------------------------
+
+
+def test_everything_is_listed_by_its_kind(turtleact):
+    lines = turtleact("interface", "list").out.splitlines()
+    assert [line for line in lines if line[0] != " "] == ["Messages:", "Services:", "Actions:"]
+    assert "    turtleact_interfaces/action/GoTo" in lines[lines.index("Actions:") :]
+
+
+def test_kinds_may_be_put_together(turtleact):
+    lines = turtleact("interface", "list", "-m", "-s").out.splitlines()
+    assert [line for line in lines if line[0] != " "] == ["Messages:", "Services:"]
+
+
+def test_a_package_is_listed(turtleact):
+    assert turtleact("interface", "package", "std_srvs").out == (
+        "std_srvs/srv/Empty\nstd_srvs/srv/SetBool\nstd_srvs/srv/Trigger\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("option", "out"), [("-a", "turtlesim/action/RotateAbsolute\n"), ("--only-actions", None)]
+)
+def test_a_package_is_listed_by_kind(turtleact, option, out):
+    listed = turtleact("interface", "package", "turtlesim", option).out
+    assert listed == (out or "turtlesim/action/RotateAbsolute\n")
+
+
+def test_a_package_without_such_interfaces_lists_none(turtleact):
+    ran = turtleact("interface", "package", "std_srvs", "-a")
+    assert (ran.status, ran.out) == (0, "")
+
+
+def test_an_unknown_package_is_an_error_that_names_the_nearest(turtleact):
+    ran = turtleact("interface", "package", "turtlesin")
+    assert (ran.status, ran.out) == (1, "")
+    assert ran.err == "turtleact: unknown package 'turtlesin', did you mean 'turtlesim'?\n"
+
+
+def test_packages_are_listed_by_what_they_have(turtleact):
+    listed = turtleact("interface", "packages", "-s").out.splitlines()
+    assert "std_srvs" in listed
+    assert "geometry_msgs" not in listed
+
+
+# --- show -----------------------------------------------------------------------------------
+
+COMMENTED = """# What is asked for.
+
+turtlesim/Color[] colors  # as many as you like
+uint8 MOST=3  # a constant
+---
+"""
+
+
+@pytest.fixture
+def paint(install):
+    """A service with comments, whose message has some too."""
+    install("turtlesim/msg/Color", "# Red, green, blue.\nuint8 r # red\nuint8 g\nuint8 b\n")
+    install("paint_interfaces/srv/Paint", COMMENTED)
+    return "paint_interfaces/srv/Paint"
+
+
+def test_the_comments_of_the_interface_itself_are_shown(turtleact, paint):
+    assert turtleact("interface", "show", paint).out == (
+        "# What is asked for.\n\n"
+        "turtlesim/Color[] colors  # as many as you like\n"
+        "\tuint8 r\n\tuint8 g\n\tuint8 b\n"
+        "uint8 MOST=3  # a constant\n---\n"
+    )
+
+
+def test_all_comments_may_be_shown(turtleact, paint):
+    assert "\t# Red, green, blue.\n\tuint8 r # red\n" in (
+        turtleact("interface", "show", paint, "--all-comments").out
+    )
+
+
+def test_comments_and_empty_lines_may_be_left_out(turtleact, paint):
+    assert turtleact("interface", "show", "--no-comments", paint).out == (
+        "turtlesim/Color[] colors\n\tuint8 r\n\tuint8 g\n\tuint8 b\nuint8 MOST=3\n---\n"
+    )
+
+
+def test_both_options_on_comments_are_refused(turtleact):
+    ran = turtleact("interface", "show", "std_msgs/msg/String", "--all-comments", "--no-comments")
+    assert (ran.status, ran.out) == (2, "")
+    assert "give one of --all-comments and --no-comments" in ran.err
+
+
+def test_a_file_that_says_something_else_than_what_is_used_is_not_shown(turtleact, install):
+    install("turtlesim/msg/Color", "# Another.\nfloat64 hue\n")
+    assert turtleact("interface", "show", "turtlesim/msg/Color").out == (
+        "uint8 r\nuint8 g\nuint8 b\n"
+    )
+
+
+def test_a_class_without_a_file_is_shown(turtleact):
+    assert turtleact("interface", "show", "turtleact_interfaces/GoTo").out.startswith(
+        "float64 x\nfloat64 y\n"
+    )
+
+
+def test_the_type_may_come_from_a_pipe(turtleact, monkeypatch):
+    monkeypatch.setattr(sys, "stdin", io.StringIO("std_msgs/msg/String\nmore\n"))
+    assert turtleact("interface", "show", "-").out == "string data\n"
+
+
+def test_an_empty_pipe_is_a_usage_error(turtleact, monkeypatch):
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    ran = turtleact("interface", "show", "-")
+    assert (ran.status, ran.err) == (
+        2,
+        "turtleact: stdin: is empty; expected a type such as std_msgs/msg/String\n",
+    )
+
+
+def test_a_closed_stdin_is_no_pipe(interrupts, monkeypatch):
+    monkeypatch.setattr(sys, "stdin", None)
+    with pytest.raises(UsageError, match="stdin is none"):
+        interfaces.read_type("-", interrupts)
+
+
+class Waiting(io.StringIO):
+    def readline(self, _=-1):
+        signal.raise_signal(signal.SIGINT)
+        raise AssertionError("the signal was not heard")
+
+
+def test_a_signal_ends_the_waiting_for_a_type(interrupts, monkeypatch):
+    monkeypatch.setattr(sys, "stdin", Waiting())
+    interrupts.install()
+    with pytest.raises(KeyboardInterrupt):
+        interfaces.read_type("-", interrupts)
+
+
+def test_an_unknown_type_is_an_error_that_names_the_nearest(turtleact):
+    ran = turtleact("interface", "show", "std_msgs/msg/Strin")
+    assert (ran.status, ran.out) == (1, "")
+    assert ran.err == (
+        "turtleact: unknown interface 'std_msgs/msg/Strin', did you mean 'std_msgs/msg/String'?\n"
+    )
+
+
+# --- proto ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("type_name", "out"),
+    [
+        ("turtlesim/srv/Kill", "\"name: ''\n\"\n"),
+        ("turtlesim/srv/TeleportRelative", '"linear: 0.0\nangular: 0.0\n"\n'),
+        ("std_srvs/srv/Empty", '"{}\n"\n'),
+        ("geometry_msgs/msg/Pose2D", '"x: 0.0\ny: 0.0\ntheta: 0.0\n"\n'),
+    ],
+)
+def test_a_prototype_is_what_is_sent_first(turtleact, type_name, out):
+    assert turtleact("interface", "proto", type_name).out == out
+
+
+def test_a_prototype_may_do_without_quotes(turtleact):
+    assert turtleact("interface", "proto", "--no-quotes", "std_msgs/msg/Bool").out == (
+        "data: false\n\n"
+    )
+
+
+# --- what is known --------------------------------------------------------------------------
+
+
+def test_interfaces_of_a_folder_are_known(turtleact, install):
+    folder = install("paint_interfaces/msg/Hue", "float64 hue\n", is_sourced=False)
+    ran = turtleact("interface", "show", "paint_interfaces/msg/Hue", "--interfaces", str(folder))
+    assert (ran.status, ran.out) == (0, "float64 hue\n")
+
+
+def test_a_folder_that_is_not_there_is_an_error(turtleact):
+    ran = turtleact("interface", "list", "--interfaces", "/nowhere")
+    assert (ran.status, ran.out, ran.err) == (1, "", "turtleact: /nowhere: no such folder\n")
+
+
+def test_a_goal_may_be_of_a_type_of_a_folder(turtleact, install):
+    folder = install("paint_interfaces/action/Mix", "---\n---\n", is_sourced=False)
+    ran = turtleact(
+        "send-goal", "fibonacci", "paint_interfaces/action/Mix", "--interfaces", str(folder)
+    )
+    assert ran.err.endswith("not as paint_interfaces/action/Mix\n")

@@ -1,0 +1,168 @@
+"""The verbs of ``interface``: what there is to be said, and how.
+
+They need no graph: interfaces come from those that ship, the folder that ``--interfaces`` names,
+and the installed ROS workspace.
+
+Source: ros2cli ``ros2interface/verb/*.py`` for what is printed; its Jazzy for the words.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Final
+
+from turtleact.commands.transcript import say
+from turtleact.errors import TurtleactError, UsageError
+from turtleact.interfaces import (
+    Action,
+    Service,
+    get_interface,
+    interface_source,
+    known_interfaces,
+    load_interfaces,
+    load_workspace,
+    to_yaml,
+)
+from turtleact.interfaces.definition import did_you_mean
+from turtleact.interfaces.parse import Line, parse_member, without_comment
+
+if TYPE_CHECKING:
+    from turtleact.commands.interrupts import Interrupts
+
+__all__ = [
+    "KINDS",
+    "make_known",
+    "print_list",
+    "print_package",
+    "print_packages",
+    "print_prototype",
+    "read_type",
+    "show",
+]
+
+KINDS: Final = {"msg": "Messages", "srv": "Services", "action": "Actions"}
+"""The kinds of interfaces, in the order in which they are listed."""
+
+
+def make_known(folder: str | None) -> None:
+    """Make known the interfaces of our actions, of a folder, and of the installed ROS workspace.
+
+    Args:
+        folder: As for `turtleact.interfaces.load_interfaces`; none if None.
+
+    Raises:
+        InvalidInterface: if there is no such folder.
+    """
+    import turtleact.actions  # noqa: F401  # for the classes that they declare
+
+    load_workspace(*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
+    if folder is not None:
+        load_interfaces(folder)
+
+
+def print_list(kinds: Sequence[str]) -> None:
+    """Print the names of all interfaces of some kinds; of all kinds if none is given."""
+    for kind in kinds or KINDS:
+        names = [name for name in known_interfaces() if name.split("/")[1] == kind]
+        say(
+            "".join(f"{line}\n" for line in (f"{KINDS[kind]}:", *(f"    {name}" for name in names)))
+        )
+
+
+def print_packages(kinds: Sequence[str]) -> None:
+    """Print the names of the packages that have interfaces of some kinds, or of any."""
+    say("".join(f"{package}\n" for package in _by_package(kinds)))
+
+
+def print_package(package: str, kinds: Sequence[str]) -> None:
+    """Print the names of the interfaces in a package, of some kinds, or of all.
+
+    Raises:
+        TurtleactError: if there is no such package, with the nearest.
+    """
+    packages = _by_package(())
+    if package not in packages:
+        hint = did_you_mean(package, packages)
+        raise TurtleactError(f"unknown package '{package}'{hint}")
+    say("".join(f"{name}\n" for name in _by_package(kinds).get(package, ())))
+
+
+def print_prototype(type_name: str, *, quotes: bool) -> None:
+    """Print a message of an interface's defaults, as YAML: the goal of an action, and so on.
+
+    Raises:
+        UnknownInterface: with the nearest known name.
+    """
+    interface = get_interface(type_name)
+    if issubclass(interface, Action):
+        interface = interface.Goal
+    elif issubclass(interface, Service):
+        interface = interface.Request
+    quote = '"' if quotes else ""
+    say(f"{quote}{to_yaml(interface())}{quote}\n")
+
+
+def show(type_name: str, *, comments: bool, nested_comments: bool) -> None:
+    """Print the definition of an interface, and of the messages in it, one tab deeper.
+
+    Args:
+        type_name: Its name.
+        comments: Whether to print its comments and empty lines.
+        nested_comments: Whether to print those of the messages in it.
+
+    Raises:
+        UnknownInterface: with the nearest known name.
+        InvalidInterface: if a file is malformed.
+    """
+    lines = _lines(type_name, depth=0, comments=comments, nested_comments=nested_comments)
+    say("".join(f"{line}\n" for line in lines))
+
+
+def read_type(type_name: str, interrupts: Interrupts) -> str:
+    """The type that is meant: a dash stands for the first line of stdin.
+
+    Raises:
+        UsageError: if nothing can be read there.
+        KeyboardInterrupt: if a signal comes while it is waited for.
+    """
+    if type_name != "-":
+        return type_name
+    if sys.stdin is None or sys.stdin.isatty():
+        raise UsageError("'-' reads the type from a pipe, and stdin is none")
+    with interrupts.reading():
+        line = sys.stdin.readline().strip()
+    if not line:
+        raise UsageError("stdin: is empty; expected a type such as std_msgs/msg/String")
+    return line
+
+
+def _by_package(kinds: Sequence[str]) -> dict[str, list[str]]:
+    """The names of the interfaces of some kinds, or of all, by their package."""
+    packages: dict[str, list[str]] = {}
+    for name in known_interfaces():
+        package, kind, _ = name.split("/")
+        if not kinds or kind in kinds:
+            packages.setdefault(package, []).append(name)
+    return packages
+
+
+def _lines(type_name: str, *, depth: int, comments: bool, nested_comments: bool) -> Iterator[str]:
+    """The lines that `show` prints."""
+    package = get_interface(type_name).type_name.partition("/")[0]
+    for number, text in enumerate(interface_source(type_name).splitlines(), 1):
+        shown, said = text.rstrip(), without_comment(text).strip()
+        if comments or said:
+            kept = shown if comments else said
+            yield f"{depth * chr(9)}{kept}" if kept else ""
+        if not said or said == "---":
+            continue
+        member, _ = parse_member(Line(type_name, number, text), without_comment(text), package)
+        if member.type.is_nested:
+            yield from _lines(
+                member.type.name,
+                depth=depth + 1,
+                comments=nested_comments,
+                nested_comments=nested_comments,
+            )

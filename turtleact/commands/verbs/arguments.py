@@ -1,0 +1,284 @@
+"""Arguments: how Typer is made to read them as they are typed, and what they mean.
+
+All values come in as plain text, for two reasons: the messages are ours, and Typer (0.29) would
+load pydantic for every other type, which takes longer than the rest of it.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Callable, Iterable, Sequence
+from difflib import get_close_matches
+from functools import partial
+from typing import Annotated, Any, Final, NamedTuple, Protocol, cast, runtime_checkable
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from turtleact.commands.interrupts import Interrupts
+from turtleact.errors import UsageError
+
+__all__ = [
+    "SETTINGS",
+    "ArgumentError",
+    "Connect",
+    "Domain",
+    "Interfaces",
+    "Job",
+    "Reach",
+    "Verb",
+    "Verbs",
+    "explain",
+    "new_group",
+    "number",
+    "only_one",
+    "quoted",
+    "reach",
+    "type_and_text",
+    "whole",
+]
+
+Job = Callable[[Interrupts], int]
+"""Runs a verb and gives the exit status."""
+
+ArgumentError = cast("type[Exception]", typer.BadParameter.__base__)  # click's UsageError
+
+_OPTION = re.compile(r"-[A-Za-z]\S*|--[A-Za-z][\w-]*(=.*)?", re.DOTALL)
+_TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+)+")
+_ENDPOINT = re.compile(r"[a-z][a-z0-9]*/\S+")
+_TEXT = "\0"
+"""Stands before an argument that begins with a dash and is no option; no argument can hold it."""
+
+SETTINGS: Final[dict[str, Any]] = {
+    "rich_markup_mode": None,
+    "add_completion": False,
+    "context_settings": {"help_option_names": ["-h", "--help"]},
+}
+"""What every group of verbs has in common."""
+
+MOST_DIGITS = 18
+"""A whole number has no more, so that it fits 64 bits."""
+
+MOST_DOMAIN = 232
+"""The highest domain; source: the ROS 2 article "The ROS_DOMAIN_ID"."""
+
+LONGEST_SHOWN = 60
+"""So many characters of an argument are repeated in an error."""
+
+NEAR = 0.75
+"""How much alike a mistyped option and the one that was meant are, from 0 to 1."""
+
+Connect = Annotated[
+    str | None,
+    typer.Option(
+        "--connect",
+        metavar="ENDPOINT",
+        help="Where the graph is, such as tcp/127.0.0.1:7447; several with commas between.",
+    ),
+]
+Domain = Annotated[
+    str | None,
+    typer.Option("--domain", metavar="N", help="The graph's domain; ROS_DOMAIN_ID if left out."),
+]
+Interfaces = Annotated[
+    str | None,
+    typer.Option(
+        "--interfaces", metavar="DIR", help="A folder with interfaces: PACKAGE/KIND/NAME.EXT."
+    ),
+]
+
+
+class Reach(NamedTuple):
+    """Which graph a verb looks at.
+
+    Attributes:
+        connect: The endpoints to connect to; none means to look around.
+        domain: Its domain, from 0 to `MOST_DOMAIN`.
+    """
+
+    connect: tuple[str, ...]
+    domain: int
+
+
+class Verb(TyperCommand):
+    """A command whose arguments may begin with a dash: ``-5`` or ``- x: 1`` is text."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
+        """Mark such arguments, so that they are not taken for options."""
+        params = self.get_params(ctx)
+        _keep_as_typed(params)
+        known = {option for param in params for option in param.opts} | {"--"}
+        marked = [
+            _TEXT + arg
+            if arg[:1] == "-" and arg not in known and not _OPTION.fullmatch(arg)
+            else arg
+            for arg in args
+        ]
+        return super().parse_args(ctx, marked)
+
+
+class Verbs(TyperGroup):
+    """A group of commands."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
+        """Read the group's own options."""
+        _keep_as_typed(self.get_params(ctx))
+        return super().parse_args(ctx, args)
+
+
+def new_group(name: str) -> typer.Typer:
+    """A group of verbs that prints what there is if no verb is given, as ros2 does."""
+
+    def print_help(ctx: typer.Context) -> None:
+        if ctx.invoked_subcommand is None:
+            typer.echo(ctx.get_help())
+
+    return typer.Typer(
+        name=name, cls=Verbs, callback=print_help, invoke_without_command=True, **SETTINGS
+    )
+
+
+# what the arguments mean
+
+
+def reach(connect: str | None, domain: str | None) -> Reach:
+    """The graph that ``--connect`` and ``--domain``, or ROS_DOMAIN_ID, mean.
+
+    Raises:
+        UsageError: if one of them is not what it should be.
+    """
+    endpoints = () if connect is None else tuple(connect.split(","))
+    for endpoint in endpoints:
+        if not _ENDPOINT.fullmatch(endpoint):
+            problem = f"is an endpoint such as tcp/127.0.0.1:7447, not {quoted(endpoint)}"
+            raise UsageError(f"--connect {problem}")
+    if domain is not None:
+        return Reach(endpoints, whole("--domain", domain, most=MOST_DOMAIN))
+    name = "ROS_DOMAIN_ID"
+    return Reach(endpoints, whole(name, os.environ.get(name) or "0", most=MOST_DOMAIN))
+
+
+def type_and_text(
+    type_name: str | None, text: str | None, what: str
+) -> tuple[str | None, str | None]:
+    """Tell TYPE from the text of a message: the first alone is a type if it looks like one.
+
+    Args:
+        type_name: What stands in the place of the type.
+        text: What stands in the place of the message.
+        what: What the message is called.
+
+    Raises:
+        UsageError: if there are two, and the first is no type.
+    """
+    if type_name is None or _TYPE_NAME.fullmatch(type_name):
+        return type_name, text
+    if text is None:
+        return None, type_name
+    raise UsageError(
+        f"'{type_name}' is not a type such as pkg/kind/Name; "
+        f'if it belongs to the {what}, quote the {what}: "{type_name} {text}"'
+    )
+
+
+def only_one(what: str, **given: bool) -> None:
+    """Refuse what is said in two ways.
+
+    Args:
+        what: What is said.
+        **given: Whether each way was taken, by its name: ``goal_file`` is ``--goal-file``.
+
+    Raises:
+        UsageError: if more than one was.
+    """
+    if sum(given.values()) > 1:
+        *names, last = (name if name.isupper() else f"--{name.replace('_', '-')}" for name in given)
+        ways = f"{', '.join(names)} and {last}"
+        raise UsageError(f"{what} is given twice: give one of {ways}")
+
+
+def number(option: str, text: str, *, unit: str = "seconds", is_positive: bool = False) -> float:
+    """A number of seconds, or of something else, of 0 or more.
+
+    Raises:
+        UsageError: if it is something else.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value >= 0 and (value or not is_positive)):
+        least = "above zero" if is_positive else "0 or more"
+        raise UsageError(f"{option} is a number of {unit}, {least}, not {quoted(text)}")
+    return value
+
+
+def whole(option: str, text: str, *, least: int = 0, most: int | None = None) -> int:
+    """A whole number.
+
+    Raises:
+        UsageError: if it is something else, or out of range.
+    """
+    if text.isascii() and text.isdigit() and len(text) <= MOST_DIGITS:
+        value = int(text)
+        if least <= value and (most is None or value <= most):
+            return value
+    digits = f"{least} or more, of {MOST_DIGITS} digits at most"
+    limits = digits if most is None else f"{least} to {most}"
+    raise UsageError(f"{option} is a whole number, {limits}, not {quoted(text)}")
+
+
+def quoted(text: str) -> str:
+    """What the user typed, in quotes, and not too much of it."""
+    return f"'{text}'" if len(text) <= LONGEST_SHOWN else f"'{text[:LONGEST_SHOWN]}…'"
+
+
+# getting along with Typer
+
+
+@runtime_checkable
+class _Suggesting(Protocol):
+    """What Typer's and click's NoSuchOption have in common."""
+
+    option_name: str
+    possibilities: Sequence[str] | None
+
+
+class _Parameter(Protocol):
+    """What Typer's and click's parameters have in common."""
+
+    required: bool
+    process_value: Callable[[typer.Context, object], object]
+
+
+def explain(error: Exception) -> str:
+    """Typer's message in our form, and where there is help."""
+    if isinstance(error, _Suggesting):  # Typer suggests --plain for --domain
+        error.possibilities = get_close_matches(
+            error.option_name, error.possibilities or (), cutoff=NEAR
+        )
+    message = str(getattr(error, "format_message", error.__str__)()).rstrip(".")
+    for marker in (_TEXT, repr(_TEXT)[1:-1]):
+        message = message.replace(marker, "")
+    context = getattr(error, "ctx", None)
+    path = context.command_path if context is not None else "turtleact"
+    return f"{message[:1].lower()}{message[1:]}\nTry '{path} --help'."
+
+
+def _keep_as_typed(params: Iterable[object]) -> None:
+    """Let no value pass through pydantic that needs no change."""
+    for param in cast("Iterable[_Parameter]", params):
+        param.process_value = partial(_take, param.process_value, param.required)
+
+
+def _take(
+    process: Callable[[typer.Context, object], object],
+    is_required: bool,
+    ctx: typer.Context,
+    value: object,
+) -> object:
+    if isinstance(value, str):
+        return value.removeprefix(_TEXT)
+    return None if value is None and not is_required else process(ctx, value)

@@ -1,0 +1,133 @@
+"""``send-goal``, as Typer sees it."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from turtleact.commands import VERBS
+from turtleact.commands.verbs.arguments import (
+    Interfaces,
+    Job,
+    Verb,
+    number,
+    only_one,
+    quoted,
+    type_and_text,
+    whole,
+)
+from turtleact.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtleact.commands.interrupts import Interrupts
+    from turtleact.commands.send_goal import View
+
+__all__ = ["EXAMPLES", "app", "send_goal"]
+
+EXAMPLES = """\b
+Examples:
+  turtleact send-goal fibonacci "order: 5" --feedback
+  turtleact send-goal patrol "targets: [{x: 9, y: 7}, {x: 5, y: 1}]"
+  turtleact send-goal go_to "{x: 2, y: 9}" --speed max --json
+"""
+
+_Name = Annotated[str, typer.Argument(metavar="NAME", help="The action, such as /patrol.")]
+_Type = Annotated[
+    str | None,
+    typer.Argument(metavar="TYPE", help="Its type, pkg/action/Name; asked of the graph."),
+]
+_Goal = Annotated[
+    str | None, typer.Argument(metavar="GOAL", help="The goal as YAML or JSON; {} if left out.")
+]
+_Feedback = Annotated[
+    bool, typer.Option("--feedback", "-f", help="Print each feedback message, and let it stand.")
+]
+_Timeout = Annotated[
+    str | None,
+    typer.Option(
+        "--timeout",
+        "-t",
+        metavar="SECONDS",
+        help="Cancel the goal if it takes longer; 0 leaves once it is accepted.",
+    ),
+]
+_Stdin = Annotated[bool, typer.Option("--stdin", help="Read the goal from stdin.")]
+_GoalFile = Annotated[
+    str | None, typer.Option("--goal-file", metavar="PATH", help="Read the goal from a file.")
+]
+_Json = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object a line, feedback included.")
+]
+_Plain = Annotated[bool, typer.Option("--plain", help="No live display, even on a terminal.")]
+_Speed = Annotated[
+    str, typer.Option(metavar="FACTOR", help="How fast time passes in the embedded world, or max.")
+]
+_Seed = Annotated[str, typer.Option(metavar="NUMBER", help="What its random choices begin with.")]
+_Embedded = Annotated[
+    bool, typer.Option("--embedded", help="Use an embedded world, as is done anyway.")
+]
+
+app = typer.Typer()
+
+
+@app.command("send-goal", cls=Verb, help=VERBS["send-goal"], epilog=EXAMPLES)
+def send_goal(
+    name: _Name,
+    type_name: _Type = None,
+    goal: _Goal = None,
+    *,
+    feedback: _Feedback = False,
+    timeout: _Timeout = None,
+    stdin: _Stdin = False,
+    goal_file: _GoalFile = None,
+    json: _Json = False,
+    plain: _Plain = False,
+    speed: _Speed = "1",
+    seed: _Seed = "0",
+    embedded: _Embedded = False,
+    interfaces: Interfaces = None,
+) -> Job:
+    """``send-goal`` and ``action send_goal``."""
+    del embedded  # there is no other world to send to
+    type_name, goal = type_and_text(type_name, goal, "goal")
+    view = _view(json=json, plain=plain)
+    seconds = None if timeout is None else number("--timeout", timeout)
+    factor = speed if speed == "max" else _factor(speed)
+    first = whole("--seed", seed)
+    only_one("the goal", GOAL=goal is not None, stdin=stdin, goal_file=goal_file is not None)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands.goal_text import GoalText
+        from turtleact.commands.interfaces import make_known
+        from turtleact.commands.send_goal import Order, run
+
+        text = GoalText.read(goal, stdin=stdin, path=goal_file, interrupts=interrupts)
+        make_known(interfaces)
+        order = Order(name, type_name, text, feedback, seconds, view, factor, first)
+        return run(order, interrupts)
+
+    return job
+
+
+def _view(*, json: bool, plain: bool) -> View:
+    if json and plain:
+        raise UsageError("give --json or --plain, not both")
+    return "json" if json else "plain" if plain else "auto"
+
+
+def _factor(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0):
+        raise UsageError(f"--speed is a number above zero, or max, not {quoted(text)}")
+    if value > 1:
+        from turtleact.clock import FASTEST
+
+        if value > FASTEST:
+            problem = f"is {FASTEST:g} at most, not {quoted(text)}; max is as fast as it computes"
+            raise UsageError(f"--speed {problem}")
+    return value
