@@ -169,7 +169,14 @@ def test_help_is_printed(arguments, capsys):
         "  -h, --help  Show this message and exit.\n\n"
         "Commands:\n"
         "  send-goal   Send a goal, follow it to its end, print the result.\n"
-        "  action      The verbs of 'ros2 action': send_goal.\n"
+        "  goals       List the goals that servers hold.\n"
+        "  cancel      Cancel goals, whoever has sent them.\n"
+        "  watch       Print the feedback of a goal, then its result.\n"
+        "  result      Print the result of a goal, once there is one.\n"
+        "  action      The verbs of 'ros2 action': send_goal, list, info, type, find, echo.\n"
+        "  topic       The verbs of 'ros2 topic': list, info, type, find, echo, hz, pub.\n"
+        "  service     The verbs of 'ros2 service': list, info, type, find, call.\n"
+        "  node        The verbs of 'ros2 node': list, info.\n"
         "  interface   The verbs of 'ros2 interface': list, package, packages, proto, show.\n"
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import subprocess
@@ -13,10 +14,11 @@ from typing import NamedTuple
 import pytest
 
 from turtleact import cli
-from turtleact.commands import send_goal
+from turtleact.commands import graph, send_goal
 from turtleact.commands.interrupts import SIGNALS, Interrupts
 
 STAGE = Path(__file__).with_name("stage.py")
+GRAPHS = Path(__file__).with_name("graphs.py")
 
 
 class Ran(NamedTuple):
@@ -28,10 +30,10 @@ class Ran(NamedTuple):
 
 
 class Program:
-    """A command line in a process of its own, on the stage unless ``module`` is given."""
+    """A command line in a process of its own, on the stage unless something else is given."""
 
-    def __init__(self, *arguments, module=False, warnings="error"):
-        program = ["-m", "turtleact"] if module else [STAGE]
+    def __init__(self, *arguments, module=False, script=STAGE, warnings="error"):
+        program = ["-m", "turtleact"] if module else [script]
         self.process = subprocess.Popen(
             [sys.executable, "-W", warnings, *program, *arguments],
             stdout=subprocess.PIPE,
@@ -63,10 +65,20 @@ class Program:
 @pytest.fixture(scope="session")
 def stage():
     """The module ``stage.py``."""
-    spec = spec_from_file_location("stage", STAGE)
+    return loaded(STAGE)
+
+
+@pytest.fixture(scope="session")
+def graphs():
+    """The module ``graphs.py``."""
+    return loaded(GRAPHS)
+
+
+def loaded(path):
+    spec = spec_from_file_location(path.stem, path)
     assert spec is not None
     assert spec.loader is not None
-    module = sys.modules["stage"] = module_from_spec(spec)
+    module = sys.modules[path.stem] = module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
 
@@ -98,6 +110,28 @@ def on_stage(turtleact, stage, monkeypatch):
     """The same in the world of ``stage.py``."""
     monkeypatch.setattr(send_goal, "embedded_world", stage.world)
     return turtleact
+
+
+@pytest.fixture
+def on_graph(turtleact, graphs, interrupts, monkeypatch):
+    """Runs a command line in this process, on a graph of ``graphs.py``; signals are taken."""
+    interrupts.install()
+
+    def run(nodes, *arguments):
+        monkeypatch.setattr(graph, "open_transport", graphs.open_graph(nodes))
+        return turtleact(*arguments)
+
+    return run
+
+
+@pytest.fixture
+def stdin_of(monkeypatch):
+    """Puts bytes on standard input."""
+
+    def put(data):
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
+
+    return put
 
 
 @pytest.fixture

@@ -10,6 +10,8 @@ from typer.main import get_command
 
 from turtleact.commands import VERBS, send_goal, verbs
 from turtleact.commands.goal_text import GoalText
+from turtleact.commands.verbs.arguments import Reach, reach
+from turtleact.commands.verbs.goals import moment
 from turtleact.errors import UsageError
 
 USAGE = [
@@ -38,6 +40,37 @@ USAGE = [
     (["send-gaol"], "no such command 'send-gaol'. Did you mean 'send-goal'?"),
     (["--frobnicate"], "no such option: --frobnicate"),
     (["send-goal", "--domain"], r"no such option: --domain\n"),
+    (["topic", "list", "--domain", "233"], "--domain is a whole number, 0 to 232, not '233'"),
+    (["topic", "list", "--domain", "-1"], "--domain is a whole number, 0 to 232, not '-1'"),
+    (["topic", "list", "--connect", "localhost"], "--connect is an endpoint .* not 'localhost'"),
+    (["topic", "list", "--connect", "tcp/a:1,"], "--connect is an endpoint .* not ''"),
+    (["topic", "echo", "x", "--field", "a..b"], r"--field is names with dots .* not 'a\.\.b'"),
+    (["topic", "echo", "x", "-l", "many"], "--truncate-length is a whole number, 0 or more"),
+    (["topic", "echo", "x", "--timeout", "-1"], "--timeout is a number of seconds, 0 or more"),
+    (["topic", "echo", "x", "--qos-depth", "0"], "--qos-depth is a whole number, 1 or more"),
+    (["topic", "echo", "x", "--qos-durability", "no"], "is volatile or transient_local, not 'no'"),
+    (["topic", "echo", "x", "--qos-reliability", "no"], "is reliable or best_effort, not 'no'"),
+    (["topic", "hz", "x", "--window", "0"], "--window is a whole number, 1 or more, .* not '0'"),
+    (["topic", "pub", "x", "a/b", "{}", "-r", "0"], "--rate is .* a second, above zero, not '0'"),
+    (["topic", "pub", "x", "a/b", "{}", "-1", "-t", "2"], "give one of --once and --times"),
+    (["topic", "pub", "x", "a/b", "{}", "--stdin"], "give one of VALUES and --stdin"),
+    (["topic", "pub", "x", "data:", "5"], 'quote the message: "data: 5"'),
+    (["service", "call", "x", "a/b", "{}", "-r", "0"], "--rate is a number of calls a second"),
+    (["service", "call", "x", "a/b", "{}", "--stdin"], "the request is given twice"),
+    (["cancel"], "give the ids of goals, or --all"),
+    (["cancel", "71a"], "'71a' is no goal id: it has 32 hexadecimal digits"),
+    (["cancel", "/patrol"], "'/patrol' is no goal id"),
+    (["cancel", "--all", "--before", "1"], "give --all or --before, not both"),
+    (["cancel", "--all", "a", "b"], "--all and --before take one action"),
+    (["cancel", "--before", "noon"], "--before is a time such as .*, not 'noon'"),
+    (["cancel", "--before", "0"], "--before is a time"),
+    (["cancel", "--before", "-1"], "--before is a time"),
+    (["cancel", "--before", "nan"], "--before is a time"),
+    (["cancel", "--before", "inf"], "--before is a time"),
+    (["cancel", "--before", "9" * 10], "--before is a time"),
+    (["cancel", "--before", "9999-12-31T23:59:59-23:00"], "--before is a time"),
+    (["watch", "g" * 32], "is no goal id"),
+    (["result", "0" * 33], "is no goal id"),
     (["action", "send_gaol"], "Did you mean 'send_goal'?"),
 ]
 
@@ -173,3 +206,39 @@ def test_arguments_are_read_without_pydantic():
         "parse(['send-goal', 'x', 'pkg/Name', '{}', '-t', '1']); print('pydantic' in sys.modules)"
     )
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "False\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "nanoseconds"),
+    [
+        ("1795221794.397853814", 1795221794_397853814),
+        ("1", 10**9),
+        ("1.5", 1_500000000),
+        ("2026-11-21T20:15:00Z", 1795292100 * 10**9),
+        ("2026-11-21T21:15:00.5+01:00", 1795292100_500000000),
+    ],
+)
+def test_a_moment_is_seconds_or_a_date(text, nanoseconds):
+    assert moment(text) == nanoseconds
+
+
+@pytest.mark.parametrize(
+    ("connect", "domain", "environment", "expected"),
+    [
+        (None, None, "", Reach((), 0)),
+        (None, None, "7", Reach((), 7)),
+        (None, "0", "7", Reach((), 0)),
+        ("tcp/a:1,udp/[::1]:7447", None, "", Reach(("tcp/a:1", "udp/[::1]:7447"), 0)),
+    ],
+)
+def test_the_graph_is_said_by_options_or_by_the_environment(
+    monkeypatch, connect, domain, environment, expected
+):
+    monkeypatch.setenv("ROS_DOMAIN_ID", environment)
+    assert reach(connect, domain) == expected
+
+
+def test_a_domain_of_the_environment_that_makes_no_sense_is_named(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "many")
+    with pytest.raises(UsageError, match="ROS_DOMAIN_ID is a whole number, 0 to 232, not 'many'"):
+        reach(None, None)

@@ -12,7 +12,14 @@ __all__ = ["VERBS"]
 
 VERBS: Final = {
     "send-goal": "Send a goal, follow it to its end, print the result.",
-    "action": "The verbs of 'ros2 action': send_goal.",
+    "goals": "List the goals that servers hold.",
+    "cancel": "Cancel goals, whoever has sent them.",
+    "watch": "Print the feedback of a goal, then its result.",
+    "result": "Print the result of a goal, once there is one.",
+    "action": "The verbs of 'ros2 action': send_goal, list, info, type, find, echo.",
+    "topic": "The verbs of 'ros2 topic': list, info, type, find, echo, hz, pub.",
+    "service": "The verbs of 'ros2 service': list, info, type, find, call.",
+    "node": "The verbs of 'ros2 node': list, info.",
     "interface": "The verbs of 'ros2 interface': list, package, packages, proto, show.",
 }
 """What there is, and what it does."""

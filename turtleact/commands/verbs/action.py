@@ -2,11 +2,138 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
 from turtleact.commands import VERBS
-from turtleact.commands.verbs.arguments import Verb, new_group
+from turtleact.commands.verbs.arguments import (
+    Connect,
+    Domain,
+    Interfaces,
+    Job,
+    Verb,
+    new_group,
+    reach,
+)
 from turtleact.commands.verbs.send_goal import EXAMPLES, send_goal
+
+if TYPE_CHECKING:
+    from turtleact.commands.interrupts import Interrupts
 
 __all__ = ["app"]
 
+_Name = Annotated[str, typer.Argument(metavar="NAME", help="The action, such as /patrol.")]
+_Type = Annotated[str, typer.Argument(metavar="TYPE", help="The type, pkg/action/Name.")]
+_ShowTypes = Annotated[bool, typer.Option("--show-types", "-t", help="Show the types, too.")]
+_CountActions = Annotated[
+    bool, typer.Option("--count-actions", "-c", help="Only print how many there are.")
+]
+_Count = Annotated[bool, typer.Option("--count", "-c", help="Only print how many there are.")]
+
 app = new_group("action")
 app.command("send_goal", cls=Verb, help=VERBS["send-goal"], epilog=EXAMPLES)(send_goal)
+
+
+@app.command("list", cls=Verb, help="List the actions that there are.")
+def list_(
+    *,
+    types: _ShowTypes = False,
+    count: _CountActions = False,
+    connect: Connect = None,
+    domain: Domain = None,
+) -> Job:
+    """``action list``."""
+    where = reach(connect, domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import graph, listing
+
+        return graph.run(
+            where,
+            lambda node: listing.print_list(node, "action", types=types, count=count, hidden=False),
+            interrupts,
+        )
+
+    return job
+
+
+@app.command("info", cls=Verb, help="Print which nodes serve an action, or are its clients.")
+def info(
+    name: _Name,
+    *,
+    types: _ShowTypes = False,
+    count: _Count = False,
+    connect: Connect = None,
+    domain: Domain = None,
+) -> Job:
+    """``action info``."""
+    where = reach(connect, domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import graph, listing
+
+        return graph.run(
+            where,
+            lambda node: listing.print_action_info(node, name, types=types, count=count),
+            interrupts,
+        )
+
+    return job
+
+
+@app.command("type", cls=Verb, help="Print the type of an action.")
+def type_(name: _Name, *, connect: Connect = None, domain: Domain = None) -> Job:
+    """``action type``."""
+    where = reach(connect, domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import graph, listing
+
+        return graph.run(where, lambda node: listing.print_type(node, "action", name), interrupts)
+
+    return job
+
+
+@app.command("find", cls=Verb, help="List the actions of a type.")
+def find(
+    type_name: _Type,
+    *,
+    count: _CountActions = False,
+    connect: Connect = None,
+    domain: Domain = None,
+) -> Job:
+    """``action find``."""
+    where = reach(connect, domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import graph, listing
+
+        return graph.run(
+            where,
+            lambda node: listing.print_found(node, "action", type_name, count=count, hidden=False),
+            interrupts,
+        )
+
+    return job
+
+
+@app.command("echo", cls=Verb, help="Print the feedback and the states of all goals.")
+def echo(
+    name: _Name,
+    *,
+    connect: Connect = None,
+    domain: Domain = None,
+    interfaces: Interfaces = None,
+) -> Job:
+    """``action echo``."""
+    where = reach(connect, domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import goals, graph
+        from turtleact.commands.interfaces import make_known
+
+        make_known(interfaces)
+        return graph.run(where, lambda node: goals.echo(node, name), interrupts)
+
+    return job

@@ -281,4 +281,6 @@ def _take(
 ) -> object:
     if isinstance(value, str):
         return value.removeprefix(_TEXT)
+    if isinstance(value, list | tuple) and value:
+        return [str(each).removeprefix(_TEXT) for each in value]
     return None if value is None and not is_required else process(ctx, value)

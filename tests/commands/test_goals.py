@@ -1,0 +1,379 @@
+"""``goals``, ``cancel``, ``watch``, ``result`` and ``action echo``: goals that others have sent."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+import anyio
+import pytest
+
+from turtleact import QoS, open_node
+from turtleact.clock import EPOCH
+from turtleact.commands import goals as verbs
+from turtleact.commands import rate
+from turtleact.interfaces import get_interface
+from turtleact.interfaces.standard import (
+    UUID,
+    CancelGoal,
+    GoalInfo,
+    GoalStatusArray,
+    GoalStatusMessage,
+    Time,
+)
+from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
+from turtleact.transports import MemoryTransport
+
+FIBONACCI = "example_interfaces/action/Fibonacci"
+interface: Callable[[str], Any] = get_interface
+TABLE = """\
+id                                action   state      age         client
+71a906369b85473ab15bb0160400f6a4  /hold    EXECUTING  1 min 35 s  /boss
+0d4fd2a0d2b74b3f9a3f1f7c2f4f8f2e  /refuse  EXECUTING  1 min 34 s  /boss
+3c87eb979ec646d88d02a52e6a57ee59  /count   SUCCEEDED  1 min 33 s  one of 2
+c53d3439a0e348a6b910e9028279a17a  /count   EXECUTING  1 min 32 s  one of 2
+fbda737307334cbbb22f0a599bd12cac  /fail    ABORTED    1 min 31 s  /aide
+71a9ffff9b85473ab15bb0160400f6a4  /hold    EXECUTING  1.0 s       /boss
+"""
+
+
+# --- goals ----------------------------------------------------------------------------------
+
+
+def test_the_goals_of_all_servers_are_listed_in_the_order_of_their_acceptance(on_graph, graphs):
+    assert on_graph(graphs.goals, "goals") == (0, TABLE, "")
+
+
+def test_the_goals_of_one_action_are_listed(on_graph, graphs):
+    lines = on_graph(graphs.goals, "goals", "refuse").out.splitlines()
+    assert [line.split()[:3] for line in lines[1:]] == [
+        [graphs.IDS["refuse"], "/refuse", "EXECUTING"]
+    ]
+    assert lines[0].index("action") == lines[1].index("/refuse")
+
+
+def test_goals_may_be_listed_as_json(on_graph, graphs):
+    [told] = map(json.loads, on_graph(graphs.goals, "goals", "fail", "--json").out.splitlines())
+    assert told == {
+        "id": graphs.IDS["fail"],
+        "action": "/fail",
+        "type": FIBONACCI,
+        "state": "ABORTED",
+        "stamp": {"sec": EPOCH // 10**9 + 4, "nanosec": 0},
+        "age": 91.0,
+        "clients": ["/aide"],
+    }
+
+
+def test_no_goals_are_noted(on_graph, graphs):
+    ran = on_graph(graphs.fibonacci, "goals")
+    assert ran == (0, "", "turtleact: no server in reach holds a goal\n")
+    assert on_graph(graphs.fibonacci, "goals", "--json").out == ""
+
+
+def test_an_action_that_nobody_serves_is_an_error_that_names_the_nearest(on_graph, graphs):
+    ran = on_graph(graphs.goals, "goals", "cuont")
+    assert (ran.status, ran.out) == (1, "")
+    assert ran.err == "turtleact: action '/cuont': nobody serves it, did you mean '/count'?\n"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0.04, "0.0 s"),
+        (59.9, "59.9 s"),
+        (60, "1 min 0 s"),
+        (3599, "59 min 59 s"),
+        (7260, "2 h 1 min"),
+    ],
+)
+def test_an_age_is_told_in_two_units(seconds, text):
+    assert verbs._duration(seconds) == text
+
+
+# --- peers that do things their own way -----------------------------------------------------
+
+STRANGER = bytes(range(16))
+
+
+def peer(*statuses, says=True, cancel_code=0, canceling=()):
+    """An action server of another make: its endpoints, and goals of these states."""
+
+    @asynccontextmanager
+    async def nodes(transport):
+        async with open_node("peer", transport=transport) as node:
+            send_goal = interface(f"{FIBONACCI}_SendGoal")
+            get_result = interface(f"{FIBONACCI}_GetResult")
+            node.service(send_goal, "/far/_action/send_goal", lambda _: send_goal.Response())
+            node.service(get_result, "/far/_action/get_result", lambda _: get_result.Response())
+            node.service(
+                CancelGoal,
+                "/far/_action/cancel_goal",
+                lambda _: CancelGoal.Response(
+                    cancel_code, [GoalInfo(UUID(goal_id)) for goal_id in canceling]
+                ),
+            )
+            node.publisher(interface(f"{FIBONACCI}_FeedbackMessage"), "/far/_action/feedback")
+            latched = QoS(depth=1, durability="transient_local")
+            status = node.publisher(GoalStatusArray, "/far/_action/status", latched)
+            if says:
+                info = GoalInfo(UUID(STRANGER), Time(1, 500))
+                status.publish(GoalStatusArray([GoalStatusMessage(info, s) for s in statuses]))
+            yield
+
+    return nodes
+
+
+def test_a_server_that_has_told_of_no_goal_is_not_waited_for_long(on_graph):
+    ran = on_graph(peer(says=False), "goals")
+    assert ran == (0, "", "turtleact: no server in reach holds a goal\n")
+
+
+def test_a_state_that_is_none_is_unknown(on_graph):
+    lines = on_graph(peer(77), "goals").out.splitlines()
+    assert lines[1].split()[2] == "UNKNOWN"
+    assert lines[1].endswith("gone")
+
+
+def test_a_goal_that_is_gone_when_its_result_is_asked_for_is_an_error(on_graph):
+    ran = on_graph(peer(2), "result", STRANGER.hex())
+    assert (ran.status, ran.out) == (1, "")
+    assert ran.err == (
+        "turtleact: the goal is not known to the server: "
+        f"'/far' holds no goal {STRANGER.hex()} any more\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("code", "reason"),
+    [
+        (1, "the server refuses"),
+        (2, "the server does not hold it any more"),
+        (3, "it has ended"),
+    ],
+)
+def test_the_reason_why_a_goal_is_not_canceled_is_that_of_the_server(on_graph, code, reason):
+    ran = on_graph(peer(2, cancel_code=code), "cancel", STRANGER.hex())
+    assert ran == (1, f"{STRANGER.hex()} of /far: not canceled: {reason}\n", "")
+
+
+# --- cancel ---------------------------------------------------------------------------------
+
+
+def test_goals_are_canceled_by_the_beginnings_of_their_ids(on_graph, graphs):
+    ran = on_graph(graphs.goals, "cancel", "71a90636", "C53D3439-a0e3")
+    assert ran == (
+        0,
+        f"{graphs.IDS['hold']} of /hold: canceling\n{graphs.IDS['count']} of /count: canceling\n",
+        "",
+    )
+
+
+@pytest.mark.parametrize(
+    ("known_as", "told"),
+    [
+        ("refuse", " of /refuse: not canceled: the server refuses"),
+        ("done", " of /count: not canceled: it has ended SUCCEEDED"),
+        ("fail", " of /fail: not canceled: it has ended ABORTED"),
+    ],
+)
+def test_what_is_not_canceled_is_told_with_the_reason(on_graph, graphs, known_as, told):
+    goal_id = graphs.IDS[known_as]
+    assert on_graph(graphs.goals, "cancel", goal_id) == (1, f"{goal_id}{told}\n", "")
+
+
+def test_a_goal_that_nobody_holds_does_not_keep_the_others(on_graph, graphs):
+    ran = on_graph(graphs.goals, "cancel", "abcdef", graphs.IDS["hold"])
+    assert ran == (
+        1,
+        "abcdef: not canceled: no server in reach holds it\n"
+        f"{graphs.IDS['hold']} of /hold: canceling\n",
+        "",
+    )
+
+
+def test_the_beginning_of_several_ids_cancels_nothing(on_graph, graphs):
+    ran = on_graph(graphs.goals, "cancel", graphs.IDS["count"], "71a9")
+    assert (ran.status, ran.out) == (2, "")
+    assert ran.err == (
+        "turtleact: '71a9' is the beginning of several goals: "
+        f"{graphs.IDS['hold']}, {graphs.IDS['later']}\n"
+    )
+
+
+def test_all_goals_are_canceled(on_graph, graphs):
+    ran = on_graph(graphs.goals, "cancel", "--all")
+    assert ran.status == 1
+    assert ran.out == (
+        f"{graphs.IDS['count']} of /count: canceling\n"
+        f"{graphs.IDS['hold']} of /hold: canceling\n"
+        f"{graphs.IDS['later']} of /hold: canceling\n"
+        f"{graphs.IDS['refuse']} of /refuse: not canceled: the server refuses, or it has ended\n"
+    )
+
+
+def test_all_goals_of_an_action_are_canceled(on_graph, graphs):
+    ran = on_graph(graphs.goals, "cancel", "--all", "count")
+    assert ran == (0, f"{graphs.IDS['count']} of /count: canceling\n", "")
+
+
+def test_goals_are_canceled_up_to_a_moment(on_graph, graphs):
+    seconds = EPOCH // 10**9 + 50
+    ran = on_graph(graphs.goals, "cancel", "hold", "--before", str(seconds))
+    assert ran == (0, f"{graphs.IDS['hold']} of /hold: canceling\n", "")
+
+
+def test_no_goal_to_cancel_is_noted(on_graph, graphs):
+    ran = on_graph(graphs.goals, "cancel", "--all", "fail")
+    assert ran == (0, "", "turtleact: there is no goal to cancel\n")
+
+
+def test_a_goal_that_is_canceling_already_goes_on_doing_so(on_graph):
+    ran = on_graph(peer(3), "cancel", "--all")
+    assert ran == (0, f"{STRANGER.hex()} of /far: canceling\n", "")
+
+
+# --- watch, result --------------------------------------------------------------------------
+
+
+def test_a_goal_is_watched_to_its_end(on_graph, graphs):
+    ran = on_graph(graphs.in_turn(graphs.fibonacci, sent(4)), "watch", "c53d")
+    assert (ran.status, ran.err) == (0, "")
+    assert ran.out == (
+        "Feedback:\n    sequence:\n    - 0\n    - 1\n    - 1\n    - 2\n\n"
+        "Feedback:\n    sequence:\n    - 0\n    - 1\n    - 1\n    - 2\n    - 3\n\n"
+        "Result:\n    sequence:\n    - 0\n    - 1\n    - 1\n    - 2\n    - 3\n\n"
+        "Goal finished with status: SUCCEEDED\n"
+    )
+
+
+def sent(order, wait=1.5):
+    """A goal and another one that were sent to the server of the tutorials, some time ago."""
+
+    @asynccontextmanager
+    async def nodes(transport):
+        async with open_node("boss", transport=transport) as node:
+            client = node.action_client(Fibonacci, "/fibonacci")
+            for goal_id in (bytes.fromhex("c53d" + 28 * "0"), bytes.fromhex("abcd" + 28 * "0")):
+                async with client.send_goal(Fibonacci.Goal(order=order), goal_id=goal_id) as goal:
+                    goal.detach()
+                await node.clock.sleep(0.125)
+            await node.clock.sleep(wait)
+            yield
+
+    return nodes
+
+
+def test_a_result_is_waited_for_without_feedback(on_graph, graphs):
+    ran = on_graph(graphs.in_turn(graphs.fibonacci, sent(3)), "result", "c53d")
+    assert ran.out.startswith("Result:\n    sequence:\n    - 0\n")
+    assert ran.out.endswith("\nGoal finished with status: SUCCEEDED\n")
+
+
+def test_a_result_that_is_kept_is_printed_at_once(on_graph, graphs):
+    ran = on_graph(graphs.goals, "result", graphs.IDS["done"])
+    assert ran == (
+        0,
+        "Result:\n    sequence:\n    - 0\n    - 1\n\nGoal finished with status: SUCCEEDED\n",
+        "",
+    )
+
+
+def test_the_status_tells_of_a_goal_that_was_aborted(on_graph, graphs):
+    ran = on_graph(graphs.goals, "result", graphs.IDS["fail"])
+    assert ran.status == 4
+    assert ran.out.endswith("\nGoal finished with status: ABORTED\n")
+
+
+def test_the_status_tells_of_a_goal_that_was_canceled(on_graph, graphs):
+    @asynccontextmanager
+    async def canceling(transport):
+        async def cancel():
+            await transport.clock.sleep(2)
+            async with open_node("other", transport=transport) as node:
+                await node.action_client(Fibonacci, "/hold").cancel_all()
+
+        async with anyio.create_task_group() as beside:
+            beside.start_soon(cancel)
+            yield
+
+    ran = on_graph(graphs.in_turn(graphs.goals, canceling), "watch", graphs.IDS["hold"])
+    assert ran.status == 5
+    assert ran.out.endswith("\nGoal finished with status: CANCELED\n")
+
+
+def test_ctrl_c_lets_go_of_a_goal_that_is_watched(on_graph, graphs):
+    nodes = graphs.in_turn(graphs.goals, graphs.interrupted(5))
+    assert on_graph(nodes, "watch", graphs.IDS["hold"]) == (130, "", "")
+
+
+@pytest.mark.parametrize("verb", ["watch", "result"])
+def test_a_goal_that_nobody_holds_is_an_error(on_graph, graphs, verb):
+    ran = on_graph(graphs.goals, verb, "abcdef")
+    assert (ran.status, ran.out) == (1, "")
+    assert "no server in reach holds abcdef; 'turtleact goals' lists what is held" in ran.err
+
+
+def test_feedback_that_has_come_with_the_result_is_printed_before_it(on_graph, graphs):
+    @asynccontextmanager
+    async def nodes(transport):
+        feedback_message = interface(f"{FIBONACCI}_FeedbackMessage")
+        get_result = interface(f"{FIBONACCI}_GetResult")
+        async with peer(2)(transport), open_node("late", transport=transport) as node:
+            feedback = node.publisher(feedback_message, "/far/_action/feedback")
+            transport._handlers.pop(("/far/_action/get_result", f"{FIBONACCI}_GetResult"))
+
+            def publish():
+                for goal_id in (STRANGER, bytes(15) + b"x"):
+                    parts = Fibonacci.Feedback(sequence=[goal_id[15]])
+                    feedback.publish(feedback_message(UUID(goal_id), parts))
+
+            async def answer(_):
+                await anyio.sleep(0)
+                asyncio.get_running_loop().call_soon(publish)  # when the caller is woken already
+                return get_result.Response(status=4, result=Fibonacci.Result())
+
+            node.service(get_result, "/far/_action/get_result", answer)
+            yield
+
+    assert on_graph(nodes, "watch", STRANGER.hex()).out == (
+        "Feedback:\n    sequence:\n    - 15\n\n"
+        "Result:\n    sequence: []\n\nGoal finished with status: SUCCEEDED\n"
+    )
+
+
+# --- action echo ----------------------------------------------------------------------------
+
+
+def test_the_feedback_and_the_states_of_all_goals_are_echoed(on_graph, graphs):
+    nodes = graphs.in_turn(graphs.fibonacci, sent(2, wait=0.5), graphs.interrupted(3))
+    first, second = "c53d" + 28 * "0", "abcd" + 28 * "0"
+    ran = on_graph(nodes, "action", "echo", "fibonacci")
+    assert (ran.status, ran.err) == (130, "")
+    documents = ran.out.split("---\n")
+    assert documents[0] == f"goal_id: '{first}'\nstatus: EXECUTING\n"
+    assert documents.count(f"goal_id: '{second}'\nstatus: SUCCEEDED\n") == 1
+    assert f"goal_id: '{second}'\nfeedback:\n  sequence:\n  - 0\n  - 1\n  - 1\n" in documents
+    assert len(documents) == 2 * 3 + 1
+
+
+def test_the_feedback_of_an_action_that_nobody_serves_is_an_error(on_graph, graphs):
+    ran = on_graph(graphs.fibonacci, "action", "echo", "fibonaci")
+    assert (
+        ran.err == "turtleact: action '/fibonaci': nobody serves it, did you mean '/fibonacci'?\n"
+    )
+
+
+async def test_what_echoes_and_measures_ends_with_its_node(graphs):
+    transport = MemoryTransport()
+    async with (
+        graphs.fibonacci(transport),
+        anyio.create_task_group() as beside,
+        open_node("viewer", transport=transport) as viewer,
+    ):
+        beside.start_soon(verbs.echo, viewer, "/fibonacci")
+        beside.start_soon(rate.measure, viewer, "/fibonacci/_action/feedback", 5)
+        await anyio.wait_all_tasks_blocked()

@@ -1,0 +1,101 @@
+"""How a verb reaches the graph, and how the looking ends."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import anyio
+import pytest
+
+from turtleact.commands import graph
+
+GRAPHS = Path(__file__).with_name("graphs.py")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "where"),
+    [
+        ((), "in domain 0"),
+        (("--domain", "3"), "in domain 3"),
+        (("--connect", "tcp/a:1,tcp/b:2"), "at tcp/a:1, tcp/b:2"),
+    ],
+)
+def test_one_line_says_that_no_graph_is_in_reach(turtleact, monkeypatch, arguments, where):
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    ran = turtleact("topic", "list", *arguments)
+    assert (ran.status, ran.out) == (1, "")
+    assert ran.err.startswith(f"turtleact: no ROS 2 graph in reach {where}: ")
+    assert ran.err.count("\n") == 1
+
+
+def test_a_signal_ends_the_opening_of_a_graph(turtleact, interrupts, monkeypatch):
+    @asynccontextmanager
+    async def open_transport(reach):
+        signal.raise_signal(signal.SIGTERM)
+        await anyio.sleep_forever()
+        yield
+
+    interrupts.install()
+    monkeypatch.setattr(graph, "open_transport", open_transport)
+    assert turtleact("topic", "list") == (143, "", "")
+
+
+VERBS = [
+    ["topic", "echo", "/turtle1/pose"],
+    ["topic", "hz", "/turtle1/pose"],
+    ["topic", "hz", "/nothing"],
+    ["topic", "pub", "/turtle1/cmd_vel"],
+    ["topic", "pub", "-w", "2", "/turtle1/cmd_vel"],
+    ["action", "echo", "/turtle1/rotate_absolute"],
+    ["service", "call", "-r", "1", "/clear"],
+    ["service", "call", "/nothing", "std_srvs/srv/Empty"],
+]
+
+
+@pytest.mark.parametrize("arguments", VERBS, ids=" ".join)
+def test_ctrl_c_ends_a_verb_that_has_no_end(on_graph, graphs, arguments):
+    nodes = graphs.in_turn(graphs.turtlesim, graphs.interrupted(5))
+    ran = on_graph(nodes, *arguments)
+    assert ran.status == 130
+    assert "Error" not in ran.err
+
+
+def test_ctrl_c_ends_a_program_that_echoes(start):
+    program = start("topic", "echo", "/turtle1/pose", script=GRAPHS)
+    program.wait_for("---")
+    program.send(signal.SIGINT)
+    ran = program.end()
+    assert (ran.status, ran.err) == (130, "")
+
+
+def test_a_program_that_echoes_may_lose_its_reader():
+    shell = subprocess.run(
+        [
+            "bash",
+            "-c",
+            '"$0" -W error "$1" topic echo /turtle1/pose | head -1; echo "${PIPESTATUS[0]}"',
+            sys.executable,
+            GRAPHS,
+        ],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=30,
+        env=os.environ | {"PYTHONUNBUFFERED": ""},
+    )
+    assert (shell.stdout, shell.stderr) == ("x: 5.544444561004639\n141\n", "")
+
+
+def test_a_verb_imports_neither_numpy_nor_rich():
+    code = (
+        "import sys; sys.argv = ['graphs', 'topic', 'list']; import runpy, atexit;"
+        "atexit.register(lambda: print(sorted({'numpy', 'rich'} & {*sys.modules})));"
+        f"runpy.run_path({str(GRAPHS)!r}, run_name='__main__')"
+    )
+    out = subprocess.check_output([sys.executable, "-c", code], text=True)
+    assert out.splitlines()[-1] == "[]"

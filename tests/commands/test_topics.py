@@ -1,0 +1,520 @@
+"""``topic echo``, ``hz`` and ``pub``; ``service call``: what goes over the graph."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from collections.abc import Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import anyio
+import pytest
+
+from turtleact import Message, QoS, open_node
+from turtleact.commands.policies import Policies
+from turtleact.commands.python_text import python_text
+from turtleact.commands.rate import Rate
+from turtleact.interfaces import array, float64, get_interface, int32, load_interface, string
+from turtleact.interfaces.standard import UUID, GoalInfo, GoalStatusArray, GoalStatusMessage, Twist
+
+GOLDEN = {
+    case["case"]: case
+    for case in json.loads(Path(__file__).with_name("golden").joinpath("verbs.json").read_text())
+}
+interface: Callable[[str], Any] = get_interface
+
+
+def arguments_of(name):
+    return shlex.split(GOLDEN[name]["command"])[1:]
+
+
+def words(line):
+    return line.split()
+
+
+def publishing(topic, *messages, latched=True, period=0.0, wait=0.0):
+    """A node that publishes messages, one after another, and then waits."""
+
+    @asynccontextmanager
+    async def nodes(transport):
+        async with open_node("talker", transport=transport) as node:
+            durability: Any = "transient_local" if latched else "volatile"
+            qos = QoS(depth=max(len(messages), 1), durability=durability)
+            publisher = node.publisher(type(messages[0]), topic, qos)
+
+            async def publish():
+                await node.clock.sleep(wait)
+                for message in messages:
+                    publisher.publish(message)
+                    await node.clock.sleep(period)
+
+            async with anyio.create_task_group() as beside:
+                if period or wait:
+                    beside.start_soon(publish)
+                else:
+                    await publish()
+                yield node
+                beside.cancel_scope.cancel()
+
+    return nodes
+
+
+def text(data):
+    return interface("std_msgs/msg/String")(data=data)
+
+
+# --- echo -----------------------------------------------------------------------------------
+
+
+def test_a_message_is_echoed_as_by_ros2(on_graph, graphs):
+    ran = on_graph(graphs.turtlesim, *arguments_of("pose_once"))
+    assert ran == (0, GOLDEN["pose_once"]["stdout"], "")
+
+
+def ids_of(recording):
+    return bytes(int(number) for number in re.findall(r"- (\d+)$", recording, re.M)[:16])
+
+
+def test_the_status_of_goals_is_echoed_as_by_ros2(on_graph, graphs):
+    recording = GOLDEN["echo_status"]["stdout"]
+    goal_id = UUID(ids_of(recording))
+    sec, nanosec = (int(each) for each in re.findall(r"sec: (\d+)", recording)[:2])
+    stamp = interface("builtin_interfaces/msg/Time")(sec=sec, nanosec=nanosec)
+    messages = [
+        GoalStatusArray([GoalStatusMessage(GoalInfo(goal_id, stamp), status)]) for status in (2, 4)
+    ]
+    nodes = graphs.in_turn(
+        publishing("/fibonacci/_action/status", *messages), graphs.interrupted(1)
+    )
+    assert on_graph(nodes, *arguments_of("echo_status")).out == recording
+
+
+def test_the_feedback_of_goals_is_echoed_as_by_ros2(on_graph, graphs):
+    recording = GOLDEN["echo_feedback"]["stdout"]
+    feedback = interface("example_interfaces/action/Fibonacci_FeedbackMessage")
+    parts = interface("example_interfaces/action/Fibonacci").Feedback
+    messages = [
+        feedback(UUID(ids_of(recording)), parts(sequence=sequence))
+        for sequence in ([0, 1, 1], [0, 1, 1, 2])
+    ]
+    nodes = graphs.in_turn(
+        publishing("/fibonacci/_action/feedback", *messages), graphs.interrupted(1)
+    )
+    assert on_graph(nodes, *arguments_of("echo_feedback")).out == recording
+
+
+TWIST = Twist(
+    linear=interface("geometry_msgs/msg/Vector3")(x=1.0, y=2.5),
+    angular=interface("geometry_msgs/msg/Vector3")(z=-1e-9),
+)
+
+
+@pytest.mark.parametrize(
+    ("options", "out"),
+    [
+        ("--field linear.x", "1.0\n---\n"),
+        ("--field linear", "x: 1.0\ny: 2.5\nz: 0.0\n---\n"),
+        ("--csv", "1.0,2.5,0.0,0.0,0.0,-1e-09\n"),
+        ("--csv --field linear", "1.0,2.5,0.0\n"),
+        ("--csv --field linear.y", "2.5\n"),
+    ],
+)
+def test_a_field_may_be_chosen(on_graph, options, out):
+    ran = on_graph(
+        publishing("/cmd_vel", TWIST), "topic", "echo", "cmd_vel", "--once", *options.split()
+    )
+    assert ran == (0, out, "")
+
+
+@pytest.mark.parametrize(
+    ("field", "problem"),
+    [
+        (
+            "lineer.x",
+            "lineer: geometry_msgs/msg/Twist has no field 'lineer', did you mean 'linear'?",
+        ),
+        (
+            "linear.w",
+            "linear.w: geometry_msgs/msg/Vector3 has no field 'w': the fields are x, y, z",
+        ),
+        ("linear.x.y", "linear.x.y: 'x' is no single message"),
+    ],
+)
+def test_a_field_that_is_not_there_is_a_usage_error(on_graph, field, problem):
+    ran = on_graph(publishing("/cmd_vel", TWIST), "topic", "echo", "cmd_vel", "--field", field)
+    assert (ran.status, ran.out) == (2, "")
+    assert ran.err == f"turtleact: --field {problem}\n"
+
+
+STATUSES = GoalStatusArray([GoalStatusMessage(), GoalStatusMessage(status=4)])
+
+
+@pytest.mark.parametrize(
+    ("message", "options", "out"),
+    [
+        (text("no"), "", "data: 'no'\n---\n"),
+        (text("no"), "--field data", "no\n---\n"),
+        (text("x" * 200), "", f"data: {'x' * 128}...\n---\n"),
+        (text("x" * 200), "-f", f"data: {'x' * 200}\n---\n"),
+        (text("x" * 200), "--truncate-length 3", "data: xxx...\n---\n"),
+        (interface("std_msgs/msg/Bool")(data=True), "--field data", "True\n---\n"),
+        (UUID(bytes(range(16))), "-l 2", "uuid:\n- 0\n- 1\n- '...'\n---\n"),
+        (UUID(bytes(range(16))), "-l 2 --field uuid", "- 0\n- 1\n- '...'\n---\n"),
+        (UUID(bytes(range(16))), "-l 2 --csv", "0,1,...\n"),
+        (GoalStatusArray(), "--field status_list", "[]\n---\n"),
+        (GoalStatusArray(), "--csv", "\n"),
+        (STATUSES, "-l 0", "status_list:\n- '...'\n---\n"),
+        (STATUSES, "-l 1 --csv", "0,...,0,0,0,...\n"),
+        (interface("std_srvs/srv/Empty_Request")(), "", "{}\n---\n"),
+    ],
+)
+def test_a_message_is_printed_as_asked_for(on_graph, message, options, out):
+    ran = on_graph(publishing("/it", message), "topic", "echo", "/it", "--once", *options.split())
+    assert ran == (0, out, "")
+
+
+def test_messages_are_printed_until_the_time_is_over(on_graph):
+    nodes = publishing("/it", *map(text, "abc"), latched=False, period=1.0)
+    ran = on_graph(nodes, "topic", "echo", "/it", "--field", "data", "--csv", "--timeout", "1.5")
+    assert ran == (0, "a\nb\n", "")
+
+
+def test_a_topic_that_is_silent_until_the_time_is_over_is_told_by_the_status(on_graph):
+    nodes = publishing("/it", text("a"), latched=False, wait=60.0)
+    ran = on_graph(nodes, "topic", "echo", "/it", "--timeout", "1.5")
+    assert ran == (124, "", "turtleact: no message on topic '/it' within 1.5 s\n")
+
+
+def test_a_topic_that_is_not_there_is_an_error(on_graph, graphs):
+    ran = on_graph(graphs.turtlesim, "topic", "echo", "/turtle1/pos")
+    assert (ran.status, ran.out) == (1, "")
+    assert ran.err == (
+        "turtleact: topic '/turtle1/pos' is not there, did you mean '/turtle1/pose'?; "
+        "give its type to go ahead\n"
+    )
+
+
+def test_a_topic_that_is_not_there_is_waited_for_if_its_type_is_given(on_graph):
+    @asynccontextmanager
+    async def nodes(transport):
+        async def appear():
+            await transport.clock.sleep(1.0)
+            async with publishing("/it", text("late"))(transport):
+                await anyio.sleep_forever()
+
+        async with anyio.create_task_group() as beside:
+            beside.start_soon(appear)
+            yield
+            beside.cancel_scope.cancel()
+
+    command = ["topic", "echo", "/it", "std_msgs/msg/String", "--once"]
+    latched = on_graph(nodes, *command, "--qos-durability", "transient_local")
+    assert latched == (0, "data: late\n---\n", "")
+
+
+@pytest.mark.parametrize(
+    ("type_name", "problem"),
+    [
+        ("std_msgs/msg/Strin", "unknown interface 'std_msgs/msg/Strin', did you mean"),
+        ("std_srvs/srv/Empty", "std_srvs/srv/Empty: it is no message"),
+    ],
+)
+def test_a_type_that_is_no_message_is_an_error(on_graph, graphs, type_name, problem):
+    ran = on_graph(graphs.nothing, "topic", "echo", "/it", type_name)
+    assert (ran.status, ran.out) == (1, "")
+    assert ran.err.startswith(f"turtleact: {problem}")
+
+
+def test_a_type_of_the_graph_that_is_not_known_here_says_how_to_make_it_known(on_graph, graphs):
+    ran = on_graph(graphs.on_a_wire(), "topic", "echo", "/far")
+    assert (ran.status, ran.out) == (1, "")
+    assert ran.err == (
+        "turtleact: topic '/far': its type far_msgs/msg/Away is not known here: "
+        "source the ROS workspace that has it, or give --interfaces DIR\n"
+    )
+
+
+def test_messages_that_come_faster_than_they_go_are_told_to_be_lost(on_graph):
+    nodes = publishing("/it", *map(text, "abc"))
+    command = ["topic", "echo", "/it", "--qos-depth", "1", "--once"]
+    ran = on_graph(nodes, *command)
+    assert ran.out == "data: c\n---\n"
+    assert ran.err == "turtleact: 2 messages were lost: they came faster than they go\n"
+
+
+@pytest.mark.parametrize(
+    ("policies", "expected"),
+    [
+        (Policies(), QoS(depth=7, durability="transient_local")),
+        (Policies("best_effort", "volatile", 3), QoS(depth=3, reliability="best_effort")),
+    ],
+)
+def test_policies_that_are_not_asked_for_are_the_verbs_to_choose(policies, expected):
+    assert policies.qos(durability="transient_local", depth=7) == expected
+
+
+# --- hz -------------------------------------------------------------------------------------
+
+NUMBER = re.compile(r"\d+(\.\d+)?")
+
+
+def test_the_rate_is_printed_each_second_as_by_ros2(on_graph, graphs):
+    nodes = graphs.in_turn(graphs.turtlesim, graphs.interrupted(4.5))
+    out = on_graph(nodes, *arguments_of("hz")).out
+    recording = GOLDEN["hz"]["stdout"]
+    assert NUMBER.sub("N", out) == NUMBER.sub("N", recording)
+    assert out.startswith(
+        "average rate: 62.500\n\tmin: 0.016s max: 0.016s std dev: 0.00000s window: "
+    )
+
+
+def test_a_window_leaves_older_messages_out(on_graph, graphs):
+    nodes = graphs.in_turn(graphs.turtlesim, graphs.interrupted(1.5))
+    assert "window: 5\n" in on_graph(nodes, "topic", "hz", "-w", "5", "/turtle1/pose").out
+
+
+def test_a_topic_without_a_rate_is_waited_for(on_graph, graphs):
+    nodes = graphs.in_turn(graphs.turtlesim, graphs.interrupted(2.5))
+    ran = on_graph(nodes, "topic", "hz", "/turtle1/pos")
+    assert ran.out == ""
+    assert ran.err == (
+        "turtleact: topic '/turtle1/pos' is not there yet, did you mean '/turtle1/pose'?; "
+        "waiting for it\n"
+    )
+
+
+def test_a_topic_that_comes_is_measured(on_graph, graphs):
+    @asynccontextmanager
+    async def nodes(transport):
+        async def appear():
+            await transport.clock.sleep(1.0)
+            async with publishing("/it", *[text("x")] * 9, period=0.5)(transport):
+                await anyio.sleep_forever()
+
+        async with anyio.create_task_group() as beside:
+            beside.start_soon(appear)
+            yield
+            beside.cancel_scope.cancel()
+
+    ran = on_graph(graphs.in_turn(nodes, graphs.interrupted(9)), "topic", "hz", "/it")
+    assert "average rate: 2.000\n" in ran.out
+
+
+def test_a_rate_is_that_of_the_times_between_messages():
+    rate = Rate(3)
+    assert rate.line() == ""
+    for now in (100, 0, 10**9, 2 * 10**9, 5 * 10**9, 6 * 10**9):
+        rate.add(now)
+    assert rate.line() == (
+        "average rate: 0.600\n\tmin: 1.000s max: 3.000s std dev: 0.94281s window: 3\n"
+    )
+    assert rate.line() == ""
+
+
+def test_messages_of_one_moment_have_no_rate():
+    rate = Rate(10)
+    rate.add(5)
+    rate.add(5)
+    assert rate.line().startswith("average rate: 0.000\n")
+
+
+# --- pub ------------------------------------------------------------------------------------
+
+
+def listening(topic, type_name, heard):
+    """A node that keeps what it hears, with the time."""
+
+    @asynccontextmanager
+    async def nodes(transport):
+        async with open_node("listener", transport=transport) as node:
+            subscription = node.subscription(interface(type_name), topic)
+
+            async def listen():
+                async for message in subscription:
+                    heard.append((node.clock.time(), message))
+
+            async with anyio.create_task_group() as beside:
+                beside.start_soon(listen)
+                yield
+                beside.cancel_scope.cancel()
+
+    return nodes
+
+
+def test_a_message_is_published_as_by_ros2(on_graph, graphs):
+    ran = on_graph(graphs.turtlesim, *arguments_of("pub_once"))
+    assert ran == (0, GOLDEN["pub_once"]["stdout"], "")
+
+
+def test_messages_are_published_at_a_rate(on_graph):
+    heard: list[Any] = []
+    nodes = listening("/it", "std_msgs/msg/String", heard)
+    command = ["topic", "pub", "-r", "4", "-t", "3", "it", "std_msgs/msg/String", "data: x"]
+    ran = on_graph(nodes, *command)
+    assert ran.out == "publisher: beginning loop\n" + "".join(
+        f"publishing #{i}: std_msgs.msg.String(data='x')\n\n" for i in (1, 2, 3)
+    )
+    assert [each for each, _ in heard][:2] == [0.0, 0.25]
+
+
+def test_only_some_of_them_may_be_printed(on_graph, graphs):
+    out = on_graph(graphs.turtlesim, *words("topic pub -p 2 -t 4 /turtle1/cmd_vel")).out
+    assert re.findall(r"#(\d)", out) == ["2", "4"]
+    out = on_graph(graphs.turtlesim, *words("topic pub -p 0 -t 4 /turtle1/cmd_vel")).out
+    assert out == "publisher: beginning loop\n"
+
+
+def test_a_subscription_is_waited_for(on_graph):
+    heard: list[Any] = []
+
+    @asynccontextmanager
+    async def nodes(transport):
+        async def appear():
+            await transport.clock.sleep(3.0)
+            async with listening("/it", "std_msgs/msg/String", heard)(transport):
+                await anyio.sleep_forever()
+
+        async with anyio.create_task_group() as beside:
+            beside.start_soon(appear)
+            yield
+            beside.cancel_scope.cancel()
+
+    ran = on_graph(nodes, *words("topic pub -t 2 /it std_msgs/msg/String"))
+    assert ran.out.startswith("Waiting for at least 1 matching subscription(s)...\npublisher:")
+    assert [time for time, _ in heard][:1] == [3.0]
+
+
+def test_nobody_is_waited_for_if_so_asked(on_graph, graphs):
+    ran = on_graph(graphs.nothing, *words("topic pub -1 -w 0 /it std_msgs/msg/Bool"), "data: true")
+    assert ran.out.endswith("publishing #1: std_msgs.msg.Bool(data=True)\n\n")
+
+
+def test_a_message_that_does_not_fit_is_refused(on_graph, graphs):
+    ran = on_graph(graphs.turtlesim, "topic", "pub", "/turtle1/cmd_vel", "{linear: {x: fast}}")
+    assert (ran.status, ran.out) == (2, "")
+    assert ran.err.startswith("turtleact: message.linear.x: expected a number")
+
+
+def test_a_coordinate_that_is_no_number_may_be_published(on_graph, graphs):
+    command = ["topic", "pub", "-1", "/turtle1/cmd_vel", "{linear: {x: .nan}}"]
+    assert "Vector3(x=nan," in on_graph(graphs.turtlesim, *command).out
+
+
+def test_a_message_may_come_from_stdin(on_graph, graphs, monkeypatch, stdin_of):
+    stdin_of(b"linear: {x: 1}\n")
+    out = on_graph(graphs.turtlesim, "topic", "pub", "-1", "--stdin", "/turtle1/cmd_vel").out
+    assert "linear=geometry_msgs.msg.Vector3(x=1.0, y=0.0, z=0.0)" in out
+
+
+# --- call -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["service_call", "reset"])
+def test_a_service_is_called_as_by_ros2(on_graph, graphs, name):
+    ran = on_graph(graphs.turtlesim, *arguments_of(name))
+    assert ran == (0, GOLDEN[name]["stdout"], "")
+
+
+def test_an_action_is_canceled_by_hand_as_by_ros2(on_graph, graphs):
+    ran = on_graph(graphs.fibonacci, *arguments_of("cancel_raw_unknown_default"))
+    assert ran == (0, GOLDEN["cancel_raw_unknown_default"]["stdout"].rstrip("\n") + "\n\n", "")
+
+
+def test_the_type_of_a_service_is_asked_of_the_graph(on_graph, graphs):
+    ran = on_graph(graphs.turtlesim, "service", "call", "clear")
+    assert "making request: std_srvs.srv.Empty_Request()\n" in ran.out
+
+
+def test_a_service_is_called_at_a_rate(on_graph, graphs):
+    nodes = graphs.in_turn(graphs.turtlesim, graphs.interrupted(2.25))
+    ran = on_graph(nodes, "service", "call", "-r", "2", "/clear")
+    assert (ran.status, ran.out.count("response:\n")) == (130, 5)
+
+
+def test_a_service_that_is_not_there_is_waited_for(on_graph, graphs):
+    @asynccontextmanager
+    async def nodes(transport):
+        async def appear():
+            await transport.clock.sleep(3.0)
+            async with graphs.turtlesim(transport):
+                await anyio.sleep_forever()
+
+        async with anyio.create_task_group() as beside:
+            beside.start_soon(appear)
+            yield
+            beside.cancel_scope.cancel()
+
+    ran = on_graph(nodes, "service", "call", "/clear", "std_srvs/srv/Empty")
+    assert ran.status == 0
+    assert ran.out.startswith("waiting for service to become available...\nrequester: making")
+
+
+def test_a_type_with_which_a_service_is_not_there_is_named_with_the_one_it_is(on_graph, graphs):
+    ran = on_graph(graphs.turtlesim, "service", "call", "/clear", "std_srvs/srv/Trigger")
+    assert (ran.status, ran.out) == (1, "")
+    assert ran.err == (
+        "turtleact: service '/clear': it is served as std_srvs/srv/Empty, "
+        "not as std_srvs/srv/Trigger\n"
+    )
+
+
+def test_a_request_that_does_not_fit_is_refused(on_graph, graphs):
+    ran = on_graph(graphs.turtlesim, "service", "call", "/spawn", "{xx: 2}")
+    assert (ran.status, ran.out) == (2, "")
+    assert ran.err == "turtleact: request: unknown field 'xx', did you mean 'x'?\n"
+
+
+def test_a_service_that_fails_is_an_error(on_graph, caplog):
+    @asynccontextmanager
+    async def nodes(transport):
+        def handler(request):
+            raise ValueError("by hand")
+
+        async with open_node("server", transport=transport) as node:
+            node.service(interface("std_srvs/srv/Trigger"), "/fail", handler)
+            yield
+
+    ran = on_graph(nodes, "service", "call", "/fail")
+    assert ran.status == 1
+    assert ran.err == ("turtleact: service '/fail': the handler failed: ValueError: by hand\n")
+
+
+# --- as rclpy prints messages ---------------------------------------------------------------
+
+
+class Mixed(Message, type_name="printed_interfaces/msg/Mixed"):
+    numbers: list[int32] = []
+    words: list[string] = []
+    pair: array[list[float64], 2] = [0.0, 1.5]
+    small: array[list[int32], 2] = [1, 2]
+    two_words: array[list[string], 2] = ["a", "b"]
+    from_: string = ""
+
+
+@pytest.mark.parametrize(
+    ("message", "printed"),
+    [
+        (
+            Mixed([1], ["it's"]),
+            'printed_interfaces.msg.Mixed(numbers=[1], words=["it\'s"], pair=array([0.0, 1.5]), '
+            "small=array([1, 2], dtype=int32), two_words=['a', 'b'], from='')",
+        ),
+        (
+            load_interface("byte[1] raw", type_name="printed_interfaces/msg/Raw")(),
+            "printed_interfaces.msg.Raw(raw=array([0], dtype=uint8))",
+        ),
+        (
+            GoalStatusArray([]),
+            "action_msgs.msg.GoalStatusArray(status_list=[])",
+        ),
+    ],
+)
+def test_a_message_is_printed_as_rclpy_does(message, printed):
+    assert python_text(message) == printed
+
+
+def test_messages_in_a_list_are_printed_as_messages():
+    assert "status_list=[action_msgs.msg.GoalStatus(" in python_text(STATUSES)

@@ -1,0 +1,154 @@
+"""``topic echo``: the messages of a topic, as they come.
+
+Source: ros2cli ``ros2topic/verb/echo.py``; recordings of Jazzy for the words.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from turtleact.clock import within
+from turtleact.commands.graph import chosen_class
+from turtleact.commands.stderr import note
+from turtleact.commands.transcript import say
+from turtleact.errors import UsageError
+from turtleact.interfaces import Message, to_dict
+from turtleact.interfaces.definition import did_you_mean
+from turtleact.interfaces.text import block, listed
+from turtleact.interfaces.types import fields, nested_classes
+from turtleact.names import resolve_name
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from turtleact.commands.policies import Durability, Policies
+    from turtleact.node import Node
+    from turtleact.topics import Subscription
+
+__all__ = ["Order", "echo", "yaml_lines"]
+
+DEPTH = 1000
+"""Messages that are kept while the output is stuck."""
+
+DONE, TIMEOUT = 0, 124
+"""Exit statuses."""
+
+
+class Order(NamedTuple):
+    """What the user wants.
+
+    Attributes:
+        name: The topic.
+        type_name: Its type, or None for what the graph says.
+        path: The field that is printed, from the outside in; the whole message if empty.
+        once: Whether to leave after the first message.
+        csv: Whether to print values with commas between, not YAML.
+        longest: Lists and strings that are longer are cut; None cuts none.
+        timeout: When to leave (s, by the clock of the graph); None for never.
+        policies: The quality of service that is asked for.
+    """
+
+    name: str
+    type_name: str | None
+    path: tuple[str, ...]
+    once: bool
+    csv: bool
+    longest: int | None
+    timeout: float | None
+    policies: Policies
+
+
+async def echo(node: Node, order: Order) -> int:
+    """Print the messages of a topic; ends with the node, or as the order says.
+
+    Raises:
+        InvalidName: if the name breaks ROS 2's rules.
+        TurtleactError: if the topic's type is not known.
+        UsageError: if its messages have no such field.
+    """
+    name = resolve_name(order.name)
+    message_type = chosen_class(node, "topic", Message, name, order.type_name)
+    _check_path(message_type, order.path)
+    qos = order.policies.qos(durability=_durability(node, name), depth=DEPTH)
+    subscription = node.subscription(message_type, name, qos)
+    count = missed = 0
+    async with within(order.timeout, node.clock):
+        async for message in subscription:
+            missed = _note_missed(subscription, missed)
+            say(_text(message, order))
+            count += 1
+            if order.once:
+                return DONE
+    if not count:
+        note(f"no message on topic '{name}' within {order.timeout:g} s")
+    return DONE if count else TIMEOUT
+
+
+def yaml_lines(value: object) -> list[str]:
+    """A plain value as the lines of block YAML; a single one as Python says it, as ros2 does."""
+    if isinstance(value, dict) and value:
+        return block(value)
+    if isinstance(value, list | bytes) and value:
+        return [line for item in value for line in listed(item)]
+    return [str(list(value) if isinstance(value, bytes) else value)]
+
+
+def _durability(node: Node, name: str) -> Durability:
+    """What gets us all that there is: latched messages too, if anybody keeps some."""
+    endpoints = node.transport.endpoints()
+    publishers = [each for each in endpoints if each.kind == "publisher" and each.name == name]
+    is_latched = any(each.qos.durability == "transient_local" for each in publishers)
+    return "transient_local" if is_latched else "volatile"
+
+
+def _check_path(message_type: type[Message], path: Sequence[str]) -> None:
+    """Refuse a field that the messages have not."""
+    cls: type[Message] | None = message_type
+    for depth, name in enumerate(path):
+        where = ".".join(path[: depth + 1])
+        if cls is None:
+            raise UsageError(f"--field {where}: '{path[depth - 1]}' is no single message")
+        nested = dict(zip(fields(cls), nested_classes(cls), strict=True))
+        found = next((field for field in nested if field.name == name), None)
+        if found is None:
+            known = [field.name for field in nested]
+            hint = did_you_mean(name, known) or f": the fields are {', '.join(known)}"
+            raise UsageError(f"--field {where}: {cls.type_name} has no field '{name}'{hint}")
+        cls = None if found.type.is_sequence else nested[found]
+
+
+def _note_missed(subscription: Subscription[Message], noted: int) -> int:
+    """Tell the user of messages that were dropped unread since the last time."""
+    if subscription.missed > noted:
+        note(f"{subscription.missed - noted} messages were lost: they came faster than they go")
+    return subscription.missed
+
+
+def _text(message: Message, order: Order) -> str:
+    """What is printed of a message."""
+    value: object = to_dict(message)
+    for name in order.path:
+        value = value[name]  # type: ignore[index]  # a mapping, as `_check_path` has seen
+    if order.longest is not None:
+        value = _cut(value, order.longest)
+    if order.csv:
+        return f"{_csv(value)}\n"
+    return "".join(f"{line}\n" for line in (*yaml_lines(value), "---"))
+
+
+def _cut(value: object, longest: int) -> object:
+    """A value whose lists and strings are no longer; three dots say where there was more."""
+    if isinstance(value, dict):
+        return {name: _cut(item, longest) for name, item in value.items()}
+    if isinstance(value, str):
+        return value if len(value) <= longest else f"{value[:longest]}..."
+    if not isinstance(value, list | bytes):
+        return value
+    more = ["..."] if len(value) > longest else []
+    return [_cut(item, longest) for item in value[:longest]] + more
+
+
+def _csv(value: object) -> str:
+    if isinstance(value, dict):
+        return ",".join(map(_csv, value.values()))
+    return ",".join(map(_csv, value)) if isinstance(value, list | bytes) else str(value)

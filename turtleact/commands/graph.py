@@ -1,0 +1,185 @@
+"""The graph that a verb looks at: how it is reached, what is asked of it, how the looking ends.
+
+A verb is a coroutine function that takes a `Node` and gives the exit status. Its node is hidden,
+and nothing is opened on it but what the verb opens.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Awaitable, Callable, Iterable
+from contextlib import AbstractAsyncContextManager
+from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar
+
+import anyio
+
+from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface
+from turtleact.interfaces import get_interface
+from turtleact.interfaces.definition import did_you_mean
+from turtleact.node import Node, open_node
+
+if TYPE_CHECKING:
+    from turtleact.commands.interrupts import Interrupts
+    from turtleact.commands.verbs.arguments import Reach
+    from turtleact.interfaces import Action, Message, Service
+    from turtleact.transports import Transport
+    from turtleact.transports.base import Endpoint, EndpointKind
+
+__all__ = [
+    "Kind",
+    "Look",
+    "chosen_class",
+    "interface_class",
+    "names_like",
+    "open_transport",
+    "run",
+    "types_by_name",
+]
+
+I = TypeVar("I", bound="Message | Service | Action")  # noqa: E741  # an interface
+
+Look: TypeAlias = Callable[[Node], Awaitable[int]]
+"""Looks at the graph and gives the exit status."""
+
+Kind = Literal["action", "service", "topic"]
+
+SEND_GOAL = "/_action/send_goal"
+
+ENDPOINTS: dict[Kind, tuple[EndpointKind, ...]] = {
+    "action": ("service",),
+    "service": ("service",),
+    "topic": ("publisher", "subscription"),
+}
+"""What makes something of a kind exist."""
+
+MOST_SHOWN = 10
+"""So many names are listed where none is like the one that is looked for."""
+
+
+def open_transport(reach: Reach) -> AbstractAsyncContextManager[Transport]:
+    """The graph that other processes are on; whoever enters it sees what is there.
+
+    Raises:
+        TurtleactError: if there is none in reach.
+    """
+    where = f" at {', '.join(reach.connect)}" if reach.connect else f" in domain {reach.domain}"
+    problem = "turtleact has no transport to other processes yet; 'turtleact send-goal' needs none"
+    raise TurtleactError(f"no ROS 2 graph in reach{where}: {problem}")
+
+
+def run(reach: Reach, look: Look, interrupts: Interrupts) -> int:
+    """Look at the graph until the verb or a signal ends it, and give the exit status.
+
+    Args:
+        reach: Which graph.
+        look: The verb; a signal cancels it.
+        interrupts: The signals.
+
+    Raises:
+        TurtleactError: if there is no graph in reach; what the verb raises.
+    """
+    return asyncio.run(_run(reach, look, interrupts))
+
+
+def types_by_name(
+    endpoints: Iterable[Endpoint],
+    kind: Kind,
+    *kinds: EndpointKind,
+    hidden: bool = False,
+) -> dict[str, tuple[str, ...]]:
+    """The types of all that is of a kind, by name; both sorted.
+
+    Args:
+        endpoints: Of what is looked at: the graph, or a node.
+        kind: Of what kind.
+        *kinds: What it takes to exist; as `ENDPOINTS` says if left out.
+        hidden: Whether hidden names are wanted.
+    """
+    found: dict[str, set[str]] = {}
+    for endpoint in endpoints:
+        name, type_name = endpoint.name, endpoint.type_name
+        if endpoint.kind not in (kinds or ENDPOINTS[kind]):
+            continue
+        if kind == "action":
+            if not name.endswith(SEND_GOAL):
+                continue
+            name, type_name = name.removesuffix(SEND_GOAL), type_name.removesuffix("_SendGoal")
+        if hidden or "/_" not in name:
+            found.setdefault(name, set()).add(type_name)
+    return {name: tuple(sorted(types)) for name, types in sorted(found.items())}
+
+
+def interface_class(base: type[I], type_name: str, where: str = "") -> type[I]:
+    """The class of a message, service or action whose name was typed, or is on the graph.
+
+    Args:
+        base: What it must be: `Message`, `Service` or `Action`.
+        type_name: Its name.
+        where: What it is the type of, if the graph says so.
+
+    Raises:
+        UnknownInterface: if it was typed and is not known.
+        TurtleactError: if it is on the graph and not known here; the text says how to change that.
+        InvalidInterface: if it is of another kind.
+    """
+    try:
+        found = get_interface(type_name)
+    except UnknownInterface:
+        if not where:
+            raise
+        hint = "source the ROS workspace that has it, or give --interfaces DIR"
+        raise TurtleactError(f"{where}: its type {type_name} is not known here: {hint}") from None
+    if not issubclass(found, base):
+        raise InvalidInterface(f"it is no {base.__name__.lower()}", source=found.type_name)
+    return found
+
+
+def chosen_class(
+    node: Node, kind: Kind, base: type[I], name: str, type_name: str | None
+) -> type[I]:
+    """The class of what goes by a name: of the type that was typed, else as the graph says.
+
+    Args:
+        node: A node on the graph.
+        kind: What goes by the name.
+        base: As for `interface_class`.
+        name: Its full name.
+        type_name: The type, if it was typed; else the first of those on the graph is taken.
+
+    Raises:
+        TurtleactError: if neither says it, with the nearest name; as `interface_class`.
+    """
+    if type_name is not None:
+        return interface_class(base, type_name)
+    found = types_by_name(node.transport.endpoints(), kind, hidden=True)
+    if name not in found:
+        hint = names_like(name, [each for each in found if "/_" not in each])
+        raise TurtleactError(f"{kind} '{name}' is not there{hint}; give its type to go ahead")
+    return interface_class(base, found[name][0], f"{kind} '{name}'")
+
+
+def names_like(name: str, known: Iterable[str]) -> str:
+    """The end of an error about an unknown name: the nearest one, or some of those there are."""
+    names = list(known)
+    shown = ", ".join([*names[:MOST_SHOWN], *(["…"] if len(names) > MOST_SHOWN else [])])
+    return did_you_mean(name, names) or f" (there are: {shown or 'none'})"
+
+
+async def _run(reach: Reach, look: Look, interrupts: Interrupts) -> int:
+    status: int | None = None
+    with interrupts.listening(asyncio.get_running_loop()):
+        async with anyio.create_task_group() as beside:
+            beside.start_soon(_heed_interrupts, interrupts, beside.cancel_scope)
+            async with (
+                open_transport(reach) as transport,
+                open_node(f"_turtleact_cli_{os.getpid()}", transport=transport) as node,
+            ):
+                status = await look(node)
+            beside.cancel_scope.cancel()
+    return interrupts.status if status is None else status
+
+
+async def _heed_interrupts(interrupts: Interrupts, scope: anyio.CancelScope) -> None:
+    await interrupts.wait(1)
+    scope.cancel()

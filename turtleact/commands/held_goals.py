@@ -1,0 +1,143 @@
+"""The goals that the servers on the graph hold, as their status topics tell.
+
+A server tells of its goals when one changes, and the last it has told is latched; one that never
+had a goal may tell nothing. So what is latched is waited for, but not for long.
+
+Source: rcl_action ``action_server.c`` for what is told and when.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, NamedTuple
+
+import anyio
+
+from turtleact.clock import within
+from turtleact.commands.graph import names_like, types_by_name
+from turtleact.errors import ServerUnavailable, UnknownGoal, UsageError
+from turtleact.goal import GoalStatus
+from turtleact.interfaces.standard import GoalStatusArray, Time
+from turtleact.names import action_names, resolve_name
+from turtleact.transports import QoS
+
+if TYPE_CHECKING:
+    from turtleact.node import Node
+
+__all__ = ["STATUS_QOS", "HeldGoal", "find_goal", "find_goals", "held_goals", "served_actions"]
+
+STATUS_QOS = QoS(depth=100, durability="transient_local")
+
+PATIENCE = 0.5
+"""How long is waited for what is latched (s, by the clock of the graph)."""
+
+
+class HeldGoal(NamedTuple):
+    """A goal that a server holds.
+
+    Attributes:
+        goal_id: Its 16 bytes.
+        action: The action's name.
+        type_name: Its type.
+        status: Its state.
+        stamp: When it was accepted (ns since the epoch, by the server's clock).
+    """
+
+    goal_id: bytes
+    action: str
+    type_name: str
+    status: GoalStatus
+    stamp: int
+
+
+def served_actions(node: Node, name: str | None) -> dict[str, str]:
+    """The actions that are served, with their types; one of them if a name is given.
+
+    Raises:
+        InvalidName: if the name breaks ROS 2's rules.
+        ServerUnavailable: if nobody serves an action of that name, with the nearest.
+    """
+    found = types_by_name(node.transport.endpoints(), "action", hidden=True)
+    served = {each: types[0] for each, types in found.items()}
+    if name is None:
+        return served
+    full_name = resolve_name(name)
+    if full_name not in served:
+        hint = names_like(full_name, served)
+        raise ServerUnavailable(full_name, f"nobody serves it{hint}")
+    return {full_name: served[full_name]}
+
+
+async def held_goals(node: Node, actions: dict[str, str]) -> list[HeldGoal]:
+    """The goals of some actions, in the order of their acceptance.
+
+    Args:
+        node: A node on the graph.
+        actions: The actions, with their types.
+    """
+    found: dict[tuple[str, bytes], HeldGoal] = {}
+    async with within(PATIENCE, node.clock), anyio.create_task_group() as listening:
+        for name, type_name in actions.items():
+            listening.start_soon(_listen, node, name, type_name, found)
+    return sorted(found.values(), key=lambda goal: (goal.stamp, goal.action, goal.goal_id))
+
+
+def goals_in(message: GoalStatusArray, action: str, type_name: str) -> Iterable[HeldGoal]:
+    """The goals that a status message tells of."""
+    for each in message.status_list:
+        info = each.goal_info
+        status = GoalStatus(each.status) if each.status in _STATUSES else GoalStatus.UNKNOWN
+        yield HeldGoal(info.goal_id.uuid, action, type_name, status, nanoseconds(info.stamp))
+
+
+def nanoseconds(stamp: Time) -> int:
+    """A stamp as nanoseconds."""
+    return stamp.sec * 1_000_000_000 + stamp.nanosec
+
+
+def find_goals(goals: Iterable[HeldGoal], wanted: str) -> HeldGoal | None:
+    """The one goal whose id begins so, or None.
+
+    Raises:
+        UsageError: if there are several.
+    """
+    found = [goal for goal in goals if goal.goal_id.hex().startswith(wanted)]
+    if len(found) > 1:
+        shown = ", ".join(goal.goal_id.hex() for goal in found)
+        raise UsageError(f"'{wanted}' is the beginning of several goals: {shown}")
+    return found[0] if found else None
+
+
+async def find_goal(node: Node, wanted: str) -> HeldGoal:
+    """The one goal on the graph whose id begins so.
+
+    Raises:
+        UsageError: if there are several.
+        UnknownGoal: if there is none.
+    """
+    found = find_goals(await held_goals(node, served_actions(node, None)), wanted)
+    if found is None:
+        raise UnknownGoal(
+            f"no server in reach holds {wanted}; 'turtleact goals' lists what is held"
+        )
+    return found
+
+
+async def _listen(
+    node: Node, name: str, type_name: str, found: dict[tuple[str, bytes], HeldGoal]
+) -> None:
+    """Take the latched message of each server of an action."""
+    topic = action_names(name).status
+    subscription = node.subscription(GoalStatusArray, topic, STATUS_QOS)
+    left = node.count_publishers(topic)
+    try:
+        while left > 0:
+            message = await anext(subscription)
+            left -= 1
+            for goal in goals_in(message, name, type_name):
+                found[name, goal.goal_id] = goal
+    finally:
+        await subscription.aclose()
+
+
+_STATUSES = frozenset(GoalStatus)

@@ -1,0 +1,257 @@
+"""What there is on the graph, as ``ros2`` lists it: ``list``, ``type``, ``find`` and ``info``.
+
+Actions, services and topics are listed alike (`Kind`). A name with a part that begins with an
+underscore is hidden: it is left out of lists unless asked for, and found by whoever names it.
+
+Source: ros2cli ``ros2{action,node,service,topic}/verb/*.py`` for the order of things; recordings
+of Jazzy for the words.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+from turtleact.commands.graph import Kind, names_like, types_by_name
+from turtleact.commands.stderr import note
+from turtleact.commands.transcript import say
+from turtleact.errors import TurtleactError, UnknownInterface
+from turtleact.interfaces import get_interface, type_hash
+from turtleact.names import resolve_name
+
+if TYPE_CHECKING:
+    from turtleact.node import Node
+    from turtleact.transports.base import Endpoint, EndpointKind
+
+__all__ = [
+    "print_action_info",
+    "print_found",
+    "print_list",
+    "print_node_info",
+    "print_nodes",
+    "print_service_info",
+    "print_topic_info",
+    "print_topics_in_full",
+    "print_type",
+]
+
+FOUND, NOT_FOUND = 0, 1
+"""Exit statuses."""
+
+SIDES: dict[str, EndpointKind] = {"Publish": "publisher", "Subscrib": "subscription"}
+
+
+# all kinds
+
+
+async def print_list(node: Node, kind: Kind, *, types: bool, count: bool, hidden: bool) -> int:
+    """Print all names of a kind, or how many there are."""
+    found = types_by_name(node.transport.endpoints(), kind, hidden=hidden)
+    if count:
+        say(f"{len(found)}\n")
+    else:
+        _say_lines(_with_types(name, found[name] if types else ()) for name in found)
+    return FOUND
+
+
+async def print_type(node: Node, kind: Kind, name: str) -> int:
+    """Print the types of one name; silent, with another exit status, if it does not exist."""
+    types = types_by_name(node.transport.endpoints(), kind, hidden=True).get(name, ())
+    _say_lines(types)
+    return FOUND if types else NOT_FOUND
+
+
+async def print_found(node: Node, kind: Kind, type_name: str, *, count: bool, hidden: bool) -> int:
+    """Print the names of a type, or how many there are."""
+    found = types_by_name(node.transport.endpoints(), kind, hidden=hidden)
+    names = [name for name, types in found.items() if type_name in types]
+    _say_lines([str(len(names))] if count else names)
+    return FOUND
+
+
+# actions
+
+
+async def print_action_info(node: Node, name: str, *, types: bool, count: bool) -> int:
+    """Print which nodes are clients of an action, and which serve it.
+
+    Raises:
+        InvalidName: if the name breaks ROS 2's rules.
+    """
+    full_name = resolve_name(name)
+    say(f"Action: {name}\n")
+    sides: dict[str, EndpointKind] = {"clients": "client", "servers": "service"}
+    for side, kind in sides.items():
+        nodes = list(_nodes_of_action(node, full_name, kind))
+        say(f"Action {side}: {len(nodes)}\n")
+        if not count:
+            _say_lines(f"    {_with_types(who, known if types else ())}" for who, known in nodes)
+    return FOUND
+
+
+def _nodes_of_action(
+    node: Node, name: str, kind: EndpointKind
+) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Each node on one side of an action, with the types; of two of one name, both."""
+    for who in sorted(node.transport.nodes()):
+        types = types_by_name(_endpoints_of(node, who), "action", kind, hidden=True).get(name)
+        if types:
+            yield who, types
+
+
+# services
+
+
+async def print_service_info(node: Node, name: str) -> int:
+    """Print the type of a service, and how many there are at its ends.
+
+    Raises:
+        TurtleactError: if there is no such service, with the nearest.
+    """
+    endpoints = node.transport.endpoints()
+    types = _needed_types(endpoints, "service", name)
+    counts = Counter(endpoint.kind for endpoint in endpoints if endpoint.name == name)
+    say(f"Type: {_as_said(types)}\n")
+    say(f"Clients count: {counts['client']}\nServices count: {counts['service']}\n")
+    return FOUND
+
+
+# topics
+
+
+async def print_topics_in_full(node: Node, *, hidden: bool) -> int:
+    """Print the topics that are published, and those that are subscribed to."""
+    endpoints = node.transport.endpoints()
+    topics = types_by_name(endpoints, "topic", hidden=hidden)
+    for word, kind in SIDES.items():
+        counts = Counter(endpoint.name for endpoint in endpoints if endpoint.kind == kind)
+        say(f"{word}ed topics:\n")
+        for name, types in topics.items():
+            if number := counts[name]:
+                plural = "s" if number > 1 else ""
+                say(f" * {_with_types(name, types)} {number} {word.lower()}er{plural}\n")
+        say("\n")
+    return FOUND
+
+
+async def print_topic_info(node: Node, name: str, *, verbose: bool) -> int:
+    """Print the type of a topic and how many there are at its ends, or all of them in full.
+
+    Raises:
+        TurtleactError: if there is no such topic, with the nearest.
+    """
+    endpoints = node.transport.endpoints()
+    types = _needed_types(endpoints, "topic", name)
+    end = "\n\n" if verbose else "\n"
+    say(f"Type: {_as_said(types)}{end}")
+    for word, kind in {"Publisher": "publisher", "Subscription": "subscription"}.items():
+        there = [each for each in endpoints if each.name == name and each.kind == kind]
+        say(f"{word} count: {len(there)}{end}")
+        if verbose:
+            _say_lines(f"{_in_full(endpoint)}\n" for endpoint in there)
+    return FOUND
+
+
+def _in_full(endpoint: Endpoint) -> str:
+    """All that is known of an endpoint; the policies that a `QoS` has not are ROS 2's defaults."""
+    namespace, _, name = endpoint.node.rpartition("/")
+    gid = f"GID: {endpoint.gid.hex('.')}\n" if endpoint.gid else ""
+    qos = endpoint.qos
+    return (
+        f"Node name: {name}\n"
+        f"Node namespace: {namespace or '/'}\n"
+        f"Topic type: {endpoint.type_name}\n"
+        f"Topic type hash: {endpoint.type_hash or _hash_of(endpoint.type_name)}\n"
+        f"Endpoint type: {endpoint.kind.upper()}\n"
+        f"{gid}"
+        "QoS profile:\n"
+        f"  Reliability: {qos.reliability.upper()}\n"
+        f"  History (Depth): KEEP_LAST ({qos.depth})\n"
+        f"  Durability: {qos.durability.upper()}\n"
+        "  Lifespan: Infinite\n"
+        "  Deadline: Infinite\n"
+        "  Liveliness: AUTOMATIC\n"
+        "  Liveliness lease duration: Infinite"
+    )
+
+
+def _hash_of(type_name: str) -> str:
+    try:
+        return type_hash(get_interface(type_name))
+    except UnknownInterface:
+        return "INVALID"
+
+
+# nodes
+
+
+async def print_nodes(node: Node, *, count: bool, hidden: bool) -> int:
+    """Print the names of all nodes, or how many there are; those that share a name are noted."""
+    names = sorted(name for name in node.transport.nodes() if hidden or not _is_hidden_node(name))
+    shared = [name for name, number in Counter(names).items() if number > 1]
+    if shared:
+        note(f"several nodes share a name, which makes them hard to tell: {', '.join(shared)}")
+    _say_lines([str(len(names))] if count else names)
+    return FOUND
+
+
+async def print_node_info(node: Node, name: str, *, hidden: bool) -> int:
+    """Print what a node has: topics, services and actions, with their types.
+
+    Raises:
+        TurtleactError: if there is no such node, with the nearest.
+    """
+    names = [each for each in node.transport.nodes() if hidden or not _is_hidden_node(each)]
+    if name not in names:
+        raise TurtleactError(f"node '{name}': there is none of that name{names_like(name, names)}")
+    if names.count(name) > 1:
+        note(f"{names.count(name)} nodes have the name '{name}'; this is what they have together")
+    own = _endpoints_of(node, name)
+    say(f"{name}\n")
+    sections: tuple[tuple[str, Kind, EndpointKind], ...] = (
+        ("Subscribers", "topic", "subscription"),
+        ("Publishers", "topic", "publisher"),
+        ("Service Servers", "service", "service"),
+        ("Service Clients", "service", "client"),
+        ("Action Servers", "action", "service"),
+        ("Action Clients", "action", "client"),
+    )
+    for title, kind, end in sections:
+        say(f"  {title}:\n")
+        found = types_by_name(own, kind, end, hidden=hidden)
+        _say_lines([f"    {each}: {', '.join(types)}" for each, types in found.items()] or [""])
+    return FOUND
+
+
+def _is_hidden_node(name: str) -> bool:
+    return name.rpartition("/")[2].startswith("_")
+
+
+# what they share
+
+
+def _endpoints_of(node: Node, name: str) -> list[Endpoint]:
+    return [endpoint for endpoint in node.transport.endpoints() if endpoint.node == name]
+
+
+def _needed_types(endpoints: Iterable[Endpoint], kind: Kind, name: str) -> tuple[str, ...]:
+    found = types_by_name(endpoints, kind, hidden=True)
+    if name not in found:
+        visible = [each for each in found if "/_" not in each]
+        raise TurtleactError(f"unknown {kind} '{name}'{names_like(name, visible)}")
+    return found[name]
+
+
+def _as_said(types: tuple[str, ...]) -> str:
+    """One type as it is, several as a list."""
+    return types[0] if len(types) == 1 else str(list(types))
+
+
+def _with_types(name: str, types: Iterable[str]) -> str:
+    said = ", ".join(types)
+    return f"{name} [{said}]" if said else name
+
+
+def _say_lines(lines: Iterable[str]) -> None:
+    say("".join(f"{line}\n" for line in lines))

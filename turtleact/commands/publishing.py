@@ -1,0 +1,83 @@
+"""``topic pub``: messages of the user's own, once or again and again.
+
+Source: ros2cli ``ros2topic/verb/pub.py``; recordings of Jazzy for the words.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from turtleact.commands.graph import chosen_class
+from turtleact.commands.python_text import python_text
+from turtleact.commands.transcript import say
+from turtleact.interfaces import Message, from_text
+from turtleact.names import resolve_name
+
+if TYPE_CHECKING:
+    from turtleact.commands.goal_text import GoalText
+    from turtleact.commands.policies import Policies
+    from turtleact.node import Node
+
+__all__ = ["Order", "publish"]
+
+
+class Order(NamedTuple):
+    """What the user wants.
+
+    Attributes:
+        name: The topic.
+        type_name: Its type, or None for what the graph says.
+        text: The message.
+        rate: Messages a second, above zero.
+        times: How many messages; 0 for no end.
+        every: Which of them are printed: each so-manieth; 0 for none.
+        wait: How many subscriptions are waited for first.
+        policies: The quality of service that is asked for.
+    """
+
+    name: str
+    type_name: str | None
+    text: GoalText
+    rate: float
+    times: int
+    every: int
+    wait: int
+    policies: Policies
+
+
+async def publish(node: Node, order: Order) -> int:
+    """Publish a message, at a rate by the clock of the graph.
+
+    Raises:
+        InvalidName: if the name breaks ROS 2's rules.
+        TurtleactError: if the topic's type is not known.
+        InvalidMessage: if the message does not fit it.
+    """
+    name = resolve_name(order.name)
+    message_type = chosen_class(node, "topic", Message, name, order.type_name)
+    text, source = order.text
+    message = from_text(message_type, text, root="message", source=source, allow_nonfinite=True)
+    publisher = node.publisher(message_type, name, order.policies.qos())
+    await _wait_for_subscriptions(node, name, order.wait)
+    say("publisher: beginning loop\n")
+    start, count = node.clock.time(), 0
+    while True:
+        count += 1
+        if order.every and count % order.every == 0:
+            say(f"publishing #{count}: {python_text(message)}\n\n")
+        publisher.publish(message)
+        if count == order.times:
+            return 0
+        await node.clock.sleep_until(start + count / order.rate)
+
+
+async def _wait_for_subscriptions(node: Node, name: str, least: int) -> None:
+    def count() -> int:
+        return sum(
+            each.kind == "subscription" and each.name == name for each in node.transport.endpoints()
+        )
+
+    if count() < least:
+        say(f"Waiting for at least {least} matching subscription(s)...\n")
+    while count() < least:
+        await node.transport.wait_for_change()

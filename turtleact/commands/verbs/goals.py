@@ -1,0 +1,202 @@
+"""``goals``, ``cancel``, ``watch`` and ``result``, as Typer sees them."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from turtleact.commands import VERBS
+from turtleact.commands.verbs.arguments import (
+    Connect,
+    Domain,
+    Interfaces,
+    Job,
+    Verb,
+    quoted,
+    reach,
+)
+from turtleact.errors import UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable
+
+    from turtleact.commands.interrupts import Interrupts
+    from turtleact.node import Node
+
+__all__ = ["app", "moment"]
+
+_GOAL_ID = re.compile(r"[0-9a-f]{4,32}")
+_SECONDS = re.compile(r"(?P<whole>[0-9]{1,10})(?:\.(?P<part>[0-9]{0,9}))?")
+
+_Name = Annotated[
+    str | None, typer.Argument(metavar="NAME", help="The action; all of them if left out.")
+]
+_Id = Annotated[str, typer.Argument(metavar="ID", help="The goal's id, or how it begins.")]
+_Ids = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="ID...|NAME", help="The goals' ids; with --all or --before the action."),
+]
+_Json = Annotated[bool, typer.Option("--json", help="Print one JSON object a line.")]
+_All = Annotated[bool, typer.Option("--all", help="All goals of an action, or of all actions.")]
+_Before = Annotated[
+    str | None,
+    typer.Option(
+        "--before",
+        metavar="T",
+        help="Goals accepted up to then: 2026-11-21T20:15, or seconds since 1970.",
+    ),
+]
+
+_EXAMPLES = """\b
+Examples:
+  turtleact cancel 71a9 0d4f
+  turtleact cancel --all /patrol
+  turtleact cancel --before 2026-11-21T20:15:00Z
+"""
+
+app = typer.Typer()
+
+
+@app.command("goals", cls=Verb, help=VERBS["goals"])
+def goals(
+    name: _Name = None, *, json: _Json = False, connect: Connect = None, domain: Domain = None
+) -> Job:
+    """``goals``."""
+    where = reach(connect, domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import goals, graph
+
+        return graph.run(
+            where, lambda node: goals.print_goals(node, name, as_json=json), interrupts
+        )
+
+    return job
+
+
+@app.command("cancel", cls=Verb, help=VERBS["cancel"], epilog=_EXAMPLES)
+def cancel(
+    what: _Ids = None,
+    *,
+    all_: _All = False,
+    before: _Before = None,
+    connect: Connect = None,
+    domain: Domain = None,
+) -> Job:
+    """``cancel``."""
+    where = reach(connect, domain)
+    given = what or []
+    is_many = all_ or before is not None
+    if all_ and before is not None:
+        raise UsageError("give --all or --before, not both")
+    if is_many and len(given) > 1:
+        raise UsageError("--all and --before take one action, or none for all of them")
+    if not is_many and not given:
+        raise UsageError("give the ids of goals, or --all; 'turtleact goals' lists them")
+    ids = [] if is_many else [_goal_id(text) for text in given]
+    until = 0 if before is None else moment(before)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import goals, graph
+
+        def look(node: Node) -> Awaitable[int]:
+            if is_many:
+                return goals.cancel_many(node, given[0] if given else None, until)
+            return goals.cancel(node, ids)
+
+        return graph.run(where, look, interrupts)
+
+    return job
+
+
+@app.command("watch", cls=Verb, help=VERBS["watch"])
+def watch(
+    goal_id: _Id,
+    *,
+    connect: Connect = None,
+    domain: Domain = None,
+    interfaces: Interfaces = None,
+) -> Job:
+    """``watch``."""
+    return _follow(goal_id, connect, domain, interfaces, with_feedback=True)
+
+
+@app.command("result", cls=Verb, help=VERBS["result"])
+def result(
+    goal_id: _Id,
+    *,
+    connect: Connect = None,
+    domain: Domain = None,
+    interfaces: Interfaces = None,
+) -> Job:
+    """``result``."""
+    return _follow(goal_id, connect, domain, interfaces, with_feedback=False)
+
+
+def moment(text: str) -> int:
+    """A moment as nanoseconds since the epoch, above zero.
+
+    Args:
+        text: Seconds since the epoch, or a date and time as ISO 8601 says them; the local time if
+            it names no zone.
+
+    Raises:
+        UsageError: if it is neither.
+    """
+    seconds = _SECONDS.fullmatch(text)
+    if seconds:
+        nanoseconds = int(seconds["whole"] + (seconds["part"] or "").ljust(9, "0"))
+    else:
+        nanoseconds = _moment_of_iso(text)
+    if not 0 < nanoseconds < _LATEST:
+        problem = "is a time such as 2026-11-21T20:15:00Z, or seconds since 1970"
+        raise UsageError(f"--before {problem}, not {quoted(text)}")
+    return nanoseconds
+
+
+_LATEST = 2**31 * 1_000_000_000
+"""The first moment that ROS 2's ``builtin_interfaces/msg/Time`` cannot say."""
+
+
+def _moment_of_iso(text: str) -> int:
+    """The same of ISO 8601; 0 if it is not."""
+    from datetime import datetime
+
+    try:
+        return round(datetime.fromisoformat(text).timestamp() * 1e6) * 1000
+    except (ValueError, OverflowError):
+        return 0
+
+
+def _goal_id(text: str) -> str:
+    digits = text.replace("-", "").lower()
+    if not _GOAL_ID.fullmatch(digits):
+        problem = "is no goal id: it has 32 hexadecimal digits, of which the first 4 will do"
+        raise UsageError(f"{quoted(text)} {problem}")
+    return digits
+
+
+def _follow(
+    goal_id: str,
+    connect: str | None,
+    domain: str | None,
+    interfaces: str | None,
+    *,
+    with_feedback: bool,
+) -> Job:
+    where, wanted = reach(connect, domain), _goal_id(goal_id)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import goals, graph
+        from turtleact.commands.interfaces import make_known
+
+        make_known(interfaces)
+        return graph.run(
+            where,
+            lambda node: goals.follow(node, wanted, with_feedback=with_feedback),
+            interrupts,
+        )
+
+    return job

@@ -1,0 +1,61 @@
+"""``node``, as Typer sees it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from turtleact.commands.verbs.arguments import Connect, Domain, Job, Verb, new_group, reach
+
+if TYPE_CHECKING:
+    from turtleact.commands.interrupts import Interrupts
+
+__all__ = ["app"]
+
+_Name = Annotated[str, typer.Argument(metavar="NAME", help="The node, such as /turtlesim.")]
+_All = Annotated[bool, typer.Option("--all", "-a", help="Hidden nodes, too.")]
+_Count = Annotated[bool, typer.Option("--count-nodes", "-c", help="Only print how many there are.")]
+_Hidden = Annotated[
+    bool, typer.Option("--include-hidden", help="Hidden topics, services and actions, too.")
+]
+
+app = new_group("node")
+
+
+@app.command("list", cls=Verb, help="List the nodes that there are.")
+def list_(
+    *,
+    hidden: _All = False,
+    count: _Count = False,
+    connect: Connect = None,
+    domain: Domain = None,
+) -> Job:
+    """``node list``."""
+    where = reach(connect, domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import graph, listing
+
+        return graph.run(
+            where, lambda node: listing.print_nodes(node, count=count, hidden=hidden), interrupts
+        )
+
+    return job
+
+
+@app.command("info", cls=Verb, help="Print the topics, services and actions of a node.")
+def info(
+    name: _Name, *, hidden: _Hidden = False, connect: Connect = None, domain: Domain = None
+) -> Job:
+    """``node info``."""
+    where = reach(connect, domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import graph, listing
+
+        return graph.run(
+            where, lambda node: listing.print_node_info(node, name, hidden=hidden), interrupts
+        )
+
+    return job

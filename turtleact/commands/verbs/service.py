@@ -1,0 +1,159 @@
+"""``service``, as Typer sees it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from turtleact.commands.verbs.arguments import (
+    Connect,
+    Domain,
+    Interfaces,
+    Job,
+    Verb,
+    new_group,
+    number,
+    only_one,
+    reach,
+    type_and_text,
+)
+
+if TYPE_CHECKING:
+    from turtleact.commands.interrupts import Interrupts
+
+__all__ = ["app"]
+
+_Name = Annotated[str, typer.Argument(metavar="NAME", help="The service, such as /spawn.")]
+_Type = Annotated[str, typer.Argument(metavar="TYPE", help="The type, pkg/srv/Name.")]
+_CalledType = Annotated[
+    str | None, typer.Argument(metavar="TYPE", help="Its type, pkg/srv/Name; asked of the graph.")
+]
+_Values = Annotated[
+    str | None,
+    typer.Argument(metavar="VALUES", help="The request as YAML or JSON; {} if left out."),
+]
+_Stdin = Annotated[bool, typer.Option("--stdin", help="Read the request from stdin.")]
+_Rate = Annotated[
+    str | None,
+    typer.Option("--rate", "-r", metavar="HZ", help="Call again, so many times a second."),
+]
+_ShowTypes = Annotated[bool, typer.Option("--show-types", "-t", help="Show the types, too.")]
+_Count = Annotated[
+    bool, typer.Option("--count-services", "-c", help="Only print how many there are.")
+]
+_Hidden = Annotated[bool, typer.Option("--include-hidden-services", help="Hidden services, too.")]
+
+app = new_group("service")
+
+
+@app.command("list", cls=Verb, help="List the services that there are.")
+def list_(
+    *,
+    types: _ShowTypes = False,
+    count: _Count = False,
+    hidden: _Hidden = False,
+    connect: Connect = None,
+    domain: Domain = None,
+) -> Job:
+    """``service list``."""
+    where = reach(connect, domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import graph, listing
+
+        return graph.run(
+            where,
+            lambda node: listing.print_list(
+                node, "service", types=types, count=count, hidden=hidden
+            ),
+            interrupts,
+        )
+
+    return job
+
+
+@app.command("info", cls=Verb, help="Print the type of a service, and how many use it.")
+def info(name: _Name, *, connect: Connect = None, domain: Domain = None) -> Job:
+    """``service info``."""
+    where = reach(connect, domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import graph, listing
+
+        return graph.run(where, lambda node: listing.print_service_info(node, name), interrupts)
+
+    return job
+
+
+@app.command("type", cls=Verb, help="Print the type of a service.")
+def type_(name: _Name, *, connect: Connect = None, domain: Domain = None) -> Job:
+    """``service type``."""
+    where = reach(connect, domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import graph, listing
+
+        return graph.run(where, lambda node: listing.print_type(node, "service", name), interrupts)
+
+    return job
+
+
+@app.command("find", cls=Verb, help="List the services of a type.")
+def find(
+    type_name: _Type,
+    *,
+    count: _Count = False,
+    hidden: _Hidden = False,
+    connect: Connect = None,
+    domain: Domain = None,
+) -> Job:
+    """``service find``."""
+    where = reach(connect, domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import graph, listing
+
+        return graph.run(
+            where,
+            lambda node: listing.print_found(
+                node, "service", type_name, count=count, hidden=hidden
+            ),
+            interrupts,
+        )
+
+    return job
+
+
+@app.command("call", cls=Verb, help="Call a service, and print its response.")
+def call(
+    name: _Name,
+    type_name: _CalledType = None,
+    values: _Values = None,
+    *,
+    stdin: _Stdin = False,
+    rate: _Rate = None,
+    connect: Connect = None,
+    domain: Domain = None,
+    interfaces: Interfaces = None,
+) -> Job:
+    """``service call``."""
+    type_name, values = type_and_text(type_name, values, "request")
+    only_one("the request", VALUES=values is not None, stdin=stdin)
+    hertz = (
+        None if rate is None else number("--rate", rate, unit="calls a second", is_positive=True)
+    )
+    where = reach(connect, domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import calling, graph
+        from turtleact.commands.goal_text import GoalText
+        from turtleact.commands.interfaces import make_known
+
+        text = GoalText.read(values, stdin=stdin, path=None, interrupts=interrupts, what="request")
+        make_known(interfaces)
+        return graph.run(
+            where, lambda node: calling.call(node, name, type_name, text, rate=hertz), interrupts
+        )
+
+    return job

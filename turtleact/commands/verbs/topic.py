@@ -1,0 +1,330 @@
+"""``topic``, as Typer sees it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+from turtleact.commands.policies import Durability, Policies, Reliability
+from turtleact.commands.verbs.arguments import (
+    Connect,
+    Domain,
+    Interfaces,
+    Job,
+    Verb,
+    new_group,
+    number,
+    only_one,
+    quoted,
+    reach,
+    type_and_text,
+    whole,
+)
+from turtleact.errors import UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Mapping
+
+    from turtleact.commands.interrupts import Interrupts
+    from turtleact.node import Node
+
+__all__ = ["app"]
+
+P = TypeVar("P")
+
+_Name = Annotated[str, typer.Argument(metavar="NAME", help="The topic, such as /turtle1/pose.")]
+_Type = Annotated[str, typer.Argument(metavar="TYPE", help="The type, pkg/msg/Name.")]
+_AskedType = Annotated[
+    str | None, typer.Argument(metavar="TYPE", help="Its type, pkg/msg/Name; asked of the graph.")
+]
+_Values = Annotated[
+    str | None,
+    typer.Argument(metavar="VALUES", help="The message as YAML or JSON; {} if left out."),
+]
+_ShowTypes = Annotated[bool, typer.Option("--show-types", "-t", help="Show the types, too.")]
+_Count = Annotated[
+    bool, typer.Option("--count-topics", "-c", help="Only print how many there are.")
+]
+_Hidden = Annotated[bool, typer.Option("--include-hidden-topics", help="Hidden topics, too.")]
+_Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print all that is known.")]
+_Once = Annotated[bool, typer.Option("--once", help="Leave after the first message.")]
+_Field = Annotated[
+    str | None,
+    typer.Option("--field", metavar="FIELD", help="Only this field, such as linear.x."),
+]
+_Csv = Annotated[bool, typer.Option("--csv", help="All values on one line, commas between.")]
+_FullLength = Annotated[
+    bool, typer.Option("--full-length", "-f", help="Cut neither lists nor strings.")
+]
+_Truncate = Annotated[
+    str,
+    typer.Option(
+        "--truncate-length", "-l", metavar="N", help="Cut lists and strings that are longer."
+    ),
+]
+_Timeout = Annotated[
+    str | None, typer.Option("--timeout", metavar="SECONDS", help="Leave after so long.")
+]
+_Reliability = Annotated[
+    str | None,
+    typer.Option("--qos-reliability", metavar="POLICY", help="reliable or best_effort."),
+]
+_Durability = Annotated[
+    str | None,
+    typer.Option("--qos-durability", metavar="POLICY", help="volatile or transient_local."),
+]
+_Depth = Annotated[
+    str | None, typer.Option("--qos-depth", metavar="N", help="How many messages are kept.")
+]
+_Window = Annotated[
+    str, typer.Option("--window", "-w", metavar="N", help="How many messages are looked at.")
+]
+_Rate = Annotated[
+    str, typer.Option("--rate", "-r", metavar="HZ", help="So many messages a second.")
+]
+_PrintEach = Annotated[
+    str, typer.Option("--print", "-p", metavar="N", help="Only print every N-th message.")
+]
+_PubOnce = Annotated[bool, typer.Option("--once", "-1", help="Publish one message and leave.")]
+_Times = Annotated[
+    str | None,
+    typer.Option("--times", "-t", metavar="N", help="Publish so many messages and leave."),
+]
+_Wait = Annotated[
+    str | None,
+    typer.Option(
+        "--wait-matching-subscriptions",
+        "-w",
+        metavar="N",
+        help="Wait for so many subscriptions: 1 with --once or --times, else 0.",
+    ),
+]
+_Stdin = Annotated[bool, typer.Option("--stdin", help="Read the message from stdin.")]
+
+_RELIABILITIES: dict[str, Reliability] = {"reliable": "reliable", "best_effort": "best_effort"}
+_DURABILITIES: dict[str, Durability] = {
+    "volatile": "volatile",
+    "transient_local": "transient_local",
+}
+
+app = new_group("topic")
+
+
+@app.command("list", cls=Verb, help="List the topics that there are.")
+def list_(
+    *,
+    types: _ShowTypes = False,
+    count: _Count = False,
+    hidden: _Hidden = False,
+    verbose: _Verbose = False,
+    connect: Connect = None,
+    domain: Domain = None,
+) -> Job:
+    """``topic list``."""
+    where = reach(connect, domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import graph, listing
+
+        def look(node: Node) -> Awaitable[int]:
+            if verbose and not count:
+                return listing.print_topics_in_full(node, hidden=hidden)
+            return listing.print_list(node, "topic", types=types, count=count, hidden=hidden)
+
+        return graph.run(where, look, interrupts)
+
+    return job
+
+
+@app.command("info", cls=Verb, help="Print the type of a topic, and who uses it.")
+def info(
+    name: _Name,
+    *,
+    verbose: _Verbose = False,
+    connect: Connect = None,
+    domain: Domain = None,
+    interfaces: Interfaces = None,
+) -> Job:
+    """``topic info``."""
+    where = reach(connect, domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import graph, listing
+        from turtleact.commands.interfaces import make_known
+
+        make_known(interfaces)
+        return graph.run(
+            where,
+            lambda node: listing.print_topic_info(node, name, verbose=verbose),
+            interrupts,
+        )
+
+    return job
+
+
+@app.command("type", cls=Verb, help="Print the type of a topic.")
+def type_(name: _Name, *, connect: Connect = None, domain: Domain = None) -> Job:
+    """``topic type``."""
+    where = reach(connect, domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import graph, listing
+
+        return graph.run(where, lambda node: listing.print_type(node, "topic", name), interrupts)
+
+    return job
+
+
+@app.command("find", cls=Verb, help="List the topics of a type.")
+def find(
+    type_name: _Type,
+    *,
+    count: _Count = False,
+    hidden: _Hidden = False,
+    connect: Connect = None,
+    domain: Domain = None,
+) -> Job:
+    """``topic find``."""
+    where = reach(connect, domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import graph, listing
+
+        return graph.run(
+            where,
+            lambda node: listing.print_found(node, "topic", type_name, count=count, hidden=hidden),
+            interrupts,
+        )
+
+    return job
+
+
+@app.command("echo", cls=Verb, help="Print the messages of a topic.")
+def echo(
+    name: _Name,
+    type_name: _AskedType = None,
+    *,
+    once: _Once = False,
+    field: _Field = None,
+    csv: _Csv = False,
+    full_length: _FullLength = False,
+    truncate_length: _Truncate = "128",
+    timeout: _Timeout = None,
+    reliability: _Reliability = None,
+    durability: _Durability = None,
+    depth: _Depth = None,
+    connect: Connect = None,
+    domain: Domain = None,
+    interfaces: Interfaces = None,
+) -> Job:
+    """``topic echo``."""
+    where = reach(connect, domain)
+    length = whole("--truncate-length", truncate_length)
+    seconds = None if timeout is None else number("--timeout", timeout)
+    policies = _policies(reliability, durability, depth)
+    if field is not None and not all(field.split(".")):
+        raise UsageError(f"--field is names with dots between, such as linear.x, not '{field}'")
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import echo, graph
+        from turtleact.commands.interfaces import make_known
+
+        make_known(interfaces)
+        order = echo.Order(
+            name,
+            type_name,
+            () if field is None else tuple(field.split(".")),
+            once=once,
+            csv=csv,
+            longest=None if full_length else length,
+            timeout=seconds,
+            policies=policies,
+        )
+        return graph.run(where, lambda node: echo.echo(node, order), interrupts)
+
+    return job
+
+
+@app.command("hz", cls=Verb, help="Print how many messages come a second.")
+def hz(
+    name: _Name,
+    *,
+    window: _Window = "10000",
+    connect: Connect = None,
+    domain: Domain = None,
+    interfaces: Interfaces = None,
+) -> Job:
+    """``topic hz``."""
+    where = reach(connect, domain)
+    most = whole("--window", window, least=1)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import graph, rate
+        from turtleact.commands.interfaces import make_known
+
+        make_known(interfaces)
+        return graph.run(where, lambda node: rate.measure(node, name, most), interrupts)
+
+    return job
+
+
+@app.command("pub", cls=Verb, help="Publish messages on a topic.")
+def pub(
+    name: _Name,
+    type_name: _AskedType = None,
+    values: _Values = None,
+    *,
+    once: _PubOnce = False,
+    times: _Times = None,
+    rate: _Rate = "1",
+    print_each: _PrintEach = "1",
+    wait: _Wait = None,
+    stdin: _Stdin = False,
+    reliability: _Reliability = None,
+    durability: _Durability = None,
+    depth: _Depth = None,
+    connect: Connect = None,
+    domain: Domain = None,
+    interfaces: Interfaces = None,
+) -> Job:
+    """``topic pub``."""
+    where = reach(connect, domain)
+    type_name, values = type_and_text(type_name, values, "message")
+    only_one("the message", VALUES=values is not None, stdin=stdin)
+    only_one("how often", once=once, times=times is not None)
+    hertz = number("--rate", rate, unit="messages a second", is_positive=True)
+    count = 1 if once else 0 if times is None else whole("--times", times)
+    least = int(count > 0) if wait is None else whole("--wait-matching-subscriptions", wait)
+    every = whole("--print", print_each)
+    policies = _policies(reliability, durability, depth)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import graph, publishing
+        from turtleact.commands.goal_text import GoalText
+        from turtleact.commands.interfaces import make_known
+
+        text = GoalText.read(values, stdin=stdin, path=None, interrupts=interrupts, what="message")
+        make_known(interfaces)
+        order = publishing.Order(name, type_name, text, hertz, count, every, least, policies)
+        return graph.run(where, lambda node: publishing.publish(node, order), interrupts)
+
+    return job
+
+
+def _policies(reliability: str | None, durability: str | None, depth: str | None) -> Policies:
+    """The policies that are asked for, checked."""
+    return Policies(
+        _policy("--qos-reliability", reliability, _RELIABILITIES),
+        _policy("--qos-durability", durability, _DURABILITIES),
+        None if depth is None else whole("--qos-depth", depth, least=1),
+    )
+
+
+def _policy(option: str, text: str | None, words: Mapping[str, P]) -> P | None:
+    if text is None:
+        return None
+    try:
+        return words[text]
+    except KeyError:
+        raise UsageError(f"{option} is {' or '.join(words)}, not {quoted(text)}") from None
