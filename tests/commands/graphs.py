@@ -89,12 +89,12 @@ def interrupted(seconds):
     return after(seconds, lambda: signal.raise_signal(signal.SIGINT))
 
 
-def on_a_wire(**known):
+def on_a_wire(name="/far", **known):
     """A publisher of another process, such as a wire would tell of."""
 
     @asynccontextmanager
     async def nodes(transport):
-        far = Endpoint("publisher", "/far", "far_msgs/msg/Away", "/ns/far", QoS(), **known)
+        far = Endpoint("publisher", name, "far_msgs/msg/Away", "/ns/far", QoS(), **known)
         transport.endpoints = lambda: (far,)
         yield
 

@@ -6,13 +6,17 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 
 import anyio
 import pytest
 
-from turtleact.commands import graph
+from turtleact import Node, open_node
+from turtleact.commands import calling, echo, goals, graph, listing, publishing
+from turtleact.commands.goal_text import GoalText
+from turtleact.commands.policies import Policies
 
 GRAPHS = Path(__file__).with_name("graphs.py")
 
@@ -63,6 +67,32 @@ def test_ctrl_c_ends_a_verb_that_has_no_end(on_graph, graphs, arguments):
     ran = on_graph(nodes, *arguments)
     assert ran.status == 130
     assert "Error" not in ran.err
+
+
+MESSAGE = GoalText("{}", "message")
+POSE = ("/turtle1/pose", None, (), True, False, None, True, True, None, Policies())
+TWIST = ("/turtle1/cmd_vel", None, MESSAGE, 10.0, 3, 1, 1, Policies())
+LOOKS: dict[str, Callable[[Node], Awaitable[int]]] = {
+    "list": lambda node: listing.print_list(node, "topic", types=True, count=False, hidden=True),
+    "echo": lambda node: echo.echo(node, echo.Order(*POSE)),
+    "pub": lambda node: publishing.publish(node, publishing.Order(*TWIST)),
+    "call": lambda node: calling.call(node, "/spawn", None, MESSAGE, rate=None),
+    "goals": lambda node: goals.print_goals(node, None, as_json=False),
+    "cancel": lambda node: goals.cancel(node, ["71a90636"]),
+    "cancel --all": lambda node: goals.cancel_many(node, "/hold", 0),
+    "watch": lambda node: goals.follow(node, "c53d", with_feedback=True),
+}
+
+
+@pytest.mark.parametrize("verb", LOOKS)
+async def test_a_verb_looks_at_a_graph_on_every_loop(graphs, capsys, verb):
+    nodes = graphs.in_turn(graphs.turtlesim, graphs.goals)
+    async with (
+        graphs.open_graph(nodes)(None) as transport,
+        open_node("_viewer", transport=transport) as viewer,
+    ):
+        assert await LOOKS[verb](viewer) == 0
+    assert capsys.readouterr().out
 
 
 def test_ctrl_c_ends_a_program_that_echoes(start):

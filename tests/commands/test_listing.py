@@ -239,3 +239,8 @@ def test_the_hash_of_a_type_that_is_not_known_is_invalid_as_in_ros2(on_graph, gr
         "Topic type hash: INVALID\n"
         in on_graph(graphs.on_a_wire(), "topic", "info", "--verbose", "/far").out
     )
+
+
+def test_a_name_of_a_wire_commands_no_terminal(on_graph, graphs):
+    nodes = graphs.on_a_wire(name="/far\x1b[2J")
+    assert on_graph(nodes, "topic", "list").out == "/far\\x1b[2J\n"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import sys
 from collections.abc import Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -174,6 +175,50 @@ STATUSES = GoalStatusArray([GoalStatusMessage(), GoalStatusMessage(status=4)])
 def test_a_message_is_printed_as_asked_for(on_graph, message, options, out):
     ran = on_graph(publishing("/it", message), "topic", "echo", "/it", "--once", *options.split())
     assert ran == (0, out, "")
+
+
+LONG = load_interface(
+    "float64[3] place\nbyte[<=4] raw\nstring[] words\nstring name\n"
+    "geometry_msgs/Point[] points\nstd_msgs/String text\nstd_msgs/String[] texts\n",
+    type_name="printed_interfaces/msg/Long",
+)
+
+
+@pytest.mark.parametrize(
+    ("options", "out"),
+    [
+        (
+            "--no-arr",
+            "place: '<array type: double[3]>'\n"
+            "raw: '<sequence type: octet[4], length: 1>'\n"
+            "words: '<sequence type: string, length: 1>'\n"
+            "name: abc\n"
+            "points: '<sequence type: geometry_msgs/msg/Point, length: 0>'\n"
+            "text:\n  data: ab\n"
+            "texts: '<sequence type: std_msgs/msg/String, length: 1>'\n---\n",
+        ),
+        (
+            "--no-str --field texts",
+            "- data: '<string length: <1>>'\n---\n",
+        ),
+        ("--no-str --field text", "data: '<string length: <2>>'\n---\n"),
+        ("--no-str --no-arr --field name", "<string length: <3>>\n---\n"),
+    ],
+)
+def test_lists_and_strings_may_be_left_out(on_graph, options, out):
+    make: Any = LONG
+    message = make(raw=[1], words=["w"], name="abc", text=text("ab"), texts=[text("x")])
+    ran = on_graph(publishing("/it", message), "topic", "echo", "it", "--once", *words(options))
+    assert ran == (0, out, "")
+
+
+@pytest.mark.parametrize(
+    ("is_terminal", "out"), [(True, "a\\x1b[2J\nb\n---\n"), (False, "a\x1b[2J\nb\n---\n")]
+)
+def test_a_string_commands_no_terminal(on_graph, monkeypatch, is_terminal, out):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: is_terminal)
+    nodes = publishing("/it", text("a\x1b[2J\nb"))
+    assert on_graph(nodes, *words("topic echo it --once --field data")).out == out
 
 
 def test_messages_are_printed_until_the_time_is_over(on_graph):

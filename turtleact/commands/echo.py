@@ -1,19 +1,21 @@
 """``topic echo``: the messages of a topic, as they come.
 
-Source: ros2cli ``ros2topic/verb/echo.py``; recordings of Jazzy for the words.
+Source: ros2cli ``ros2topic/verb/echo.py`` and rosidl_runtime_py ``convert.py``; recordings of Jazzy
+for the words.
 """
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING, NamedTuple
 
 from turtleact.clock import within
 from turtleact.commands.graph import chosen_class
-from turtleact.commands.stderr import note
+from turtleact.commands.stderr import note, printable
 from turtleact.commands.transcript import say
 from turtleact.errors import UsageError
 from turtleact.interfaces import Message, to_dict
-from turtleact.interfaces.definition import did_you_mean
+from turtleact.interfaces.definition import ArrayForm, did_you_mean
 from turtleact.interfaces.text import block, listed
 from turtleact.interfaces.types import fields, nested_classes
 from turtleact.names import resolve_name
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from turtleact.commands.policies import Durability, Policies
+    from turtleact.interfaces.definition import FieldType
     from turtleact.node import Node
     from turtleact.topics import Subscription
 
@@ -29,6 +32,15 @@ __all__ = ["Order", "echo", "yaml_lines"]
 
 DEPTH = 1000
 """Messages that are kept while the output is stuck."""
+
+IDL_NAMES = {
+    "bool": "boolean",
+    "byte": "octet",
+    "char": "uint8",
+    "float32": "float",
+    "float64": "double",
+}
+"""What IDL calls a type otherwise, and so ``--no-arr``."""
 
 DONE, TIMEOUT = 0, 124
 """Exit statuses."""
@@ -44,6 +56,8 @@ class Order(NamedTuple):
         once: Whether to leave after the first message.
         csv: Whether to print values with commas between, not YAML.
         longest: Lists and strings that are longer are cut; None cuts none.
+        arrays: Whether lists are printed, or just what they are.
+        strings: Whether strings are printed, or just how long they are.
         timeout: When to leave (s, by the clock of the graph); None for never.
         policies: The quality of service that is asked for.
     """
@@ -54,6 +68,8 @@ class Order(NamedTuple):
     once: bool
     csv: bool
     longest: int | None
+    arrays: bool
+    strings: bool
     timeout: float | None
     policies: Policies
 
@@ -75,7 +91,8 @@ async def echo(node: Node, order: Order) -> int:
     async with within(order.timeout, node.clock):
         async for message in subscription:
             missed = _note_missed(subscription, missed)
-            say(_text(message, order))
+            text = _text(message, order)
+            say(printable(text) if _is_terminal() else text)
             count += 1
             if order.once:
                 return DONE
@@ -91,6 +108,11 @@ def yaml_lines(value: object) -> list[str]:
     if isinstance(value, list | bytes) and value:
         return [line for item in value for line in listed(item)]
     return [str(list(value) if isinstance(value, bytes) else value)]
+
+
+def _is_terminal() -> bool:
+    """Whether a string of a peer could command the terminal that it is printed on."""
+    return sys.stdout is not None and sys.stdout.isatty()
 
 
 def _durability(node: Node, name: str) -> Durability:
@@ -127,6 +149,8 @@ def _note_missed(subscription: Subscription[Message], noted: int) -> int:
 def _text(message: Message, order: Order) -> str:
     """What is printed of a message."""
     value: object = to_dict(message)
+    if not (order.arrays and order.strings):
+        value = _described(type(message), to_dict(message), order)
     for name in order.path:
         value = value[name]  # type: ignore[index]  # a mapping, as `_check_path` has seen
     if order.longest is not None:
@@ -134,6 +158,30 @@ def _text(message: Message, order: Order) -> str:
     if order.csv:
         return f"{_csv(value)}\n"
     return "".join(f"{line}\n" for line in (*yaml_lines(value), "---"))
+
+
+def _described(cls: type[Message], values: dict[str, object], order: Order) -> dict[str, object]:
+    """The fields of a message, with words in place of what is not to be printed."""
+    described = dict(values)
+    for field, nested in zip(fields(cls), nested_classes(cls), strict=True):
+        value = values[field.name]
+        if field.type.is_sequence and not order.arrays:
+            described[field.name] = _kind_of_list(field.type, len(value))  # type: ignore[arg-type]  # a list
+        elif isinstance(value, str) and not order.strings:
+            described[field.name] = f"<string length: <{len(value)}>>"
+        elif nested is not None and isinstance(value, dict):
+            described[field.name] = _described(nested, value, order)
+        elif nested is not None and isinstance(value, list):
+            described[field.name] = [_described(nested, each, order) for each in value]
+    return described
+
+
+def _kind_of_list(kind: FieldType, length: int) -> str:
+    name = IDL_NAMES.get(kind.name, kind.name)
+    if kind.form is ArrayForm.FIXED:
+        return f"<array type: {name}[{kind.size}]>"
+    bound = f"[{kind.size}]" if kind.form is ArrayForm.BOUNDED else ""
+    return f"<sequence type: {name}{bound}, length: {length}>"
 
 
 def _cut(value: object, longest: int) -> object:

@@ -16,7 +16,7 @@ import anyio
 
 from turtleact.client import Outcome
 from turtleact.commands.echo import yaml_lines
-from turtleact.commands.graph import interface_class
+from turtleact.commands.graph import interface_class, say_names
 from turtleact.commands.held_goals import (
     STATUS_QOS,
     HeldGoal,
@@ -75,7 +75,7 @@ async def print_goals(node: Node, name: str | None, *, as_json: bool) -> int:
         say("".join(f"{_as_json(node, goal, now)}\n" for goal in goals))
     elif goals:
         rows = [HEADINGS, *(_row(node, goal, now) for goal in goals)]
-        say("".join(f"{line}\n" for line in _aligned(rows)))
+        say_names("".join(f"{line}\n" for line in _aligned(rows)))
     else:
         note("no server in reach holds a goal")
     return DONE
@@ -213,7 +213,7 @@ async def _request(node: Node, action: str, goal_id: bytes, stamp: int) -> Cance
 
 def _tell(goal_id: str, action: str, problem: str | None) -> None:
     who = f"{goal_id} of {action}" if action else goal_id
-    say(f"{who}: {f'not canceled: {problem}' if problem else 'canceling'}\n")
+    say_names(f"{who}: {f'not canceled: {problem}' if problem else 'canceling'}\n")
 
 
 # watch, result

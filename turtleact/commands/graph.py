@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar
 
 import anyio
 
+from turtleact.commands.stderr import printable
+from turtleact.commands.transcript import say
 from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.definition import did_you_mean
@@ -34,6 +36,7 @@ __all__ = [
     "names_like",
     "open_transport",
     "run",
+    "say_names",
     "types_by_name",
 ]
 
@@ -164,6 +167,11 @@ def names_like(name: str, known: Iterable[str]) -> str:
     names = list(known)
     shown = ", ".join([*names[:MOST_SHOWN], *(["…"] if len(names) > MOST_SHOWN else [])])
     return did_you_mean(name, names) or f" (there are: {shown or 'none'})"
+
+
+def say_names(text: str) -> None:
+    """Print names of the graph: a peer may say anything there, but commands no terminal."""
+    say(printable(text))
 
 
 async def _run(reach: Reach, look: Look, interrupts: Interrupts) -> int:

@@ -13,9 +13,8 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
-from turtleact.commands.graph import Kind, names_like, types_by_name
+from turtleact.commands.graph import Kind, names_like, say_names, types_by_name
 from turtleact.commands.stderr import note
-from turtleact.commands.transcript import say
 from turtleact.errors import TurtleactError, UnknownInterface
 from turtleact.interfaces import get_interface, type_hash
 from turtleact.names import resolve_name
@@ -49,7 +48,7 @@ async def print_list(node: Node, kind: Kind, *, types: bool, count: bool, hidden
     """Print all names of a kind, or how many there are."""
     found = types_by_name(node.transport.endpoints(), kind, hidden=hidden)
     if count:
-        say(f"{len(found)}\n")
+        say_names(f"{len(found)}\n")
     else:
         _say_lines(_with_types(name, found[name] if types else ()) for name in found)
     return FOUND
@@ -80,11 +79,11 @@ async def print_action_info(node: Node, name: str, *, types: bool, count: bool) 
         InvalidName: if the name breaks ROS 2's rules.
     """
     full_name = resolve_name(name)
-    say(f"Action: {name}\n")
+    say_names(f"Action: {name}\n")
     sides: dict[str, EndpointKind] = {"clients": "client", "servers": "service"}
     for side, kind in sides.items():
         nodes = list(_nodes_of_action(node, full_name, kind))
-        say(f"Action {side}: {len(nodes)}\n")
+        say_names(f"Action {side}: {len(nodes)}\n")
         if not count:
             _say_lines(f"    {_with_types(who, known if types else ())}" for who, known in nodes)
     return FOUND
@@ -112,8 +111,8 @@ async def print_service_info(node: Node, name: str) -> int:
     endpoints = node.transport.endpoints()
     types = _needed_types(endpoints, "service", name)
     counts = Counter(endpoint.kind for endpoint in endpoints if endpoint.name == name)
-    say(f"Type: {_as_said(types)}\n")
-    say(f"Clients count: {counts['client']}\nServices count: {counts['service']}\n")
+    say_names(f"Type: {_as_said(types)}\n")
+    say_names(f"Clients count: {counts['client']}\nServices count: {counts['service']}\n")
     return FOUND
 
 
@@ -126,12 +125,12 @@ async def print_topics_in_full(node: Node, *, hidden: bool) -> int:
     topics = types_by_name(endpoints, "topic", hidden=hidden)
     for word, kind in SIDES.items():
         counts = Counter(endpoint.name for endpoint in endpoints if endpoint.kind == kind)
-        say(f"{word}ed topics:\n")
+        say_names(f"{word}ed topics:\n")
         for name, types in topics.items():
             if number := counts[name]:
                 plural = "s" if number > 1 else ""
-                say(f" * {_with_types(name, types)} {number} {word.lower()}er{plural}\n")
-        say("\n")
+                say_names(f" * {_with_types(name, types)} {number} {word.lower()}er{plural}\n")
+        say_names("\n")
     return FOUND
 
 
@@ -144,10 +143,10 @@ async def print_topic_info(node: Node, name: str, *, verbose: bool) -> int:
     endpoints = node.transport.endpoints()
     types = _needed_types(endpoints, "topic", name)
     end = "\n\n" if verbose else "\n"
-    say(f"Type: {_as_said(types)}{end}")
+    say_names(f"Type: {_as_said(types)}{end}")
     for word, kind in {"Publisher": "publisher", "Subscription": "subscription"}.items():
         there = [each for each in endpoints if each.name == name and each.kind == kind]
-        say(f"{word} count: {len(there)}{end}")
+        say_names(f"{word} count: {len(there)}{end}")
         if verbose:
             _say_lines(f"{_in_full(endpoint)}\n" for endpoint in there)
     return FOUND
@@ -208,7 +207,7 @@ async def print_node_info(node: Node, name: str, *, hidden: bool) -> int:
     if names.count(name) > 1:
         note(f"{names.count(name)} nodes have the name '{name}'; this is what they have together")
     own = _endpoints_of(node, name)
-    say(f"{name}\n")
+    say_names(f"{name}\n")
     sections: tuple[tuple[str, Kind, EndpointKind], ...] = (
         ("Subscribers", "topic", "subscription"),
         ("Publishers", "topic", "publisher"),
@@ -218,7 +217,7 @@ async def print_node_info(node: Node, name: str, *, hidden: bool) -> int:
         ("Action Clients", "action", "client"),
     )
     for title, kind, end in sections:
-        say(f"  {title}:\n")
+        say_names(f"  {title}:\n")
         found = types_by_name(own, kind, end, hidden=hidden)
         _say_lines([f"    {each}: {', '.join(types)}" for each, types in found.items()] or [""])
     return FOUND
@@ -254,4 +253,4 @@ def _with_types(name: str, types: Iterable[str]) -> str:
 
 
 def _say_lines(lines: Iterable[str]) -> None:
-    say("".join(f"{line}\n" for line in lines))
+    say_names("".join(f"{line}\n" for line in lines))

@@ -63,6 +63,8 @@ _Truncate = Annotated[
         "--truncate-length", "-l", metavar="N", help="Cut lists and strings that are longer."
     ),
 ]
+_NoArrays = Annotated[bool, typer.Option("--no-arr", help="Print no lists, just what they are.")]
+_NoStrings = Annotated[bool, typer.Option("--no-str", help="Print no strings, just their length.")]
 _Timeout = Annotated[
     str | None, typer.Option("--timeout", metavar="SECONDS", help="Leave after so long.")
 ]
@@ -210,6 +212,8 @@ def echo(
     csv: _Csv = False,
     full_length: _FullLength = False,
     truncate_length: _Truncate = "128",
+    no_arr: _NoArrays = False,
+    no_str: _NoStrings = False,
     timeout: _Timeout = None,
     reliability: _Reliability = None,
     durability: _Durability = None,
@@ -238,6 +242,8 @@ def echo(
             once=once,
             csv=csv,
             longest=None if full_length else length,
+            arrays=not no_arr,
+            strings=not no_str,
             timeout=seconds,
             policies=policies,
         )
