@@ -8,6 +8,7 @@ import pytest
 
 from turtleact.interfaces import get_interface, known_interfaces, standard
 from turtleact.interfaces.parse import parse
+from turtleact.interfaces.standard import parameters
 from turtleact.interfaces.types import Action, Message, Service, definition
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -17,20 +18,21 @@ SHIPPED = sorted(
     for path in FOLDER.rglob("*")
     if path.suffix in {".msg", ".srv", ".action"}
 )
-CLASSES = [getattr(standard, name) for name in standard.__all__]
+CLASSES = [getattr(module, name) for module in (standard, parameters) for name in module.__all__]
+IDS = [cls.type_name for cls in CLASSES]
 
 
 def place(type_name: str) -> str:
     return f"{type_name}.{type_name.split('/')[1]}"
 
 
-@pytest.mark.parametrize("cls", CLASSES, ids=standard.__all__)
+@pytest.mark.parametrize("cls", CLASSES, ids=IDS)
 def test_a_class_says_what_its_file_says(cls):
     text = resources.files(standard).joinpath(place(cls.type_name)).read_text()
     assert definition(cls) == parse(text, cls.type_name)
 
 
-@pytest.mark.parametrize("cls", CLASSES, ids=standard.__all__)
+@pytest.mark.parametrize("cls", CLASSES, ids=IDS)
 def test_a_class_is_what_its_name_gives(cls):
     assert get_interface(cls.type_name) is cls
 
@@ -39,13 +41,14 @@ def test_every_file_is_known():
     assert set(SHIPPED) <= set(known_interfaces())
 
 
-def test_every_class_is_exported():
+@pytest.mark.parametrize("module", [standard, parameters])
+def test_every_class_is_exported(module):
     made = {
         name
-        for name, value in vars(standard).items()
-        if inspect.isclass(value) and value.__module__ == standard.__name__
+        for name, value in vars(module).items()
+        if inspect.isclass(value) and value.__module__ == module.__name__
     }
-    assert made == set(standard.__all__)
+    assert made == set(module.__all__)
 
 
 @pytest.mark.parametrize("type_name", SHIPPED)
@@ -60,7 +63,8 @@ def test_a_file_makes_a_class(type_name):
 
 
 @pytest.mark.parametrize(
-    "package", ["std_msgs", "geometry_msgs", "action_msgs", "std_srvs", "turtlesim"]
+    "package",
+    ["std_msgs", "geometry_msgs", "action_msgs", "std_srvs", "turtlesim", "rcl_interfaces"],
 )
 def test_a_package_ships_whole(package):
     names = {

@@ -1,7 +1,8 @@
 """The interfaces that ship: as data files, and some of them as classes.
 
 The files hold the fields of ROS 2 Jazzy's interfaces, comments left out; ``get_interface`` finds
-all of them. What turtleact itself handles, and what one types most, is here as a class.
+all of them. What turtleact itself handles, and what one types most, is here as a class; the
+messages of parameters are in ``parameters``.
 """
 
 from __future__ import annotations
@@ -29,15 +30,23 @@ from turtleact.interfaces.types import (
 __all__ = [
     "UUID",
     "CancelGoal",
+    "Color",
     "Duration",
+    "Empty",
     "ExampleFibonacci",
     "Fibonacci",
     "GoalInfo",
     "GoalStatusArray",
     "GoalStatusMessage",
+    "Kill",
     "PatrolCommandInterface",
     "Point",
+    "RotateAbsolute",
     "ServiceEventInfo",
+    "SetPen",
+    "Spawn",
+    "TeleportAbsolute",
+    "TeleportRelative",
     "Time",
     "TurtlePose",
     "Twist",
@@ -158,6 +167,97 @@ class TurtlePose(Message, type_name="turtlesim/msg/Pose"):
     theta: float32 = 0.0
     linear_velocity: float32 = 0.0
     angular_velocity: float32 = 0.0
+
+
+class Color(Message, type_name="turtlesim/msg/Color"):
+    """The colour of the drawing under a turtle."""
+
+    r: uint8 = 0
+    g: uint8 = 0
+    b: uint8 = 0
+
+
+class Empty(Service, type_name="std_srvs/srv/Empty"):
+    """A call without words."""
+
+
+class Spawn(Service, type_name="turtlesim/srv/Spawn"):
+    """Puts a new turtle into the world."""
+
+    class Request(Message):
+        """Where (m, rad), and its name; one is made up if it is empty."""
+
+        x: float32 = 0.0
+        y: float32 = 0.0
+        theta: float32 = 0.0
+        name: string = ""
+
+    class Response(Message):
+        """The name; empty if there is no new turtle."""
+
+        name: string = ""
+
+
+class Kill(Service, type_name="turtlesim/srv/Kill"):
+    """Takes a turtle out of the world."""
+
+    class Request(Message):
+        """Which one."""
+
+        name: string = ""
+
+
+class SetPen(Service, type_name="turtlesim/srv/SetPen"):
+    """Changes a turtle's pen."""
+
+    class Request(Message):
+        """The colour, the width (pixels, 0 is 1), and whether the pen is off."""
+
+        r: uint8 = 0
+        g: uint8 = 0
+        b: uint8 = 0
+        width: uint8 = 0
+        off: uint8 = 0
+
+
+class TeleportAbsolute(Service, type_name="turtlesim/srv/TeleportAbsolute"):
+    """Puts a turtle somewhere else."""
+
+    class Request(Message):
+        """Where (m, rad)."""
+
+        x: float32 = 0.0
+        y: float32 = 0.0
+        theta: float32 = 0.0
+
+
+class TeleportRelative(Service, type_name="turtlesim/srv/TeleportRelative"):
+    """Turns a turtle, then puts it ahead."""
+
+    class Request(Message):
+        """How far ahead (m), and how far to turn (rad)."""
+
+        linear: float32 = 0.0
+        angular: float32 = 0.0
+
+
+class RotateAbsolute(Action, type_name="turtlesim/action/RotateAbsolute"):
+    """Turns a turtle to a heading."""
+
+    class Goal(Message):
+        """The heading (rad)."""
+
+        theta: float32 = 0.0
+
+    class Result(Message):
+        """The heading at the start minus the one at the end (rad)."""
+
+        delta: float32 = 0.0
+
+    class Feedback(Message):
+        """How far it still is (rad)."""
+
+        remaining: float32 = 0.0
 
 
 class Fibonacci(Action, type_name="action_tutorials_interfaces/action/Fibonacci"):
