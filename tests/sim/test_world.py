@@ -379,3 +379,151 @@ def test_of_many_turtles_only_some_are_listed():
 def test_a_world_without_turtles_is_refused(turtles):
     with pytest.raises(SimError, match=f"^a world of {turtles} turtles: give 1 or more$"):
         World(turtles)
+
+
+# --- turtles that come and go ---------------------------------------------------------------
+
+
+def test_a_new_turtle_stands_where_it_was_put():
+    world = World()
+    assert world.spawn(2.0, 3.0, 0.5) == "turtle2"
+    assert run(world, 1).pose("turtle2") == (2.0, 3.0, 0.5, 0.0, 0.0)
+
+
+def test_a_new_turtle_is_in_name_order():
+    world = World(2)
+    world.spawn(1.0, 1.0, 0.0, "bob")
+    world.spawn(1.0, 1.0, 0.0, "turtle11")
+    assert world.names == ("bob", "turtle1", "turtle11", "turtle2")
+
+
+def test_names_are_counted_up_past_those_in_use():
+    world = World()
+    world.spawn(1.0, 1.0, 0.0, "turtle3")
+    names = [world.spawn(1.0, 1.0, 0.0) for _ in range(3)]
+    assert names == ["turtle2", "turtle4", "turtle5"]
+
+
+def test_a_name_that_was_given_once_is_not_made_up_again():
+    world = World()
+    world.kill(world.spawn(1.0, 1.0, 0.0))
+    assert world.spawn(1.0, 1.0, 0.0) == "turtle3"
+
+
+def test_a_turtle_spawned_outside_is_brought_back_by_the_walls():
+    world = World()
+    world.spawn(20.0, -3.0, 0.0, "far")
+    assert list(world.step()) == [Hit(0, 20.0, SIDE + 3.0)]
+    assert world.pose("far")[:2] == (SIDE, 0.0)
+
+
+def test_a_taken_name_is_refused():
+    with pytest.raises(SimError, match=r"^turtle1: there is a turtle of this name: give another$"):
+        World().spawn(1.0, 1.0, 0.0, "turtle1")
+
+
+@pytest.mark.parametrize(("name", "who"), [("", "a new turtle"), ("bob", "bob")])
+def test_a_spawn_at_no_place_is_refused(name, who):
+    with pytest.raises(SimError, match=f"^{who}: theta is nan: give a finite number$"):
+        World().spawn(1.0, 1.0, math.nan, name)
+
+
+@pytest.mark.parametrize("others", [1, 15, 16, MANY])
+def test_others_go_on_as_if_nobody_had_come_or_gone(others):
+    world, alone = World(others), World(others)
+    for each in (world, alone):
+        each.set_velocity("turtle1", 1.5, 0.0, 0.7)
+        run(each, 20)
+    world.set_velocity("turtle1", 0.5, 0.0, -2.0)
+    alone.set_velocity("turtle1", 0.5, 0.0, -2.0)
+    world.spawn(1.0, 1.0, 0.0, "a")
+    run(world, 10)
+    world.kill("a")
+    run(alone, 10)
+    moving = [run(world, 1).pose("turtle1").linear_velocity > 0.0 for _ in range(70)]
+    run(alone, 70)
+    assert moving == [True] * 53 + [False] * 17
+    assert world.pose("turtle1") == pytest.approx(alone.pose("turtle1"), abs=1e-6)
+
+
+def test_a_handful_keeps_its_bits_when_others_come_and_go():
+    world, alone = World(), World()
+    for each in (world, alone):
+        each.set_velocity("turtle1", 1.5, 0.0, 0.7)
+    for number in range(70):
+        if number % 2:
+            world.kill("guest")
+        else:
+            world.spawn(5.0, 5.0, 0.0, "guest")
+        assert run(world, 1).pose("turtle1") == run(alone, 1).pose("turtle1")
+
+
+def test_what_was_asked_before_a_spawn_is_not_lost():
+    world = World(2)
+    world.set_velocity("turtle1", 1.0)
+    world.teleport_absolute("turtle2", 3.0, 4.0, 0.0)
+    world.spawn(1.0, 1.0, 0.0, "a")
+    run(world, 1)
+    assert world.pose("turtle1").linear_velocity == 1.0
+    assert world.pose("turtle2")[:2] == (3.0, 4.0)
+
+
+def test_the_last_turtle_may_be_killed():
+    world = World()
+    world.kill("turtle1")
+    assert not world.step()
+    with pytest.raises(SimError, match=r"^there is no turtle 'turtle1', nor any other: spawn one$"):
+        world.pose("turtle1")
+
+
+def test_a_killed_turtle_is_unknown():
+    world = World(2)
+    world.kill("turtle2")
+    with pytest.raises(SimError, match="there is no turtle 'turtle2'"):
+        world.kill("turtle2")
+
+
+def test_a_reset_leaves_turtle1_at_the_start():
+    world = World(FEW)
+    world.set_velocities(2.0)
+    run(world, 10)
+    world.teleport_absolute("turtle1", 1.0, 1.0, 1.0)
+    world.reset()
+    assert world.names == ("turtle1",)
+    assert run(world, 1).pose("turtle1") == POSES["start"]
+    assert world.spawn(1.0, 1.0, 0.0) == "turtle2"
+
+
+def test_what_is_taken_up_early_is_taken_up_once():
+    world = World()
+    world.teleport_relative("turtle1", 1.0, 0.0)
+    world.take_up()
+    world.take_up()
+    assert run(world, 1).pose("turtle1").x == pytest.approx(SIDE / 2 + 1.0)
+
+
+def test_a_jump_is_told_with_both_its_ends():
+    world, told = World(), []
+    world.on_jump = lambda *jump: told.append(jump)
+    world.teleport_absolute("turtle1", 3.0, 4.0, 0.0)
+    world.teleport_relative("turtle1", 1.0, 0.0)
+    world.step()
+    middle, there = complex(SIDE / 2, SIDE / 2), complex(3.0, SIDE - 4.0)
+    assert told == [("turtle1", middle, there), ("turtle1", there, there + 1.0)]
+
+
+def test_whether_turtles_are_holonomic_can_be_changed():
+    world = World()
+    world.holonomic = True
+    world.set_velocity("turtle1", 0.0, 1.0)
+    assert run(world, 1).pose("turtle1").linear_velocity == 1.0
+
+
+@pytest.mark.parametrize("turtles", [FEW, MANY])
+def test_places_and_headings_are_those_of_the_poses(turtles):
+    world = World(turtles)
+    world.set_velocities(1.0, 0.0, 1.0)
+    run(world, 5)
+    for index, place in enumerate(world.places()):
+        expected = (place.real, SIDE - place.imag, world.heading(index))
+        assert world.pose(index)[:3] == pytest.approx(expected, abs=1e-6)

@@ -1,5 +1,10 @@
 """A world: turtlesim's, without ROS.
 
 `kinematics` and `fleet` move turtles by one step, few or many; `world` gives them names, walls and
-commands. None of the three knows ROS or a clock; `turtlesim`, above them, is the world as a node.
+commands, `placing` says where they are put, `rotation` how one turns to a heading. `pens` follows
+them over a `drawing`, which is kept as lines and on a `canvas`; `snapshot` makes pictures. None of
+these knows ROS or a clock.
+
+`turtlesim`, above them, is the world as a node, with `turtle` for each of its turtles and
+`parameters` for its own.
 """

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeAlias, overload
+from typing import TYPE_CHECKING, TypeAlias, cast, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,7 @@ import numpy.typing as npt
 from turtleact.sim.kinematics import (
     COMMAND_TICKS,
     DT,
+    NEVER,
     SIDE,
     Hit,
     State,
@@ -48,9 +49,6 @@ _Caught: TypeAlias = tuple[int, _Indices, _Complexes]
 
 _BLOCK = 8192
 """Turtles that are stepped together: what one step touches of them fits the second-level cache."""
-
-_NEVER = 2**62
-"""A tick that does not come."""
 
 _FEW = 6
 """So many angles are faster brought into range one by one than as arrays."""
@@ -83,8 +81,8 @@ class Fleet:
         self._turn = np.zeros(count)
         self._step = np.zeros(count, np.complex128)
         self._spin = np.ones(count, np.complex128)
-        self._expires = np.full(count, _NEVER, np.int64)
-        self._next_expiry = _NEVER
+        self._expires = np.full(count, NEVER, np.int64)
+        self._next_expiry = NEVER
         self._is_awake = self._is_disturbed = True
         self._blocks = [
             _Block(self, slice(start, start + _BLOCK)) for start in range(0, count, _BLOCK)
@@ -119,6 +117,15 @@ class Fleet:
         """The states of all turtles: an array of shape (N,) for each field of `State`."""
         return self._place.real, self._place.imag, self._theta, *self._speeds
 
+    def places(self) -> Sequence[complex]:
+        """Where all turtles are, as ``x + 1j * depth``; a copy, as an array."""
+        return cast("Sequence[complex]", self._place.copy())
+
+    def orders(self) -> list[tuple[State, int]]:
+        """Each turtle's state, and the tick in which its command is too old; `NEVER` if none."""
+        states = map(State, *(column.tolist() for column in self.columns()))
+        return list(zip(states, self._expires.tolist(), strict=True))
+
     def step(self, tick: int) -> Hits:
         """Move all turtles by one step, the one that makes tick ``tick``.
 
@@ -141,7 +148,7 @@ class Fleet:
         for block in self._blocks:
             if block.move():
                 caught.append(block.clamp())
-        self._is_awake = self._next_expiry != _NEVER
+        self._is_awake = self._next_expiry != NEVER
         self._is_disturbed = False
         return _Hits(caught) if caught else ()
 
@@ -161,7 +168,7 @@ class Fleet:
         self._turn[due] = 0.0
         self._step[due] = 0.0
         self._spin[due] = 1.0
-        self._expires[due] = _NEVER
+        self._expires[due] = NEVER
         self._next_expiry = int(self._expires.min())
 
     def _bring_into_range(self, at: _Indices) -> None:

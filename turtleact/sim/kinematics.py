@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = [
     "COMMAND_TICKS",
     "DT",
+    "NEVER",
     "SIDE",
     "Command",
     "Handful",
@@ -49,6 +50,10 @@ SIDE = 11.088889122009277
 
 COMMAND_TICKS = 63
 """Ticks that a command lasts: in the 64th it is 1.008 s old, and more than 1.0 s is too old."""
+
+
+NEVER = 2**62
+"""A tick that does not come."""
 
 
 class StepRule(enum.Enum):
@@ -126,6 +131,12 @@ class Turtles(Protocol):
 
     def columns(self) -> Sequence[npt.ArrayLike]:
         """The states of all turtles: N numbers for each field of `State`."""
+
+    def places(self) -> Sequence[complex]:
+        """Where all turtles are, as ``x + 1j * depth``; a copy."""
+
+    def orders(self) -> list[tuple[State, int]]:
+        """Each turtle's state, and the tick in which its command is too old; `NEVER` if none."""
 
     def step(self, tick: int) -> Hits:
         """Move all turtles by one step, the one that makes tick ``tick``.
@@ -229,6 +240,14 @@ class Handful:
         """The states of all turtles: N numbers for each field of `State`."""
         return list(zip(*map(self.state, range(len(self))), strict=True))
 
+    def places(self) -> Sequence[complex]:
+        """Where all turtles are, as ``x + 1j * depth``; a copy."""
+        return [complex(turtle.x, turtle.depth) for turtle in self._turtles]
+
+    def orders(self) -> list[tuple[State, int]]:
+        """Each turtle's state, and the tick in which its command is too old; `NEVER` if none."""
+        return [(self.state(index), each.expires) for index, each in enumerate(self._turtles)]
+
     def step(self, tick: int) -> Hits:
         """Move all turtles by one step, the one that makes tick ``tick``."""
         hits: Sequence[Hit] = ()
@@ -277,7 +296,7 @@ class _Turtle:
     def halt(self) -> None:
         self.vx = self.vy = self.omega = self.turn = self.lag = 0.0
         self.length = DT
-        self.expires = _NEVER
+        self.expires = NEVER
 
     def step(self, tick: int, half: float) -> Hit | None:
         """One step in which anything may happen."""
@@ -297,8 +316,8 @@ class _Turtle:
 
     def _free_ticks(self, tick: int, half: float) -> int:
         """Ticks after this one in which surely nothing happens to the turtle."""
-        if self.expires == _NEVER:
-            return _NEVER
+        if self.expires == NEVER:
+            return NEVER
         if self.turn and (self.vy or self.lag):
             return 0  # `Handful.step` knows no arcs, nor turning while sliding sideways
         free = self.expires - tick - 1
@@ -311,9 +330,6 @@ class _Turtle:
             free = int(to_wrap / abs(self.turn))
         return max(free, 0)
 
-
-_NEVER = 2**62
-"""A tick that does not come."""
 
 _SLACK = 1e-9
 """More than the roundings of a command's steps can add up to (m, rad)."""

@@ -1,4 +1,4 @@
-"""The world: turtles by name, commands, teleports, and one step for all of them.
+"""The world: turtles by name that come and go, commands, teleports, and one step for all of them.
 
 A tick first takes up what was asked for since the last one: the newest command of each turtle,
 then its teleports in order. Then each turtle, in name order, forgets a command that is too old,
@@ -17,21 +17,31 @@ from array import array
 from typing import TYPE_CHECKING, NamedTuple
 
 from turtleact.errors import SimError
-from turtleact.sim.kinematics import DT, SIDE, Command, Handful, Place, StepRule
+from turtleact.sim.kinematics import (
+    COMMAND_TICKS,
+    DT,
+    NEVER,
+    SIDE,
+    Command,
+    Handful,
+    Place,
+    StepRule,
+)
+from turtleact.sim.placing import MIDDLE, Absolute, Relative, Spawn, start
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     import numpy as np
     import numpy.typing as npt
 
-    from turtleact.sim.kinematics import Hits, State, Turtles
+    from turtleact.sim.kinematics import Hits, Turtles
+    from turtleact.sim.placing import Teleport
 
 __all__ = ["Pose", "World"]
 
 _FEW = 16
 """Up to so many turtles plain floats are faster than arrays."""
-
-_MARGIN = 1.0
-"""Turtles that are spread keep this far from the walls (m)."""
 
 
 class Pose(NamedTuple):
@@ -64,6 +74,11 @@ class World:
         holonomic: Whether turtles can move sideways; if not, ``vy`` is ignored, as in turtlesim.
         rule: How a step turns speeds into motion.
 
+    Attributes:
+        holonomic: The same; it may be changed at any time, and counts for later commands.
+        on_jump: Called with a turtle's name and its places ``x + 1j * depth`` (m) before and after
+            each teleport that is made.
+
     Raises:
         SimError: if there would be no turtle.
 
@@ -87,15 +102,16 @@ class World:
         if turtles < 1:
             raise SimError(f"a world of {turtles} turtles: give 1 or more")
         numbers = sorted(range(1, turtles + 1), key=str)
-        self._names = tuple(f"turtle{number}" for number in numbers)
-        self._index = {name: index for index, name in enumerate(self._names)}
-        self._turtles = _turtles([_start(number, seed) for number in numbers], rule)
-        self._holonomic = holonomic
+        self.holonomic = holonomic
+        self.on_jump: Callable[[str, complex, complex], None] | None = None
+        self._rule = rule
+        self._settle([f"turtle{number}" for number in numbers], [start(n, seed) for n in numbers])
+        self._count = turtles
         self._tick = 0
         self._is_asked = False
         self._commands: dict[int, Command] = {}
         self._fleet_command: npt.NDArray[np.float64] | None = None
-        self._teleports: list[tuple[int, _Absolute | _Relative]] = []
+        self._teleports: list[tuple[int, Teleport]] = []
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -129,8 +145,8 @@ class World:
             SimError: if there is no such turtle, or a speed is not finite.
         """
         index = self.index(turtle)
-        self._check_finite(index, vx=vx, vy=vy, omega=omega)
-        self._commands[index] = Command(vx, vy if self._holonomic else 0.0, omega)
+        _check_finite(self._names[index], vx=vx, vy=vy, omega=omega)
+        self._commands[index] = Command(vx, vy if self.holonomic else 0.0, omega)
         self._is_asked = True
 
     def set_velocities(
@@ -156,8 +172,8 @@ class World:
             row[:] = given
         if not np.isfinite(speeds).all():
             index = int(np.isfinite(speeds).all(axis=0).argmin())
-            self._check_finite(index, **Command(*speeds[:, index].tolist())._asdict())
-        if not self._holonomic:
+            _check_finite(self._names[index], **Command(*speeds[:, index].tolist())._asdict())
+        if not self.holonomic:
             speeds[1] = 0.0
         self._commands.clear()
         self._fleet_command = speeds
@@ -175,7 +191,7 @@ class World:
         Raises:
             SimError: if there is no such turtle, or a number is not finite in float32.
         """
-        self._teleport(turtle, _Absolute(*array("f", (x, y, theta))))
+        self._teleport(turtle, Absolute.of(x, y, theta))
 
     def teleport_relative(self, turtle: str | int, linear: float, angular: float) -> None:
         """Turn a turtle, then put it ahead along its new heading, at the next step.
@@ -188,7 +204,54 @@ class World:
         Raises:
             SimError: if there is no such turtle, or a number is not finite in float32.
         """
-        self._teleport(turtle, _Relative(*array("f", (linear, angular))))
+        self._teleport(turtle, Relative.of(linear, angular))
+
+    def spawn(self, x: float, y: float, theta: float, name: str = "") -> str:
+        """Put a new turtle into the world; outside the walls its first step brings it back.
+
+        Args:
+            x: From the left edge (m); rounded to float32, as are all of them.
+            y: From the lower edge (m).
+            theta: Its heading (rad), any angle.
+            name: Its name; the next free ``turtle1``, ``turtle2``, … if empty.
+
+        Returns:
+            Its name.
+
+        Raises:
+            SimError: if there is a turtle of that name, or a number is not finite in float32.
+        """
+        where = Spawn.of(x, y, theta)
+        _check_finite(name or "a new turtle", **where._asdict())
+        if name in self._index:
+            raise SimError("there is a turtle of this name: give another", turtle=name)
+        while not name or name in self._index:
+            self._count += 1
+            name = f"turtle{self._count}"
+        self._change([*self._names, name], {name: where.place})
+        return name
+
+    def kill(self, turtle: str) -> None:
+        """Take a turtle out of the world.
+
+        Raises:
+            SimError: if there is no such turtle.
+        """
+        index = self.index(turtle)
+        self._change([*self._names[:index], *self._names[index + 1 :]], {})
+
+    def reset(self) -> None:
+        """Leave nothing but a ``turtle1`` at the start; names are counted anew, time goes on."""
+        self._fleet_command = None
+        self._commands.clear()
+        self._teleports.clear()
+        self._settle(["turtle1"], [MIDDLE])
+        self._count = 1
+
+    def take_up(self) -> None:
+        """Do now what the next step would begin with; what is asked for later is taken up then."""
+        if self._is_asked:
+            self._take_up()
 
     def step(self) -> Hits:
         """Let one tick pass.
@@ -211,6 +274,18 @@ class World:
         x, depth, theta, vx, vy, omega = self._turtles.state(self.index(turtle))
         speed = math.sqrt(vx * vx + vy * vy)
         return Pose(*array("f", (x, SIDE - depth, theta, speed, omega)))
+
+    def heading(self, turtle: str | int) -> float:
+        """The heading of a turtle (rad), unrounded.
+
+        Raises:
+            SimError: if there is no such turtle.
+        """
+        return self._turtles.state(self.index(turtle)).theta
+
+    def places(self) -> Sequence[complex]:
+        """Where all turtles are, by index, as ``x + 1j * depth`` (m); a list or an array."""
+        return self._turtles.places()
 
     def poses(self) -> npt.NDArray[np.float32]:
         """The poses of all turtles after the last step.
@@ -240,14 +315,35 @@ class World:
         if 0 <= index < len(self._names):
             return index
         last = len(self._names) - 1
+        if last < 0:
+            raise SimError(f"there is no turtle {turtle!r}, nor any other: spawn one")
         known = ", ".join(self._names[:3]) + (", …" if last > 2 else "")
         raise SimError(
             f"there is no turtle {turtle!r}: give a name ({known}) or an index to {last}"
         )
 
-    def _teleport(self, turtle: str | int, teleport: _Absolute | _Relative) -> None:
+    def _settle(self, names: list[str], places: list[Place]) -> None:
+        self._names = tuple(names)
+        self._index = {name: index for index, name in enumerate(names)}
+        self._turtles = _turtles(places, self._rule)
+
+    def _change(self, names: list[str], new: dict[str, Place]) -> None:
+        """Have these turtles and no others; those that are there already go on as before."""
+        self.take_up()  # what was asked for is kept by index
+        before = dict(zip(self._names, self._turtles.orders(), strict=True))
+        names.sort()
+        self._settle(names, [new.get(name) or Place(*before[name][0][:3]) for name in names])
+        running: dict[int, dict[int, Command]] = {}
+        for index, name in enumerate(names):
+            if name not in new and before[name][1] != NEVER:
+                state, expiry = before[name]
+                running.setdefault(expiry - COMMAND_TICKS, {})[index] = Command(*state[3:])
+        for tick, commands in running.items():
+            self._turtles.drive(commands, tick)
+
+    def _teleport(self, turtle: str | int, teleport: Teleport) -> None:
         index = self.index(turtle)
-        self._check_finite(index, **teleport._asdict())
+        _check_finite(self._names[index], **teleport._asdict())
         self._teleports.append((index, teleport))
         self._is_asked = True
 
@@ -260,37 +356,19 @@ class World:
             self._turtles.drive(self._commands, self._tick)
             self._commands.clear()
         for index, teleport in self._teleports:
-            self._turtles.place(index, teleport.place_after(self._turtles.state(index)))
+            before = self._turtles.state(index)
+            after = teleport.place_after(before)
+            self._turtles.place(index, after)
+            if self.on_jump is not None:
+                here, there = complex(before.x, before.depth), complex(after.x, after.depth)
+                self.on_jump(self._names[index], here, there)
         self._teleports.clear()
 
-    def _check_finite(self, index: int, **numbers: float) -> None:
-        for what, value in numbers.items():
-            if not math.isfinite(value):
-                problem = f"{what} is {value}: give a finite number"
-                raise SimError(problem, turtle=self._names[index])
 
-
-class _Absolute(NamedTuple):
-    """The request of a teleport to a place."""
-
-    x: float
-    y: float
-    theta: float
-
-    def place_after(self, _state: State) -> Place:
-        return Place(self.x, max(0.0, SIDE - self.y), self.theta)
-
-
-class _Relative(NamedTuple):
-    """The request of a teleport by a turn and a way."""
-
-    linear: float
-    angular: float
-
-    def place_after(self, state: State) -> Place:
-        theta = state.theta + self.angular
-        x = state.x + math.cos(theta) * self.linear
-        return Place(x, state.depth - math.sin(theta) * self.linear, theta)
+def _check_finite(turtle: str, **numbers: float) -> None:
+    for what, value in numbers.items():
+        if not math.isfinite(value):
+            raise SimError(f"{what} is {value}: give a finite number", turtle=turtle)
 
 
 def _turtles(places: list[Place], rule: StepRule) -> Turtles:
@@ -299,28 +377,3 @@ def _turtles(places: list[Place], rule: StepRule) -> Turtles:
     from turtleact.sim.fleet import Fleet  # numpy costs 0.1 s: only a fleet waits for it
 
     return Fleet(places, rule)
-
-
-def _start(number: int, seed: int) -> Place:
-    """Where a turtle starts: the first in the middle, the others evenly spread.
-
-    Source: Roberts, The Unreasonable Effectiveness of Quasirandom Sequences, R3; the seed
-    shifts it.
-    """
-    if number == 1:
-        return Place(SIDE / 2.0, SIDE / 2.0, 0.0)
-    u, v, w = (
-        (number * step + seed * shift) % _WHOLE / _WHOLE
-        for step, shift in zip(_SPREAD, _SHIFT, strict=True)
-    )
-    width = SIDE - 2.0 * _MARGIN
-    x, y, theta = array("f", (_MARGIN + u * width, _MARGIN + v * width, (2.0 * w - 1.0) * math.pi))
-    (depth,) = array("f", (SIDE - y,))
-    return Place(x, depth, theta)
-
-
-# Fractions are whole numbers of 2**-64, so that any seed is exact. The steps of the sequence are
-# g**-1, g**-2 and g**-3, where g**4 = g + 1; the shifts are odd and unrelated.
-_WHOLE = 2**64
-_SPREAD = tuple(int(1.2207440846057596**-power * _WHOLE) for power in (1, 2, 3))
-_SHIFT = (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)

@@ -1,0 +1,120 @@
+"""The pixels: each one that a line should colour, and no other."""
+
+from __future__ import annotations
+
+import cmath
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from turtleact.sim.canvas import CLEAR, SIZE, Canvas, Colour
+
+RED, BLUE = Colour(255, 0, 0), Colour(0, 0, 255)
+
+coordinates = st.floats(-20.0, 60.0)
+points = st.builds(complex, coordinates, coordinates)
+
+
+def drawn(canvas):
+    """The pixels that are not clear, as (x, y)."""
+    return {(at % SIZE, at // SIZE) for at, pixel in enumerate(canvas.pixels) if pixel}
+
+
+def line(start, end, width=3.0):
+    canvas = Canvas()
+    canvas.line(start, end, width, RED)
+    return drawn(canvas)
+
+
+def distance_inside(x, y, start, end, width):
+    """How far a pixel's centre is from the nearest edge of a line: above zero inside."""
+    way = end - start
+    turned = (complex(x + 0.5, y + 0.5) - start) * cmath.exp(-1j * cmath.phase(way))
+    half = width / 2.0
+    across = half - abs(turned.imag)
+    return min(across, turned.real + half, abs(way) + half - turned.real)
+
+
+def test_a_canvas_is_clear_at_first():
+    assert (drawn(Canvas()), Canvas().colour(3, 4)) == (set(), CLEAR)
+
+
+def test_a_level_line_reaches_half_a_width_beyond_its_ends():
+    assert line(10 + 5j, 13 + 5j, 2.0) == {(x, y) for x in range(9, 14) for y in (4, 5)}
+
+
+def test_an_upright_line_is_the_same_turned():
+    assert line(5 + 10j, 5 + 13j, 2.0) == {(x, y) for y in range(9, 14) for x in (4, 5)}
+
+
+@pytest.mark.parametrize("way", [1, -1, 1j, -1j])
+def test_a_line_of_one_pixel_is_one_pixel_wide(way):
+    pixels = line(50.5 + 50.5j, 50.5 + 50.5j + 20 * way, 1.0)
+    assert len(pixels) == 21
+
+
+def test_no_way_at_all_is_a_square():
+    assert line(10 + 10j, 10 + 10j, 4.0) == {(x, y) for x in range(8, 12) for y in range(8, 12)}
+
+
+@given(points, points, st.integers(1, 9))
+def test_a_pixel_is_coloured_if_its_centre_lies_in_the_line(start, end, width):
+    found = line(start, end, float(width))
+    for x in range(80):
+        for y in range(80):
+            inside = distance_inside(x, y, start, end, width)
+            if abs(inside) > 1e-6:  # upon the edge, roundings decide
+                assert ((x, y) in found) == (inside > 0.0)
+    assert all(x < 80 and y < 80 for x, y in found)
+
+
+@given(points, points)
+def test_a_line_looks_the_same_from_its_other_end(start, end):
+    one, other = line(start, end), line(end, start)
+    assert all(
+        abs(distance_inside(x, y, start, end, 3.0)) < 1e-6
+        for x, y in one.symmetric_difference(other)
+    )
+
+
+@pytest.mark.parametrize("far", [1e6, 1e38, -1e38])
+def test_a_line_from_far_outside_is_drawn_where_it_is_seen(far):
+    pixels = line(complex(far, 250.5), 250.5 + 250.5j)
+    assert {y for _, y in pixels} == {249, 250, 251}
+    assert len({x for x, _ in pixels}) in (250, 251, 252)
+
+
+def test_a_line_outside_draws_nothing():
+    assert (
+        line(-50 - 50j, -10 + 400j) == line(600 + 0j, 600 + 300j) == line(0 - 9j, 99 - 9j) == set()
+    )
+
+
+def test_the_later_line_covers_the_earlier():
+    canvas = Canvas()
+    canvas.line(0 + 10j, 20 + 10j, 3.0, RED)
+    canvas.line(10 + 0j, 10 + 20j, 3.0, BLUE)
+    assert [canvas.colour(x, 10) for x in (5, 10)] == [RED, BLUE]
+
+
+def test_black_is_a_colour():
+    canvas = Canvas()
+    canvas.line(10 + 10j, 10 + 10j, 3.0, Colour(0, 0, 0))
+    assert canvas.colour(10, 10) == (0, 0, 0)
+
+
+def test_a_cleared_canvas_is_clear():
+    canvas = Canvas()
+    canvas.line(0j, 400 + 400j, 9.0, RED)
+    canvas.clear()
+    assert drawn(canvas) == set()
+
+
+def test_a_slanted_line_has_the_area_of_its_rectangle():
+    pixels = line(100 + 100j, 100 + 100j + 200 * cmath.exp(0.6j), 10.0)
+    assert len(pixels) == pytest.approx(210 * 10, rel=0.01)
+    assert math.isclose(
+        sum(x for x, _ in pixels) / len(pixels) + 0.5, 100 + 100 * math.cos(0.6), rel_tol=0.01
+    )

@@ -1,0 +1,191 @@
+"""The pens of a world: what each turtle draws in a tick, and what it sees."""
+
+from __future__ import annotations
+
+import pytest
+
+from turtleact.sim.canvas import METER, Colour
+from turtleact.sim.drawing import Pen
+from turtleact.sim.pens import Pens
+from turtleact.sim.world import World
+
+RED, GREEN = Colour(255, 0, 0), Colour(0, 255, 0)
+WHITE = Colour(255, 255, 255)
+FEW, MANY = 3, 40
+
+
+def run(world, pens, ticks=1, sensed=()):
+    colours = {}
+    for _ in range(ticks):
+        world.step()
+        colours = pens.follow(sensed)
+    return colours
+
+
+def strokes(pens):
+    """The polylines in metres, rounded."""
+    return [
+        [complex(round(p.real / METER, 3), round(p.imag / METER, 3)) for p in stroke.points]
+        for stroke in pens.drawing.polylines()
+    ]
+
+
+def world_of(turtles=1):
+    world = World(turtles)
+    pens = Pens(world)
+    run(world, pens)
+    return world, pens
+
+
+@pytest.mark.parametrize("turtles", [1, FEW, MANY])
+def test_a_turtle_that_moves_draws_a_line_from_where_it_was(turtles):
+    world, pens = world_of(turtles)
+    world.set_velocity("turtle1", 1.0)
+    run(world, pens, 100)
+    assert strokes(pens) == [[5.544 + 5.544j, 6.552 + 5.544j]]
+
+
+@pytest.mark.parametrize("turtles", [1, MANY])
+def test_a_turtle_that_stands_still_or_only_turns_draws_nothing(turtles):
+    world, pens = world_of(turtles)
+    world.set_velocity("turtle1", 0.0, 0.0, 1.0)
+    run(world, pens, 100)
+    assert strokes(pens) == []
+
+
+def test_a_teleport_draws_a_line_to_where_it_leads_and_the_walls_another():
+    world, pens = world_of()
+    world.teleport_absolute("turtle1", 20.0, 4.0, 0.0)
+    run(world, pens)
+    assert strokes(pens) == [[5.544 + 5.544j, 20 + 7.089j, 11.089 + 7.089j]]
+
+
+def test_teleports_in_one_tick_are_each_drawn():
+    world, pens = world_of()
+    for x, y in ((1.0, 1.0), (1.0, 9.0), (9.0, 9.0)):
+        world.teleport_absolute("turtle1", x, y, 0.0)
+    run(world, pens)
+    assert [len(stroke) for stroke in strokes(pens)] == [4]
+
+
+def test_a_pen_that_is_off_draws_no_teleport_and_cuts_the_line():
+    world, pens = world_of()
+    world.set_velocity("turtle1", 1.0)
+    run(world, pens, 10)
+    pens.set("turtle1", RED, is_off=True)
+    world.teleport_absolute("turtle1", 1.0, 1.0, 0.0)
+    run(world, pens, 10)
+    pens.set("turtle1", RED)
+    run(world, pens, 10)
+    first, second = strokes(pens)
+    assert first[0] == 5.544 + 5.544j
+    assert second[0] == 1.16 + 10.089j
+
+
+def test_switching_off_leaves_colour_and_width_as_they_were():
+    _, pens = world_of()
+    pens.set("turtle1", GREEN, 7)
+    pens.set("turtle1", RED, 9, is_off=True)
+    holder = pens._holders["turtle1"]
+    assert (holder.pen, holder.is_on) == (Pen(GREEN, 7), False)
+
+
+def test_no_width_is_one_pixel_and_the_usual_one_is_three():
+    world, pens = world_of()
+    world.set_velocity("turtle1", 1.0)
+    run(world, pens)
+    pens.set("turtle1", RED)
+    run(world, pens)
+    assert [stroke.pen.width for stroke in pens.drawing.polylines()] == [3, 1]
+
+
+def test_each_turtle_has_its_own_pen():
+    world, pens = world_of(2)
+    pens.set("turtle2", RED)
+    for name in world.names:
+        world.set_velocity(name, 1.0)
+    run(world, pens, 5)
+    colours = [stroke.pen.colour for stroke in pens.drawing.polylines()]
+    assert colours == [Pen().colour, RED]
+
+
+def test_a_turtle_sees_the_lines_of_those_before_it_and_not_of_those_behind():
+    world, pens = world_of(2)
+    for name in world.names:
+        world.teleport_absolute(name, 5.0, 5.0, 0.0)
+    run(world, pens)
+    pens.drawing.clear()
+    pens.set("turtle1", RED, 9)
+    pens.set("turtle2", GREEN, 9)
+    for name in world.names:
+        world.set_velocity(name, 1.0)
+    assert run(world, pens, sensed=world.names) == {"turtle1": WHITE, "turtle2": RED}
+    assert run(world, pens, sensed=world.names)["turtle1"] == GREEN
+
+
+def test_only_those_that_are_asked_for_are_looked_at():
+    world, pens = world_of(FEW)
+    assert run(world, pens, sensed=["turtle2"]) == {"turtle2": WHITE}
+
+
+def test_a_new_turtle_has_a_pen_and_draws_from_where_it_was_put():
+    world, pens = world_of()
+    world.spawn(1.0, 1.0, 0.0, "bob")
+    pens.take_stock()
+    world.set_velocity("bob", 1.0)
+    run(world, pens)
+    assert strokes(pens)[0][0] == 1 + 10.089j
+
+
+def test_a_turtle_of_the_same_name_draws_a_line_of_its_own():
+    world, pens = world_of()
+    for _ in range(2):
+        world.spawn(1.0, 1.0, 0.0, "bob")
+        pens.take_stock()
+        pens.set("bob", RED, 9)
+        world.set_velocity("bob", 1.0)
+        run(world, pens, 3)
+        world.kill("bob")
+        pens.take_stock()
+    assert [len(stroke) for stroke in strokes(pens)] == [2, 2]
+    assert list(pens._holders) == ["turtle1"]
+
+
+def test_a_jump_of_a_turtle_that_is_killed_before_the_tick_is_not_drawn():
+    world, pens = world_of(2)
+    world.teleport_absolute("turtle2", 1.0, 1.0, 0.0)
+    world.kill("turtle2")
+    pens.take_stock()
+    run(world, pens)
+    assert strokes(pens) == []
+
+
+def test_a_jump_that_is_taken_up_when_another_comes_is_drawn_once():
+    world, pens = world_of()
+    world.teleport_absolute("turtle1", 1.0, 1.0, 0.0)
+    world.spawn(3.0, 3.0, 0.0)
+    pens.take_stock()
+    run(world, pens, 2)
+    assert strokes(pens) == [[5.544 + 5.544j, 1 + 10.089j]]
+
+
+def test_forgetting_all_erases_the_drawing_and_renews_the_pens():
+    world, pens = world_of()
+    pens.set("turtle1", RED, 9)
+    world.set_velocity("turtle1", 1.0)
+    run(world, pens, 3)
+    pens.forget_all()
+    assert strokes(pens) == []
+    run(world, pens)
+    assert pens.drawing.polylines()[0].pen == Pen()
+
+
+def test_what_is_drawn_does_not_change_how_turtles_move():
+    worlds = World(FEW), World(FEW)
+    pens = Pens(worlds[0])
+    for world in worlds:
+        world.set_velocities(1.0, 0.0, 1.0)
+    run(worlds[0], pens, 50, sensed=worlds[0].names)
+    for _ in range(50):
+        worlds[1].step()
+    assert worlds[0].poses().tobytes() == worlds[1].poses().tobytes()

@@ -1,0 +1,117 @@
+"""The picture that turtles draw on: 500×500 pixels, and straight lines without antialiasing.
+
+A pixel is coloured if its centre lies in the line: a rectangle as wide as the pen that reaches
+half a width beyond both ends, left and upper edges included. x counts from the left, y from the
+top. Knows no turtle, no ROS and no clock.
+
+Source: turtlesim 1.8.2, ``path_image_`` in ``turtle_frame.cpp``; Qt 5, ``QPen`` (square caps) and
+"Coordinate System" (fill rule).
+"""
+
+from __future__ import annotations
+
+from array import array
+from math import ceil, inf
+from typing import Final, NamedTuple
+
+__all__ = ["METER", "SIZE", "Canvas", "Colour"]
+
+SIZE: Final = 500
+"""Width and height (pixels)."""
+
+METER: Final = 45.0
+"""Pixels a metre: the height of turtlesim's picture of a turtle."""
+
+
+class Colour(NamedTuple):
+    """Red, green and blue, 0 to 255 each."""
+
+    red: int
+    green: int
+    blue: int
+
+
+CLEAR: Final = Colour(255, 255, 255)
+"""What turtlesim reads where nothing was drawn: its canvas is cleared to a transparent white."""
+
+_MIDDLE: Final = complex(SIZE, SIZE) / 2.0
+_OPAQUE: Final = 255 << 24
+_FLAT: Final = 1e-9
+"""A line that rises by less, over its whole length, is level for every pixel."""
+
+_NOTHING: Final = array("I", [0]) * (SIZE * SIZE)
+
+
+class Canvas:
+    """Pixels; all clear at first.
+
+    Attributes:
+        pixels: Row by row from the top, ``alpha << 24 | blue << 16 | green << 8 | red``; alpha is
+            255 where something was drawn, else all is 0.
+    """
+
+    def __init__(self) -> None:
+        self.pixels = array("I", _NOTHING)
+
+    def clear(self) -> None:
+        """Erase everything."""
+        self.pixels[:] = _NOTHING
+
+    def colour(self, x: int, y: int) -> Colour:
+        """The colour of a pixel: `CLEAR` where nothing was drawn.
+
+        Args:
+            x: Column, 0 to `SIZE` - 1.
+            y: Row, likewise.
+        """
+        pixel = self.pixels[y * SIZE + x]
+        return Colour(pixel & 255, pixel >> 8 & 255, pixel >> 16 & 255) if pixel else CLEAR
+
+    def line(self, start: complex, end: complex, width: float, colour: Colour) -> None:
+        """Draw a straight line; what lies outside the picture is left out.
+
+        Args:
+            start: Where it begins, ``x + 1j * y`` (pixels).
+            end: Where it ends; the same place draws a square.
+            width: How wide it is (pixels), above zero.
+            colour: What it is drawn in.
+        """
+        if abs(start - _MIDDLE) > abs(end - _MIDDLE):  # counted from afar, pixels would be rounded
+            start, end = end, start
+        length, half = abs(end - start), width / 2.0
+        along = (end - start) / length if length else 1.0 + 0.0j
+        reach = abs(along.imag) * (length / 2.0 + half) + abs(along.real) * half
+        middle = (start.imag + end.imag) / 2.0
+        first, last = _within(middle - reach, middle + reach)
+        # The rectangle is where two strips cross: its two sides bound one, its two ends the other.
+        side, side_low, side_high = _strip(-along.imag, along.real, -half, half)
+        top, top_low, top_high = _strip(along.real, along.imag, -half, length + half)
+        ink = array("I", [_OPAQUE | colour.blue << 16 | colour.green << 8 | colour.red])
+        pixels, x = self.pixels, start.real
+        for row in range(first, last):
+            y = row + 0.5 - start.imag
+            low = max(side * y + side_low, top * y + top_low)
+            high = min(side * y + side_high, top * y + top_high)
+            begin, stop = _within(x + low, x + high)
+            if begin < stop:
+                at = row * SIZE
+                pixels[at + begin : at + stop] = ink * (stop - begin)
+
+
+def _within(low: float, high: float) -> tuple[int, int]:
+    """The pixels, from and to before, whose centres are in ``low <= c < high``."""
+    if low >= high or low >= SIZE or high <= 0.0:
+        return 0, 0
+    begin = ceil(low - 0.5) if low > 0.0 else 0
+    return begin, ceil(high - 0.5) if high < SIZE else SIZE
+
+
+def _strip(dx: float, dy: float, low: float, high: float) -> tuple[float, float, float]:
+    """Where ``low <= dx * x + dy * y < high``: the slope of x by y, and its bounds at y = 0.
+
+    No bounds where that says nothing of x: the rows are chosen accordingly.
+    """
+    if abs(dx) < _FLAT:
+        return 0.0, -inf, inf
+    one, other = low / dx, high / dx
+    return -dy / dx, min(one, other), max(one, other)

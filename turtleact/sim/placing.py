@@ -1,0 +1,115 @@
+"""Where turtles are put: at the start, by a spawn, by a teleport.
+
+Numbers that come from messages are rounded to float32, as turtlesim has them. Knows no ROS and no
+clock; chance is a seed.
+
+Source: turtlesim 1.8.2, ``TurtleFrame::spawnTurtle`` and ``Turtle::update``.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+from turtleact.sim.kinematics import SIDE, Place
+
+if TYPE_CHECKING:
+    from turtleact.sim.kinematics import State
+
+__all__ = ["MIDDLE", "Absolute", "Relative", "Spawn", "Teleport", "start"]
+
+MIDDLE = Place(SIDE / 2.0, SIDE / 2.0, 0.0)
+"""Where turtlesim puts its first turtle."""
+
+_MARGIN = 1.0
+"""Turtles that are spread keep this far from the walls (m)."""
+
+
+class Teleport(Protocol):
+    """A request to put a turtle somewhere else."""
+
+    def place_after(self, state: State) -> Place:
+        """Where the turtle is then."""
+
+    def _asdict(self) -> dict[str, float]: ...
+
+
+class Absolute(NamedTuple):
+    """A teleport to a place: x, y (m) and theta (rad)."""
+
+    x: float
+    y: float
+    theta: float
+
+    @classmethod
+    def of(cls, x: float, y: float, theta: float) -> Absolute:
+        """The request in float32."""
+        return cls(*array("f", (x, y, theta)))
+
+    def place_after(self, state: State) -> Place:  # noqa: ARG002  # wherever it was
+        """Where the turtle is then."""
+        return Place(self.x, max(0.0, SIDE - self.y), self.theta)
+
+
+class Relative(NamedTuple):
+    """A teleport by a turn (rad) and a way along the new heading (m)."""
+
+    linear: float
+    angular: float
+
+    @classmethod
+    def of(cls, linear: float, angular: float) -> Relative:
+        """The request in float32."""
+        return cls(*array("f", (linear, angular)))
+
+    def place_after(self, state: State) -> Place:
+        """Where the turtle is then."""
+        theta = state.theta + self.angular
+        x = state.x + math.cos(theta) * self.linear
+        return Place(x, state.depth - math.sin(theta) * self.linear, theta)
+
+
+class Spawn(NamedTuple):
+    """A place for a new turtle: x, y (m) and theta (rad)."""
+
+    x: float
+    y: float
+    theta: float
+
+    @classmethod
+    def of(cls, x: float, y: float, theta: float) -> Spawn:
+        """The request in float32."""
+        return cls(*array("f", (x, y, theta)))
+
+    @property
+    def place(self) -> Place:
+        """Where the turtle is; its depth is worked out in float32, too."""
+        (depth,) = array("f", (SIDE - self.y,))
+        return Place(self.x, depth, self.theta)
+
+
+def start(number: int, seed: int) -> Place:
+    """Where a turtle starts: the first in the middle, the others evenly spread.
+
+    Args:
+        number: Counts from 1.
+        seed: Shifts all but the first.
+
+    Source: Roberts, The Unreasonable Effectiveness of Quasirandom Sequences, R3.
+    """
+    if number == 1:
+        return MIDDLE
+    u, v, w = (
+        (number * step + seed * shift) % _WHOLE / _WHOLE
+        for step, shift in zip(_SPREAD, _SHIFT, strict=True)
+    )
+    width = SIDE - 2.0 * _MARGIN
+    return Spawn.of(_MARGIN + u * width, _MARGIN + v * width, (2.0 * w - 1.0) * math.pi).place
+
+
+# Fractions are whole numbers of 2**-64, so that any seed is exact. The steps of the sequence are
+# g**-1, g**-2 and g**-3, where g**4 = g + 1; the shifts are odd and unrelated.
+_WHOLE = 2**64
+_SPREAD = tuple(int(1.2207440846057596**-power * _WHOLE) for power in (1, 2, 3))
+_SHIFT = (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
