@@ -1,61 +1,31 @@
-"""The world as a node: its topics, its ticks, and its warnings."""
+"""The world as a node: its topics, its ticks, its services and parameters, and what it says."""
 
 from __future__ import annotations
 
-import json
 import logging
 import math
-from collections.abc import AsyncIterator
-from contextlib import aclosing, asynccontextmanager
-from pathlib import Path
-from typing import NamedTuple
 
+import anyio
 import pytest
 
-from turtleact.clock import Clock, VirtualClock
-from turtleact.interfaces.standard import TurtlePose, Twist, Vector3
-from turtleact.node import Node, open_node
-from turtleact.sim.turtlesim import Turtlesim
-from turtleact.sim.world import World
-from turtleact.tasks import Background
-from turtleact.transports import MemoryTransport, QoS
+from turtleact.clock import VirtualClock
+from turtleact.goal import GoalStatus
+from turtleact.interfaces.standard import RotateAbsolute
+from turtleact.interfaces.standard.parameters import (
+    DescribeParameters,
+    GetParameters,
+    IntegerRange,
+    ListParameters,
+    Parameter,
+    ParameterValue,
+    SetParameters,
+)
+from turtleact.sim.drawing import Pen
+from turtleact.sim.snapshot import to_png
 
-POSES = json.loads((Path(__file__).parent / "golden" / "poses.json").read_text())
-TICK = 0.016
-
-
-class Stage(NamedTuple):
-    """What a test works with."""
-
-    node: Node
-    world: World
-    sim: Turtlesim
-
-    def command(self, *, turtle="turtle1", x=0.0, y=0.0, turn=0.0):
-        twists = self.node.publisher(Twist, f"{turtle}/cmd_vel")
-        twists.publish(Twist(Vector3(x, y), Vector3(z=turn)))
-
-    def poses(self, turtle="turtle1"):
-        return self.node.subscription(TurtlePose, f"{turtle}/pose", QoS(depth=10_000))
-
-    async def pass_ticks(self, ticks):
-        """Wait until just after so many ticks."""
-        await self.node.clock.sleep((ticks + 0.5) * TICK)
-
-
-@asynccontextmanager
-async def stage(
-    turtles: int = 1, clock: Clock | None = None, *, holonomic: bool = False
-) -> AsyncIterator[Stage]:
-    world = World(turtles, holonomic=holonomic)
-    transport = MemoryTransport(VirtualClock() if clock is None else clock)
-    async with (
-        aclosing(Background(transport.clock.run(), "the clock")),
-        open_node("turtlesim", transport=transport) as node,
-        aclosing(Turtlesim(node, world)) as sim,
-        open_node("test", transport=transport) as other,
-    ):
-        yield Stage(other, world, sim)
+from ..actions.arena import tasks_alive
+from ..lab import running
+from .stage import POSES, TICK, stage
 
 
 class Jumping:
@@ -84,14 +54,40 @@ class Jumping:
 # Topics
 
 
-async def test_each_turtle_has_a_pose_and_takes_commands():
+async def test_each_turtle_has_the_topics_of_the_real_one():
     async with stage(turtles=2) as here:
-        assert here.node.graph().topics == {
-            "/turtle1/cmd_vel": ("geometry_msgs/msg/Twist",),
-            "/turtle1/pose": ("turtlesim/msg/Pose",),
-            "/turtle2/cmd_vel": ("geometry_msgs/msg/Twist",),
-            "/turtle2/pose": ("turtlesim/msg/Pose",),
-        }
+        topics = here.node.graph().topics
+    assert topics.pop("/parameter_events") == ("rcl_interfaces/msg/ParameterEvent",)
+    assert topics == {
+        f"/turtle{number}/{name}": (type_name,)
+        for number in (1, 2)
+        for name, type_name in (
+            ("cmd_vel", "geometry_msgs/msg/Twist"),
+            ("color_sensor", "turtlesim/msg/Color"),
+            ("pose", "turtlesim/msg/Pose"),
+        )
+    }
+
+
+async def test_the_services_and_actions_are_those_of_the_real_one():
+    async with stage() as here:
+        graph = here.node.graph()
+    assert graph.actions == {"/turtle1/rotate_absolute": ("turtlesim/action/RotateAbsolute",)}
+    assert {name: types for name, (types,) in graph.services.items()} == {
+        "/clear": "std_srvs/srv/Empty",
+        "/kill": "turtlesim/srv/Kill",
+        "/reset": "std_srvs/srv/Empty",
+        "/spawn": "turtlesim/srv/Spawn",
+        "/turtle1/set_pen": "turtlesim/srv/SetPen",
+        "/turtle1/teleport_absolute": "turtlesim/srv/TeleportAbsolute",
+        "/turtle1/teleport_relative": "turtlesim/srv/TeleportRelative",
+        "/turtlesim/describe_parameters": "rcl_interfaces/srv/DescribeParameters",
+        "/turtlesim/get_parameter_types": "rcl_interfaces/srv/GetParameterTypes",
+        "/turtlesim/get_parameters": "rcl_interfaces/srv/GetParameters",
+        "/turtlesim/list_parameters": "rcl_interfaces/srv/ListParameters",
+        "/turtlesim/set_parameters": "rcl_interfaces/srv/SetParameters",
+        "/turtlesim/set_parameters_atomically": "rcl_interfaces/srv/SetParametersAtomically",
+    }
 
 
 async def test_a_pose_is_published_after_each_tick():
@@ -229,3 +225,261 @@ async def test_a_closed_one_ticks_no_more():
         before = here.world.tick
         await here.pass_ticks(100)
         assert here.world.tick == before
+
+
+async def test_it_says_what_the_real_one_says_at_the_start(caplog):
+    caplog.set_level(logging.INFO)
+    async with stage(turtles=2):
+        pass
+    assert [record.getMessage() for record in caplog.records][:2] == [
+        "Starting turtlesim with node name /turtlesim",
+        "Spawning turtle [turtle1] at x=[5.544445], y=[5.544445], theta=[0.000000]",
+    ]
+    assert len(caplog.records) == 3
+
+
+# Turtles that come and go
+
+
+async def test_a_new_turtle_gets_the_next_name(caplog):
+    caplog.set_level(logging.INFO)
+    async with stage() as here:
+        assert await here.spawn(2.0, 3.0, 0.5) == "turtle2"
+        poses = here.poses("turtle2")
+        await here.pass_ticks(1)
+        (pose,) = poses.drain()
+    assert (pose.x, pose.y, pose.theta) == (2.0, 3.0, 0.5)
+    text = "Spawning turtle [turtle2] at x=[2.000000], y=[3.000000], theta=[0.500000]"
+    assert caplog.records[-1].getMessage() == text
+
+
+async def test_a_new_turtle_may_have_a_name_of_its_own():
+    async with stage() as here:
+        assert await here.spawn(name="bob") == "bob"
+        assert "/bob/rotate_absolute" in here.node.graph().actions
+
+
+async def test_a_taken_name_is_answered_with_an_empty_one(caplog):
+    async with stage() as here:
+        assert await here.spawn(1.0, 1.0, 0.0, "turtle1") == ""
+    assert [record.getMessage() for record in caplog.records] == [
+        "A turtle named [turtle1] already exists"
+    ]
+    assert caplog.records[0].levelno == logging.ERROR
+
+
+async def test_a_turtle_may_be_spawned_outside_as_in_the_real_one(caplog):
+    async with stage() as here:
+        assert await here.spawn(100.0, 100.0, 0.0, "far") == "far"
+        await here.pass_ticks(1)
+        assert here.world.pose("far")[:2] == tuple(POSES["wall_end"][:1] * 2)
+    assert caplog.records[-1].getMessage() == (
+        "Oh no! I hit the wall! (Clamping from [x=100.000000, y=-88.911110])"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("2fast", "a part begins with a digit"),
+        ("a b", "only letters, digits, '_', '/' and a leading '~' are allowed"),
+    ],
+)
+async def test_a_name_that_no_topic_can_have_is_refused_and_nothing_opened(name, why, caplog):
+    async with stage() as here:
+        before = here.node.transport.endpoints()
+        assert await here.spawn(name=name) == ""
+        assert here.node.transport.endpoints() == before
+        assert here.world.names == ("turtle1",)
+    assert caplog.records[-1].getMessage() == f"A turtle cannot be named [{name}]: {why}"
+
+
+async def test_a_turtle_is_not_spawned_at_no_place(caplog):
+    async with stage() as here:
+        assert await here.spawn(math.nan, 1.0, 0.0) == ""
+    assert caplog.records[-1].getMessage() == (
+        "A turtle was not spawned: a new turtle: x is nan: give a finite number"
+    )
+
+
+async def test_a_turtle_that_is_killed_leaves_nothing_behind():
+    async with stage() as here:
+        sim = here.sim._node
+        before = (here.node.transport.endpoints(), len(sim._opened), tasks_alive())
+        for _ in range(3):
+            await here.spawn(1.0, 1.0, 0.0, "guest")
+            await here.pass_ticks(2)
+            await here.kill("guest")
+        await here.pass_ticks(1)
+        after = (here.node.transport.endpoints(), len(sim._opened), tasks_alive())
+        assert after == before
+        assert here.world.names == ("turtle1",)
+
+
+async def test_a_turtle_that_is_not_there_cannot_be_killed(caplog):
+    async with stage() as here:
+        await here.kill("bob")
+    (record,) = caplog.records
+    assert record.getMessage() == "Tried to kill turtle [bob], which does not exist"
+    assert record.levelno == logging.ERROR
+
+
+async def test_the_last_turtle_may_be_killed_and_another_spawned():
+    async with stage() as here:
+        await here.kill("turtle1")
+        await here.pass_ticks(3)
+        assert await here.spawn(1.0, 1.0, 0.0) == "turtle2"
+
+
+async def test_a_turtle_that_is_killed_ends_its_rotation_with_a_reason():
+    async with stage() as here, here.rotations().send_goal(RotateAbsolute.Goal(3.0)) as goal:
+        await here.pass_ticks(10)
+        await here.kill("turtle1")
+        outcome = await goal.outcome()
+    assert (outcome.status, outcome.reason) == (GoalStatus.ABORTED, "turtle 'turtle1' was killed")
+    assert outcome.result.delta == pytest.approx(-9 * TICK)
+
+
+async def test_a_kill_whose_caller_leaves_is_finished():
+    async with stage(turtles=2) as here:
+        with anyio.CancelScope() as scope:
+            scope.cancel()
+            await here.kill("turtle2")
+        async with running(lambda: here.kill("turtle2")) as killing:
+            killing.scope.cancel()
+        await here.pass_ticks(1)
+        assert not [name for name in here.node.graph().topics if "turtle2" in name]
+
+
+async def test_a_reset_leaves_turtle1_at_the_start(caplog):
+    caplog.set_level(logging.INFO)
+    async with stage(turtles=3) as here:
+        poses = here.poses()
+        here.command(x=1.0)
+        await here.pass_ticks(10)
+        await here.reset()
+        poses.drain()
+        await here.pass_ticks(1)
+        (pose,) = poses.drain()
+        assert here.world.names == ("turtle1",)
+        assert await here.spawn() == "turtle2"
+    assert [pose.x, pose.y, pose.theta, pose.linear_velocity] == POSES["start"][:4]
+    assert [record.getMessage() for record in caplog.records][-3:-1] == [
+        "Resetting turtlesim.",
+        "Spawning turtle [turtle1] at x=[5.544445], y=[5.544445], theta=[0.000000]",
+    ]
+
+
+async def test_a_reset_leaves_nothing_of_the_others_behind():
+    async with stage() as here:
+        before = sorted(each.name for each in here.node.transport.endpoints())
+        for _ in range(3):
+            await here.spawn()
+        async with here.rotations("turtle2").send_goal(RotateAbsolute.Goal(3.0)) as goal:
+            await here.pass_ticks(2)
+            await here.reset()
+            assert (await goal.outcome()).reason == "turtle 'turtle2' was killed"
+        await here.pass_ticks(1)
+        here.command(x=1.0)
+        await here.pass_ticks(1)
+        assert here.world.pose("turtle1").linear_velocity == 1.0
+    after = sorted(each.name for each in here.node.transport.endpoints())
+    assert set(after) <= set(before)
+
+
+async def test_requests_that_come_together_leave_each_turtle_with_its_endpoints_once(caplog):
+    async with stage() as here:
+        async with anyio.create_task_group() as group:
+            for call in (here.spawn, here.reset, here.spawn, here.reset, here.spawn):
+                group.start_soon(call)
+        served = [each.name for each in here.node.transport.endpoints() if "set_pen" in each.name]
+        assert sorted(served) == [f"/{name}/set_pen" for name in here.world.names]
+    assert caplog.records == []
+
+
+# What is drawn
+
+
+async def test_a_snapshot_shows_the_drawing_the_turtles_and_the_background():
+    async with stage(turtles=2) as here:
+        here.command(x=2.0)
+        await here.pass_ticks(20)
+        await set_background(here, r=10)
+        snapshot = here.sim.snapshot()
+    assert snapshot.background == (10, 86, 255)
+    assert [len(line.points) for line in snapshot.polylines] == [2]
+    assert len(snapshot.turtles) == 2
+    assert snapshot.turtles[0].place.real == pytest.approx(5.5444 + 0.64, abs=1e-3)
+    assert len(to_png(snapshot)) > 500
+
+
+async def test_clear_erases_the_drawing_and_leaves_the_turtles(caplog):
+    caplog.set_level(logging.INFO)
+    async with stage() as here:
+        here.command(x=2.0)
+        await here.pass_ticks(20)
+        before = here.world.pose("turtle1")
+        await here.clear()
+        assert not any(here.sim.snapshot().pixels)
+        assert here.world.pose("turtle1") == before
+    assert caplog.records[-1].getMessage() == "Clearing turtlesim."
+
+
+async def test_a_reset_erases_the_drawing_and_renews_the_pen():
+    async with stage() as here:
+        await here.set_pen(255, 0, 0, 9)
+        here.command(x=2.0)
+        await here.pass_ticks(20)
+        await here.reset()
+        here.command(x=2.0)
+        await here.pass_ticks(20)
+        (line,) = here.sim.snapshot().polylines
+    assert line.pen == Pen()
+
+
+# Parameters
+
+
+async def set_background(here, **channels):
+    """Set channels of the background; what came of each."""
+    parameters = [
+        Parameter(f"background_{name}", ParameterValue(2, integer_value=value))
+        for name, value in channels.items()
+    ]
+    service = "turtlesim/set_parameters"
+    return (await here.call(SetParameters, service, parameters)).results
+
+
+async def test_the_background_is_a_parameter_with_the_real_bounds():
+    async with stage() as here:
+        good, bad = await set_background(here, g=255, b=256)
+        assert (good.successful, bad.successful) == (True, False)
+        assert bad.reason == "Parameter {background_b} doesn't comply with integer range."
+        assert here.sim.snapshot().background == (69, 255, 255)
+
+
+async def test_its_parameters_are_those_of_the_real_one():
+    async with stage() as here:
+        listed = await here.call(ListParameters, "turtlesim/list_parameters")
+        names = listed.result.names
+        read = await here.call(GetParameters, "turtlesim/get_parameters", names)
+        told = await here.call(DescribeParameters, "turtlesim/describe_parameters", names)
+    assert names == ["background_b", "background_g", "background_r", "holonomic"]
+    assert [value.integer_value for value in read.values[:3]] == [255, 86, 69]
+    assert (read.values[3].type, read.values[3].bool_value) == (1, False)
+    assert [each.description for each in told.descriptors] == [
+        "Blue channel of the background color",
+        "Green channel of the background color",
+        "Red channel of the background color",
+        "If true, then turtles will be holonomic",
+    ]
+    assert told.descriptors[0].integer_range == [IntegerRange(0, 255, 1)]
+
+
+async def test_turtles_become_holonomic_by_a_parameter():
+    async with stage() as here:
+        holonomic = Parameter("holonomic", ParameterValue(1, bool_value=True))
+        await here.call(SetParameters, "turtlesim/set_parameters", [holonomic])
+        here.command(y=1.0)
+        await here.pass_ticks(1)
+        assert here.world.pose("turtle1").linear_velocity == 1.0

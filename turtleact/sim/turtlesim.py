@@ -1,11 +1,14 @@
-"""The world as a node: it ticks, listens to each turtle's cmd_vel and publishes its pose.
+"""The world as a node: it ticks, turtles come and go, and what they draw can be seen.
 
-The only part of the simulator that knows ROS and time. For each turtle there are
+For all turtles together there are the services ``spawn``, ``kill``, ``clear`` and ``reset``, and
+the parameters ``background_r``, ``background_g``, ``background_b`` and ``holonomic``; `turtle` says
+what each turtle has. Above `kinematics` and `world`, only these three modules know ROS, and only
+this one knows time.
 
-- ``<turtle>/cmd_vel`` (geometry_msgs/msg/Twist), taken up at the next tick;
-- ``<turtle>/pose`` (turtlesim/msg/Pose), published after each tick.
+Where turtlesim would end (a turtle that cannot be called so) or turn for ever (numbers that are not
+finite), this logs and goes on.
 
-Source: turtlesim 1.8.2, ``turtle_frame.cpp`` and ``turtle.cpp``.
+Source: turtlesim 1.8.2, ``turtle_frame.cpp``.
 """
 
 from __future__ import annotations
@@ -13,15 +16,24 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Final
 
-from turtleact.errors import SimError
-from turtleact.interfaces.standard import TurtlePose, Twist
+import anyio
+
+from turtleact.errors import InvalidName, SimError
+from turtleact.interfaces.standard import Empty, Kill, Spawn
+from turtleact.names import resolve_name
+from turtleact.sim.canvas import Colour
+from turtleact.sim.parameters import Parameters
+from turtleact.sim.pens import Pens
+from turtleact.sim.snapshot import BACKGROUND, Figure, Snapshot
+from turtleact.sim.turtle import Turtle
 from turtleact.tasks import Background
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from turtleact.node import Node
     from turtleact.sim.kinematics import Hits
     from turtleact.sim.world import World
-    from turtleact.topics import Publisher, Subscription
 
 __all__ = ["Turtlesim"]
 
@@ -37,20 +49,46 @@ class Turtlesim:
     The ticks follow an absolute schedule of the node's clock, 16 ms apart, so they do not drift.
 
     Args:
-        node: Where its topics are opened, and whose clock it follows.
+        node: Where its topics and services are opened, and whose clock it follows.
         world: The turtles.
     """
 
     def __init__(self, node: Node, world: World) -> None:
+        logger.info("Starting turtlesim with node name %s", node.fully_qualified_name)
         self._node = node
         self._world = world
-        self._turtles = [_Turtle(node, world, name) for name in world.names]
+        self._pens = Pens(world)
+        self._roster = anyio.Lock()  # turtlesim, too, handles one request after the other
+        self._parameters = _declare(node, self._parameters_changed, is_holonomic=world.holonomic)
+        self._turtles: dict[str, Turtle] = {}
+        for name in world.names:
+            x, y, theta, *_ = world.pose(name)
+            self._welcome(name, x, y, theta)
+        node.service(Spawn, "spawn", self._spawn)
+        node.service(Kill, "kill", self._kill)
+        node.service(Empty, "clear", self._clear)
+        node.service(Empty, "reset", self._reset)
+        self._told: list[Turtle] = []
+        self._sensed: list[str] = []
+        self._is_graph_new = True
         self._tick()  # here, so that the world is a tick old before anybody can send a goal
+        self._watching = Background(self._watch(), "turtlesim's watch over the graph")
         self._ticking = Background(self._run(node.clock.time()), "turtlesim")
+
+    def snapshot(self) -> Snapshot:
+        """The world as it looks now, for `to_png` and `to_svg` of `turtleact.sim.snapshot`."""
+        drawing, world = self._pens.drawing, self._world
+        colour = (self._parameters[f"background_{channel}"] for channel in "rgb")
+        places = map(complex, world.places())
+        figures = [Figure(place, world.heading(index)) for index, place in enumerate(places)]
+        return Snapshot(
+            Colour(*colour), drawing.pixels(), drawing.base(), drawing.polylines(), figures
+        )
 
     async def aclose(self) -> None:
         """Stop ticking."""
         await self._ticking.aclose()
+        await self._watching.aclose()
 
     async def _run(self, start: float) -> None:
         clock, world = self._node.clock, self._world
@@ -61,36 +99,115 @@ class Turtlesim:
             await clock.sleep_until(due)
             self._tick()
 
+    async def _watch(self) -> None:
+        """Note changes of the graph: to ask a thousand turtles who reads them takes a while."""
+        while True:
+            self._is_graph_new = True
+            await self._node.transport.wait_for_change()
+
+    def _look_around(self) -> None:
+        """See who is read."""
+        self._is_graph_new = False
+        turtles = self._turtles.values()
+        self._told = [turtle for turtle in turtles if turtle.poses.has_subscriptions]
+        self._sensed = [turtle.name for turtle in turtles if turtle.colours.has_subscriptions]
+
     def _tick(self) -> None:
-        for turtle in self._turtles:
-            turtle.listen()
-        self._warn(self._world.step())
-        for turtle in self._turtles:
-            turtle.tell()
+        turtles, world = self._turtles.values(), self._world
+        turning = []
+        for turtle in turtles:
+            for twist in turtle.commands.drain():
+                turtle.take_up(twist)
+            if turtle.turn is not None:
+                turning.append((turtle, turtle.turn))
+        world.take_up()
+        for turtle, turn in turning:
+            turtle.rotate(turn)
+        hits = world.step()
+        if hits:
+            _warn(hits)
+        if self._is_graph_new:
+            self._look_around()
+        for turtle in self._told:
+            turtle.tell_pose()
+        for name, colour in self._pens.follow(self._sensed).items():
+            self._turtles[name].tell_colour(colour)
 
-    def _warn(self, hits: Hits) -> None:
-        for hit in hits:
-            logger.warning("Oh no! I hit the wall! (Clamping from [x=%f, y=%f])", hit.x, hit.depth)
+    # turtles that come and go
 
+    def _welcome(self, name: str, x: float, y: float, theta: float) -> None:
+        self._turtles[name] = Turtle(self._node, self._world, self._pens, name)
+        self._is_graph_new = True
+        logger.info("Spawning turtle [%s] at x=[%f], y=[%f], theta=[%f]", *(name, x, y, theta))
 
-class _Turtle:
-    """One turtle's topics."""
-
-    def __init__(self, node: Node, world: World, name: str) -> None:
-        self._name = name
-        self._world = world
-        self._commands: Subscription[Twist] = node.subscription(Twist, f"{name}/cmd_vel")
-        self._poses: Publisher[TurtlePose] = node.publisher(TurtlePose, f"{name}/pose")
-
-    def listen(self) -> None:
-        for twist in self._commands.drain():
+    async def _spawn(self, request: Spawn.Request) -> Spawn.Response:
+        async with self._roster:
             try:
-                self._world.set_velocity(
-                    self._name, twist.linear.x, twist.linear.y, twist.angular.z
-                )
+                resolve_name(f"{request.name or 'turtle'}/pose", self._node.namespace)
+                name = self._world.spawn(request.x, request.y, request.theta, request.name)
+            except InvalidName as error:
+                logger.error("A turtle cannot be named [%s]: %s", request.name, error.problem)
+                return Spawn.Response()
             except SimError as error:
-                logger.warning("a command was ignored: %s", error)
+                if request.name in self._turtles:
+                    logger.error("A turtle named [%s] already exists", request.name)
+                else:
+                    logger.error("A turtle was not spawned: %s", error)
+                return Spawn.Response()
+            self._pens.take_stock()
+            self._welcome(name, request.x, request.y, request.theta)
+        return Spawn.Response(name)
 
-    def tell(self) -> None:
-        if self._poses.has_subscriptions:
-            self._poses.publish(TurtlePose(*self._world.pose(self._name)))
+    async def _kill(self, request: Kill.Request) -> Kill.Response:
+        async with self._roster:
+            turtle = self._turtles.pop(request.name, None)
+            if turtle is None:
+                logger.error("Tried to kill turtle [%s], which does not exist", request.name)
+                return Kill.Response()
+            self._world.kill(turtle.name)
+            self._look_around()
+            self._pens.take_stock()
+            await self._close([turtle])
+        return Kill.Response()
+
+    async def _clear(self, _request: Empty.Request) -> Empty.Response:
+        logger.info("Clearing turtlesim.")
+        self._pens.drawing.clear()
+        return Empty.Response()
+
+    async def _reset(self, _request: Empty.Request) -> Empty.Response:
+        async with self._roster:
+            logger.info("Resetting turtlesim.")
+            before = list(self._turtles.values())
+            self._turtles.clear()
+            self._look_around()
+            self._world.reset()
+            self._pens.forget_all()
+            await self._close(before)
+            x, y, theta, *_ = self._world.pose("turtle1")
+            self._welcome("turtle1", x, y, theta)
+        return Empty.Response()
+
+    async def _close(self, turtles: list[Turtle]) -> None:
+        """Close turtles side by side: each may wait for the clean-up of a goal."""
+        with anyio.CancelScope(shield=True):
+            async with anyio.create_task_group() as closing:
+                for turtle in turtles:
+                    closing.start_soon(turtle.aclose, f"turtle '{turtle.name}' was killed")
+
+    def _parameters_changed(self) -> None:
+        self._world.holonomic = bool(self._parameters["holonomic"])
+
+
+def _warn(hits: Hits) -> None:
+    for hit in hits:
+        logger.warning("Oh no! I hit the wall! (Clamping from [x=%f, y=%f])", hit.x, hit.depth)
+
+
+def _declare(node: Node, on_change: Callable[[], None], *, is_holonomic: bool) -> Parameters:
+    parameters = Parameters(node, on_change)
+    for colour, value in BACKGROUND._asdict().items():
+        description = f"{colour.capitalize()} channel of the background color"
+        parameters.declare(f"background_{colour[0]}", value, description, (0, 255))
+    parameters.declare("holonomic", is_holonomic, "If true, then turtles will be holonomic")
+    return parameters

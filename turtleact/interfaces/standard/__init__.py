@@ -180,6 +180,12 @@ class Color(Message, type_name="turtlesim/msg/Color"):
 class Empty(Service, type_name="std_srvs/srv/Empty"):
     """A call without words."""
 
+    class Request(Message):
+        """Nothing."""
+
+    class Response(Message):
+        """Nothing."""
+
 
 class Spawn(Service, type_name="turtlesim/srv/Spawn"):
     """Puts a new turtle into the world."""
@@ -206,6 +212,9 @@ class Kill(Service, type_name="turtlesim/srv/Kill"):
 
         name: string = ""
 
+    class Response(Message):
+        """Nothing."""
+
 
 class SetPen(Service, type_name="turtlesim/srv/SetPen"):
     """Changes a turtle's pen."""
@@ -219,6 +228,9 @@ class SetPen(Service, type_name="turtlesim/srv/SetPen"):
         width: uint8 = 0
         off: uint8 = 0
 
+    class Response(Message):
+        """Nothing."""
+
 
 class TeleportAbsolute(Service, type_name="turtlesim/srv/TeleportAbsolute"):
     """Puts a turtle somewhere else."""
@@ -230,6 +242,9 @@ class TeleportAbsolute(Service, type_name="turtlesim/srv/TeleportAbsolute"):
         y: float32 = 0.0
         theta: float32 = 0.0
 
+    class Response(Message):
+        """Nothing."""
+
 
 class TeleportRelative(Service, type_name="turtlesim/srv/TeleportRelative"):
     """Turns a turtle, then puts it ahead."""
@@ -239,6 +254,9 @@ class TeleportRelative(Service, type_name="turtlesim/srv/TeleportRelative"):
 
         linear: float32 = 0.0
         angular: float32 = 0.0
+
+    class Response(Message):
+        """Nothing."""
 
 
 class RotateAbsolute(Action, type_name="turtlesim/action/RotateAbsolute"):

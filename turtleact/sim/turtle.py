@@ -1,0 +1,218 @@
+"""One turtle as others see it: its topics, its services and its action.
+
+- ``<turtle>/cmd_vel`` (geometry_msgs/msg/Twist), taken up at the next tick;
+- ``<turtle>/pose`` (turtlesim/msg/Pose) and ``<turtle>/color_sensor`` (turtlesim/msg/Color),
+  published after each tick to those who read them;
+- ``<turtle>/set_pen``, ``<turtle>/teleport_absolute`` and ``<turtle>/teleport_relative``;
+- ``<turtle>/rotate_absolute``, one goal at a time.
+
+Knows no tick but the one it is told of.
+
+Source: turtlesim 1.8.2, ``turtle.cpp`` and ``qos.hpp``.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from typing import TYPE_CHECKING
+
+import anyio
+
+from turtleact.errors import Abort, Reject, SimError
+from turtleact.goal import GoalResponse
+from turtleact.interfaces.standard import (
+    Color,
+    RotateAbsolute,
+    SetPen,
+    TeleportAbsolute,
+    TeleportRelative,
+    TurtlePose,
+    Twist,
+)
+from turtleact.sim.canvas import Colour
+from turtleact.sim.rotation import Rotation
+from turtleact.transports import QoS
+
+if TYPE_CHECKING:
+    from turtleact.node import Node
+    from turtleact.server import ServerGoalHandle
+    from turtleact.sim.pens import Pens
+    from turtleact.sim.world import World
+
+    Handle = ServerGoalHandle[RotateAbsolute.Goal, RotateAbsolute.Result, RotateAbsolute.Feedback]
+
+__all__ = ["Turtle"]
+
+logger = logging.getLogger("turtleact.turtlesim")
+
+TOPIC_QOS = QoS(depth=7)
+
+
+class Turtle:
+    """The topics, services and the action of a turtle in a world; open as soon as made.
+
+    Args:
+        node: Where they are opened.
+        world: Where the turtle is.
+        pens: What it draws with.
+        name: Its name, by which the world knows it.
+
+    Raises:
+        InvalidName: if topics cannot be called so; then nothing is open.
+
+    Attributes:
+        name: Its name.
+        commands: What it was told and has not taken up.
+        poses: Where its pose is published.
+        colours: Where the colour under it is published.
+        turn: Its ``rotate_absolute`` goal that runs, if there is one.
+    """
+
+    def __init__(self, node: Node, world: World, pens: Pens, name: str) -> None:
+        self.name = name
+        self.turn: _Turn | None = None
+        self._world = world
+        self._pens = pens
+        self.commands = node.subscription(Twist, f"{name}/cmd_vel", TOPIC_QOS)
+        self.poses = node.publisher(TurtlePose, f"{name}/pose", TOPIC_QOS)
+        self.colours = node.publisher(Color, f"{name}/color_sensor", TOPIC_QOS)
+        self._opened = (
+            self.commands,
+            self.poses,
+            self.colours,
+            node.service(SetPen, f"{name}/set_pen", self._set_pen),
+            node.service(TeleportAbsolute, f"{name}/teleport_absolute", self._teleport_absolute),
+            node.service(TeleportRelative, f"{name}/teleport_relative", self._teleport_relative),
+        )
+        self._rotations = node.action_server(
+            RotateAbsolute, f"{name}/rotate_absolute", self._rotate, goal_callback=_check
+        )
+
+    async def aclose(self, reason: str) -> None:
+        """Close all of it; a goal that runs ends ABORTED for this reason."""
+        if self.turn is not None:
+            self.turn.abort(reason)
+        self.turn = None
+        for each in (self._rotations, *self._opened):
+            await each.aclose()
+
+    # the ticks
+
+    def take_up(self, twist: Twist) -> None:
+        """Take up a command; it ends a rotation that it comes after."""
+        try:
+            self._world.set_velocity(self.name, twist.linear.x, twist.linear.y, twist.angular.z)
+        except SimError as error:
+            logger.warning("a command was ignored: %s", error)
+            return
+        if self.turn is not None:
+            logger.warning("Velocity command received during rotation goal. Aborting goal")
+            self.turn.abort("a velocity command has come")
+            self.turn = None
+
+    def rotate(self, turn: _Turn) -> None:
+        """Turn for one tick."""
+        omega = turn.tick(self._world.heading(self.name))
+        if omega is None:
+            logger.info("Rotation goal completed successfully")
+            self.turn = None
+        self._world.set_velocity(self.name, 0.0, 0.0, omega or 0.0)
+
+    def tell_pose(self) -> None:
+        """Publish the pose after a tick."""
+        self.poses.publish(TurtlePose(*self._world.pose(self.name)))
+
+    def tell_colour(self, colour: Colour) -> None:
+        """Publish the colour under it."""
+        self.colours.publish(Color(*colour))
+
+    # the services
+
+    def _set_pen(self, request: SetPen.Request) -> SetPen.Response:
+        colour = Colour(request.r, request.g, request.b)
+        self._pens.set(self.name, colour, request.width, is_off=bool(request.off))
+        return SetPen.Response()
+
+    def _teleport_absolute(self, request: TeleportAbsolute.Request) -> TeleportAbsolute.Response:
+        try:
+            self._world.teleport_absolute(self.name, request.x, request.y, request.theta)
+        except SimError as error:
+            logger.warning("a teleport was ignored: %s", error)
+        return TeleportAbsolute.Response()
+
+    def _teleport_relative(self, request: TeleportRelative.Request) -> TeleportRelative.Response:
+        try:
+            self._world.teleport_relative(self.name, request.linear, request.angular)
+        except SimError as error:
+            logger.warning("a teleport was ignored: %s", error)
+        return TeleportRelative.Response()
+
+    # the action
+
+    async def _rotate(self, goal: RotateAbsolute.Goal, handle: Handle) -> RotateAbsolute.Result:
+        for twist in self.commands.drain():  # those before the goal do not end it
+            self.take_up(twist)
+        if self.turn is not None:
+            logger.warning(
+                "Rotation goal received before a previous goal finished. Aborting previous goal"
+            )
+            self.turn.abort("preempted by another goal")
+        turn = self.turn = _Turn(Rotation(goal.theta, self._world.heading(self.name)), handle)
+        try:
+            await turn.ended.wait()
+        except anyio.get_cancelled_exc_class():
+            if turn.ended.is_set():  # the last tick was first
+                return turn.take()
+            self.turn = None
+            self._world.set_velocity(self.name, 0.0)
+            if handle.is_cancel_requested:
+                logger.info("Rotation goal canceled")
+            handle.set_partial_result(turn.result)
+            raise
+        return turn.take()
+
+
+class _Turn:
+    """A goal of ``rotate_absolute`` that runs.
+
+    Attributes:
+        ended: Set once it is over.
+    """
+
+    def __init__(self, rotation: Rotation, handle: Handle) -> None:
+        self.ended = anyio.Event()
+        self._rotation = rotation
+        self._handle = handle
+        self._reason = ""
+
+    @property
+    def result(self) -> RotateAbsolute.Result:
+        """How far it has turned."""
+        return RotateAbsolute.Result(self._rotation.delta)
+
+    def take(self) -> RotateAbsolute.Result:
+        """The result at the end; raises `Abort` if it was aborted."""
+        if self._reason:
+            raise Abort(self._reason, self.result)
+        return self.result
+
+    def tick(self, theta: float) -> float | None:
+        """Work out how to turn, and tell the client how far it is; None if it is there."""
+        omega = self._rotation.tick(theta)
+        self._handle.publish_feedback(RotateAbsolute.Feedback(self._rotation.remaining))
+        if omega is None:
+            self.ended.set()
+        return omega
+
+    def abort(self, reason: str) -> None:
+        """End it without success."""
+        self._reason = reason
+        self.ended.set()
+
+
+def _check(goal: RotateAbsolute.Goal) -> GoalResponse:
+    """Turtlesim takes every goal; towards no number it would turn for ever."""
+    if not math.isfinite(goal.theta):
+        raise Reject(f"theta is {goal.theta}: give a finite number")
+    return GoalResponse.ACCEPT
