@@ -223,13 +223,26 @@ async def test_a_turtle_that_says_nothing_is_given_up_after_two_seconds():
         assert place.clock.time() == 2.0
 
 
-async def test_a_turtle_that_falls_silent_is_given_up_within_four_seconds():
+async def test_a_turtle_that_falls_silent_is_given_up_within_two_and_a_half_seconds():
     async with yard() as place:
         telling = Background(place.tell_every(0.016, 100), "the robot")
         with pytest.raises(Abort, match="nothing was heard of robot/pose"):
             async with aclosing(telling):
                 await place.drive_on()
-        assert 2.0 <= place.clock.time() - 1.6 <= 4.0
+        assert 2.0 <= place.clock.time() - 1.6 <= 2.5
+
+
+async def test_a_turtle_whose_pose_is_gone_is_given_up_within_a_second():
+    async with yard() as place:
+        telling = Background(place.tell_every(0.016, 10), "the robot")
+        async with aclosing(telling), place.drive() as drive:
+            await place.clock.sleep(0.2)
+            await drive.wait_for_pose()
+            await place.poses.aclose()
+            with pytest.raises(Abort) as caught:
+                await drive.wait_for_pose()
+        assert place.clock.time() <= 1.2
+    assert str(caught.value) == "turtle 'robot' is gone: nobody publishes robot/pose any more"
 
 
 async def test_a_turtle_that_says_little_is_not_given_up():

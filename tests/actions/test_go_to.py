@@ -8,6 +8,7 @@ from turtleact.actions.go_to import GoTo
 from turtleact.errors import GoalAborted, GoalRejected
 from turtleact.geometry import distance
 from turtleact.goal import GoalStatus
+from turtleact.interfaces.standard import Kill
 
 from .arena import STYLES, arena
 
@@ -152,3 +153,14 @@ async def test_a_turtle_that_is_heard_of_no_more_is_given_up():
         assert stage.commands()[-1] == (0.0, 0.0)
     assert outcome.status is GoalStatus.ABORTED
     assert outcome.reason == "nothing was heard of turtle1/pose for 2 s"
+
+
+async def test_a_goal_whose_turtle_is_killed_ends_with_a_reason_within_a_second():
+    async with arena() as stage, client_of(stage).send_goal(FAR) as goal:
+        await stage.node.clock.sleep(1.0)
+        await stage.node.service_client(Kill, "kill").call(Kill.Request("turtle1"))
+        outcome = await goal.outcome()
+        assert stage.node.clock.time() <= 2.1
+    assert outcome.status is GoalStatus.ABORTED
+    assert outcome.reason == "turtle 'turtle1' is gone: nobody publishes turtle1/pose any more"
+    assert outcome.result.distance == pytest.approx(1.0, abs=0.04)

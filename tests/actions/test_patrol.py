@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import aclosing, asynccontextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -15,7 +16,7 @@ from turtleact.errors import GoalAborted, GoalRejected
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import load_interface
 from turtleact.interfaces import standard as standard_interfaces
-from turtleact.interfaces.standard import PatrolCommandInterface, Point, Twist, Vector3
+from turtleact.interfaces.standard import Empty, Kill, PatrolCommandInterface, Point, Twist, Vector3
 from turtleact.tasks import Background
 
 from .arena import MARK, STYLES, arena
@@ -515,6 +516,26 @@ async def test_a_turtle_that_is_heard_of_no_more_is_given_up():
     assert outcome.status is GoalStatus.ABORTED
     assert outcome.reason == "nothing was heard of turtle1/pose for 2 s"
     assert outcome.result.duration > 3.0
+
+
+async def test_a_patrol_whose_turtle_is_killed_ends_with_a_reason_and_what_was_done():
+    async with arena() as stage, client_of(stage).send_goal(patrol(*TARGETS)) as goal:
+        await stage.node.clock.sleep(3.0)
+        await stage.node.service_client(Kill, "kill").call(Kill.Request("turtle1"))
+        outcome = await goal.outcome()
+        assert stage.node.clock.time() <= 3.0 + 1.1
+    assert outcome.status is GoalStatus.ABORTED
+    assert outcome.reason == "turtle 'turtle1' is gone: nobody publishes turtle1/pose any more"
+    assert outcome.result.distance > 3.0
+
+
+async def test_a_patrol_goes_on_from_where_a_reset_has_put_its_turtle():
+    async with arena() as stage, client_of(stage).send_goal(patrol((9.0, 7.0))) as goal:
+        await stage.node.clock.sleep(1.0)
+        await stage.node.service_client(Empty, "reset").call(Empty.Request())
+        result = await goal.result()
+        assert math.dist(stage.place[:2], (9.0, 7.0)) <= 0.1
+    assert (result.reached, result.missed) == (1, [])
 
 
 # The lecture's

@@ -22,14 +22,16 @@ from turtleact.tasks import Background
 
 if TYPE_CHECKING:
     from turtleact.actions.steering import Style
-    from turtleact.clock import Clock
     from turtleact.node import Node
     from turtleact.topics import Publisher, Subscription
 
 __all__ = ["Drive", "Turtles"]
 
-SILENCE: Final = 2.0
-"""A turtle is given up after so long (s) without a pose, or twice that: it is checked as often."""
+LOOK: Final = 0.5
+"""How often (s) it is checked whether a pose has come; one that nobody publishes is given up."""
+
+LOOKS: Final = 4
+"""After so many in a row without a pose a turtle is given up, whoever publishes."""
 
 PATIENCE: Final = 2.0
 """A target is given up after so many times the longest time that the law of steering needs."""
@@ -112,7 +114,7 @@ class Turtles:
         """Hold a turtle for the length of a block; it stands still at the end, whatever ended it.
 
         Raises:
-            Abort: if nothing is heard of its pose, or another goal has come first.
+            Abort: if nothing is heard of its pose, it is gone, or another goal has come first.
         """
         topic = self._topic(turtle)
         if topic in self._driven:  # two goals may have been accepted before either has begun
@@ -120,7 +122,7 @@ class Turtles:
         poses = self._node.subscription(TurtlePose, f"{turtle}/pose")
         twists = self._node.publisher(Twist, f"{turtle}/cmd_vel")
         self._driven.add(topic)
-        watch = Background(_close_when_silent(poses, self._node.clock), f"the watch over {topic}")
+        watch = Background(_close_when_silent(poses, self._node), f"the watch over {topic}")
         try:
             drive = Drive(self._node, turtle, steering, poses, twists)
             await drive.wait_for_pose()
@@ -156,7 +158,7 @@ class Drive:
     ) -> None:
         self.pose = TurtlePose()
         self.travelled = 0.0
-        self._clock = node.clock
+        self._node = node
         self._turtle = turtle
         self._steering = steering
         self._poses = poses
@@ -175,13 +177,13 @@ class Drive:
     def deadline(self, target: Point) -> float:
         """When to give a target up, by the node's clock (s)."""
         bound = time_bound(self._place, [(target.x, target.y)], self._steering)
-        return self._clock.time() + PATIENCE * bound
+        return self._node.clock.time() + PATIENCE * bound
 
     async def towards(self, target: Point, next_target: Point | None = None) -> None:
         """Drive for one tick.
 
         Raises:
-            Abort: if nothing is heard of the turtle's pose.
+            Abort: if nothing is heard of the turtle's pose, or it is gone.
         """
         after = None if next_target is None else (next_target.x, next_target.y)
         linear, angular = self._steering.command(
@@ -195,32 +197,39 @@ class Drive:
         """Wait for the next pose, or take the newest of those that have come.
 
         Raises:
-            Abort: if nothing is heard of the turtle's pose.
+            Abort: if nothing is heard of the turtle's pose, or it is gone.
         """
         try:
             pose = await anext(self._poses)
         except StopAsyncIteration:
-            why = f"nothing was heard of {self._turtle}/pose for {SILENCE:g} s"
-            raise Abort(why) from None
+            raise Abort(self._why_silent()) from None
         for pose in self._poses.drain():  # noqa: B007  # the newest counts
             pass
         self.travelled += distance(self.pose.x, self.pose.y, pose.x, pose.y)
         self.pose = pose
+
+    def _why_silent(self) -> str:
+        topic = f"{self._turtle}/pose"
+        if self._node.count_publishers(topic):
+            return f"nothing was heard of {topic} for {LOOK * LOOKS:g} s"
+        return f"turtle '{self._turtle}' is gone: nobody publishes {topic} any more"
 
     @property
     def _place(self) -> tuple[float, float, float]:
         return self.pose.x, self.pose.y, self.pose.theta
 
 
-async def _close_when_silent(poses: Subscription[TurtlePose], clock: Clock) -> None:
-    """End whoever waits for a pose once none has come for a while."""
+async def _close_when_silent(poses: Subscription[TurtlePose], node: Node) -> None:
+    """End whoever waits for a pose once none will come, or none has come for a while."""
     last: TurtlePose | None = None
-    while True:
-        await clock.sleep(SILENCE)
-        if poses.latest is last:
-            await poses.aclose()
-            return
+    silent = 0
+    while silent < LOOKS:
+        await node.clock.sleep(LOOK)
+        silent = silent + 1 if poses.latest is last else 0
         last = poses.latest
+        if silent and not node.count_publishers(poses.topic):
+            break
+    await poses.aclose()
 
 
 def _taken(turtle: str) -> str:
