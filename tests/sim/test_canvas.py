@@ -6,7 +6,7 @@ import cmath
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from turtleact.sim.canvas import CLEAR, SIZE, Canvas, Colour
@@ -59,6 +59,7 @@ def test_no_way_at_all_is_a_square():
     assert line(10 + 10j, 10 + 10j, 4.0) == {(x, y) for x in range(8, 12) for y in range(8, 12)}
 
 
+@settings(max_examples=25)
 @given(points, points, st.integers(1, 9))
 def test_a_pixel_is_coloured_if_its_centre_lies_in_the_line(start, end, width):
     found = line(start, end, float(width))
@@ -70,6 +71,7 @@ def test_a_pixel_is_coloured_if_its_centre_lies_in_the_line(start, end, width):
     assert all(x < 80 and y < 80 for x, y in found)
 
 
+@settings(max_examples=25)
 @given(points, points)
 def test_a_line_looks_the_same_from_its_other_end(start, end):
     one, other = line(start, end), line(end, start)

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from turtleact.sim import drawing
@@ -62,6 +62,7 @@ CIRCLE = path([0.0288] * 218, length=0.032)
 # As pixels
 
 
+@settings(max_examples=25)
 @given(st.lists(st.tuples(st.sampled_from([1, 2]), st.sampled_from([RED, BLUE]), places)))
 def test_the_pixels_are_those_of_every_line_in_its_order(hops):
     ours, here, lines = Drawing(), {1: 0j, 2: 5 + 5j}, []
@@ -118,6 +119,7 @@ def test_pixels_are_given_as_bytes_in_any_byte_order(monkeypatch):
 # As polylines
 
 
+@settings(max_examples=25)
 @given(st.lists(turns, min_size=1, max_size=200), st.floats(1e-5, 0.2))
 def test_no_point_that_is_left_out_lies_far_from_the_polyline(turning, length):
     points = path(turning, length=length)

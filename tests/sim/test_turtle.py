@@ -15,7 +15,7 @@ from turtleact.interfaces.standard import RotateAbsolute
 from turtleact.sim.kinematics import SIDE
 
 from ..lab import settle
-from .stage import GOLDEN, POSES, stage
+from .stage import GOLDEN, POSES, TICK, stage
 
 Goal = RotateAbsolute.Goal
 WHITE = (255, 255, 255)
@@ -128,9 +128,10 @@ async def test_a_pen_that_is_switched_on_again_has_the_colour_that_is_asked_for(
 # rotate_absolute
 
 RECORDED = re.compile(
-    r"rotate_absolute theta=(?P<theta>\S+) cancel_after=None preempt=None: .* status=(?P<status>\d)"
-    r" delta=(?P<delta>\S+); .* feedback n=(?P<told>\d+) .* first \[\(\S+ (?P<first>[-\d.e]+)\)"
-    r".* last \[.*, (?P<last>[-\d.e]+)\)\]; end theta (?P<end>[-\d.e]+);"
+    r"rotate_absolute theta=(?P<theta>\S+) cancel_after=(?P<cancel>\S+) preempt=(?P<preempt>\S+):"
+    r" .* status=(?P<status>\d) delta=(?P<delta>\S+); .* feedback n=(?P<told>\d+) .*"
+    r" first \[\(\S+ (?P<first>[-\d.e]+)\).* last \[.*, (?P<last>[-\d.e]+)\)\];"
+    r" end theta (?P<end>[-\d.e]+);"
 )
 
 
@@ -148,23 +149,44 @@ async def turn(here, theta):
         return told, await goal.outcome()
 
 
+async def replay(here, each):
+    """Do with a goal what was done with the real one, after as many ticks."""
+    if each["cancel"] == each["preempt"] == "None":
+        return await turn(here, float(each["theta"]))
+    told: list[float] = []
+    sending = here.rotations().send_goal(
+        Goal(float(each["theta"])), feedback_callback=lambda each: told.append(each.remaining)
+    )
+    async with sending as goal:
+        await here.node.clock.sleep(int(each["told"]) * TICK)
+        if each["cancel"] != "None":
+            await goal.cancel()
+        else:
+            second = await here.rotations().send_goal(Goal(float(each["preempt"])))
+            assert second.delta == 0.0  # as recorded: it was there
+        return told, await goal.outcome()
+
+
 async def test_rotations_are_those_of_the_real_one_to_the_last_bit():
     seen = []
     async with stage() as here:
-        for each in recorded()[:4]:
-            told, outcome = await turn(here, float(each["theta"]))
-            await here.pass_ticks(1)
+        await here.node.clock.sleep(TICK / 2)
+        for each in recorded():
+            told, outcome = await replay(here, each)
+            await here.node.clock.sleep(1.5 * TICK)
             end = here.world.pose("turtle1").theta
             numbers = [outcome.result.delta, told[0], told[-1], end]
             seen.append([int(outcome.status), len(told), *numbers])
-    assert len(seen) == 4
+            if outcome.status is GoalStatus.CANCELED:
+                await here.node.clock.sleep(0.5 * TICK)
+    assert len(seen) == 7
     assert seen == [
         [
             int(each["status"]),
             int(each["told"]),
             *(float(each[name]) for name in ("delta", "first", "last", "end")),
         ]
-        for each in recorded()[:4]
+        for each in recorded()
     ]
 
 
