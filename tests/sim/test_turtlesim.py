@@ -186,6 +186,19 @@ async def test_a_pose_that_nobody_reads_is_not_made(monkeypatch):
     assert asked == []
 
 
+async def test_a_tick_after_the_node_was_closed_publishes_nothing(caplog):
+    async with stage() as here:
+        poses, colours = here.poses(), here.colours()
+        await here.pass_ticks(2)
+        await here.sim._node.aclose()
+        poses.drain()
+        colours.drain()
+        here.sim._tick()
+        await here.pass_ticks(2)
+        assert poses.drain() == colours.drain() == []
+    assert caplog.records == []
+
+
 # Ticks
 
 

@@ -120,12 +120,14 @@ class Turtle:
         self._world.set_velocity(self.name, 0.0, 0.0, omega or 0.0)
 
     def tell_pose(self) -> None:
-        """Publish the pose after a tick."""
-        self.poses.publish(TurtlePose(*self._world.pose(self.name)))
+        """Publish the pose after a tick, unless its readers have just gone."""
+        if self.poses.has_subscriptions:
+            self.poses.publish(TurtlePose(*self._world.pose(self.name)))
 
     def tell_colour(self, colour: Colour) -> None:
-        """Publish the colour under it."""
-        self.colours.publish(Color(*colour))
+        """Publish the colour under it, unless its readers have just gone."""
+        if self.colours.has_subscriptions:
+            self.colours.publish(Color(*colour))
 
     # the services
 
