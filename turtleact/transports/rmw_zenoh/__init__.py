@@ -1,0 +1,1 @@
+"""ROS 2 on Zenoh: a graph that reaches other processes and the nodes of ROS 2's ``rmw_zenoh``."""

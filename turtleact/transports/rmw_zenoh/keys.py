@@ -1,0 +1,205 @@
+"""What things are called on Zenoh: keys of data, liveliness tokens, gids. Pure, knows no session.
+
+A topic or service is a *key expression*; whoever has the same one talks with each other, so that
+its type and the hash of it are part of it. A node or endpoint is in the graph as long as its
+*liveliness token* is: a key that says all about it, chunk by chunk. Its gid is a hash of that key.
+
+::
+
+    DOMAIN/NAME/TYPE/HASH                                                          data
+    @ros2_lv/DOMAIN/ZID/NODE_ID/NODE_ID/NN/ENCLAVE/NAMESPACE/NODE                  a node
+    @ros2_lv/DOMAIN/ZID/NODE_ID/ID/KIND/ENCLAVE/NAMESPACE/NODE/NAME/TYPE/HASH/QOS  an endpoint
+
+What is written is what rmw_zenoh writes; what is read may have more chunks and odd qualities of
+service, as newer and older peers send such.
+
+Source: rmw_zenoh_cpp ``detail/liveliness_utils.cpp`` and ``docs/design.md``, Jazzy to Rolling.
+"""
+
+from __future__ import annotations
+
+import msgspec
+import xxhash
+
+from turtleact.transports.base import Endpoint, EndpointKind, QoS
+
+__all__ = [
+    "Token",
+    "all_tokens",
+    "data_key",
+    "dds_type",
+    "endpoint_token",
+    "gid_of",
+    "node_token",
+    "parse_token",
+    "ros_type",
+]
+
+PREFIX = "@ros2_lv"
+NODE = "NN"
+KINDS: dict[str, EndpointKind] = {
+    "MP": "publisher",
+    "MS": "subscription",
+    "SS": "service",
+    "SC": "client",
+}
+CODES = {kind: code for code, kind in KINDS.items()}
+
+NODE_CHUNKS = 9
+ENDPOINT_CHUNKS = 13
+
+#: A token is read up to this many characters; names and types of ROS 2 are far shorter.
+LONGEST = 8192
+
+#: What a chunk of a quality of service that is left empty means, and a depth of 0 too.
+DEFAULT_DEPTH = 42
+TRANSIENT_LOCAL = "1"
+BEST_EFFORT = "2"
+
+
+class Token(msgspec.Struct, frozen=True):
+    """What a liveliness token says.
+
+    Attributes:
+        zid: The id of the session that declared it.
+        node: The fully qualified name of the node.
+        endpoint: The endpoint; None for a node.
+    """
+
+    zid: str
+    node: str
+    endpoint: Endpoint | None = None
+
+
+def data_key(domain: int, endpoint: Endpoint) -> str:
+    """The key expression of a topic or service.
+
+    >>> point = Endpoint("publisher", "/at", "geometry_msgs/msg/Point", "/n", type_hash="RIHS01_6")
+    >>> data_key(0, point)
+    '0/at/geometry_msgs::msg::dds_::Point_/RIHS01_6'
+    """
+    name = endpoint.name.removeprefix("/").removesuffix("/")
+    return f"{domain}/{name}/{dds_type(endpoint.type_name)}/{endpoint.type_hash}"
+
+
+def all_tokens(domain: int) -> str:
+    """The key expression that all tokens of a domain match."""
+    return f"{PREFIX}/{domain}/**"
+
+
+def node_token(domain: int, zid: str, node_id: int, node: str) -> str:
+    """The token of a node.
+
+    Args:
+        domain: The ROS domain.
+        zid: The id of the session.
+        node_id: Its number, unique in the session.
+        node: Its fully qualified name.
+    """
+    return f"{PREFIX}/{domain}/{zid}/{node_id}/{node_id}/{NODE}/{_node_chunks(node)}"
+
+
+def endpoint_token(domain: int, zid: str, node_id: int, number: int, endpoint: Endpoint) -> str:
+    """The token of an endpoint.
+
+    Args:
+        domain: The ROS domain.
+        zid: The id of the session.
+        node_id: The number of its node.
+        number: Its own, unique in the session among those of nodes too.
+        endpoint: The endpoint, with its type hash.
+    """
+    return "/".join(
+        (
+            f"{PREFIX}/{domain}/{zid}/{node_id}/{number}/{CODES[endpoint.kind]}",
+            _node_chunks(endpoint.node),
+            _mangle(endpoint.name),
+            dds_type(endpoint.type_name),
+            _mangle(endpoint.type_hash),
+            _qos_chunk(endpoint.qos),
+        )
+    )
+
+
+def parse_token(key: str) -> Token | None:
+    """What a token says; None if it is none that can be understood.
+
+    An endpoint gets the gid that its peers know it by.
+    """
+    chunks = key.split("/", ENDPOINT_CHUNKS) if len(key) <= LONGEST else []
+    if len(chunks) < NODE_CHUNKS or chunks[0] != PREFIX or not all(chunks[:NODE_CHUNKS]):
+        return None
+    node = f"{_demangle(chunks[7]).rstrip('/')}/{chunks[8]}"
+    if chunks[5] == NODE:
+        return Token(chunks[2], node)
+    if chunks[5] not in KINDS or len(chunks) < ENDPOINT_CHUNKS or not all(chunks[9:12]):
+        return None
+    endpoint = Endpoint(
+        kind=KINDS[chunks[5]],
+        name=_demangle(chunks[9]),
+        type_name=ros_type(_demangle(chunks[10])),
+        node=node,
+        qos=_parse_qos(chunks[12]),
+        type_hash=_demangle(chunks[11]),
+        gid=gid_of(key),
+    )
+    return Token(chunks[2], node, endpoint)
+
+
+def gid_of(token: str) -> bytes:
+    """The gid of an endpoint, 16 bytes: the XXH3-128 of its token, the lower half first.
+
+    >>> gid_of("@ros2_lv/0/a/0/0/NN/%/%/lab").hex()
+    'a69d7ac3e2c03c91abab72e6833b800c'
+    """
+    return xxhash.xxh3_128_digest(token.encode())[::-1]
+
+
+def dds_type(type_name: str) -> str:
+    """The name of a type as DDS has it; a service's is without ``_Request`` and ``_Response``.
+
+    >>> dds_type("turtlesim/srv/Spawn")
+    'turtlesim::srv::dds_::Spawn_'
+    """
+    *packages, name = type_name.split("/")
+    return "::".join((*packages, "dds_", f"{name}_"))
+
+
+def ros_type(dds_name: str) -> str:
+    """The name of a type as ROS 2 has it; what is no DDS name of ROS 2 stays as it is."""
+    packages, separator, name = dds_name.rpartition("::dds_::")
+    if not separator or not name.endswith("_"):
+        return dds_name
+    return f"{packages.replace('::', '/')}/{name.removesuffix('_')}"
+
+
+def _node_chunks(node: str) -> str:
+    namespace, _, name = node.rpartition("/")
+    return f"%/{_mangle(namespace or '/')}/{name}"
+
+
+def _mangle(text: str) -> str:
+    return text.replace("/", "%")
+
+
+def _demangle(chunk: str) -> str:
+    return chunk.replace("%", "/")
+
+
+def _qos_chunk(qos: QoS) -> str:
+    reliability = BEST_EFFORT if qos.reliability == "best_effort" else ""
+    durability = TRANSIENT_LOCAL if qos.durability == "transient_local" else ""
+    depth = "" if qos.depth == DEFAULT_DEPTH else qos.depth
+    return f"{reliability}:{durability}:,{depth}:,:,:,,"
+
+
+def _parse_qos(chunk: str) -> QoS:
+    """The part of a quality of service that we know; what is odd or left out is the default."""
+    reliability, durability, history, *_ = (*chunk.split(":"), "", "", "")
+    _, _, depth = history.partition(",")
+    is_number = depth.isascii() and depth.isdigit() and len(depth) < 10
+    return QoS(
+        depth=(int(depth) if is_number else 0) or DEFAULT_DEPTH,
+        durability="transient_local" if durability == TRANSIENT_LOCAL else "volatile",
+        reliability="best_effort" if reliability == BEST_EFFORT else "reliable",
+    )
