@@ -15,6 +15,7 @@ from contextlib import AbstractAsyncContextManager
 from typing import Any, NamedTuple, TypeAlias
 
 import anyio
+import msgspec
 import pytest
 
 from turtleact.errors import (
@@ -152,6 +153,14 @@ def open_it(transport: Transport, endpoint: Endpoint) -> Any:
     if endpoint.kind == "service":
         return transport.serve(endpoint, SERVING, Handler())
     return transport.join(endpoint, ASKING)
+
+
+def seen(transport: Transport) -> list[Endpoint]:
+    """The endpoints of a graph, without what only a wire knows of them."""
+    return [
+        msgspec.structs.replace(endpoint, type_hash="", gid=b"")
+        for endpoint in transport.endpoints()
+    ]
 
 
 class TransportConformance:
@@ -549,7 +558,7 @@ class TransportConformance:
             first.close()
             first.close()
             await peers.settle()
-            assert peers.here.endpoints() == (of_kind(kind),)
+            assert seen(peers.here) == [of_kind(kind)]
 
     # the graph
 
@@ -559,17 +568,17 @@ class TransportConformance:
         async with transport() as peers:
             opened = open_it(peers.here, of_kind(kind))
             await peers.settle()
-            assert getattr(peers, end).endpoints() == (of_kind(kind),)
+            assert seen(getattr(peers, end)) == [of_kind(kind)]
             opened.close()
             await peers.settle()
-            assert getattr(peers, end).endpoints() == ()
+            assert seen(getattr(peers, end)) == []
 
     async def test_endpoints_are_in_the_order_of_their_opening(self, transport):
         wanted = [of_kind(kind, f"/{name}") for name in "ba" for kind in reversed(KINDS)]
         async with transport() as peers:
             for endpoint in wanted:
                 open_it(peers.here, endpoint)
-            assert list(peers.here.endpoints()) == wanted
+            assert seen(peers.here) == wanted
 
     async def test_an_endpoint_shows_its_quality_of_service(self, transport):
         qos = QoS(depth=3, durability="transient_local", reliability="best_effort")

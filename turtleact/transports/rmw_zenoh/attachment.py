@@ -24,7 +24,7 @@ import msgspec
 
 from turtleact.errors import InvalidMessage
 
-__all__ = ["Attachment", "read_attachment", "write_attachment"]
+__all__ = ["Attachment", "gid_in", "read_attachment", "write_attachment"]
 
 GID_SIZE = 16
 LAYOUT = struct.Struct("<qqB16s")
@@ -75,6 +75,11 @@ def read_attachment(data: bytes) -> Attachment:
         raise _invalid(f"a sequence number and a time are not negative: {sequence}, {stamp}")
     note = data[LAYOUT.size : LAYOUT.size + LONGEST_NOTE].decode(errors="replace")
     return Attachment(sequence, stamp, gid, note)
+
+
+def gid_in(data: bytes) -> bytes:
+    """The gid alone, of bytes that may be anything."""
+    return data[LAYOUT.size - GID_SIZE : LAYOUT.size]
 
 
 def _invalid(problem: str) -> InvalidMessage:

@@ -1,0 +1,921 @@
+"""The transport to other processes: the common suite over two sessions, and what is its own."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import anyio
+import anyio.to_thread
+import msgspec
+import pytest
+
+import turtleact
+from turtleact.clock import VirtualClock
+from turtleact.errors import (
+    InvalidOption,
+    ServerUnavailable,
+    ServiceError,
+    TurtleactError,
+)
+from turtleact.interfaces import WireFormat, implied
+from turtleact.interfaces.standard import UUID, GoalStatusArray
+from turtleact.transports import QoS, ZenohTransport, open_zenoh
+from turtleact.transports.base import Endpoint
+from turtleact.transports.rmw_zenoh import calls
+from turtleact.transports.rmw_zenoh.attachment import read_attachment, write_attachment
+from turtleact.transports.rmw_zenoh.calls import WireCaller
+from turtleact.transports.rmw_zenoh.config import session_config
+from turtleact.transports.rmw_zenoh.keys import data_key, endpoint_token, gid_of
+from turtleact.transports.rmw_zenoh.session import Publisher, Query, Session
+from turtleact.transports.rmw_zenoh.topics import WirePublication
+
+from ..lab import Count, count, feedback, goal, result, running, settle
+from .conformance import (
+    ASKING,
+    LATCHED,
+    SERVING,
+    SPEECH,
+    Adder,
+    Inbox,
+    Numbers,
+    Peers,
+    Sum,
+    TransportConformance,
+    client,
+    numbers,
+    publisher,
+    service,
+    subscription,
+)
+
+
+@pytest.fixture
+def address():
+    """Where two sessions of this machine meet; short, as the path of a socket must be."""
+    folder = tempfile.mkdtemp(prefix="zenoh")
+    yield f"unixsock-stream/{Path(folder) / 'socket'}"
+    shutil.rmtree(folder)
+
+
+ROUNDS = 3
+"""How often two sessions greet each other: what one learns may be answered by the other."""
+
+
+@asynccontextmanager
+async def acquainted(here: ZenohTransport, there: ZenohTransport):
+    """What waits until each of two transports knows what the other has done."""
+    ways = [Greeting(here, there), Greeting(there, here)]
+    for greet in ways:
+        await greet.open()
+
+    async def meet() -> None:
+        for _ in range(ROUNDS):
+            await settle()
+            while any(map(has_news, (here, there))):
+                await anyio.sleep(0)
+            for greet in ways:
+                await greet()
+        while not all(is_up_to_date(each) for each in (here, there)):
+            await anyio.sleep(0)
+        await settle()
+
+    yield meet
+    for greet in ways:
+        greet.close()
+
+
+class Greeting:
+    """Something sent behind all that was sent before, and waited for.
+
+    Args:
+        sender: Who sends it.
+        receiver: Who gets it.
+    """
+
+    publisher: Publisher
+
+    def __init__(self, sender: ZenohTransport, receiver: ZenohTransport) -> None:
+        self._sender = sender._link
+        self._receiver = receiver._link
+        self._ready = anyio.Event()
+        self._arrived = anyio.Event()
+
+    async def open(self) -> None:
+        key = f"greetings/{self._sender.session.zid}"
+        self._receiver.outbox.post(
+            lambda: self._receiver.session.declare_subscriber(key, self._take)
+        )
+        self._sender.outbox.post(lambda: self._declare(key))
+        await self._ready.wait()
+
+    async def __call__(self) -> None:
+        self._arrived = anyio.Event()
+        self._sender.outbox.post(lambda: self.publisher.put(b"", b""))
+        await self._arrived.wait()
+
+    def close(self) -> None:
+        self._sender.outbox.post(lambda: self.publisher.undeclare())
+
+    def _declare(self, key: str) -> None:
+        self.publisher = self._sender.session.declare_publisher(
+            key, is_reliable=True, matching=self._match
+        )
+
+    def _match(self, is_matching: bool) -> None:
+        self._sender.inbox.push(self._ready.set)
+
+    def _take(self, payload: bytes, attachment: bytes) -> None:
+        self._receiver.inbox.push(lambda: self._arrived.set())
+
+
+def has_news(transport: ZenohTransport) -> bool:
+    """Whether a state of it is yet to be sent."""
+    publications = [each for each in transport._link.opened if isinstance(each, WirePublication)]
+    return any(each._is_stale for each in publications)
+
+
+def is_up_to_date(transport: ZenohTransport) -> bool:
+    """Whether its endpoints have heard what Zenoh knows of their peers."""
+    for each in transport._link.opened:
+        endpoint: Any = each
+        if isinstance(each, WirePublication) and not each._is_latched:
+            zenohs, ours = endpoint._publisher._publisher, each._is_read
+        elif isinstance(each, WireCaller):
+            zenohs, ours = endpoint._querier._querier, each._is_matching
+        else:
+            continue
+        if zenohs.matching_status.matching != ours:
+            return False
+    return True
+
+
+class TestOneZenohTransport(TransportConformance):
+    """Both ends on one transport: nothing goes over the wire."""
+
+    @pytest.fixture
+    def transport(self):
+        @asynccontextmanager
+        async def open_peers():
+            async with open_zenoh([], listen=[]) as transport:
+                yield Peers(transport, transport, settle)
+
+        return open_peers
+
+
+class TestTwoZenohTransports(TransportConformance):
+    """Each end on a transport of its own, as in two processes."""
+
+    @pytest.fixture
+    def transport(self, address):
+        @asynccontextmanager
+        async def open_peers():
+            async with (
+                open_zenoh([], listen=[address]) as here,
+                open_zenoh([address], listen=[]) as there,
+                acquainted(here, there) as meet,
+            ):
+                yield Peers(here, there, meet)
+
+        return open_peers
+
+
+# --- two transports, and a bare session that does what ROS 2 does -----------------------------
+
+
+class Pair(NamedTuple):
+    """`Peers` that are known to be these."""
+
+    here: ZenohTransport
+    there: ZenohTransport
+    settle: Callable[[], Awaitable[None]]
+
+
+@asynccontextmanager
+async def two(address: str) -> AsyncIterator[Pair]:
+    async with (
+        open_zenoh([], listen=[address]) as here,
+        open_zenoh([address], listen=[]) as there,
+        acquainted(here, there) as meet,
+    ):
+        yield Pair(here, there, meet)
+
+
+class Bare:
+    """A session that speaks in keys and bytes; what comes is kept."""
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self.samples: list[tuple[bytes, bytes]] = []
+        self.replies: list[tuple[bytes, bytes]] = []
+        self.errors: list[tuple[str, str]] = []
+        self.queries: list[Query] = []
+        self.tokens: list[str] = []
+        self.came = threading.Event()
+
+    def read(self, key: str) -> None:
+        self.session.declare_subscriber(key, self._take)
+
+    def serve(self, key: str) -> None:
+        self.session.declare_queryable(key, self._asked)
+
+    def ask(self, key: str, payload: bytes, attachment: bytes) -> None:
+        """Send a request, and wait for its end."""
+        matching, ended = threading.Event(), threading.Event()
+        querier = self.session.declare_querier(key, lambda is_matching: matching.set())
+        assert matching.wait(10)
+        querier.get(
+            payload,
+            attachment,
+            replied=lambda *reply: self.replies.append(reply),
+            failed=lambda *error: self.errors.append(error),
+            ended=ended.set,
+        )
+        assert ended.wait(10)
+
+    def _take(self, payload: bytes, attachment: bytes) -> None:
+        self.samples.append((payload, attachment))
+        self.came.set()
+
+    def _asked(self, query: Query) -> None:
+        self.queries.append(query)
+        self.came.set()
+
+
+@asynccontextmanager
+async def bare(address: str) -> AsyncIterator[Bare]:
+    settings = session_config([address], [], "peer", 0, "")
+    session = await anyio.to_thread.run_sync(Session.open, settings)
+    try:
+        yield Bare(session)
+    finally:
+        await anyio.to_thread.run_sync(session.close)
+
+
+@asynccontextmanager
+async def beside(address: str) -> AsyncIterator[tuple[ZenohTransport, Bare]]:
+    """A transport, and a bare session that reaches it."""
+    async with open_zenoh([], listen=[address]) as transport, bare(address) as other:
+        yield transport, other
+
+
+async def until(transport: ZenohTransport, is_so: Any) -> None:
+    """Wait for changes of the graph until something is so."""
+    while not is_so():
+        await transport.wait_for_change()
+
+
+async def until_read(publication: Any) -> None:
+    while not publication._is_read:
+        await anyio.sleep(0)
+
+
+GID = bytes(range(16))
+ADD_KEY = data_key(0, msgspec.structs.replace(service(), type_hash=SERVING.type_hash))
+CHATTER_KEY = data_key(0, msgspec.structs.replace(publisher(), type_hash=SPEECH.type_hash))
+REQUEST = ASKING.encode(numbers(2, 3))
+
+
+# --- what is on the wire ----------------------------------------------------------------------
+
+
+async def test_a_message_goes_as_cdr_with_its_number_and_gid(address):
+    async with beside(address) as (transport, other):
+        await anyio.to_thread.run_sync(other.read, CHATTER_KEY)
+        publication = transport.advertise(publisher(), SPEECH)
+        await until_read(publication)
+        publication.publish(feedback(7))
+        publication.publish(feedback(8))
+        await transport.flush()
+        while len(other.samples) < 2:
+            await anyio.to_thread.run_sync(other.came.wait, 10)
+        (first, beside_it), (second, _) = other.samples
+        assert first.hex(" ", 4) == "00010000 01000000 07000000"
+        assert SPEECH.decode(second) == feedback(8)
+        read = read_attachment(beside_it)
+        assert (len(beside_it), read.sequence) == (33, 1)
+        (endpoint,) = transport.endpoints()
+        assert read.gid == endpoint.gid
+
+
+async def test_a_message_of_a_bare_session_is_read(address):
+    async with beside(address) as (transport, other):
+        inbox = Inbox()
+        transport.subscribe(subscription(), SPEECH, inbox.deliver)
+        matching = threading.Event()
+        sender = await anyio.to_thread.run_sync(
+            lambda: other.session.declare_publisher(
+                CHATTER_KEY, is_reliable=True, matching=lambda is_matching: matching.set()
+            )
+        )
+        await anyio.to_thread.run_sync(matching.wait, 10)
+        sender.put(SPEECH.encode(feedback(7)) + b"garbage", write_attachment(1, 0, GID))
+        while not inbox.numbers:
+            await anyio.sleep(0)
+        assert inbox.numbers == [7]
+
+
+async def test_a_message_that_cannot_be_read_is_logged_and_the_next_is_read(address, caplog):
+    async with beside(address) as (transport, other):
+        inbox = Inbox()
+        transport.subscribe(subscription(), SPEECH, inbox.deliver)
+        matching = threading.Event()
+        sender = await anyio.to_thread.run_sync(
+            lambda: other.session.declare_publisher(
+                CHATTER_KEY, is_reliable=True, matching=lambda is_matching: matching.set()
+            )
+        )
+        await anyio.to_thread.run_sync(matching.wait, 10)
+        sender.put(b"no message", b"")
+        sender.put(SPEECH.encode(feedback(7)), b"")
+        while not inbox.numbers:
+            await anyio.sleep(0)
+    (logged,) = caplog.messages
+    assert logged.startswith("topic /chatter: a message cannot be read: message: no plain CDR")
+
+
+async def test_a_request_of_ros_is_answered_with_its_own_number_and_gid(address):
+    async with beside(address) as (transport, other):
+        transport.serve(service(), SERVING, adder := Adder())
+        beside_it = write_attachment(7, 5, GID)
+        await anyio.to_thread.run_sync(other.ask, ADD_KEY, REQUEST, beside_it)
+        ((payload, attachment),) = other.replies
+        read = read_attachment(attachment)
+        assert ASKING.decode(payload) == Sum.Response(total=5)
+        assert (read.sequence, read.gid, read.note) == (7, GID, "added up")
+        assert read.stamp > 10**18
+        assert adder.callers == [GID]
+
+
+@pytest.mark.parametrize(
+    ("payload", "attachment", "said"),
+    [
+        (REQUEST, b"", "attachment: expected 33 bytes, got 0"),
+        (b"", write_attachment(1, 0, GID), "message: no plain CDR"),
+        (REQUEST[:6], write_attachment(1, 0, GID), "numbers"),
+    ],
+    ids=["attachment", "nothing", "cut"],
+)
+async def test_a_request_that_cannot_be_read_is_answered_so(
+    address, payload, attachment, said, caplog
+):
+    async with beside(address) as (transport, other):
+        transport.serve(service(), SERVING, adder := Adder())
+        await anyio.to_thread.run_sync(other.ask, ADD_KEY, payload, attachment)
+        ((text, kind),) = other.errors
+        assert (said in text, kind, adder.callers) == (True, "InvalidMessage", [])
+    assert "service /add: a request cannot be read" in caplog.text
+
+
+async def test_a_request_that_is_under_way_is_refused_a_second_time(address, caplog):
+    gate = anyio.Event()
+    async with beside(address) as (transport, other):
+        transport.serve(service(), SERVING, adder := Adder(gate=gate))
+        twice = (ADD_KEY, REQUEST, write_attachment(7, 5, GID))
+        async with running(lambda: anyio.to_thread.run_sync(other.ask, *twice)) as first:
+            while not adder.callers:
+                await anyio.sleep(0)
+            await anyio.to_thread.run_sync(other.ask, *twice)
+            assert other.errors == [
+                ("attachment: request 7 is under way", "InvalidMessage"),
+            ]
+            gate.set()
+            await first.done.wait()
+        assert len(other.replies) == 1
+        await anyio.to_thread.run_sync(other.ask, *twice)
+        assert len(other.replies) == 2
+
+
+async def test_a_server_of_ros_is_called(address):
+    async with beside(address) as (transport, other):
+        caller = transport.join(client(), ASKING)
+        await anyio.to_thread.run_sync(other.serve, ADD_KEY)
+        await until(transport, lambda: caller.is_served)
+        async with running(lambda: caller.call(numbers(2, 3))) as called:
+            await anyio.to_thread.run_sync(other.came.wait, 10)
+            (query,) = other.queries
+            read = read_attachment(query.attachment)
+            assert (query.payload, len(query.attachment)) == (REQUEST, 33)
+            assert (read.sequence, read.gid) == (1, transport.endpoints()[0].gid)
+            query.reply(SERVING.encode(Sum.Response(total=5)), query.attachment)
+        assert (called.value.message, called.value.note) == (Sum.Response(total=5), "")
+
+
+@pytest.mark.parametrize(
+    ("answer", "error", "said"),
+    [
+        (lambda query: query.reply(b"?", b""), ServiceError, "its response cannot be read"),
+        (lambda query: query.fail("no room", ""), ServiceError, "service '/add': no room"),
+        (lambda query: query._query.drop(), ServerUnavailable, "the server went away before"),
+    ],
+    ids=["bytes", "error", "nothing"],
+)
+async def test_a_server_of_ros_that_answers_badly(address, answer, error, said):
+    async with beside(address) as (transport, other):
+        caller = transport.join(client(), ASKING)
+        await anyio.to_thread.run_sync(other.serve, ADD_KEY)
+        await until(transport, lambda: caller.is_served)
+        async with running(lambda: caller.call(numbers())) as called:
+            await anyio.to_thread.run_sync(other.came.wait, 10)
+            answer(other.queries[0])
+        assert isinstance(called.error, error)
+        assert said in str(called.error)
+
+
+async def test_the_same_names_and_gids_are_seen_on_both_sides(address):
+    async with two(address) as peers:
+        peers.here.enter("/sim/lab")
+        peers.here.advertise(publisher(), SPEECH)
+        peers.here.serve(service(), SERVING, Adder())
+        await peers.settle()
+        assert peers.there.endpoints() == peers.here.endpoints()
+        assert peers.there.nodes() == peers.here.nodes() == ("/sim/lab",)
+        hashes = [endpoint.type_hash for endpoint in peers.there.endpoints()]
+        assert hashes == [SPEECH.type_hash, SERVING.type_hash]
+        assert all(len(endpoint.gid) == 16 for endpoint in peers.there.endpoints())
+
+
+async def test_another_domain_is_another_graph(address):
+    async with (
+        open_zenoh([], listen=[address], domain=1) as here,
+        open_zenoh([address], listen=[], domain=2) as there,
+        acquainted(here, there) as meet,
+    ):
+        inbox = Inbox()
+        there.subscribe(subscription(), SPEECH, inbox.deliver)
+        publication = here.advertise(publisher(), SPEECH)
+        await meet()
+        assert (len(here.endpoints()), len(there.endpoints())) == (1, 1)
+        assert not publication.has_readers
+
+
+async def test_definitions_that_differ_are_named(address):
+    async with two(address) as peers:
+        peers.there.serve(service(), WireFormat(Count.Feedback), Adder())
+        caller = peers.here.join(client(), ASKING)
+        await peers.settle()
+        with pytest.raises(ServerUnavailable) as caught:
+            await caller.call(numbers())
+        assert str(caught.value) == (
+            "service '/add': the definitions of lab_interfaces/srv/Sum differ: its type hash is "
+            f"{SPEECH.type_hash} at the server, {ASKING.type_hash} here; "
+            "both sides need the same one"
+        )
+
+
+async def test_a_server_that_is_announced_and_cannot_be_reached_is_given_up(address, monkeypatch):
+    monkeypatch.setattr(calls, "GRACE", 0.05)
+    async with beside(address) as (transport, other):
+        caller = transport.join(client(), ASKING)
+        announced = msgspec.structs.replace(service(), type_hash=SERVING.type_hash)
+        token = endpoint_token(0, other.session.zid, 0, 1, announced)
+        declared = await anyio.to_thread.run_sync(other.session.declare_token, token)
+        await until(transport, lambda: len(transport.endpoints()) == 2)
+        said = "service '/add': node /adder serves it, but cannot be reached"
+        with pytest.raises(ServerUnavailable, match=said):
+            await caller.call(numbers())
+        assert transport.endpoints()[1].gid == gid_of(token)
+        declared.undeclare()
+
+
+# --- what costs nothing -----------------------------------------------------------------------
+
+
+class Counting(WireFormat):
+    """Counts what it encodes."""
+
+    encoded = 0
+
+    def encode(self, message: object) -> bytes:
+        self.encoded += 1
+        return super().encode(message)
+
+
+async def test_nothing_is_encoded_while_nobody_elsewhere_reads(address):
+    async with two(address) as peers:
+        format = Counting(Count.Feedback)
+        publication = peers.here.advertise(publisher(), format)
+        peers.here.subscribe(subscription(), SPEECH, (inbox := Inbox()).deliver)
+        await peers.settle()
+        publication.publish(feedback(1))
+        assert (inbox.numbers, format.encoded) == ([1], 0)
+        peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
+        await peers.settle()
+        publication.publish(feedback(2))
+        assert format.encoded == 1
+
+
+async def test_many_changes_of_a_state_are_sent_once(address):
+    async with two(address) as peers:
+        format, source = Counting(Count.Feedback), Numbers()
+        publication = peers.here.advertise(publisher(qos=LATCHED), format, source)
+        await peers.settle()
+        before = format.encoded
+        for source.number in range(100):
+            publication.refresh()
+        assert format.encoded == before
+        await peers.settle()
+        assert format.encoded - before < 5
+        peers.there.subscribe(subscription(qos=LATCHED), SPEECH, (inbox := Inbox()).deliver)
+        await peers.settle()
+        assert inbox.numbers[-1] == 99
+
+
+async def test_the_last_state_is_sent_when_its_publisher_closes(address):
+    async with two(address) as peers:
+        source, inbox = Numbers(), Inbox()
+        publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH, source)
+        peers.there.subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
+        await peers.settle()
+        source.number = 5
+        publication.refresh()
+        publication.close()
+        await peers.settle()
+        assert inbox.numbers[-1] == 5
+
+
+async def test_a_source_of_a_volatile_topic_is_asked_while_somebody_elsewhere_reads(address):
+    async with two(address) as peers:
+        source, inbox = Numbers(), Inbox()
+        publication = peers.here.advertise(publisher(), SPEECH, source)
+        publication.refresh()
+        peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
+        await peers.settle()
+        source.number = 5
+        publication.refresh()
+        await peers.settle()
+        assert inbox.numbers == [5]
+
+
+async def test_what_a_latched_source_publishes_itself_is_its_state_elsewhere(address):
+    async with two(address) as peers:
+        source, near, far = Numbers(), Inbox(), Inbox()
+        publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH, source)
+        peers.here.subscribe(subscription(), SPEECH, near.deliver)
+        peers.there.subscribe(subscription(), SPEECH, far.deliver)
+        await peers.settle()
+        source.number = 5
+        publication.publish(feedback(4))
+        await peers.settle()
+        assert (near.numbers[-1], far.numbers[-1]) == (4, 5)
+
+
+# --- many, and slow ones ----------------------------------------------------------------------
+
+
+async def test_a_flood_arrives_whole_and_in_order(address):
+    async with two(address) as peers:
+        inbox = Inbox()
+        peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
+        publication = peers.here.advertise(publisher(), SPEECH)
+        await peers.settle()
+        for number in range(5_000):
+            publication.publish(feedback(number))
+            if publication.is_congested:
+                await publication.drained()
+        await peers.settle()
+        while len(inbox.numbers) < 5_000:
+            await anyio.sleep(0)
+        assert inbox.numbers == list(range(5_000))
+
+
+async def test_who_publishes_more_than_goes_out_can_wait(address):
+    gate = threading.Event()
+    async with two(address) as peers:
+        peers.there.subscribe(subscription(), SPEECH, Inbox().deliver)
+        publication = peers.here.advertise(publisher(), SPEECH)
+        await peers.settle()
+        peers.here._link.outbox.post(gate.wait)  # as a reader that takes nothing does
+        while not publication.is_congested:
+            publication.publish(feedback(*range(1000)))
+        async with running(publication.drained) as waiting:
+            assert not waiting.done.is_set()
+            gate.set()
+            await waiting.done.wait()
+        assert not publication.is_congested
+
+
+async def test_closing_a_publisher_ends_the_waiting_for_it(address):
+    gate = threading.Event()
+    async with two(address) as peers:
+        peers.there.subscribe(subscription(), SPEECH, Inbox().deliver)
+        publication = peers.here.advertise(publisher(), SPEECH)
+        await peers.settle()
+        peers.here._link.outbox.post(gate.wait)
+        while not publication.is_congested:
+            publication.publish(feedback(*range(1000)))
+        async with running(publication.drained) as waiting:
+            publication.close()
+            await waiting.done.wait()
+        gate.set()
+
+
+@pytest.mark.parametrize("reliability", ["reliable", "best_effort"])
+async def test_who_publishes_without_end_loses_the_oldest(
+    address, reliability, caplog, monkeypatch
+):
+    monkeypatch.setattr("turtleact.transports.rmw_zenoh.boxes.CAPACITY", 100_000)
+    gate, qos = threading.Event(), QoS(depth=3, reliability=reliability)
+    async with two(address) as peers:
+        inbox = Inbox()
+        peers.there.subscribe(subscription(qos=qos), SPEECH, inbox.deliver)
+        publication = peers.here.advertise(publisher(qos=qos), SPEECH)
+        await peers.settle()
+        peers.here._link.outbox.post(gate.wait)
+        for number in range(1_000):
+            publication.publish(feedback(number))
+        gate.set()
+        await peers.settle()
+        while not inbox.numbers or inbox.numbers[-1] != 999:
+            await anyio.sleep(0)
+    warned = "topic /chatter: more is published than can be sent; the oldest messages are dropped"
+    assert caplog.messages.count(warned) == (reliability == "reliable")
+    assert len(inbox.numbers) < 1_000
+
+
+# --- ends -------------------------------------------------------------------------------------
+
+
+async def test_a_server_that_closes_its_transport_answers_first(address):
+    gate = anyio.Event()
+    async with open_zenoh([], listen=[address]) as here:
+        caller = here.join(client(), ASKING)
+        async with open_zenoh([address], listen=[]) as there:
+            there.serve(service(), SERVING, adder := Adder(gate=gate))
+            await until(here, lambda: caller.is_served)
+            async with running(lambda: caller.call(numbers())) as called:
+                while not adder.callers:
+                    await anyio.sleep(0)
+                await there.aclose()
+        assert isinstance(called.error, ServerUnavailable)
+        assert str(called.error) == "service '/add': the server was closed"
+        await until(here, lambda: not caller.is_served and len(here.endpoints()) == 1)
+
+
+async def test_a_transport_that_closes_ends_its_own_calls(address):
+    gate = anyio.Event()
+    async with two(address) as peers:
+        peers.there.serve(service(), SERVING, Adder(gate=gate))
+        caller = peers.here.join(client(), ASKING)
+        await peers.settle()
+        async with running(lambda: caller.call(numbers())) as called:
+            await peers.here.aclose()
+            await called.done.wait()
+        said = "the Zenoh transport was closed before there was an answer"
+        assert said in str(called.error)
+        gate.set()
+
+
+async def test_a_closed_transport_takes_nothing_more(address):
+    async with open_zenoh([], listen=[address]) as transport:
+        publication = transport.advertise(publisher(qos=LATCHED), SPEECH)
+        caller = transport.join(client(), ASKING)
+        await transport.aclose()
+        await transport.aclose()
+        publication.publish(feedback(1))
+        publication.refresh()
+        with pytest.raises(TurtleactError):
+            await caller.call(numbers())
+        for open_it in (
+            lambda: transport.advertise(publisher(), SPEECH),
+            lambda: transport.subscribe(subscription(), SPEECH, Inbox().deliver),
+            lambda: transport.serve(service(), SERVING, Adder()),
+            lambda: transport.join(client(), ASKING),
+            lambda: transport.enter("/lab"),
+        ):
+            with pytest.raises(TurtleactError, match="the Zenoh transport is closed: open another"):
+                open_it()
+        assert transport.endpoints() == ()
+
+
+async def test_an_error_in_its_block_closes_a_transport(address):
+    with pytest.raises(LookupError):
+        async with open_zenoh([], listen=[address]) as transport:
+            raise LookupError
+    assert not transport._link.is_open
+
+
+async def test_a_handler_that_never_ends_does_not_keep_a_transport_open(address, monkeypatch):
+    monkeypatch.setattr("turtleact.transports.rmw_zenoh.link.GRACE", 0.01)
+
+    class Stubborn(Adder):
+        async def reply(self, request: Any, caller: bytes) -> Any:
+            self.callers.append(caller)
+            with anyio.CancelScope(shield=True):
+                await gate.wait()
+
+    gate = anyio.Event()
+    async with open_zenoh([], listen=[address]) as here:
+        caller = here.join(client(), ASKING)
+        async with open_zenoh([address], listen=[]) as there:
+            there.serve(service(), SERVING, stubborn := Stubborn())
+            await until(here, lambda: caller.is_served)
+            async with running(lambda: caller.call(numbers())) as called:
+                while not stubborn.callers:
+                    await anyio.sleep(0)
+                await there.aclose()
+                await called.done.wait()
+        assert isinstance(called.error, ServerUnavailable)
+        gate.set()
+        await settle()
+
+
+SERVER = """
+import sys, anyio
+from turtleact.interfaces import WireFormat
+from turtleact.transports import open_zenoh
+from turtleact.transports.base import Endpoint
+from turtleact.interfaces.standard import CancelGoal
+
+class Silent:
+    async def reply(self, request, caller):
+        print("asked", flush=True)
+        await anyio.sleep_forever()
+
+async def main():
+    async with open_zenoh([sys.argv[1]], listen=[]) as transport:
+        transport.serve(
+            Endpoint("service", "/cancel", CancelGoal.type_name, "/far"),
+            WireFormat(CancelGoal),
+            Silent(),
+        )
+        await anyio.sleep_forever()
+
+anyio.run(main)
+"""
+
+
+@asynccontextmanager
+async def far_server(address: str) -> AsyncIterator[subprocess.Popen[str]]:
+    """A process with a server that never answers."""
+    command = [sys.executable, "-W", "error", "-c", SERVER, address]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+CANCEL = WireFormat(turtleact.interfaces.standard.CancelGoal, asks=True)
+CANCELER = Endpoint("client", "/cancel", "action_msgs/srv/CancelGoal", "/near")
+
+
+async def test_a_server_that_is_killed_ends_the_calls_to_it(address):
+    async with open_zenoh([], listen=[address]) as transport, far_server(address) as process:
+        caller = transport.join(CANCELER, CANCEL)
+        await until(transport, lambda: caller.is_served)
+        request = turtleact.interfaces.standard.CancelGoal.Request()
+        async with running(lambda: caller.call(request)) as called:
+            said: Any = process.stdout
+            await anyio.to_thread.run_sync(said.readline)
+            process.send_signal(signal.SIGKILL)
+            await called.done.wait()
+        assert isinstance(called.error, ServerUnavailable)
+        assert "the server went away" in str(called.error)
+        await until(transport, lambda: len(transport.endpoints()) == 1)
+
+
+async def test_an_interrupted_process_ends(address):
+    async with open_zenoh([], listen=[address]) as transport, far_server(address) as process:
+        caller = transport.join(CANCELER, CANCEL)
+        await until(transport, lambda: caller.is_served)
+        process.send_signal(signal.SIGINT)
+        assert await anyio.to_thread.run_sync(process.wait, 20) != 0
+        await until(transport, lambda: not caller.is_served)
+
+
+# --- opening ----------------------------------------------------------------------------------
+
+
+async def test_a_graph_out_of_reach_is_said_at_once(address):
+    with pytest.raises(TurtleactError, match="no ROS 2 graph in reach: nobody at unixsock") as said:
+        await open_zenoh([address], listen=[]).__aenter__()
+    assert "start a router there, or connect to another one" in str(said.value)
+
+
+@pytest.mark.parametrize("mode", ["peer", "client"])
+async def test_who_listens_and_says_nothing_is_given_up(mode):
+    with socket.socket() as silent:
+        silent.bind(("127.0.0.1", 0))
+        silent.listen()
+        at = f"tcp/127.0.0.1:{silent.getsockname()[1]}"
+        hurry = {"transport/unicast/open_timeout": 50}
+        with pytest.raises(TurtleactError, match=f"no ROS 2 graph in reach: nobody at {at}"):
+            await open_zenoh([at], listen=[], mode=mode, config=hurry).__aenter__()
+
+
+async def test_a_port_that_is_taken_is_said():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        at = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        said = f"cannot listen at {at}: .*Address already in use.*; is another router there"
+        with pytest.raises(TurtleactError, match=said):
+            await open_zenoh(mode="router", listen=[at]).__aenter__()
+
+
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [({"no/such": 1}, "unknown key"), ("{mode: 'boat'}", "unknown variant"), ("{", "Zenoh says")],
+)
+async def test_a_configuration_that_zenoh_does_not_take_is_refused(config, said):
+    with pytest.raises(InvalidOption, match=said):
+        await open_zenoh([], listen=[], config=config).__aenter__()
+
+
+async def test_a_whole_file_configures_a_session(address):
+    text = f"{{mode: 'peer', listen: {{endpoints: ['{address}']}}, connect: {{endpoints: []}}}}"
+    async with (
+        open_zenoh(config=text) as here,
+        open_zenoh([address], listen=[]) as there,
+        acquainted(here, there) as meet,
+    ):
+        here.enter("/lab")
+        await meet()
+        assert there.nodes() == ("/lab",)
+
+
+async def test_nodes_meet_by_a_router_over_tcp():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        at = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    async with (
+        open_zenoh(mode="router", listen=[at]),
+        open_zenoh([at]) as here,
+        open_zenoh([at], mode="client") as there,
+    ):
+        there.serve(service(), SERVING, Adder())
+        caller = here.join(client(), ASKING)
+        await until(here, lambda: caller.is_served)
+        assert (await caller.call(numbers(2, 3))).message == Sum.Response(total=5)
+
+
+async def test_its_time_is_what_it_is_given(address):
+    clock = VirtualClock()
+    async with open_zenoh([], listen=[address], clock=clock) as transport:
+        assert transport.clock is clock
+
+
+def test_turtleact_is_imported_without_zenoh():
+    code = "import sys, turtleact.transports; print('zenoh' in sys.modules)"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout == "False\n"
+
+
+def test_transports_has_no_other_names():
+    with pytest.raises(AttributeError, match="has no attribute 'open_dds'"):
+        turtleact.transports.open_dds  # noqa: B018
+
+
+# --- nodes ------------------------------------------------------------------------------------
+
+
+async def test_a_service_of_a_node_is_called_from_another_process(address):
+    async with (
+        two(address) as peers,
+        turtleact.open_node("desk", transport=peers.there) as desk,
+        turtleact.open_node("user", transport=peers.here) as user,
+    ):
+        desk.service(Sum, "add", lambda request: Sum.Response(total=sum(request.numbers)))
+        adder = user.service_client(Sum, "add")
+        assert await adder.wait_for_service()
+        assert await adder.call(numbers(2, 3), timeout=20) == Sum.Response(total=5)
+        assert user.graph().services == {"/add": (Sum.type_name,)}
+
+
+async def test_an_action_of_a_node_is_used_from_another_process(address):
+    types = implied(Count)
+    async with (
+        two(address) as peers,
+        turtleact.open_node("lab", transport=peers.there) as lab,
+        turtleact.open_node("user", transport=peers.here) as user,
+    ):
+        lab.action_server(Count, "count", count)
+        heard = user.subscription(types.feedback_message, "count/_action/feedback")
+        latched = QoS(depth=1, durability="transient_local")
+        watched = user.subscription(GoalStatusArray, "count/_action/status", latched)
+        send = user.service_client(types.send_goal, "count/_action/send_goal")
+        get = user.service_client(types.get_result, "count/_action/get_result")
+        assert await send.wait_for_service()
+        assert await get.wait_for_service()
+        await peers.settle()
+        goal_id = UUID(bytes(range(16)))
+        assert (await send.call(types.send_goal.Request(goal_id=goal_id, goal=goal(3)))).accepted
+        answer = await get.call(types.get_result.Request(goal_id))
+        assert (answer.status, answer.result) == (4, result(0, 1, 2))
+        said = [(await anext(heard)).feedback for _ in range(3)]
+        assert said == [feedback(0), feedback(0, 1), feedback(0, 1, 2)]
+        while (statuses := watched.latest) is None or not statuses.status_list:
+            await anext(watched)
+        (status,) = statuses.status_list
+        assert status.goal_info.goal_id == goal_id
+        assert user.graph().actions == {"/count": (Count.type_name,)}

@@ -1,0 +1,366 @@
+"""Both ends of a service: calls within the process as objects, the others as queries.
+
+A request names its client by gid and sequence number. Each is handled in a task of its own, and is
+answered in any case: with the response, or with what the handler raised, which clients of our kind
+raise again. Zenoh ends a query without a word where nobody serves the key, or the server dies: the
+graph then says why.
+
+Source: rmw_zenoh_cpp ``rmw_service_data.cpp``, ``rmw_client_data.cpp``.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import anyio
+
+from turtleact.errors import InvalidMessage, ServerUnavailable, ServiceError, TurtleactError
+from turtleact.summaries import summary
+from turtleact.tasks import GRACE
+from turtleact.transports.base import (
+    Caller,
+    Closeable,
+    Endpoint,
+    Format,
+    Reply,
+    Replying,
+    why_not_served,
+)
+from turtleact.transports.rmw_zenoh.attachment import (
+    Attachment,
+    read_attachment,
+    write_attachment,
+)
+from turtleact.transports.rmw_zenoh.link import Counter, Link, Named, Presence
+
+if TYPE_CHECKING:
+    from turtleact.transports.rmw_zenoh.session import Declared, Querier, Query
+
+__all__ = ["WireCaller", "WireService"]
+
+logger = logging.getLogger("turtleact.services")
+
+
+class WireService:
+    """The serving end of a service.
+
+    Args:
+        link: What carries the messages.
+        named: The endpoint.
+        format: How requests are read and responses written.
+        handler: Answers; only one that is `Replying` serves other processes.
+    """
+
+    def __init__(self, link: Link, named: Named, format: Format, handler: object) -> None:
+        self._link = link
+        self._key = named.key
+        self._name = named.endpoint.name
+        self._format = format
+        self._handler = handler
+        self._is_open = True
+        self._under_way: set[tuple[bytes, int]] = set()
+        self._declared: Declared | None = None
+        self._near: Closeable = link.near.serve(named.endpoint, format, handler)
+        if isinstance(handler, Replying):
+            link.outbox.post(self._declare)
+        self._presence = Presence(link, named.token)
+        link.opened.add(self)
+
+    def close(self) -> None:
+        """Take no more requests; those under way go on. A second time does nothing."""
+        if self._is_open:
+            self._is_open = False
+            self._near.close()
+            self._presence.close()
+            self._link.opened.discard(self)
+            self._link.outbox.post(self._undeclare)
+
+    def _take(self, query: Query) -> None:
+        """Called in a thread of the session."""
+        self._link.inbox.push(lambda: self._begin(query))
+
+    def _begin(self, query: Query) -> None:
+        try:
+            beside = read_attachment(query.attachment)
+            if (beside.gid, beside.sequence) in self._under_way:
+                raise InvalidMessage("attachment", f"request {beside.sequence} is under way")
+            request = self._format.decode(query.payload)
+        except InvalidMessage as error:
+            logger.warning("service %s: a request cannot be read: %s", self._name, error)
+            self._fail(query, error)
+            return
+        if not self._is_open or not self._link.is_open:
+            self._fail(query, self._closed())
+            return
+        self._under_way.add((beside.gid, beside.sequence))
+        self._link.crew.run(self._answer(query, beside, request), f"a request to {self._name}")
+
+    async def _answer(self, query: Query, beside: Attachment, request: object) -> None:
+        """Have a request answered; nothing but a cancellation gets out."""
+        error: TurtleactError = self._closed()
+        response: tuple[bytes, str] | None = None
+        try:
+            assert isinstance(self._handler, Replying)  # noqa: S101  # or nothing is declared
+            reply = await self._handler.reply(request, beside.gid)
+            response = self._format.encode(reply.message), reply.note
+        except TurtleactError as failure:
+            error = failure
+        except Exception as failure:
+            logger.exception("the handler of service %s failed", self._name)
+            error = ServiceError(self._name, f"the handler failed: {summary(failure)}")
+        finally:
+            self._under_way.discard((beside.gid, beside.sequence))
+            if response is None:
+                self._fail(query, error)
+            else:
+                payload, note = response
+                stamp = time.time_ns()
+                attachment = write_attachment(beside.sequence, stamp, beside.gid, note)
+                self._link.outbox.post(lambda: query.reply(payload, attachment))
+
+    def _fail(self, query: Query, error: TurtleactError) -> None:
+        kind, text = _said(error)
+        self._link.outbox.post(lambda: query.fail(text, kind))
+
+    def _closed(self) -> ServerUnavailable:
+        return ServerUnavailable(self._name, "the server was closed", kind="service")
+
+    # in the outbox
+
+    def _declare(self) -> None:
+        self._declared = self._link.session.declare_queryable(self._key, self._take)
+
+    def _undeclare(self) -> None:
+        if self._declared is not None:
+            self._declared.undeclare()
+
+
+class WireCaller:
+    """The asking end of a service.
+
+    Args:
+        link: What carries the messages.
+        named: The endpoint.
+        format: How requests are written and responses read.
+        find: Gives the servers of the same name that others have.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        named: Named,
+        format: Format,
+        find: Callable[[str], list[Endpoint]],
+    ) -> None:
+        self._link = link
+        self._key = named.key
+        self._endpoint = endpoint = named.endpoint
+        self._format = format
+        self._find = find
+        self._counter = Counter(endpoint.gid)
+        self._is_open = True
+        self._is_matching = False
+        self._querier: Querier | None = None
+        self._calls: set[_Call] = set()
+        self._near: Caller = link.near.join(endpoint, format)
+        link.outbox.post(self._declare)
+        self._presence = Presence(link, named.token)
+        link.opened.add(self)
+
+    @property
+    def is_served(self) -> bool:
+        """Whether a call would reach a server now."""
+        return self._near.is_served or (self._is_matching and self._link.is_open)
+
+    async def call(self, request: object) -> Reply:
+        """Send a request, and wait for the reply; see `turtleact.transports.base.Caller`."""
+        if self._near.is_served or not self._is_open:
+            return await self._near.call(request)
+        payload = self._format.encode(request)
+        with anyio.move_on_after(GRACE):
+            while not self._is_matching and any(map(self._fits, self._servers())):
+                await self._link.near.wait_for_change()  # its token came before its route
+        if not self._is_matching or not self._link.is_open:
+            raise self._unavailable(self._why_not_served())
+        return await self._ask(payload)
+
+    def close(self) -> None:
+        """Leave the graph; calls under way go on. A second time does nothing."""
+        if self._is_open:
+            self._is_open = False
+            self._near.close()
+            self._presence.close()
+            self._link.opened.discard(self)
+            if not self._calls:
+                self._link.outbox.post(self._undeclare)
+
+    def give_up(self) -> None:
+        """Let all calls under way end: the transport is being closed."""
+        for call in tuple(self._calls):
+            call.end()
+
+    async def _ask(self, payload: bytes) -> Reply:
+        call = _Call(self._link, payload, self._counter.next())
+        self._calls.add(call)
+        self._link.outbox.post(lambda: call.send(self._querier))
+        try:
+            await call.wait()
+        finally:
+            self._calls.discard(call)
+            if not call.has_ended:
+                self._link.outbox.post(call.cancel)
+            if not self._is_open and not self._calls:
+                self._link.outbox.post(self._undeclare)
+        return self._reply(call)
+
+    def _reply(self, call: _Call) -> Reply:
+        """What came of a call; raises what its server raised."""
+        if call.error is not None:
+            raise _error(self._endpoint.name, *call.error)
+        if call.answer is None:
+            gone = "server went away" if self._link.is_open else "Zenoh transport was closed"
+            raise self._unavailable(f"the {gone} before there was an answer")
+        payload, attachment = call.answer
+        try:
+            message = self._format.decode(payload)
+        except InvalidMessage as error:
+            problem = f"its response cannot be read: {error}"
+            raise ServiceError(self._endpoint.name, problem) from error
+        return Reply(message, read_attachment(attachment).note if attachment else "")
+
+    # servers
+
+    def _servers(self) -> list[Endpoint]:
+        return self._find(self._endpoint.name)
+
+    def _fits(self, server: Endpoint) -> bool:
+        ours = self._endpoint
+        return (server.type_name, server.type_hash) == (ours.type_name, ours.type_hash)
+
+    def _why_not_served(self) -> str:
+        ours, servers = self._endpoint, self._servers()
+        if not self._link.is_open:
+            return "the Zenoh transport is closed"
+        if reachable := [each.node for each in servers if self._fits(each)]:
+            return f"node {reachable[0]} serves it, but cannot be reached"
+        if not servers:
+            return why_not_served(self._link.near, ours.name, ours.type_name)
+        hashes = {each.type_hash for each in servers if each.type_name == ours.type_name}
+        if hashes:
+            theirs = ", ".join(sorted(hashes))
+            return (
+                f"the definitions of {ours.type_name} differ: its type hash is {theirs} at the "
+                f"server, {ours.type_hash} here; both sides need the same one"
+            )
+        types = ", ".join(sorted({each.type_name for each in servers}))
+        return f"it is served as {types}, not as {ours.type_name}"
+
+    def _unavailable(self, problem: str) -> ServerUnavailable:
+        return ServerUnavailable(self._endpoint.name, problem, kind="service")
+
+    def _matching(self, is_matching: bool) -> None:
+        """Called in a thread of the session."""
+        self._link.inbox.push(lambda: self._servers_changed(is_matching))
+
+    def _servers_changed(self, is_matching: bool) -> None:
+        self._is_matching = is_matching
+        self._link.near.tell_change()
+
+    # in the outbox
+
+    def _declare(self) -> None:
+        self._querier = self._link.session.declare_querier(self._key, self._matching)
+
+    def _undeclare(self) -> None:
+        if self._querier is not None:
+            self._querier.undeclare()
+            self._querier = None
+
+
+class _Call:
+    """One request and what comes of it.
+
+    Attributes:
+        answer: Payload and attachment of the reply.
+        error: The text of an error, and its kind.
+        has_ended: Whether nothing more comes.
+    """
+
+    def __init__(self, link: Link, payload: bytes, attachment: bytes) -> None:
+        self.answer: tuple[bytes, bytes] | None = None
+        self.error: tuple[str, str] | None = None
+        self.has_ended = False
+        self._link = link
+        self._payload = payload
+        self._attachment = attachment
+        self._changed = link.tasks.signal()
+        self._give_up: Callable[[], None] | None = None
+
+    async def wait(self) -> None:
+        """Wait for a reply, an error, or the end without either."""
+        while not self.has_ended and self.answer is None and self.error is None:
+            await self._changed.wait()
+
+    def end(self) -> None:
+        """Nothing more comes."""
+        self.has_ended = True
+        self._changed.fire()
+
+    # in the outbox
+
+    def send(self, querier: Querier | None) -> None:
+        """Send the request."""
+        if querier is None:
+            self._ended()
+            return
+        try:
+            self._give_up = querier.get(
+                self._payload,
+                self._attachment,
+                replied=self._replied,
+                failed=self._failed,
+                ended=self._ended,
+            )
+        except TurtleactError:
+            self._ended()
+            raise
+
+    def cancel(self) -> None:
+        """Take no more answers."""
+        if self._give_up is not None:
+            self._give_up()
+
+    # in a thread of the session
+
+    def _replied(self, payload: bytes, attachment: bytes) -> None:
+        self.answer = payload, attachment
+        self._link.inbox.push(self._changed.fire)
+
+    def _failed(self, text: str, kind: str) -> None:
+        self.error = text, kind
+        self._link.inbox.push(self._changed.fire)
+
+    def _ended(self) -> None:
+        self._link.inbox.push(self.end)
+
+
+def _said(error: TurtleactError) -> tuple[str, str]:
+    """The kind of an error, and the text by which `_error` makes it again."""
+    if isinstance(error, InvalidMessage):
+        return "InvalidMessage", str(error)
+    if isinstance(error, ServerUnavailable):
+        return "ServerUnavailable", error.problem
+    return "ServiceError", error.reason if isinstance(error, ServiceError) else summary(error)
+
+
+def _error(name: str, text: str, kind: str) -> TurtleactError:
+    """What a server raised; an error of a peer of another kind is its own text."""
+    if kind == "InvalidMessage":
+        path, _, problem = text.partition(": ")
+        return InvalidMessage(path, problem)
+    if kind == "ServerUnavailable":
+        return ServerUnavailable(name, text, kind="service")
+    return ServiceError(name, text)

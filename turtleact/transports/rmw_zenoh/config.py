@@ -1,0 +1,124 @@
+"""How a session is configured: what the user says, and what it needs to be a good peer. Pure.
+
+``peer`` talks with others directly, and finds them through the router that it connects to; that is
+what a ROS 2 node is. ``client`` talks through the router alone. ``router`` is the one that nodes of
+the machine look for.
+
+Source: ``DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5`` of rmw_zenoh; Zenoh's ``DEFAULT_CONFIG.json5``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Literal, TypeAlias, get_args
+
+import msgspec
+
+from turtleact.errors import InvalidOption
+
+__all__ = ["Mode", "SessionConfig", "session_config"]
+
+Mode: TypeAlias = Literal["peer", "client", "router"]
+
+#: The last domain whose ports ROS 2 can count with.
+LAST_DOMAIN = 232
+
+#: Where a router listens, and where nodes look for one.
+ROUTER = "tcp/localhost:7447"
+
+CONNECT: dict[str, tuple[str, ...]] = {"peer": (ROUTER,), "client": (ROUTER,), "router": ()}
+LISTEN: dict[str, tuple[str, ...]] = {
+    "peer": ("tcp/localhost:0",),
+    "client": (),
+    "router": ("tcp/127.0.0.1:7447",),
+}
+
+#: What a session has where nothing else is said: path to value.
+DEFAULTS: dict[str, object] = {
+    "scouting/delay": 0,  # or opening takes half a second
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": True,
+    "timestamping/enabled": True,  # latched topics need it
+    "connect/timeout_ms": 0,  # who refuses is not asked again
+    "connect/exit_on_failure": True,
+    "listen/timeout_ms": 0,
+    "listen/exit_on_failure": True,
+}
+
+#: The same, for what Zenoh has other defaults for.
+TIGHTER: dict[str, object] = {
+    # Who says nothing is given up (ms).
+    "transport/unicast/open_timeout": 2000,
+    # A peer that takes nothing is cut off (us): until then it holds up those that do.
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,
+}
+
+
+class SessionConfig(msgspec.Struct, frozen=True):
+    """What a session is opened with.
+
+    Attributes:
+        domain: The ROS domain.
+        text: A whole configuration in JSON5 to begin with; empty for Zenoh's own.
+        settings: Path to value as JSON: what is set in any case.
+        defaults: Path to value as JSON: what is set where the text says nothing.
+        connect: Where it connects to, as far as it is known here.
+        listen: Where it listens, likewise.
+    """
+
+    domain: int
+    text: str
+    settings: dict[str, str]
+    defaults: dict[str, str]
+    connect: tuple[str, ...]
+    listen: tuple[str, ...]
+
+
+def session_config(
+    connect: Sequence[str] | None,
+    listen: Sequence[str] | None,
+    mode: Mode,
+    domain: int,
+    config: Mapping[str, object] | str,
+) -> SessionConfig:
+    """The configuration of a session; the options are those of `open_zenoh`.
+
+    Raises:
+        InvalidOption: if one of them has a value that it cannot have.
+    """
+    if mode not in get_args(Mode):
+        raise InvalidOption("mode", f"expected 'peer', 'client' or 'router', not {mode!r}")
+    if type(domain) is not int or not 0 <= domain <= LAST_DOMAIN:
+        raise InvalidOption("domain", f"expected 0 to {LAST_DOMAIN}, not {domain!r}")
+    text = config if isinstance(config, str) else ""
+    more = {} if isinstance(config, str) else config
+    to = _endpoints("connect", connect, () if text else CONNECT[mode])
+    at = _endpoints("listen", listen, () if text else LISTEN[mode])
+    defaults: dict[str, object] = {"mode": mode, **DEFAULTS, **TIGHTER}
+    settings: dict[str, object] = {}
+    if connect is not None or not text:
+        settings["connect/endpoints"] = to
+    if listen is not None or not text:
+        settings["listen/endpoints"] = at
+    if not text:
+        defaults, settings = {}, {**defaults, **settings, **more}
+    return SessionConfig(domain, text, _as_json(settings), _as_json(defaults), to, at)
+
+
+def _endpoints(
+    option: str, given: Sequence[str] | None, default: tuple[str, ...]
+) -> tuple[str, ...]:
+    if given is None:
+        return default
+    if isinstance(given, str) or not all(isinstance(each, str) and "/" in each for each in given):
+        example = f"['{ROUTER}']"
+        raise InvalidOption(option, f"expected a list of endpoints such as {example}, not {given}")
+    return tuple(given)
+
+
+def _as_json(values: Mapping[str, object]) -> dict[str, str]:
+    try:
+        return {path: json.dumps(value) for path, value in values.items()}
+    except (TypeError, ValueError) as error:
+        raise InvalidOption("config", f"expected values that JSON can say: {error}") from error

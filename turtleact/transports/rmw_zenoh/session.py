@@ -1,0 +1,318 @@
+"""The door to Zenoh: a session, with plain bytes and callbacks in and out.
+
+All of it may block, so that it is called in an `Outbox`; callbacks come in Zenoh's own threads and
+hand on what they get. Every entity talks with other sessions alone: within this one, messages go
+as objects. What Zenoh raises becomes a `TurtleactError` here and nowhere else.
+
+Source: rmw_zenoh_cpp ``rmw_publisher_data.cpp``, ``rmw_subscription_data.cpp``,
+``rmw_service_data.cpp`` and ``rmw_client_data.cpp``; eclipse-zenoh 1.10.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, Protocol, TypeAlias
+
+import zenoh
+from zenoh import ext
+from zenoh.handlers import Callback
+
+from turtleact.errors import InvalidOption, TurtleactError
+from turtleact.transports.rmw_zenoh.config import SessionConfig
+
+__all__ = ["Declared", "Publisher", "Querier", "Query", "Session"]
+
+Take: TypeAlias = Callable[[bytes, bytes], object]
+
+#: So long a query is held (s): the death of its server ends it, nothing else does.
+FOR_EVER = 3e9
+
+#: How soon after the last message its number is told, for who has missed it (s).
+HEARTBEAT = 0.5
+
+REMOTE = zenoh.Locality.REMOTE
+
+
+class Declared(Protocol):
+    """Something declared on a session."""
+
+    def undeclare(self) -> object:
+        """Take it back."""
+
+
+class Session:
+    """A session; opened by `Session.open`, closed by `close`.
+
+    Attributes:
+        zid: Its id, as tokens say it.
+    """
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+        self.zid = str(session.zid())
+
+    @classmethod
+    def open(cls, config: SessionConfig) -> Session:
+        """Open a session; blocks, a few seconds at most.
+
+        Raises:
+            InvalidOption: if the configuration is none.
+            TurtleactError: if an endpoint cannot be reached, or not be listened at.
+        """
+        try:
+            settings = zenoh.Config.from_json5(config.text) if config.text else zenoh.Config()
+            for path, value in config.settings.items():
+                settings.insert_json5(path, value)
+            for path, value in config.defaults.items():
+                if settings.get_json(path) in ("null", _UNTOUCHED.get(path)):
+                    settings.insert_json5(path, value)
+        except zenoh.ZError as error:
+            raise InvalidOption("config", f"Zenoh says: {_words(error)}") from error
+        try:
+            return cls(zenoh.open(settings))
+        except zenoh.ZError as error:
+            raise TurtleactError(_why_not_open(config, _words(error))) from error
+
+    def close(self) -> None:
+        """End it, with all that was declared on it."""
+        with _mapped("close the session"):
+            self._session.close()  # type: ignore[no-untyped-call]  # zenoh leaves it so
+
+    def declare_token(self, key: str) -> Declared:
+        """Be in the graph."""
+        with _mapped(f"declare {key}"):
+            return self._session.liveliness().declare_token(key)
+
+    def watch_tokens(
+        self, key: str, appeared: Callable[[str], object], gone: Callable[[str], object]
+    ) -> Declared:
+        """Be told of all tokens, those that there are already too."""
+
+        def take(sample: zenoh.Sample) -> None:
+            is_put = sample.kind == zenoh.SampleKind.PUT
+            (appeared if is_put else gone)(str(sample.key_expr))
+
+        with _mapped(f"watch {key}"):
+            watched: Declared = self._session.liveliness().declare_subscriber(
+                key, _direct(take), history=True
+            )
+            return watched
+
+    def declare_publisher(
+        self, key: str, *, is_reliable: bool, matching: Callable[[bool], object]
+    ) -> Publisher:
+        """Publish a topic; ``matching`` is told whether anybody elsewhere reads it."""
+        with _mapped(f"declare {key}"):
+            publisher = self._session.declare_publisher(
+                key, congestion_control=_congestion(is_reliable), allowed_destination=REMOTE
+            )
+            publisher.declare_matching_listener(_direct(lambda status: matching(status.matching)))
+            return Publisher(publisher)
+
+    def declare_latched_publisher(self, key: str, *, is_reliable: bool, depth: int) -> Publisher:
+        """Publish a topic whose last messages are kept for who comes later."""
+        with _mapped(f"declare {key}"):
+            return Publisher(
+                ext.declare_advanced_publisher(
+                    self._session,
+                    key,
+                    congestion_control=_congestion(is_reliable),
+                    allowed_destination=REMOTE,
+                    publisher_detection=True,
+                    cache=ext.CacheConfig(depth),
+                    sample_miss_detection=ext.MissDetectionConfig(
+                        heartbeat=None, sporadic_heartbeat=HEARTBEAT
+                    ),
+                )
+            )
+
+    def declare_subscriber(self, key: str, take: Take) -> Declared:
+        """Read a topic: payload and attachment of each message."""
+        with _mapped(f"declare {key}"):
+            subscriber: Declared = self._session.declare_subscriber(
+                key, _direct(_sample_taker(take)), allowed_origin=REMOTE
+            )
+            return subscriber
+
+    def declare_latched_subscriber(self, key: str, take: Take, *, depth: int) -> Declared:
+        """Read a topic, the last messages of its publishers first."""
+        with _mapped(f"declare {key}"):
+            subscriber: Declared = ext.declare_advanced_subscriber(
+                self._session,
+                key,
+                _direct(_sample_taker(take)),
+                allowed_origin=REMOTE,
+                subscriber_detection=True,
+                history=ext.HistoryConfig(detect_late_publishers=True, max_samples=depth),
+                recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+            )
+            return subscriber
+
+    def declare_queryable(self, key: str, take: Callable[[Query], object]) -> Declared:
+        """Serve a service."""
+        with _mapped(f"declare {key}"):
+            queryable: Declared = self._session.declare_queryable(
+                key,
+                _direct(lambda query: take(Query(query, key))),
+                complete=True,
+                allowed_origin=REMOTE,
+            )
+            return queryable
+
+    def declare_querier(self, key: str, matching: Callable[[bool], object]) -> Querier:
+        """Call a service; ``matching`` is told whether anybody elsewhere serves it."""
+        with _mapped(f"declare {key}"):
+            querier = self._session.declare_querier(
+                key,
+                target=zenoh.QueryTarget.ALL_COMPLETE,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                timeout=FOR_EVER,
+                allowed_destination=REMOTE,
+            )
+            querier.declare_matching_listener(_direct(lambda status: matching(status.matching)))
+            return Querier(querier)
+
+
+class Publisher:
+    """The sending end of a topic."""
+
+    def __init__(self, publisher: zenoh.Publisher | ext.AdvancedPublisher) -> None:
+        self._publisher = publisher
+
+    def put(self, payload: bytes, attachment: bytes) -> None:
+        """Send a message; blocks while a reader takes nothing, if it is reliable."""
+        with _mapped("publish"):
+            self._publisher.put(payload, attachment=attachment)
+
+    def undeclare(self) -> None:
+        """Take it back, and what it has kept."""
+        with _mapped("close a publisher"):
+            self._publisher.undeclare()  # type: ignore[no-untyped-call]  # zenoh leaves it so
+
+
+class Querier:
+    """The asking end of a service."""
+
+    def __init__(self, querier: zenoh.Querier) -> None:
+        self._querier = querier
+
+    def get(
+        self,
+        payload: bytes,
+        attachment: bytes,
+        *,
+        replied: Take,
+        failed: Callable[[str, str], object],
+        ended: Callable[[], object],
+    ) -> Callable[[], None]:
+        """Send a request.
+
+        Args:
+            payload: The request.
+            attachment: What goes beside it.
+            replied: Gets payload and attachment of each reply.
+            failed: Gets the text of each error, and its kind.
+            ended: Called when there is no more to come, whatever came before.
+
+        Returns:
+            What gives the request up.
+        """
+
+        def take(reply: zenoh.Reply) -> None:
+            if reply.ok is not None:
+                replied(*_parts(reply.ok))
+            elif reply.err is not None:
+                kind = str(reply.err.encoding).partition(";")[2]
+                failed(reply.err.payload.to_bytes().decode(errors="replace"), kind)
+
+        token = zenoh.CancellationToken()
+        with _mapped("send a request"):
+            self._querier.get(
+                Callback(take, ended, indirect=False),
+                payload=payload,
+                attachment=attachment,
+                cancellation_token=token,
+            )
+        return token.cancel
+
+    def undeclare(self) -> None:
+        """Take it back."""
+        with _mapped("close a client"):
+            self._querier.undeclare()  # type: ignore[no-untyped-call]  # zenoh leaves it so
+
+
+class Query:
+    """A request that has come; to be answered once, and to be dropped at last.
+
+    Attributes:
+        payload: The request.
+        attachment: What came beside it.
+    """
+
+    def __init__(self, query: zenoh.Query, key: str) -> None:
+        self.payload = b"" if query.payload is None else query.payload.to_bytes()
+        self.attachment = b"" if query.attachment is None else query.attachment.to_bytes()
+        self._query = query
+        self._key = key
+
+    def reply(self, payload: bytes, attachment: bytes) -> None:
+        """Answer it."""
+        with _mapped("reply"), self._query:
+            self._query.reply(self._key, payload, attachment=attachment)
+
+    def fail(self, text: str, kind: str) -> None:
+        """Answer that it has failed: a text for people, and a kind for peers like us."""
+        with _mapped("reply"), self._query:
+            self._query.reply_err(text.encode(errors="replace"), encoding=f"text/plain;{kind}")
+
+
+def _sample_taker(take: Take) -> Callable[[zenoh.Sample], object]:
+    return lambda sample: take(*_parts(sample))
+
+
+def _parts(sample: zenoh.Sample) -> tuple[bytes, bytes]:
+    """Payload and attachment, copied: a sample that is kept holds the whole batch it came in."""
+    attachment = sample.attachment
+    return sample.payload.to_bytes(), b"" if attachment is None else attachment.to_bytes()
+
+
+def _direct(callback: Callable[[Any], object]) -> Any:  # noqa: ANN401  # of whatever is declared
+    """A handler that runs in the thread that receives: no thread and no queue of its own."""
+    return Callback(callback, indirect=False)
+
+
+def _congestion(is_reliable: bool) -> zenoh.CongestionControl:
+    control = zenoh.CongestionControl
+    return control.BLOCK if is_reliable else control.DROP
+
+
+@contextmanager
+def _mapped(what: str) -> Iterator[None]:
+    try:
+        yield
+    except zenoh.ZError as error:
+        raise TurtleactError(f"Zenoh cannot {what}: {_words(error)}") from error
+
+
+def _words(error: zenoh.ZError) -> str:
+    """What Zenoh says, without the lines of its source that it names."""
+    return str(error).partition(" at /")[0]
+
+
+def _why_not_open(config: SessionConfig, words: str) -> str:
+    if "listener" in words:
+        at = ", ".join(config.listen) or "the configured endpoints"
+        return f"cannot listen at {at}: {words}; is another router there already? connect to it"
+    to = ", ".join(config.connect) or "the configured endpoints"
+    return (
+        f"no ROS 2 graph in reach: nobody at {to} lets us in ({words}); "
+        "start a router there, or connect to another one"
+    )
+
+
+#: What Zenoh's own configuration has where it is not null.
+_UNTOUCHED = {
+    "transport/unicast/open_timeout": "10000",
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": "5000000",
+}

@@ -1,0 +1,267 @@
+"""A graph that reaches other processes, and the nodes of ROS 2, by Zenoh as rmw_zenoh uses it.
+
+Within the process nothing goes over the wire: nodes that are given the same transport hand each
+other objects, as on a `MemoryTransport`. Zenoh carries the rest, in bytes that ROS 2 reads.
+
+- Calls into Zenoh may block; one thread makes them all, in the order in which they were asked for.
+- Callbacks of Zenoh come in its own threads; what they bring is handled in the event loop.
+- A reader that takes nothing holds up the reliable topics that it reads for a second at most, once:
+  then it is cut off, and comes back by itself when it takes again.
+
+Source: rmw_zenoh_cpp, ``docs/design.md``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import asynccontextmanager
+from functools import partial
+from typing import TypeAlias
+
+import anyio
+import anyio.to_thread
+import msgspec
+
+from turtleact.clock import Clock
+from turtleact.errors import TurtleactError
+from turtleact.tasks import current_tasks
+from turtleact.transports.base import (
+    Caller,
+    CallerAware,
+    Closeable,
+    Endpoint,
+    Format,
+    Publication,
+    Source,
+)
+from turtleact.transports.memory import MemoryTransport
+from turtleact.transports.rmw_zenoh.calls import WireCaller, WireService
+from turtleact.transports.rmw_zenoh.config import Mode, session_config
+from turtleact.transports.rmw_zenoh.discovery import Graph
+from turtleact.transports.rmw_zenoh.keys import (
+    all_tokens,
+    data_key,
+    endpoint_token,
+    gid_of,
+    node_token,
+)
+from turtleact.transports.rmw_zenoh.link import Link, Named, Presence
+from turtleact.transports.rmw_zenoh.session import Session
+from turtleact.transports.rmw_zenoh.topics import WirePublication, WireSubscription
+
+__all__ = ["ZenohTransport", "open_zenoh"]
+
+Deliver: TypeAlias = Callable[[object], None]
+
+
+class ZenohTransport:
+    """A graph of processes; opened by `open_zenoh`, which closes it.
+
+    Attributes:
+        clock: The time of all nodes on it in this process.
+    """
+
+    def __init__(self, session: Session, domain: int, clock: Clock | None = None) -> None:
+        near = MemoryTransport(clock)
+        self.clock: Clock = near.clock
+        self._near = near
+        self._link = Link(session, near, current_tasks(), domain)
+        self._graph = Graph(session.zid)
+        self._numbers: dict[str, int] = {}
+        self._count = 0
+        self._link.outbox.post(partial(self._watch, session))
+
+    def advertise(
+        self, endpoint: Endpoint, format: Format, source: Source | None = None
+    ) -> Publication:
+        """Open the sending end of a topic; with a source, nothing is latched but what it makes.
+
+        What is published reaches readers elsewhere by a thread of its own; see
+        `Publication.is_congested`. Nothing is encoded while nobody elsewhere reads a topic, unless
+        it is latched.
+
+        Raises:
+            InvalidInterface: if the message class has no type name.
+            TurtleactError: if the transport is closed.
+        """
+        return WirePublication(self._link, self._name(endpoint, format), format, source)
+
+    def subscribe(self, endpoint: Endpoint, format: Format, deliver: Deliver) -> Closeable:
+        """Open the receiving end of a topic; raises as `advertise` does."""
+        return WireSubscription(self._link, self._name(endpoint, format), format, deliver)
+
+    def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
+        """Offer ``handler`` as the server of a service; raises as `advertise` does.
+
+        A request of another process that comes while one of the same gid and number is under way,
+        is refused. What a handler raises is told to its caller; those of ROS 2 log it.
+        """
+        return WireService(self._link, self._name(endpoint, format), format, handler)
+
+    def join(self, endpoint: Endpoint, format: Format) -> Caller:
+        """Appear in the graph as a client of a service, and be able to call it.
+
+        A server in this process is preferred. A call to another process that is canceled is over
+        here; its handler goes on, as there is no word for it on the wire. A server that hangs
+        without dying is waited for: give calls a time of their own. Raises as `advertise` does.
+        """
+        return WireCaller(self._link, self._name(endpoint, format), format, self._servers)
+
+    def local(self, name: str, type_name: str) -> object | None:
+        """The handler that serves a service in this very process, if there is one."""
+        return self._near.local(name, type_name)
+
+    def enter(self, node: str) -> Closeable:
+        """Appear in the graph as a node of this fully qualified name."""
+        self._check_open()
+        number = self._numbers[node] = self._next_number()
+        token = node_token(self._link.domain, self._link.session.zid, number, node)
+        return _Entered(self._link, self._near.enter(node), token)
+
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        """All endpoints of the graph: our own, then those of others, as they came."""
+        return (*self._near.endpoints(), *self._graph.endpoints())
+
+    def nodes(self) -> tuple[str, ...]:
+        """The names of all nodes, in the same order; a name may be there twice."""
+        return (*self._near.nodes(), *self._graph.nodes())
+
+    async def wait_for_change(self) -> None:
+        """Wait until a node or endpoint comes or goes, here or elsewhere. Cancelling: safe."""
+        await self._near.wait_for_change()
+
+    async def flush(self) -> None:
+        """Wait until what was asked for so far has been handed to Zenoh. Cancelling: safe."""
+        passed = anyio.Event()
+        self._link.outbox.post(lambda: self._link.tasks.from_anywhere(passed.set))
+        await passed.wait()
+
+    async def aclose(self) -> None:
+        """End the session: calls under way end, requests being handled are canceled.
+
+        What was published before is sent first. A second time does nothing.
+        """
+        link = self._link
+        if not link.is_open:
+            return
+        link.is_open = False
+        with anyio.CancelScope(shield=True):
+            opened = tuple(link.opened)
+            for each in opened:
+                if isinstance(each, WireCaller):
+                    each.give_up()
+            await link.crew.aclose()
+            for each in opened:
+                each.close()
+            await link.outbox.aclose()
+            await anyio.to_thread.run_sync(link.session.close)
+        link.inbox.close()
+        self._near.tell_change()
+
+    # names
+
+    def _name(self, endpoint: Endpoint, format: Format) -> Named:
+        """Give an endpoint its names; numbers are unique in the session."""
+        self._check_open()
+        if (node_id := self._numbers.get(endpoint.node)) is None:
+            node_id = self._numbers[endpoint.node] = self._next_number()
+        hashed = msgspec.structs.replace(endpoint, type_hash=format.type_hash)
+        domain, zid = self._link.domain, self._link.session.zid
+        token = endpoint_token(domain, zid, node_id, self._next_number(), hashed)
+        named = msgspec.structs.replace(hashed, gid=gid_of(token))
+        return Named(named, data_key(domain, named), token)
+
+    def _next_number(self) -> int:
+        self._count += 1
+        return self._count - 1
+
+    def _check_open(self) -> None:
+        if not self._link.is_open:
+            raise TurtleactError("the Zenoh transport is closed: open another")
+
+    # others
+
+    def _servers(self, name: str) -> list[Endpoint]:
+        """What serves a service of that name elsewhere."""
+        found = self._graph.endpoints()
+        return [each for each in found if each.kind == "service" and each.name == name]
+
+    def _watch(self, session: Session) -> None:
+        """In the outbox: be told of the tokens of others."""
+        inbox = self._link.inbox
+        session.watch_tokens(
+            all_tokens(self._link.domain),
+            lambda key: inbox.push(partial(self._appeared, key)),
+            lambda key: inbox.push(partial(self._gone, key)),
+        )
+
+    def _appeared(self, key: str) -> None:
+        if self._graph.add(key) is not None:
+            self._near.tell_change()
+
+    def _gone(self, key: str) -> None:
+        token = self._graph.remove(key)
+        if token is None:
+            return
+        if token.endpoint is not None and token.endpoint.kind == "client":
+            for handler in self._near.handlers(token.endpoint.name):
+                if isinstance(handler, CallerAware):
+                    handler.caller_lost(token.endpoint.gid)
+        self._near.tell_change()
+
+
+class _Entered:
+    """A node that is in the graph."""
+
+    def __init__(self, link: Link, near: Closeable, token: str) -> None:
+        self._link = link
+        self._near = near
+        self._presence = Presence(link, token)
+        link.opened.add(self)
+
+    def close(self) -> None:
+        if self in self._link.opened:
+            self._link.opened.discard(self)
+            self._near.close()
+            self._presence.close()
+
+
+@asynccontextmanager
+async def open_zenoh(
+    connect: Sequence[str] | None = None,
+    *,
+    listen: Sequence[str] | None = None,
+    mode: Mode = "peer",
+    domain: int = 0,
+    config: Mapping[str, object] | str = "",
+    clock: Clock | None = None,
+) -> AsyncIterator[ZenohTransport]:
+    """A graph of processes for the length of a block.
+
+    What cannot be reached or is taken already is told within a few seconds.
+
+    Args:
+        connect: Where routers or peers are, such as ``tcp/localhost:7447``, which is the default
+            but for a router; each must be reached. Later losses are mended without a word.
+        listen: Where others may connect to us: a free port of this machine if left out,
+            ``tcp/127.0.0.1:7447`` for a router, nowhere for a client.
+        mode: ``"peer"`` is what a node of ROS 2 is; ``"client"`` talks through its router alone;
+            ``"router"`` is what the nodes of ROS 2 on this machine look for.
+        domain: The ROS domain, 0 to 232.
+        config: More of Zenoh's configuration: a mapping of path (``"transport/link/tx/lease"``) to
+            value, or a whole file as JSON5, such as those that ROS 2 is configured with; in the
+            file's place stands what is said here.
+        clock: The time of the nodes in this process; wall time if left out.
+
+    Raises:
+        InvalidOption: if an option has a value that it cannot have.
+        TurtleactError: if the graph cannot be reached, or not be listened at.
+    """
+    settings = session_config(connect, listen, mode, domain, config)
+    with anyio.CancelScope(shield=True):  # bounded, and nobody else would close it
+        session = await anyio.to_thread.run_sync(Session.open, settings)
+    transport = ZenohTransport(session, domain, clock)
+    try:
+        yield transport
+    finally:
+        await transport.aclose()
