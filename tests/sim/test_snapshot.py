@@ -106,7 +106,8 @@ def test_turtles_are_painted_over_the_drawing():
 
 
 @pytest.mark.parametrize(
-    "place", [0j, 11.0888 + 0j, 11.0888j, 11.0888 + 11.0888j, 30 + 5j, -9 - 9j]
+    "place",
+    [0j, 11.0888 + 0j, 11.0888j, 11.0888 + 11.0888j, 11.8 + 5j, 5 + 11.8j, -0.7j, 30 + 5j, -1e30j],
 )
 def test_a_turtle_at_the_edge_or_outside_is_cut_off(place):
     found = shell(pixels_of(picture(turtles=[Figure(place, 0.5)])))

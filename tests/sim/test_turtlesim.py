@@ -186,6 +186,18 @@ async def test_a_pose_that_nobody_reads_is_not_made(monkeypatch):
     assert asked == []
 
 
+async def test_a_pose_and_a_colour_whose_readers_have_just_gone_are_not_made(monkeypatch):
+    asked: list[str] = []
+    async with stage() as here:
+        poses, colours = here.poses(), here.colours()
+        await here.pass_ticks(2)
+        monkeypatch.setattr(here.world, "pose", asked.append)
+        await poses.aclose()
+        await colours.aclose()
+        here.sim._tick()
+    assert asked == []
+
+
 async def test_a_tick_after_the_node_was_closed_publishes_nothing(caplog):
     async with stage() as here:
         poses, colours = here.poses(), here.colours()

@@ -117,18 +117,20 @@ def _paint(picture: npt.NDArray[np.uint8], outline: Sequence[complex]) -> None:
     y = (top + (np.arange(height * FINE) + 0.5) / FINE)[:, None]
     is_inside = np.zeros((len(y), len(x)), np.bool_)
     for a, b in zip(corners, np.roll(corners, -1), strict=True):
-        if a.imag != b.imag:
-            crosses = (a.imag > y) != (b.imag > y)
-            is_inside ^= crosses & (
-                x < a.real + (y - a.imag) * (b.real - a.real) / (b.imag - a.imag)
-            )
+        slope = (b.real - a.real) / ((b.imag - a.imag) or 1.0)  # what is level crosses no row
+        crosses = (a.imag > y) != (b.imag > y)
+        is_inside ^= crosses & (x < a.real + (y - a.imag) * slope)
     cover = is_inside.reshape(height, FINE, width, FINE).mean(axis=(1, 3))
-    rows = slice(max(top, 0), max(min(top + height, SIZE), 0))
-    columns = slice(max(left, 0), max(min(left + width, SIZE), 0))
+    rows, columns = _shown(top, height), _shown(left, width)
     share = cover[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
     under = picture[rows, columns]
     painted = under + (np.array(SHELL) - under) * share[..., None]
     picture[rows, columns] = np.rint(painted).astype(np.uint8)
+
+
+def _shown(start: int, length: int) -> slice:
+    """What of some rows or columns is in the picture; they may lie outside of it."""
+    return slice(*(min(max(end, 0), SIZE) for end in (start, start + length)))
 
 
 def _png(pixels: bytes, *, channels: int) -> bytes:
