@@ -328,3 +328,17 @@ async def test_a_sideways_start_is_no_obstacle():
         await here.rotations().send_goal(Goal(0.3))
         assert here.world.pose("turtle1").linear_velocity == 0.0
         assert here.world.pose("turtle1").y < SIDE
+
+
+async def test_a_request_that_is_late_for_its_turtle_does_nothing():
+    async with stage() as here:
+        turtle = here.sim._turtles["turtle1"]
+        turtle.leave("it is gone")
+        await here.set_pen(1, 2, 3, 9)
+        await here.teleport(1.0, 1.0, 1.0)
+        await here.teleport_relative(1.0, 1.0)
+        with pytest.raises(GoalAborted, match="it is gone"):
+            await here.rotations().send_goal(Goal(1.0))
+        await here.pass_ticks(2)
+        assert list(here.world.pose("turtle1")) == POSES["start"]
+        assert here.sim.snapshot().polylines == []

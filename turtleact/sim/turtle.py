@@ -35,6 +35,8 @@ from turtleact.sim.rotation import Rotation
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from turtleact.node import Node
     from turtleact.server import ServerGoalHandle
     from turtleact.sim.pens import Pens
@@ -72,6 +74,7 @@ class Turtle:
     def __init__(self, node: Node, world: World, pens: Pens, name: str) -> None:
         self.name = name
         self.turn: _Turn | None = None
+        self._gone = ""
         self._world = world
         self._pens = pens
         self.commands = node.subscription(Twist, f"{name}/cmd_vel", TOPIC_QOS)
@@ -89,12 +92,19 @@ class Turtle:
             RotateAbsolute, f"{name}/rotate_absolute", self._rotate, goal_callback=_check
         )
 
-    async def aclose(self, reason: str) -> None:
-        """Close all of it; a goal that runs ends ABORTED for this reason."""
+    def leave(self, reason: str) -> None:
+        """Note that the turtle is gone: goals end ABORTED for this reason, requests do nothing.
+
+        To be called at once, when the world knows it no more; `aclose` may take a while.
+        """
+        self._gone = reason
         if self.turn is not None:
             self.turn.abort(reason)
-        self.turn = None
-        for each in (self._rotations, *self._opened):
+            self.turn = None
+
+    async def aclose(self) -> None:
+        """Close all of it."""
+        for each in (*self._opened, self._rotations):
             await each.aclose()
 
     # the ticks
@@ -132,27 +142,32 @@ class Turtle:
     # the services
 
     def _set_pen(self, request: SetPen.Request) -> SetPen.Response:
-        colour = Colour(request.r, request.g, request.b)
-        self._pens.set(self.name, colour, request.width, is_off=bool(request.off))
+        if not self._gone:
+            colour = Colour(request.r, request.g, request.b)
+            self._pens.set(self.name, colour, request.width, is_off=bool(request.off))
         return SetPen.Response()
 
     def _teleport_absolute(self, request: TeleportAbsolute.Request) -> TeleportAbsolute.Response:
-        try:
-            self._world.teleport_absolute(self.name, request.x, request.y, request.theta)
-        except SimError as error:
-            logger.warning("a teleport was ignored: %s", error)
+        self._teleport(self._world.teleport_absolute, request.x, request.y, request.theta)
         return TeleportAbsolute.Response()
 
     def _teleport_relative(self, request: TeleportRelative.Request) -> TeleportRelative.Response:
+        self._teleport(self._world.teleport_relative, request.linear, request.angular)
+        return TeleportRelative.Response()
+
+    def _teleport(self, teleport: Callable[..., None], *numbers: float) -> None:
+        if self._gone:
+            return
         try:
-            self._world.teleport_relative(self.name, request.linear, request.angular)
+            teleport(self.name, *numbers)
         except SimError as error:
             logger.warning("a teleport was ignored: %s", error)
-        return TeleportRelative.Response()
 
     # the action
 
     async def _rotate(self, goal: RotateAbsolute.Goal, handle: Handle) -> RotateAbsolute.Result:
+        if self._gone:
+            raise Abort(self._gone)
         for twist in self.commands.drain():  # those before the goal do not end it
             self.take_up(twist)
         if self.turn is not None:

@@ -165,9 +165,8 @@ class Turtlesim:
                 logger.error("Tried to kill turtle [%s], which does not exist", request.name)
                 return Kill.Response()
             self._world.kill(turtle.name)
-            self._look_around()
             self._pens.take_stock()
-            await self._close([turtle])
+            await self._part_with([turtle])
         return Kill.Response()
 
     async def _clear(self, _request: Empty.Request) -> Empty.Response:
@@ -180,20 +179,22 @@ class Turtlesim:
             logger.info("Resetting turtlesim.")
             before = list(self._turtles.values())
             self._turtles.clear()
-            self._look_around()
             self._world.reset()
             self._pens.forget_all()
-            await self._close(before)
+            await self._part_with(before)
             x, y, theta, *_ = self._world.pose("turtle1")
             self._welcome("turtle1", x, y, theta)
         return Empty.Response()
 
-    async def _close(self, turtles: list[Turtle]) -> None:
+    async def _part_with(self, turtles: list[Turtle]) -> None:
         """Close turtles side by side: each may wait for the clean-up of a goal."""
+        self._look_around()
+        for turtle in turtles:
+            turtle.leave(f"turtle '{turtle.name}' was killed")
         with anyio.CancelScope(shield=True):
             async with anyio.create_task_group() as closing:
                 for turtle in turtles:
-                    closing.start_soon(turtle.aclose, f"turtle '{turtle.name}' was killed")
+                    closing.start_soon(turtle.aclose)
 
     def _parameters_changed(self) -> None:
         self._world.holonomic = bool(self._parameters["holonomic"])
