@@ -194,12 +194,12 @@ async def cancel_many(node: Node, name: str | None, before: int) -> int:
 async def _why_not_canceling(node: Node, goal: HeldGoal) -> str | None:
     """Ask for one goal to be canceled; why it is not, or None if it is."""
     response = await _request(node, goal.action, goal.goal_id, 0)
-    reasons = {
+    reasons: dict[int, str] = {
         CancelCode.REJECTED: "the server refuses",
         CancelCode.UNKNOWN_GOAL_ID: "the server does not hold it any more",
         CancelCode.GOAL_TERMINATED: "it has ended",
     }
-    return reasons.get(response.return_code)  # type: ignore[call-overload,no-any-return]  # a number
+    return reasons.get(response.return_code)
 
 
 async def _request(node: Node, action: str, goal_id: bytes, stamp: int) -> CancelGoal.Response:
