@@ -16,6 +16,7 @@ from turtleact.interfaces.classes import (
     class_of,
     get_interface,
     implied_types,
+    interface_source,
     interface_text,
     known_interfaces,
     load_interface,
@@ -312,6 +313,27 @@ def test_a_mistake_in_an_installed_file_names_it(tmp_path):
     load_workspace(tmp_path)
     with pytest.raises(InvalidInterface, match=r"Order.msg:1:1: unknown type 'float46'"):
         get_interface("example_msgs/msg/Order")
+
+
+def test_the_source_of_an_interface_is_the_installed_one_if_it_says_the_same(tmp_path):
+    assert interface_source("std_msgs/Bool") == "bool data\n"
+    write(tmp_path / "share", "std_msgs/msg/Bool", "# Yes or no.\nbool data")
+    write(tmp_path / "share", "std_msgs/msg/String", "# Another.\nwstring data")
+    load_workspace(tmp_path)
+    assert interface_source("std_msgs/msg/Bool") == "# Yes or no.\nbool data"
+    assert interface_source("std_msgs/msg/String") == "string data\n"
+
+
+def test_the_source_of_a_loaded_interface_comes_first(tmp_path):
+    write(tmp_path, "std_msgs/msg/Bool", "# Loaded.\nbool data")
+    load_interfaces(tmp_path)
+    assert interface_source("std_msgs/msg/Bool") == "# Loaded.\nbool data"
+
+
+def test_an_interface_without_a_file_says_what_it_is():
+    assert interface_source("example_interfaces/action/Fibonacci_SendGoal").endswith(
+        "---\nbool accepted\nbuiltin_interfaces/Time stamp"
+    )
 
 
 def test_a_header_is_the_packages_own(tmp_path):
