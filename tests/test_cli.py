@@ -169,6 +169,8 @@ def test_help_is_printed(arguments, capsys):
         "  -h, --help  Show this message and exit.\n\n"
         "Commands:\n"
         "  send-goal   Send a goal, follow it to its end, print the result.\n"
+        "  serve       Serve a world of turtles and your own actions, to this machine or beyond.\n"
+        "  run         Run a program of ROS 2 that has its like here: turtlesim turtlesim_node.\n"
         "  goals       List the goals that servers hold.\n"
         "  cancel      Cancel goals, whoever has sent them.\n"
         "  watch       Print the feedback of a goal, then its result.\n"

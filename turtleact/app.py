@@ -5,24 +5,34 @@ The one place that knows both the simulator and the actions.
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack, aclosing, asynccontextmanager
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, aclosing, asynccontextmanager
+from typing import TypeAlias
 
 from turtleact.actions import serve_built_ins
-from turtleact.clock import make_clock
+from turtleact.clock import Clock, make_clock
 from turtleact.node import Node, open_node
+from turtleact.server.hooks import Transition
 from turtleact.sim.kinematics import SIDE
 from turtleact.sim.turtlesim import Turtlesim
 from turtleact.sim.world import World
 from turtleact.tasks import Background
-from turtleact.transports import MemoryTransport
+from turtleact.transports import MemoryTransport, Transport
 
-__all__ = ["open_world"]
+__all__ = ["OpenGraph", "open_world"]
+
+OpenGraph: TypeAlias = Callable[[Clock], AbstractAsyncContextManager[Transport]]
+"""Opens a graph whose nodes share a clock."""
 
 
 @asynccontextmanager
 async def open_world(
-    *, speed: float | str = 1.0, seed: int = 0, turtles: int = 1
+    *,
+    speed: float | str = 1.0,
+    seed: int = 0,
+    turtles: int = 1,
+    graph: OpenGraph | None = None,
+    on_transition: Transition | None = None,
 ) -> AsyncIterator[Node]:
     """A world of turtles with the built-in actions, and a node to use them from.
 
@@ -32,17 +42,28 @@ async def open_world(
             up makes time slower.
         seed: Chooses where all turtles but the first start.
         turtles: How many there are: ``turtle1``, ``turtle2``, …
+        graph: Opens the graph that the world is on; one within the process if left out.
+        on_transition: Told of each change of the world's goals; see `Node.on_transition`.
 
     Raises:
         SimError: if the speed or the number of turtles is out of range.
     """
     world = World(turtles, seed)
     clock = make_clock(speed)
-    transport = MemoryTransport(clock)
     async with AsyncExitStack() as stack:
         await stack.enter_async_context(aclosing(Background(clock.run(), "the clock")))
+        opened = _within_process(clock) if graph is None else graph(clock)
+        transport = await stack.enter_async_context(opened)
         sim = await stack.enter_async_context(open_node("turtlesim", transport=transport))
         await stack.enter_async_context(aclosing(Turtlesim(sim, world)))
         actions = await stack.enter_async_context(open_node("turtle_actions", transport=transport))
+        if on_transition is not None:
+            sim.on_transition(on_transition)
+            actions.on_transition(on_transition)
         serve_built_ins(actions, side=SIDE)
         yield await stack.enter_async_context(open_node("turtleact", transport=transport))
+
+
+@asynccontextmanager
+async def _within_process(clock: Clock) -> AsyncIterator[Transport]:
+    yield MemoryTransport(clock)

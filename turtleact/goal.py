@@ -169,6 +169,7 @@ class Goal(msgspec.Struct, eq=False):
         parent: The goal whose body has sent it, if one has.
         sender: The client that has sent it.
         published: How many of its feedback messages went out to the feedback topic.
+        is_asked_for: Whether a client elsewhere has asked for its result.
         error: Why nothing more will be heard of it; its state is UNKNOWN then.
     """
 
@@ -190,6 +191,7 @@ class Goal(msgspec.Struct, eq=False):
     parent: Goal | None = None
     sender: object = None
     published: int = 0
+    is_asked_for: bool = False
     error: TurtleactError | None = None
 
     @property

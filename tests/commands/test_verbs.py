@@ -39,7 +39,15 @@ USAGE = [
     (["send-goal", "x", "--json", "--plain"], "give --json or --plain, not both"),
     (["send-gaol"], "no such command 'send-gaol'. Did you mean 'send-goal'?"),
     (["--frobnicate"], "no such option: --frobnicate"),
-    (["send-goal", "--domain"], r"no such option: --domain\n"),
+    (["send-goal", "--rate"], r"no such option: --rate\n"),
+    (["serve", "--listen", "7447"], "--listen is an endpoint such as tcp/127.0.0.1:7447"),
+    (["serve", "--speed", "max"], "--speed is a number above 0, 100 at most, not 'max'"),
+    (["serve", "--speed", "0"], "--speed is a number above 0"),
+    (["serve", "--turtles", "0"], "--turtles is a whole number, 1 or more"),
+    (["serve", "--seed", "-1"], "--seed is a whole number"),
+    (["run", "turtlesim", "mimic"], "'turtlesim mimic' is not there: turtleact runs"),
+    (["send-goal", "x", "--embedded", "--connect", "tcp/a:1"], "is given twice"),
+    (["send-goal", "x", "--speed", "2", "--connect", "tcp/a:1"], "is given twice"),
     (["topic", "list", "--domain", "233"], "--domain is a whole number, 0 to 232, not '233'"),
     (["topic", "list", "--domain", "-1"], "--domain is a whole number, 0 to 232, not '-1'"),
     (["topic", "list", "--connect", "localhost"], "--connect is an endpoint .* not 'localhost'"),
@@ -114,6 +122,7 @@ def test_what_is_left_out_has_its_default(order):
         view="auto",
         speed=1.0,
         seed=0,
+        reach=Reach((), 0),
     )
 
 
@@ -145,7 +154,24 @@ def test_options_stand_anywhere(order, arguments):
 
 def test_options_reach_the_order(order):
     made = order("x", "-ft0.5", "--json", "--speed", "max", "--seed=7", "--embedded")
-    assert made[3:] == (True, 0.5, "json", "max", 7)
+    assert made[3:] == (True, 0.5, "json", "max", 7, None)
+
+
+@pytest.mark.parametrize("option", ["--embedded", "--speed=2", "--seed=3"])
+def test_an_embedded_world_is_asked_for(order, option):
+    assert order("x", option).reach is None
+
+
+@pytest.mark.parametrize("endpoint", ["tcp/0.0.0.0:7447", "tcp/127.0.0.1:1,tls/[::]:2"])
+def test_nobody_is_let_in_from_beyond_unasked(endpoint, interrupts):
+    job = verbs.parse(["serve", "--listen", endpoint])
+    with pytest.raises(UsageError, match="lets in whoever can reach this machine"):
+        job(interrupts)
+
+
+def test_where_to_look_reaches_the_order(order):
+    made = order("x", "--connect", "tcp/robot:7447,tcp/arm:7447", "--domain", "7", "--config", "f")
+    assert made.reach == Reach(("tcp/robot:7447", "tcp/arm:7447"), 7, "f")
 
 
 def test_plain_is_a_view(order):

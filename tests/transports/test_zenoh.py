@@ -487,6 +487,56 @@ async def test_a_server_that_is_announced_and_cannot_be_reached_is_given_up(addr
         declared.undeclare()
 
 
+RECORDED = """
+@ros2_lv/0/ZID/0/N/NN/%/%sim%a/turtle_node
+@ros2_lv/0/ZID/0/N/SS/%/%sim%a/turtle_node/%sim%a%turtle1%rotate_absolute%_action%send_goal/\
+turtlesim::action::dds_::RotateAbsolute_SendGoal_/\
+RIHS01_0b9b876a15971456fbad2c7f0665c9879a41bb3fcba31a9015180a830f0ca84f/::,10:,:,:,,
+@ros2_lv/0/ZID/0/N/MP/%/%sim%a/turtle_node/%sim%a%turtle1%rotate_absolute%_action%status/\
+action_msgs::msg::dds_::GoalStatusArray_/\
+RIHS01_6c1684b00f177d37438febe6e709fc4e2b0d4248dca4854946f9ed8b30cda83e/:1:,1:,:,:,,
+"""
+"""What rclpy 9.1 on rmw_zenoh_cpp 0.6.7 declares for such a node, without its ids."""
+
+
+async def test_an_action_server_is_in_the_graph_as_one_of_ros_is(address):
+    seen: set[str] = set()
+
+    def note(key: str) -> None:
+        chunks = key.split("/")
+        chunks[2], chunks[4] = "ZID", "N"
+        seen.add("/".join(chunks))
+
+    async with (
+        beside(address) as (transport, other),
+        turtleact.open_node("turtle_node", namespace="/sim/a", transport=transport) as node,
+    ):
+        rotate_absolute: Any = turtleact.interfaces.get_interface("turtlesim/action/RotateAbsolute")
+        node.action_server(rotate_absolute, "turtle1/rotate_absolute", count)
+        await transport.flush()
+        other.session.watch_tokens("@ros2_lv/0/**", note, note)
+        while len(seen) < 6:
+            await anyio.sleep(0)
+        assert set(RECORDED.split()) <= seen
+
+
+async def test_of_several_servers_the_quickest_is_heard(address):
+    gate = anyio.Event()
+    async with (
+        two(address) as peers,
+        open_zenoh([address], listen=[]) as third,
+    ):
+        peers.there.serve(service(), SERVING, slow := Adder(gate=gate))
+        third.serve(service(), SERVING, Adder())
+        caller = peers.here.join(client(), ASKING)
+        await until(peers.here, lambda: len(peers.here.endpoints()) == 3 and caller.is_served)
+        await peers.settle()
+        assert (await caller.call(numbers(2, 3))).message == Sum.Response(total=5)
+        gate.set()
+        await peers.settle()
+        assert len(slow.callers) == 1
+
+
 # --- what costs nothing -----------------------------------------------------------------------
 
 

@@ -45,6 +45,9 @@ logger = logging.getLogger("turtleact.client")
 BACK_WITHIN: Final = 0.5
 """A server that has gone and is back after so long was only out of reach (s)."""
 
+ATTEMPTS: Final = 3
+"""So many times the result of a goal is asked for, if its server seems to be back."""
+
 LATE_FEEDBACK: Final = 1.0
 """Feedback that is behind its goal's result is waited for so long (s)."""
 
@@ -227,13 +230,17 @@ class DistantServer:
     async def _await_result(self, followed: Followed) -> None:
         goal, links = followed.goal, self._links
         request = links.implied.get_result.Request(UUID(cast("bytes", goal.id)))
-        while True:
+        lost: ServerUnavailable | None = None
+        for _ in range(ATTEMPTS):
             try:
                 reply = await links.get_result.call(request)
                 break
-            except ServerUnavailable:
+            except ServerUnavailable as error:
+                lost = lost or error
                 if not await self._is_back():
-                    raise
+                    raise lost from None
+        else:
+            raise lost or self._unavailable("no server answers")
         response: Any = reply.message
         status, note = status_of(response.status), GoalNote.read(reply.note)
         if not status.is_terminal:

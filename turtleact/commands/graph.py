@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Awaitable, Callable, Iterable
-from contextlib import AbstractAsyncContextManager
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
+from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar
 
 import anyio
@@ -34,6 +34,7 @@ __all__ = [
     "chosen_class",
     "interface_class",
     "names_like",
+    "open_graph",
     "open_transport",
     "run",
     "say_names",
@@ -60,15 +61,30 @@ MOST_SHOWN = 10
 """So many names are listed where none is like the one that is looked for."""
 
 
-def open_transport(reach: Reach) -> AbstractAsyncContextManager[Transport]:
+@asynccontextmanager
+async def open_transport(reach: Reach) -> AsyncIterator[Transport]:
     """The graph that other processes are on; whoever enters it sees what is there.
 
     Raises:
         TurtleactError: if there is none in reach.
     """
-    where = f" at {', '.join(reach.connect)}" if reach.connect else f" in domain {reach.domain}"
-    problem = "turtleact has no transport to other processes yet; 'turtleact send-goal' needs none"
-    raise TurtleactError(f"no ROS 2 graph in reach{where}: {problem}")
+    from turtleact.transports import open_zenoh
+
+    settings = reach.locks().settings()
+    opened = open_zenoh(reach.connect or None, mode="client", domain=reach.domain, config=settings)
+    async with opened as transport:
+        await transport.explore()
+        yield transport
+
+
+@asynccontextmanager
+async def open_graph(reach: Reach) -> AsyncIterator[Node]:
+    """A hidden node on that graph; raises as `open_transport` does."""
+    async with (
+        open_transport(reach) as transport,
+        open_node(f"_turtleact_cli_{os.getpid()}", transport=transport) as node,
+    ):
+        yield node
 
 
 def run(reach: Reach, look: Look, interrupts: Interrupts) -> int:
@@ -179,10 +195,7 @@ async def _run(reach: Reach, look: Look, interrupts: Interrupts) -> int:
     with interrupts.listening(asyncio.get_running_loop()):
         async with anyio.create_task_group() as beside:
             beside.start_soon(_heed_interrupts, interrupts, beside.cancel_scope)
-            async with (
-                open_transport(reach) as transport,
-                open_node(f"_turtleact_cli_{os.getpid()}", transport=transport) as node,
-            ):
+            async with open_graph(reach) as node:
                 status = await look(node)
             beside.cancel_scope.cancel()
     return interrupts.status if status is None else status

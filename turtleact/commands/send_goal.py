@@ -11,7 +11,8 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
-from contextlib import AbstractAsyncContextManager
+from collections.abc import AsyncIterator
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from typing import TYPE_CHECKING, Literal, NamedTuple, NoReturn, cast
 
 import anyio
@@ -25,7 +26,13 @@ from turtleact.commands.transcript import (
     Transcript,
     say,
 )
-from turtleact.errors import GoalRejected, InvalidInterface, ServerUnavailable, UnknownInterface
+from turtleact.errors import (
+    GoalRejected,
+    InvalidInterface,
+    ServerUnavailable,
+    TurtleactError,
+    UnknownInterface,
+)
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import Action, from_text, get_interface
 from turtleact.interfaces.definition import did_you_mean
@@ -38,6 +45,7 @@ if TYPE_CHECKING:
     from turtleact.client import Outcome
     from turtleact.commands.goal_text import GoalText
     from turtleact.commands.interrupts import Interrupts
+    from turtleact.commands.verbs.arguments import Reach
     from turtleact.interfaces import Message
     from turtleact.node import Node
 
@@ -51,7 +59,8 @@ SUCCEEDED, REJECTED, ABORTED, CANCELED, TIMEOUT = 0, 3, 4, 5, 124
 ENDED_WITH_WORLD = "the goal ended with the embedded world; there is nothing to come back to"
 
 PATIENCE = 5.0
-"""Wall seconds that a goal has to end in after a timeout has canceled it."""
+"""Wall seconds that a goal has to end in after a timeout has canceled it; and that a server has to
+be reached in, of which the graph tells."""
 
 
 class Order(NamedTuple):
@@ -66,6 +75,7 @@ class Order(NamedTuple):
         view: How it is shown; ``auto`` is live on a terminal.
         speed: Of the embedded world.
         seed: Of the embedded world.
+        reach: Where to look for a server first; None means in the embedded world alone.
     """
 
     name: str
@@ -76,6 +86,7 @@ class Order(NamedTuple):
     view: View
     speed: float | str
     seed: int
+    reach: Reach | None
 
 
 def run(order: Order, interrupts: Interrupts) -> int:
@@ -138,18 +149,41 @@ class _Sending:
         self._interrupts = interrupts
         self._sent: Sent | None = None
         self._canceled_by: int | None = None
+        self._is_embedded = False
 
     async def run(self) -> int:
         """Open the world, and send the goal into it."""
         order = self._order
         with self._interrupts.listening(asyncio.get_running_loop()):
-            async with embedded_world(order.speed, order.seed) as node:
-                self._transcript.note("started an embedded world in this process")
+            async with self._find_node() as node:
                 if self._interrupts.received:
                     return self._interrupted()
                 action_type = find_action(node, self._name, order.type_name)
                 goal = self._goal or _read_goal(action_type, order.text)
                 return await self._send(node, action_type, goal)
+
+    @asynccontextmanager
+    async def _find_node(self) -> AsyncIterator[Node]:
+        """A node on the graph in reach, if there are actions, else one in an embedded world."""
+        order = self._order
+        async with AsyncExitStack() as stack:
+            if order.reach is not None:
+                from turtleact.commands.graph import open_graph
+
+                try:
+                    node = await stack.enter_async_context(open_graph(order.reach))
+                except TurtleactError:
+                    if order.reach.connect:
+                        raise
+                else:
+                    if order.reach.connect or node.graph().actions:
+                        yield node
+                        return
+                    await stack.aclose()
+            self._is_embedded = True
+            node = await stack.enter_async_context(embedded_world(order.speed, order.seed))
+            self._transcript.note("started an embedded world in this process")
+            yield node
 
     async def _send(self, node: Node, action_type: type[Action], goal: Message) -> int:
         self._transcript.sending(goal)
@@ -160,6 +194,7 @@ class _Sending:
         async with anyio.create_task_group() as beside:
             beside.start_soon(self._heed_interrupts, beside.cancel_scope)
             try:
+                await client.wait_for_server(PATIENCE)
                 async with client.send_goal(goal) as handle:
                     self._sent = Sent(node, self._name, action_type.type_name, goal, handle)
                     status = await self._follow(self._sent, beside)
@@ -176,7 +211,7 @@ class _Sending:
         transcript.status(handle.status)
         if self._order.timeout == 0:
             handle.detach()
-            transcript.note(ENDED_WITH_WORLD)
+            transcript.note(self._way_back(sent))
             return SUCCEEDED
         if self._order.timeout is not None:
             beside.start_soon(self._time_out, sent, self._order.timeout)
@@ -208,7 +243,7 @@ class _Sending:
         if not await self._cancel(self._sent, self._interrupts.status):
             self._transcript.note("the server goes on with the goal; Ctrl-C again lets go of it")
         await self._interrupts.wait(2)
-        self._let_go(self._interrupts.status)
+        self._let_go(self._sent, self._interrupts.status)
 
     async def _time_out(self, sent: Sent, seconds: float) -> None:
         await anyio.sleep(seconds)
@@ -217,7 +252,7 @@ class _Sending:
         self._transcript.note(f"no result after {seconds:g} s")
         if await self._cancel(sent, TIMEOUT):
             await anyio.sleep(PATIENCE)
-        self._let_go(TIMEOUT)
+        self._let_go(sent, TIMEOUT)
 
     async def _cancel(self, sent: Sent, reason: int) -> bool:
         """Ask for the goal to be canceled; False if the server refuses."""
@@ -228,10 +263,16 @@ class _Sending:
         self._transcript.status(status)
         return status is GoalStatus.CANCELING or status.is_terminal
 
-    def _let_go(self, status: int) -> NoReturn:
+    def _let_go(self, sent: Sent, status: int) -> NoReturn:
         self._transcript.close()
-        self._transcript.note(ENDED_WITH_WORLD)
+        self._transcript.note(self._way_back(sent))
         leave(status)
+
+    def _way_back(self, sent: Sent) -> str:
+        """How to get back to a goal that goes on."""
+        if self._is_embedded:
+            return ENDED_WITH_WORLD
+        return f"the goal goes on; 'turtleact watch {sent.handle.goal_id.hex()}' gets back to it"
 
     def _interrupted(self) -> int:
         self._transcript.note("interrupted before the goal was accepted; there is none")

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from turtleact.node import Node
     from turtleact.server.endpoints import ActionEndpoints
 
-__all__ = ["ActionServer"]
+__all__ = ["SHUTDOWN", "ActionServer"]
 
 logger = logging.getLogger("turtleact.server")
 
@@ -64,6 +64,9 @@ _EXECUTING = GoalStatus.EXECUTING
 _CANCELING = GoalStatus.CANCELING
 _SUCCEEDED = GoalStatus.SUCCEEDED
 _AT_ONCE = ((_EXECUTING, 0),)  # the history of a goal that did not wait to be started
+
+SHUTDOWN = "shutdown"
+"""Why goals end that a closing server has ended."""
 
 IN_A_ROW = 64
 """So many goals are begun before others have their turn for sure."""
@@ -360,14 +363,14 @@ class ActionServer(Generic[G, R, F]):
             self.registration.close()
         ended = self.execution.ended = self.execution.ended or self._tasks.signal()
         for goal in self._table.active:
-            self._reception.evict(goal, "shutdown")
+            self._reception.evict(goal, SHUTDOWN)
         with anyio.move_on_after(GRACE, shield=True):
             while self._table.active:
                 await ended.wait()
         for goal in self._table.active:
             logger.error("goal %s of %s has not ended; it is left behind", goal.hex, self.name)
             self.execution.abandon(goal)
-            self.execution.end(goal, GoalEvent.ABORT, None, goal.reason or "shutdown")
+            self.execution.end(goal, GoalEvent.ABORT, None, goal.reason or SHUTDOWN)
         self._reception.leave_slot()
         await self._canceling.aclose()
         if self.endpoints is not None:

@@ -35,7 +35,7 @@ from turtleact.interfaces.standard import (
     GoalStatusMessage,
 )
 from turtleact.names import ActionNames
-from turtleact.server.action_server import ActionServer
+from turtleact.server.action_server import SHUTDOWN, ActionServer
 from turtleact.services import ServiceServer
 from turtleact.tasks import GRACE, Tasks
 from turtleact.transports.base import STATUS_QOS, MakeEndpoint, Publication, Reply, Transport
@@ -43,6 +43,10 @@ from turtleact.transports.base import STATUS_QOS, MakeEndpoint, Publication, Rep
 __all__ = ["ActionEndpoints"]
 
 logger = logging.getLogger("turtleact.server")
+
+
+LATE_REQUEST = 0.5
+"""A client elsewhere whose goal ends with its server may take so long to ask for the end (s)."""
 
 
 class ActionEndpoints:
@@ -89,9 +93,8 @@ class ActionEndpoints:
         self._publications = self._advertise(transport, endpoint)
 
     def close(self) -> None:
-        """Serve no more; requests that are under way go on, and changes are still told."""
-        for opened in self._opened:
-            opened.close()
+        """Take no more goals; those that there are can be canceled and waited for."""
+        self._opened[0].close()
 
     async def send_goal(self, request: object) -> object:
         """Answer a ``SendGoal`` request."""
@@ -104,7 +107,12 @@ class ActionEndpoints:
 
     async def aclose(self) -> None:
         """Answer all who still wait; with results, as the goals have ended."""
+        with anyio.move_on_after(LATE_REQUEST, shield=True):
+            while any(map(_may_be_asked_for, self._server.held())):
+                await self._get_result.wait()
         await self._get_result.drain()
+        for opened in self._opened:
+            opened.close()
         for service in (self._send_goal, self._cancel_goal, self._get_result):
             await service.aclose()
         for publication in self._publications:
@@ -154,6 +162,7 @@ class ActionEndpoints:
         goal = server.find(request.goal_id.uuid)
         if goal is None:
             return Reply(response(status=GoalStatus.UNKNOWN))
+        goal.is_asked_for = True
         await server.wait_for_end(goal)
         note = GoalNote(goal.reason, goal.published)
         message = response(status=int(goal.status), result=cast("Message", goal.result))
@@ -205,6 +214,10 @@ class _Lazy:
         with self._counting():
             return await self._handle(request, caller)
 
+    async def wait(self) -> None:
+        """Wait until a request has been answered."""
+        await self._answered.wait()
+
     async def drain(self) -> None:
         """Wait until all who wait have their answer, `GRACE` seconds at most."""
         with anyio.move_on_after(GRACE, shield=True):
@@ -240,7 +253,6 @@ class _Feedback:
 
     def __init__(self, server: ActionServer[Any, Any, Any]) -> None:
         self._server = server
-        self._is_sent_always = False
 
     def current(self) -> Sequence[object]:
         """Feedback is for those who are there."""
@@ -248,13 +260,12 @@ class _Feedback:
 
     def send_always(self) -> None:
         """Publish from now on: who sends goals over a wire reads, be it known here yet or not."""
-        self._is_sent_always = True
-        self.readers_changed(has_readers=True)
+        self.publication.expect_readers()
 
     def readers_changed(self, *, has_readers: bool) -> None:
         """Publish while somebody reads."""
         execution = self._server.execution
-        if has_readers or self._is_sent_always:
+        if has_readers:
             execution.also_feedback, execution.outlet = self._publish, self.publication
         else:
             execution.also_feedback = execution.outlet = None
@@ -292,6 +303,12 @@ class _Status:
 
     def _publish(self, *_change: object) -> None:
         self.publication.refresh()
+
+
+def _may_be_asked_for(goal: Goal) -> bool:
+    """Whether a client elsewhere is about to ask for the end that the shutdown has brought."""
+    is_sent_from_elsewhere = isinstance(goal.sender, bytes) and bool(goal.sender)
+    return is_sent_from_elsewhere and goal.reason == SHUTDOWN and not goal.is_asked_for
 
 
 def _implied(server: ActionServer[Any, Any, Any]) -> Implied:

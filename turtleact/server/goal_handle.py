@@ -37,6 +37,11 @@ class ServerGoalHandle(Generic[G, R, F]):
         self.node = server.node
 
     @property
+    def action_name(self) -> str:
+        """The fully qualified name of the action."""
+        return self._server.name
+
+    @property
     def goal_id(self) -> bytes:
         """The goal's 16 bytes."""
         return self._server.name_goal(self._goal)
@@ -50,6 +55,11 @@ class ServerGoalHandle(Generic[G, R, F]):
     def status(self) -> GoalStatus:
         """The goal's state."""
         return self._goal.status
+
+    @property
+    def reason(self) -> str:
+        """Why the goal was, or is about to be, aborted; empty otherwise."""
+        return self._goal.reason
 
     @property
     def request(self) -> G:

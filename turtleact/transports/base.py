@@ -153,6 +153,9 @@ class Publication(Closeable, Protocol):
     def publish(self, message: object) -> None:
         """Send a message to every subscription; it must not be changed afterwards."""
 
+    def expect_readers(self) -> None:
+        """Send from now on, be a reader known here or not: one is there, and news may be late."""
+
     def refresh(self) -> None:
         """Publish what the source makes now; over a wire once for many calls in a row."""
 

@@ -243,6 +243,9 @@ class _Publication:
             for reader in tuple(self._topic.readers):
                 reader.take(message)
 
+    def expect_readers(self) -> None:
+        """All readers are known here."""
+
     def refresh(self) -> None:
         if self.source is not None and self._topic.readers:
             for message in self.source.current():

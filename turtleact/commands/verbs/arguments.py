@@ -12,7 +12,16 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
 from functools import partial
-from typing import Annotated, Any, Final, NamedTuple, Protocol, cast, runtime_checkable
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Final,
+    NamedTuple,
+    Protocol,
+    cast,
+    runtime_checkable,
+)
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -20,9 +29,13 @@ from typer.core import TyperCommand, TyperGroup
 from turtleact.commands.interrupts import Interrupts
 from turtleact.errors import UsageError
 
+if TYPE_CHECKING:
+    from turtleact.commands.locks import Locks
+
 __all__ = [
     "SETTINGS",
     "ArgumentError",
+    "Config",
     "Connect",
     "Domain",
     "Interfaces",
@@ -30,6 +43,7 @@ __all__ = [
     "Reach",
     "Verb",
     "Verbs",
+    "endpoints",
     "explain",
     "new_group",
     "number",
@@ -90,16 +104,34 @@ Interfaces = Annotated[
 ]
 
 
+Config = Annotated[
+    str | None,
+    typer.Option("--config", metavar="FILE", help="A TOML file with certificates and passwords."),
+]
+
+
 class Reach(NamedTuple):
     """Which graph a verb looks at.
 
     Attributes:
         connect: The endpoints to connect to; none means to look around.
         domain: Its domain, from 0 to `MOST_DOMAIN`.
+        config: The file with the locks, if there are any.
     """
 
     connect: tuple[str, ...]
     domain: int
+    config: str | None = None
+
+    def locks(self) -> Locks:
+        """What that file says.
+
+        Raises:
+            UsageError: if it cannot be read, or says what it cannot say.
+        """
+        from turtleact.commands.locks import Locks, read_locks
+
+        return Locks() if self.config is None else read_locks(self.config)
 
 
 class Verb(TyperCommand):
@@ -143,21 +175,32 @@ def new_group(name: str) -> typer.Typer:
 # what the arguments mean
 
 
-def reach(connect: str | None, domain: str | None) -> Reach:
+def reach(connect: str | None, domain: str | None, config: str | None = None) -> Reach:
     """The graph that ``--connect`` and ``--domain``, or ROS_DOMAIN_ID, mean.
 
     Raises:
         UsageError: if one of them is not what it should be.
     """
-    endpoints = () if connect is None else tuple(connect.split(","))
-    for endpoint in endpoints:
-        if not _ENDPOINT.fullmatch(endpoint):
-            problem = f"is an endpoint such as tcp/127.0.0.1:7447, not {quoted(endpoint)}"
-            raise UsageError(f"--connect {problem}")
-    if domain is not None:
-        return Reach(endpoints, whole("--domain", domain, most=MOST_DOMAIN))
-    name = "ROS_DOMAIN_ID"
-    return Reach(endpoints, whole(name, os.environ.get(name) or "0", most=MOST_DOMAIN))
+    to = endpoints("--connect", connect)
+    name, text = "--domain", domain
+    if text is None:
+        name = "ROS_DOMAIN_ID"
+        text = os.environ.get(name) or "0"
+    return Reach(to, whole(name, text, most=MOST_DOMAIN), config)
+
+
+def endpoints(option: str, text: str | None) -> tuple[str, ...]:
+    """The endpoints that an option names, with commas between.
+
+    Raises:
+        UsageError: if one of them is none.
+    """
+    found = () if text is None else tuple(text.split(","))
+    for each in found:
+        if not _ENDPOINT.fullmatch(each):
+            problem = f"is an endpoint such as tcp/127.0.0.1:7447, not {quoted(each)}"
+            raise UsageError(f"{option} {problem}")
+    return found
 
 
 def type_and_text(

@@ -9,12 +9,16 @@ import typer
 
 from turtleact.commands import VERBS
 from turtleact.commands.verbs.arguments import (
+    Config,
+    Connect,
+    Domain,
     Interfaces,
     Job,
     Verb,
     number,
     only_one,
     quoted,
+    reach,
     type_and_text,
     whole,
 )
@@ -62,11 +66,18 @@ _Json = Annotated[
 ]
 _Plain = Annotated[bool, typer.Option("--plain", help="No live display, even on a terminal.")]
 _Speed = Annotated[
-    str, typer.Option(metavar="FACTOR", help="How fast time passes in the embedded world, or max.")
+    str | None,
+    typer.Option(metavar="FACTOR", help="How fast time passes in the embedded world, or max."),
 ]
-_Seed = Annotated[str, typer.Option(metavar="NUMBER", help="What its random choices begin with.")]
+_Seed = Annotated[
+    str | None, typer.Option(metavar="NUMBER", help="What its random choices begin with.")
+]
 _Embedded = Annotated[
-    bool, typer.Option("--embedded", help="Use an embedded world, as is done anyway.")
+    bool,
+    typer.Option(
+        "--embedded",
+        help="Use a world in this process; so do --speed and --seed, and whoever finds no server.",
+    ),
 ]
 
 app = typer.Typer()
@@ -84,18 +95,23 @@ def send_goal(
     goal_file: _GoalFile = None,
     json: _Json = False,
     plain: _Plain = False,
-    speed: _Speed = "1",
-    seed: _Seed = "0",
+    speed: _Speed = None,
+    seed: _Seed = None,
     embedded: _Embedded = False,
+    connect: Connect = None,
+    domain: Domain = None,
+    config: Config = None,
     interfaces: Interfaces = None,
 ) -> Job:
     """``send-goal`` and ``action send_goal``."""
-    del embedded  # there is no other world to send to
     type_name, goal = type_and_text(type_name, goal, "goal")
     view = _view(json=json, plain=plain)
     seconds = None if timeout is None else number("--timeout", timeout)
-    factor = speed if speed == "max" else _factor(speed)
-    first = whole("--seed", seed)
+    factor = speed if speed == "max" else _factor(speed or "1")
+    first = whole("--seed", seed or "0")
+    is_embedded = embedded or speed is not None or seed is not None
+    only_one("where to send it", embedded=is_embedded, connect=connect is not None)
+    where = None if is_embedded else reach(connect, domain, config)
     only_one("the goal", GOAL=goal is not None, stdin=stdin, goal_file=goal_file is not None)
 
     def job(interrupts: Interrupts) -> int:
@@ -105,7 +121,7 @@ def send_goal(
 
         text = GoalText.read(goal, stdin=stdin, path=goal_file, interrupts=interrupts)
         make_known(interfaces)
-        order = Order(name, type_name, text, feedback, seconds, view, factor, first)
+        order = Order(name, type_name, text, feedback, seconds, view, factor, first, where)
         return run(order, interrupts)
 
     return job

@@ -210,7 +210,7 @@ class WireCaller:
             await call.wait()
         finally:
             self._calls.discard(call)
-            if not call.has_ended:
+            if not call.is_over:
                 self._link.outbox.post(call.cancel)
             if not self._is_open and not self._calls:
                 self._link.outbox.post(self._undeclare)
@@ -286,27 +286,31 @@ class _Call:
     Attributes:
         answer: Payload and attachment of the reply.
         error: The text of an error, and its kind.
-        has_ended: Whether nothing more comes.
     """
 
     def __init__(self, link: Link, payload: bytes, attachment: bytes) -> None:
         self.answer: tuple[bytes, bytes] | None = None
         self.error: tuple[str, str] | None = None
-        self.has_ended = False
+        self._has_ended = False
         self._link = link
         self._payload = payload
         self._attachment = attachment
         self._changed = link.tasks.signal()
         self._give_up: Callable[[], None] | None = None
 
+    @property
+    def is_over(self) -> bool:
+        """Whether there is a reply or an error, or the end without either."""
+        return self._has_ended or self.answer is not None or self.error is not None
+
     async def wait(self) -> None:
-        """Wait for a reply, an error, or the end without either."""
-        while not self.has_ended and self.answer is None and self.error is None:
+        """Wait until it is over."""
+        while not self.is_over:
             await self._changed.wait()
 
     def end(self) -> None:
         """Nothing more comes."""
-        self.has_ended = True
+        self._has_ended = True
         self._changed.fire()
 
     # in the outbox
@@ -336,12 +340,14 @@ class _Call:
     # in a thread of the session
 
     def _replied(self, payload: bytes, attachment: bytes) -> None:
-        self.answer = payload, attachment
-        self._link.inbox.push(self._changed.fire)
+        if not self.is_over:  # of several servers the quickest is heard
+            self.answer = payload, attachment
+            self._link.inbox.push(self._changed.fire)
 
     def _failed(self, text: str, kind: str) -> None:
-        self.error = text, kind
-        self._link.inbox.push(self._changed.fire)
+        if not self.is_over:
+            self.error = text, kind
+            self._link.inbox.push(self._changed.fire)
 
     def _ended(self) -> None:
         self._link.inbox.push(self.end)

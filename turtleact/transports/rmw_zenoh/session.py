@@ -1,8 +1,9 @@
 """The door to Zenoh: a session, with plain bytes and callbacks in and out.
 
 All of it may block, so that it is called in an `Outbox`; callbacks come in Zenoh's own threads and
-hand on what they get. Every entity talks with other sessions alone: within this one, messages go
-as objects. What Zenoh raises becomes a `TurtleactError` here and nowhere else.
+hand on what they get. What is declared must be taken back by hand, as the garbage collector would
+do it in whatever thread it runs. Every entity talks with other sessions alone: within this one,
+messages go as objects. What Zenoh raises becomes a `TurtleactError` here and nowhere else.
 
 Source: rmw_zenoh_cpp ``rmw_publisher_data.cpp``, ``rmw_subscription_data.cpp``,
 ``rmw_service_data.cpp`` and ``rmw_client_data.cpp``; eclipse-zenoh 1.10.
@@ -27,6 +28,9 @@ Take: TypeAlias = Callable[[bytes, bytes], object]
 
 #: So long a query is held (s): the death of its server ends it, nothing else does.
 FOR_EVER = 3e9
+
+#: So long others have to say which tokens they know (s).
+ANSWER = 2.0
 
 #: How soon after the last message its number is told, for who has missed it (s).
 HEARTBEAT = 0.5
@@ -75,9 +79,12 @@ class Session:
             raise TurtleactError(_why_not_open(config, _words(error))) from error
 
     def close(self) -> None:
-        """End it, with all that was declared on it."""
+        """End it; what was declared on it must have been taken back."""
+        session = self._session
+        # Given up here, where it may block: the garbage collector would do it in any thread.
+        del self._session
         with _mapped("close the session"):
-            self._session.close()  # type: ignore[no-untyped-call]  # zenoh leaves it so
+            session.close()  # type: ignore[no-untyped-call]  # zenoh leaves it so
 
     def declare_token(self, key: str) -> Declared:
         """Be in the graph."""
@@ -98,6 +105,12 @@ class Session:
                 key, _direct(take), history=True
             )
             return watched
+
+    def tokens(self, key: str) -> list[str]:
+        """All tokens that there are; blocks until those who know of some have answered."""
+        with _mapped(f"ask for {key}"):
+            replies = self._session.liveliness().get(key, timeout=ANSWER)
+            return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
     def declare_publisher(
         self, key: str, *, is_reliable: bool, matching: Callable[[bool], object]
@@ -305,10 +318,8 @@ def _why_not_open(config: SessionConfig, words: str) -> str:
         at = ", ".join(config.listen) or "the configured endpoints"
         return f"cannot listen at {at}: {words}; is another router there already? connect to it"
     to = ", ".join(config.connect) or "the configured endpoints"
-    return (
-        f"no ROS 2 graph in reach: nobody at {to} lets us in ({words}); "
-        "start a router there, or connect to another one"
-    )
+    more = "" if words.startswith("Unable to connect") else f" ({words})"
+    return f"no ROS 2 graph in reach: nobody at {to} lets us in{more}; is a router running there?"
 
 
 #: What Zenoh's own configuration has where it is not null.

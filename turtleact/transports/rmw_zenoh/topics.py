@@ -60,6 +60,7 @@ class WirePublication:
         self._counter = Counter(endpoint.gid)
         self._is_open = True
         self._is_read = self._is_latched = endpoint.qos.durability == "transient_local"
+        self._is_expected = False  # that somebody reads
         self._is_stale = False
         self._is_watched = False  # by the courier below
         self._publisher: Publisher | None = None
@@ -96,6 +97,11 @@ class WirePublication:
         if self._is_latched and self._source is not None:
             self._grow_stale()
 
+    def expect_readers(self) -> None:
+        """Send from now on, be a reader known here or not: news of one come by another way."""
+        self._is_expected = self._is_read = True
+        self._tell_source()
+
     def refresh(self) -> None:
         """Publish what the source makes now: at once here, once for many calls elsewhere."""
         if self._is_open and self._source is not None:
@@ -131,7 +137,7 @@ class WirePublication:
         self._link.inbox.push(lambda: self._far_readers_changed(is_matching))
 
     def _far_readers_changed(self, has_readers: bool) -> None:
-        self._is_read = has_readers
+        self._is_read = has_readers or self._is_expected
         self._tell_source()
 
     def _near_readers_changed(self, has_readers: bool) -> None:

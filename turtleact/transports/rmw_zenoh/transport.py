@@ -136,6 +136,22 @@ class ZenohTransport:
         self._link.outbox.post(lambda: self._link.tasks.from_anywhere(passed.set))
         await passed.wait()
 
+    async def explore(self) -> None:
+        """Wait until those who are there are in the graph. Cancelling: safe."""
+        link, found = self._link, anyio.Event()
+
+        def ask() -> None:
+            tokens = link.session.tokens(all_tokens(link.domain))
+            link.inbox.push(partial(add, tokens))
+
+        def add(tokens: list[str]) -> None:
+            for token in tokens:
+                self._appeared(token)
+            found.set()
+
+        link.outbox.post(ask)
+        await found.wait()
+
     async def aclose(self) -> None:
         """End the session: calls under way end, requests being handled are canceled.
 

@@ -1,0 +1,160 @@
+"""The file that says who may come in."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+import pytest
+
+import turtleact
+from turtleact.commands.locks import Access, Locks, Login, Tls, is_loopback, read_locks
+from turtleact.errors import TurtleactError, UsageError
+from turtleact.transports import open_zenoh
+
+from ..lab import Count, count, goal, result
+
+
+@pytest.fixture
+def address() -> str:
+    """An endpoint at which nobody listens."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+
+
+# --- the file -----------------------------------------------------------------------------------
+
+
+def test_a_file_says_all_there_is(tmp_path: Path):
+    for name in ("ca.pem", "robot.pem", "robot.key", "users.txt"):
+        (tmp_path / name).write_text("")
+    file = tmp_path / "serve.toml"
+    file.write_text(
+        """
+        [tls]
+        ca = "ca.pem"
+        certificate = "robot.pem"
+        key = "robot.key"
+        mutual = true
+        [login]
+        user = "robot"
+        password = "secret"
+        users = "users.txt"
+        [access]
+        actions = ["patrol"]
+        """
+    )
+    found = read_locks(str(file)).settings()
+    access = found.pop("access_control")
+    assert isinstance(access, dict)
+    assert found == {
+        "transport/link/tls/root_ca_certificate": str(tmp_path / "ca.pem"),
+        "transport/link/tls/listen_certificate": str(tmp_path / "robot.pem"),
+        "transport/link/tls/listen_private_key": str(tmp_path / "robot.key"),
+        "transport/link/tls/connect_certificate": str(tmp_path / "robot.pem"),
+        "transport/link/tls/connect_private_key": str(tmp_path / "robot.key"),
+        "transport/link/tls/enable_mtls": True,
+        "transport/auth/usrpwd/user": "robot",
+        "transport/auth/usrpwd/password": "secret",
+        "transport/auth/usrpwd/dictionary_file": str(tmp_path / "users.txt"),
+    }
+    assert (access["enabled"], access["default_permission"]) == (True, "deny")
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("[tls", "Expected ']'"),
+        ("[lts]", "unknown field `lts`"),
+        ("[tls]\nmutual = 1", "Expected `bool`, got `int` - at `$.tls.mutual`"),
+        ('[tls]\nca = "nowhere.pem"', "tls.ca: there is no file"),
+        ('[login]\nusers = "nowhere.txt"', "login.users: there is no file"),
+    ],
+)
+def test_a_file_that_is_wrong_is_refused(tmp_path: Path, text, problem):
+    file = tmp_path / "serve.toml"
+    file.write_text(text)
+    with pytest.raises(UsageError) as caught:
+        read_locks(str(file))
+    assert str(caught.value).startswith(f"--config {file}: ")
+    assert problem in str(caught.value)
+
+
+def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path):
+    with pytest.raises(UsageError, match="No such file or directory"):
+        read_locks(str(tmp_path / "nowhere.toml"))
+    (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(UsageError, match="it is not UTF-8"):
+        read_locks(str(tmp_path / "bytes.toml"))
+
+
+@pytest.mark.parametrize(
+    ("locks", "keeps_out"),
+    [
+        (Locks(), False),
+        (Locks(tls=Tls(certificate="a", key="b")), False),
+        (Locks(tls=Tls(mutual=True)), True),
+        (Locks(login=Login(user="a", password="b")), False),
+        (Locks(login=Login(users="users.txt")), True),
+        (Locks(access=Access(actions=("patrol",))), True),
+    ],
+)
+def test_who_is_kept_out(locks, keeps_out):
+    assert locks.keeps_strangers_out is keeps_out
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "answer"),
+    [
+        ("tcp/127.0.0.1:7447", True),
+        ("tls/localhost:7447", True),
+        ("tcp/[::1]:7447", True),
+        ("unixsock-stream//tmp/graph", True),
+        ("tcp/0.0.0.0:7447", False),
+        ("tcp/localhost.example.org:7447", False),
+        ("tcp/192.168.127.0:7447", False),
+        ("tcp/[::]:7447", False),
+    ],
+)
+def test_what_is_on_loopback(endpoint, answer):
+    assert is_loopback(endpoint) is answer
+
+
+# --- what becomes of it -------------------------------------------------------------------------
+
+
+async def test_only_who_knows_the_password_comes_in(tmp_path: Path, address):
+    users = tmp_path / "users.txt"
+    users.write_text("robot:secret\n")
+    robot = Locks(login=Login("robot", "secret", str(users))).settings()
+    right = Locks(login=Login("robot", "secret")).settings()
+    wrong = Locks(login=Login("robot", "guessed")).settings()
+    async with open_zenoh(mode="router", listen=[address], config=robot):
+        async with open_zenoh([address], mode="client", config=right):
+            pass
+        for config in (wrong, {}):
+            with pytest.raises(TurtleactError, match="lets us in"):
+                async with open_zenoh([address], mode="client", config=config):
+                    pass
+
+
+async def test_only_what_is_named_can_be_used(address):
+    locks = Locks(access=Access(actions=("open",), topics=("/status",)))
+    async with (
+        open_zenoh(mode="router", listen=[address], config=locks.settings()) as far,
+        open_zenoh([address], mode="client", config={}) as near,
+        turtleact.open_node("robot", transport=far) as robot,
+        turtleact.open_node("guest", transport=near) as guest,
+    ):
+        robot.action_server(Count, "open", count)
+        robot.action_server(Count, "closed", count)
+        client = guest.action_client(Count, "open")
+        assert await client.wait_for_server(5)
+        async with client.send_goal(goal()) as handle:
+            assert len([each async for each in handle]) == 3
+            assert await handle.result() == result(0, 1, 2)
+        assert (await client.cancel_all()).return_code == 0
+        other = guest.action_client(Count, "closed")
+        with pytest.raises(TurtleactError):
+            await other.send_goal(goal())

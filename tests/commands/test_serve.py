@@ -1,0 +1,252 @@
+"""Two terminals and more: ``serve`` in one process, the other verbs in others."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+LAB = """
+import anyio
+import turtleact
+from turtleact.interfaces.standard import Fibonacci
+
+
+@turtleact.action(Fibonacci, "quick")
+async def quick(goal):
+    numbers = [0, 1]
+    for _ in range(1, goal.order):
+        numbers.append(numbers[-1] + numbers[-2])
+        yield Fibonacci.Feedback(partial_sequence=numbers)
+    yield Fibonacci.Result(sequence=numbers)
+
+
+@turtleact.action(Fibonacci, "endless")
+async def endless(goal):
+    yield Fibonacci.Feedback(partial_sequence=[0])
+    await anyio.sleep_forever()
+"""
+
+PATIENCE = 30.0
+"""Seconds after which a process is taken to hang."""
+
+
+class Served(NamedTuple):
+    """A server in a process of its own.
+
+    Attributes:
+        process: The process.
+        at: Where it listens.
+        ready: The line that said so.
+        folder: Its working directory.
+    """
+
+    process: subprocess.Popen[str]
+    at: str
+    ready: str
+    folder: Path
+
+    def start(self, *arguments: str) -> subprocess.Popen[str]:
+        """Another verb on its graph."""
+        return start(self.folder, *arguments, "--connect", self.at)
+
+    def run(self, *arguments: str) -> tuple[int, str, str]:
+        """The same, to its end: exit status, stdout, stderr."""
+        process = self.start(*arguments)
+        out, err = process.communicate(timeout=PATIENCE)
+        return process.returncode, out, err
+
+    def end(self, number: signal.Signals) -> tuple[int, str, str]:
+        """End the server by a signal."""
+        self.process.send_signal(number)
+        out, err = self.process.communicate(timeout=PATIENCE)
+        return self.process.returncode, out, err
+
+
+def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "turtleact", *arguments],
+        cwd=folder,
+        env={**os.environ, "ROS_DOMAIN_ID": "0"},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def free_endpoint() -> str:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+
+
+@contextmanager
+def serving(folder: Path, *arguments: str) -> Iterator[Served]:
+    at = free_endpoint()
+    process = start(folder, "serve", *arguments, "--listen", at)
+    try:
+        assert process.stdout is not None
+        ready = process.stdout.readline()
+        if not ready:
+            pytest.fail(f"it is not ready: {process.communicate(timeout=PATIENCE)[1]}")
+        yield Served(process, at, ready, folder)
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    """A folder with a module of actions."""
+    (tmp_path / "servedlab.py").write_text(LAB)
+    return tmp_path
+
+
+@pytest.fixture
+def served(lab: Path) -> Iterator[Served]:
+    """A server of that module's actions, without a world."""
+    with serving(lab, "servedlab", "--no-sim") as server:
+        yield server
+
+
+def first_lines(process: subprocess.Popen[str], until: str) -> None:
+    """Read what a process prints until a line has a certain text."""
+    assert process.stdout is not None
+    for line in process.stdout:
+        if until in line:
+            return
+    pytest.fail(f"no line has {until!r}")
+
+
+def test_it_says_when_it_is_ready_and_where(served):
+    assert served.ready == f"ready at {served.at}, domain 0: /endless, /quick\n"
+
+
+def test_a_goal_is_sent_from_another_process(served):
+    status, out, err = served.run("send-goal", "quick", "order: 3", "--feedback", "--plain")
+    assert (status, err) == (0, "")
+    assert out.count("Feedback:") == 2
+    assert out.endswith("\nGoal finished with status: SUCCEEDED\n")
+
+
+def test_all_feedback_comes_and_none_after_the_result(served):
+    status, out, _ = served.run("send-goal", "quick", "order: 40", "--json")
+    events = [json.loads(line) for line in out.splitlines()]
+    kinds = [event["event"] for event in events if event["event"] != "status"]
+    assert (status, kinds) == (0, ["accepted", *["feedback"] * 39, "result"])
+
+
+def test_each_change_of_a_goal_is_a_line(served):
+    served.run("send-goal", "quick", "order: 1", "--plain")
+    _, out, _ = served.end(signal.SIGTERM)
+    assert [line.split()[-1] for line in out.splitlines()] == ["ACCEPTED", "EXECUTING", "SUCCEEDED"]
+    assert {line.split()[1] for line in out.splitlines()} == {"/quick"}
+
+
+def test_a_goal_is_canceled_from_a_third_process(served):
+    sender = served.start("send-goal", "endless", "--feedback", "--plain")
+    first_lines(sender, "Feedback:")
+    status, out, _ = served.run("cancel", "--all", "/endless")
+    assert (status, out.endswith(" of /endless: canceling\n")) == (0, True)
+    out, _ = sender.communicate(timeout=PATIENCE)
+    assert (sender.returncode, out.endswith("status: CANCELED\n")) == (5, True)
+
+
+def test_ctrl_c_cancels_the_goal_on_the_server(served):
+    sender = served.start("send-goal", "endless", "--feedback", "--plain")
+    first_lines(sender, "Feedback:")
+    sender.send_signal(signal.SIGINT)
+    out, _ = sender.communicate(timeout=PATIENCE)
+    assert (sender.returncode, out.endswith("status: CANCELED\n")) == (130, True)
+
+
+def test_a_goal_that_was_left_can_be_found_again(served):
+    status, out, err = served.run("send-goal", "endless", "--timeout", "0", "--json")
+    goal_id = json.loads(out.splitlines()[0])["goal_id"]
+    assert (status, err) == (
+        0,
+        f"turtleact: the goal goes on; 'turtleact watch {goal_id}' gets back to it\n",
+    )
+    watcher = served.start("watch", goal_id)
+    status, out, _ = served.run("goals")
+    assert (goal_id in out, "EXECUTING" in out) == (True, True)
+    served.run("cancel", goal_id)
+    out, _ = watcher.communicate(timeout=PATIENCE)
+    assert "status: CANCELED" in out
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_server_that_is_ended_answers_all_who_wait(served, number):
+    sender = served.start("send-goal", "endless", "--feedback", "--plain")
+    first_lines(sender, "Feedback:")
+    status, out, err = served.end(number)
+    assert (status, err) == (0, "turtleact: no new goals are taken; those that run are ended\n")
+    assert out.splitlines()[-1].endswith("ABORTED: shutdown")
+    out, err = sender.communicate(timeout=PATIENCE)
+    assert (sender.returncode, out.endswith("status: ABORTED\n")) == (4, True)
+    assert "the goal was aborted: shutdown" in err
+
+
+def test_a_server_that_is_killed_is_told_at_once(served):
+    sender = served.start("send-goal", "endless", "--feedback", "--plain")
+    first_lines(sender, "Feedback:")
+    served.process.kill()
+    _, err = sender.communicate(timeout=PATIENCE)
+    assert sender.returncode == 1
+    assert err.startswith("turtleact: action '/endless': the server went away before ")
+
+
+def test_a_taken_port_is_one_clear_line(served, lab):
+    other = start(lab, "serve", "--no-sim", "--listen", served.at)
+    out, err = other.communicate(timeout=PATIENCE)
+    assert (other.returncode, out) == (1, "")
+    assert err.startswith(f"turtleact: cannot listen at {served.at}: ")
+    assert err.count("\n") == 1
+
+
+def test_a_second_server_joins_the_graph_of_the_first(served, lab):
+    with serving_beside(served, lab) as ready:
+        assert ready == f"ready at {served.at}, domain 0: /endless, /quick\n"
+
+
+@contextmanager
+def serving_beside(served: Served, lab: Path) -> Iterator[str]:
+    other = start(lab, "serve", "--no-sim", "--connect", served.at)
+    try:
+        assert other.stdout is not None
+        yield other.stdout.readline()
+        other.send_signal(signal.SIGTERM)
+        assert other.wait(PATIENCE) == 0
+    finally:
+        other.kill()
+        other.communicate()
+
+
+def test_the_world_is_served_with_its_actions(tmp_path):
+    with serving(tmp_path, "--speed", "100", "--turtles", "2") as server:
+        for name in ("/patrol", "/go_to", "/fibonacci", "/turtle2/rotate_absolute"):
+            assert name in server.ready
+        status, out, _ = server.run("send-goal", "patrol", "targets: [{x: 7, y: 7}]", "--plain")
+        assert (status, out.endswith("status: SUCCEEDED\n")) == (0, True)
+        status, out, _ = server.run("topic", "echo", "/turtle1/pose", "--once")
+        assert (status, out.startswith("x: ")) == (0, True)
+
+
+def test_a_module_that_is_not_there_is_one_line(tmp_path):
+    process = start(tmp_path, "serve", "nowhere_at_all")
+    out, err = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, out, err) == (
+        2,
+        "",
+        "turtleact: there is no module 'nowhere_at_all' here, or on the path\n",
+    )

@@ -1,0 +1,222 @@
+"""The file that says who may come in: TLS, users and passwords, and which names they may use.
+
+A file in TOML, the same for ``serve`` and for those who come in; what is left out is not asked
+for. A path in it is relative to the file.
+
+.. code-block:: toml
+
+    [tls]
+    ca = "ca.pem"               # who has signed the others' certificates
+    certificate = "robot.pem"
+    key = "robot.key"
+    mutual = true               # ask the others for theirs too
+
+    [login]
+    user = "robot"
+    password = "secret"
+    users = "users.txt"         # lines of user:password, of those who may come in
+
+    [access]
+    actions = ["/patrol"]       # what others may use; nothing else
+    services = []
+    topics = ["/turtle1/pose"]  # what they may read
+    commands = []               # what they may publish
+
+Source: Zenoh's manual, "TLS", "User-Password authentication" and "Access Control".
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from turtleact.errors import UsageError
+from turtleact.names import resolve_name
+
+__all__ = ["Locks", "is_loopback", "read_locks"]
+
+
+class Tls(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What ``[tls]`` says; see the module."""
+
+    ca: str = ""
+    certificate: str = ""
+    key: str = ""
+    mutual: bool = False
+
+
+class Login(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What ``[login]`` says; see the module."""
+
+    user: str = ""
+    password: str = ""
+    users: str = ""
+
+
+class Access(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What ``[access]`` says; see the module."""
+
+    actions: tuple[str, ...] = ()
+    services: tuple[str, ...] = ()
+    topics: tuple[str, ...] = ()
+    commands: tuple[str, ...] = ()
+
+
+class Locks(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a file says.
+
+    Attributes:
+        tls: Certificates; None if the link is not encrypted by them.
+        login: Users and passwords; None if nobody is asked.
+        access: What others may use; None if it is everything.
+    """
+
+    tls: Tls | None = None
+    login: Login | None = None
+    access: Access | None = None
+
+    @property
+    def keeps_strangers_out(self) -> bool:
+        """Whether a server with these locks asks who comes in, or lets them use but little."""
+        asks = self.login is not None and bool(self.login.users)
+        return asks or self.access is not None or (self.tls is not None and self.tls.mutual)
+
+    def settings(self) -> dict[str, object]:
+        """Path to value, as Zenoh's configuration has it."""
+        found: dict[str, object] = {}
+        if self.tls is not None:
+            tls = self.tls
+            for path, value in (
+                ("root_ca_certificate", tls.ca),
+                ("listen_certificate", tls.certificate),
+                ("listen_private_key", tls.key),
+                ("connect_certificate", tls.certificate if tls.mutual else ""),
+                ("connect_private_key", tls.key if tls.mutual else ""),
+                ("enable_mtls", tls.mutual),
+            ):
+                if value:
+                    found[f"transport/link/tls/{path}"] = value
+        if self.login is not None:
+            for path, text in (
+                ("user", self.login.user),
+                ("password", self.login.password),
+                ("dictionary_file", self.login.users),
+            ):
+                if text:
+                    found[f"transport/auth/usrpwd/{path}"] = text
+        if self.access is not None:
+            found["access_control"] = _access_control(self.access)
+        return found
+
+
+def read_locks(path: str) -> Locks:
+    """The locks that a file describes, its paths made absolute.
+
+    Raises:
+        UsageError: if it cannot be read, is no TOML, or says what it cannot say.
+    """
+    file = Path(path)
+    try:
+        text = file.read_text("utf-8")
+    except (OSError, ValueError) as error:
+        problem = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
+        raise UsageError(f"--config {path}: {problem}") from None
+    try:
+        locks = msgspec.convert(tomllib.loads(text), Locks)
+    except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
+        raise UsageError(f"--config {path}: {error}") from None
+    return _with_paths(locks, file)
+
+
+def is_loopback(endpoint: str) -> bool:
+    """Whether nobody but this machine can come in at an endpoint, such as ``tcp/127.0.0.1:7447``.
+
+    >>> is_loopback("tcp/localhost:7447"), is_loopback("tls/[::]:7447")
+    (True, False)
+    """
+    protocol, _, address = endpoint.partition("/")
+    if protocol.startswith("unix"):
+        return True
+    return _LOOPBACK.match(address) is not None
+
+
+_LOOPBACK: Final = re.compile(r"(localhost|127(\.\d+){3}|\[::1\])(:|$)")
+
+
+def _with_paths(locks: Locks, file: Path) -> Locks:
+    """The same with absolute paths; raises for a file that is not there."""
+
+    def resolve(name: str, given: str) -> str:
+        if not given:
+            return ""
+        found = (file.parent / given).absolute()
+        if not found.is_file():
+            raise UsageError(f"--config {file}: {name}: there is no file {found}")
+        return str(found)
+
+    tls, login = locks.tls, locks.login
+    if tls is not None:
+        tls = Tls(
+            resolve("tls.ca", tls.ca),
+            resolve("tls.certificate", tls.certificate),
+            resolve("tls.key", tls.key),
+            tls.mutual,
+        )
+    if login is not None:
+        login = Login(login.user, login.password, resolve("login.users", login.users))
+    return Locks(tls, login, locks.access)
+
+
+_DECLARED: Final = [
+    "declare_subscriber",
+    "declare_queryable",
+    "liveliness_token",
+    "declare_liveliness_subscriber",
+    "liveliness_query",
+    "reply",
+]
+"""What a participant says to be in the graph, and to answer."""
+
+_EVERYTHING: Final = ["**", "@ros2_lv/**", "**/@adv/**"]
+"""Every key: what begins with an at sign has to be named."""
+
+
+def _access_control(access: Access) -> dict[str, object]:
+    """Rules that let others see the graph, and use what is named."""
+    actions = [resolve_name(name)[1:] for name in access.actions]
+    used = [f"*/{name}/_action/*/*/*" for name in actions]
+    used += [f"*/{resolve_name(name)[1:]}/*/*" for name in access.services]
+    read = [f"*/{name}/_action/{topic}/*/*" for name in actions for topic in ("feedback", "status")]
+    read += [f"*/{resolve_name(name)[1:]}/*/*" for name in access.topics]
+    sent = [f"*/{resolve_name(name)[1:]}/*/*" for name in access.commands]
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": [
+            _rule("to be there", _DECLARED, _EVERYTHING),
+            _rule("to ask", ["query"], [*used, *(f"{key}/@adv/**" for key in read)]),
+            _rule("to hear", ["put", "delete"], read, "egress"),
+            *([_rule("to say", ["put", "delete"], sent, "ingress")] if sent else []),
+        ],
+        "subjects": [{"id": "everybody"}],
+        "policies": [
+            {
+                "rules": ["to be there", "to ask", "to hear", *(["to say"] if sent else [])],
+                "subjects": ["everybody"],
+            }
+        ],
+    }
+
+
+def _rule(name: str, messages: list[str], keys: list[str], *flows: str) -> dict[str, object]:
+    return {
+        "id": name,
+        "permission": "allow",
+        "flows": list(flows or ("ingress", "egress")),
+        "messages": messages,
+        "key_exprs": keys,
+    }

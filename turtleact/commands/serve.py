@@ -1,0 +1,174 @@
+"""``serve``: the world, the built-in actions and the user's own, until somebody ends it.
+
+Where nothing is said it is the router that the nodes of this machine look for, or, if there is one
+already, a peer that finds the others by it. One line on stdout says when goals can be sent; then
+there is a line for each change of a goal.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
+from datetime import datetime
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from turtleact.commands.stderr import note, printable
+from turtleact.commands.targets import find_actions
+from turtleact.errors import TurtleactError
+from turtleact.node import Node, open_node
+from turtleact.transports import open_zenoh
+
+if TYPE_CHECKING:
+    from contextlib import AbstractAsyncContextManager
+
+    from turtleact.body import ActionDeclaration
+    from turtleact.clock import Clock
+    from turtleact.commands.interrupts import Interrupts
+    from turtleact.goal import GoalStatus
+    from turtleact.server import ServerGoalHandle
+    from turtleact.transports import Transport, ZenohTransport
+
+__all__ = ["Service", "run"]
+
+ROUTER = "tcp/127.0.0.1:7447"
+"""Where the nodes of a machine look for their router."""
+
+
+class Service(NamedTuple):
+    """What is to be served, and where.
+
+    Attributes:
+        targets: The user's actions, as `find_actions` reads them.
+        listen: The endpoints to listen at; none means as the module says.
+        connect: The endpoints to connect to.
+        domain: The ROS domain.
+        has_world: Whether there are turtles, and the built-in actions.
+        speed: How fast time passes in the world.
+        turtles: How many there are.
+        seed: What its random choices begin with.
+        config: Paths and values of Zenoh's configuration, such as those of its locks.
+    """
+
+    targets: tuple[str, ...]
+    listen: tuple[str, ...]
+    connect: tuple[str, ...]
+    domain: int
+    has_world: bool
+    speed: float
+    turtles: int
+    seed: int
+    config: dict[str, object]
+
+
+def run(service: Service, interrupts: Interrupts) -> int:
+    """Serve until a signal comes, then end what runs, and give the exit status.
+
+    Raises:
+        UsageError: if a target means no action.
+        TurtleactError: if the graph cannot be opened.
+    """
+    declared = [each for target in service.targets for each in find_actions(target)]
+    return asyncio.run(_serve(service, declared, interrupts))
+
+
+async def _serve(
+    service: Service, declared: list[ActionDeclaration[..., object]], interrupts: Interrupts
+) -> int:
+    log = _Log()
+    opened: list[tuple[ZenohTransport, str]] = []
+    with interrupts.listening(asyncio.get_running_loop()):
+        async with AsyncExitStack() as stack:
+            graph = partial(_open_graph, service, opened)
+            node = await stack.enter_async_context(_open_node(service, graph, log))
+            for each in declared:
+                node.serve(each)
+            (transport, where), *_ = opened
+            await transport.flush()
+            await transport.explore()
+            actions = ", ".join(node.graph().actions) or "nothing"
+            log.say(f"ready at {where}, domain {service.domain}: {actions}")
+            await interrupts.wait(1)
+            note("no new goals are taken; those that run are ended")
+    return 0
+
+
+@asynccontextmanager
+async def _open_node(
+    service: Service, graph: Callable[[Clock], AbstractAsyncContextManager[Transport]], log: _Log
+) -> AsyncIterator[Node]:
+    """The node that serves the targets, on a graph with a world or without."""
+    async with AsyncExitStack() as stack:
+        if service.has_world:
+            from turtleact.app import open_world
+
+            world = open_world(
+                speed=service.speed,
+                seed=service.seed,
+                turtles=service.turtles,
+                graph=graph,
+                on_transition=log.tell,
+            )
+            node = await stack.enter_async_context(world)
+        else:
+            from turtleact.clock import WallClock
+
+            transport = await stack.enter_async_context(graph(WallClock()))
+            node = await stack.enter_async_context(open_node("turtleact", transport=transport))
+        node.on_transition(log.tell)
+        yield node
+
+
+@asynccontextmanager
+async def _open_graph(
+    service: Service, opened: list[tuple[ZenohTransport, str]], clock: Clock
+) -> AsyncIterator[Transport]:
+    """The graph, as the user wants it; else as router, or as a peer where there is one.
+
+    Args:
+        service: What the user wants.
+        opened: Gets the graph, and where it is.
+        clock: Its time.
+    """
+    opening = partial(open_zenoh, domain=service.domain, config=service.config, clock=clock)
+    async with AsyncExitStack() as stack:
+        if service.listen or service.connect:
+            transport = await stack.enter_async_context(
+                opening(
+                    mode="router" if service.listen else "peer",
+                    listen=service.listen or None,
+                    connect=service.connect,
+                )
+            )
+            where = ", ".join(service.listen or service.connect)
+        else:
+            try:
+                router = opening(mode="router", listen=[ROUTER])
+                transport = await stack.enter_async_context(router)
+            except TurtleactError as taken:
+                try:
+                    transport = await stack.enter_async_context(opening(mode="peer"))
+                except TurtleactError:
+                    raise taken from None
+            where = ROUTER
+        opened.append((transport, where))
+        yield transport
+
+
+class _Log:
+    """Lines on stdout."""
+
+    def tell(
+        self, goal: ServerGoalHandle[Any, Any, Any], _old: GoalStatus, new: GoalStatus
+    ) -> None:
+        """A line for a change of a goal."""
+        reason = f": {printable(goal.reason)}" if goal.reason else ""
+        name = f"{goal.action_name} {goal.goal_id.hex()}"
+        self.say(f"{datetime.now():%H:%M:%S.%f} {name} {new.name}{reason}")
+
+    def say(self, line: str) -> None:
+        """A line that is there at once."""
+        if sys.stdout is not None:
+            print(line, flush=True)

@@ -1,0 +1,138 @@
+"""``serve`` and ``run``, as Typer sees them."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from turtleact.commands import VERBS
+from turtleact.commands.verbs.arguments import (
+    Config,
+    Connect,
+    Domain,
+    Interfaces,
+    Job,
+    Verb,
+    endpoints,
+    quoted,
+    reach,
+    whole,
+)
+from turtleact.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtleact.commands.interrupts import Interrupts
+
+__all__ = ["app"]
+
+_Targets = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="TARGET", help="Your actions: module:object, or module for all in it."),
+]
+_Listen = Annotated[
+    str | None,
+    typer.Option(
+        "--listen",
+        metavar="ENDPOINT",
+        help="Where others come in, such as tcp/0.0.0.0:7447; several with commas between.",
+    ),
+]
+_Insecure = Annotated[
+    bool, typer.Option("--insecure", help="Let in whoever can reach the endpoints of --listen.")
+]
+_NoSim = Annotated[bool, typer.Option("--no-sim", help="No turtles and no built-in actions.")]
+_Headless = Annotated[bool, typer.Option("--headless", help="Lines only, as is the case anyway.")]
+_Speed = Annotated[str, typer.Option(metavar="FACTOR", help="How fast time passes in the world.")]
+_Turtles = Annotated[str, typer.Option(metavar="N", help="How many turtles there are.")]
+_Seed = Annotated[str, typer.Option(metavar="NUMBER", help="What its random choices begin with.")]
+
+_EXAMPLES = """\b
+Examples:
+  turtleact serve
+  turtleact serve lab:patrol robot.arm --no-sim
+  turtleact serve --listen tls/0.0.0.0:7447 --config serve.toml
+"""
+
+app = typer.Typer()
+
+
+@app.command("serve", cls=Verb, help=VERBS["serve"], epilog=_EXAMPLES)
+def serve(
+    targets: _Targets = None,
+    *,
+    listen: _Listen = None,
+    connect: Connect = None,
+    domain: Domain = None,
+    config: Config = None,
+    insecure: _Insecure = False,
+    no_sim: _NoSim = False,
+    headless: _Headless = False,
+    speed: _Speed = "1",
+    turtles: _Turtles = "1",
+    seed: _Seed = "0",
+    interfaces: Interfaces = None,
+) -> Job:
+    """``serve``."""
+    del headless  # there is no other display yet
+    where = reach(connect, domain, config)
+    at = endpoints("--listen", listen)
+    factor = _factor(speed)
+    count, first = whole("--turtles", turtles, least=1), whole("--seed", seed)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands.interfaces import make_known
+        from turtleact.commands.locks import is_loopback
+        from turtleact.commands.serve import Service, run
+
+        make_known(interfaces)
+        locks = where.locks()
+        open_ones = [each for each in at if not is_loopback(each)]
+        if open_ones and not insecure and not locks.keeps_strangers_out:
+            raise UsageError(
+                f"--listen {', '.join(open_ones)} lets in whoever can reach this machine: say in "
+                "a --config file who may, or give --insecure"
+            )
+        service = Service(
+            tuple(targets or ()),
+            at,
+            where.connect,
+            where.domain,
+            not no_sim,
+            factor,
+            count,
+            first,
+            locks.settings(),
+        )
+        return run(service, interrupts)
+
+    return job
+
+
+@app.command("run", cls=Verb, help=VERBS["run"])
+def run(
+    package: Annotated[str, typer.Argument(metavar="PACKAGE", help="turtlesim.")],
+    executable: Annotated[str, typer.Argument(metavar="EXECUTABLE", help="turtlesim_node.")],
+    *,
+    domain: Domain = None,
+) -> Job:
+    """``run``: the programs of ROS 2 that have their like here."""
+    if (package, executable) != ("turtlesim", "turtlesim_node"):
+        raise UsageError(
+            f"'{package} {executable}' is not there: turtleact runs 'turtlesim turtlesim_node'; "
+            "your own actions are for 'turtleact serve module:object'"
+        )
+    return serve(domain=domain)
+
+
+def _factor(text: str) -> float:
+    from turtleact.clock import FASTEST
+
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value <= FASTEST:
+        raise UsageError(f"--speed is a number above 0, {FASTEST:g} at most, not {quoted(text)}")
+    return value
