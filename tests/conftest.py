@@ -26,6 +26,8 @@ BACKENDS = {
 INSTALLED = [name for name in BACKENDS if find_spec(name)]
 SECONDS = 30.0
 
+os.environ["ROS_DOMAIN_ID"] = "231"  # no test is to see what else runs on this machine
+
 
 @pytest.fixture(params=[pytest.param(BACKENDS[name], id=name) for name in INSTALLED])
 def anyio_backend(request: pytest.FixtureRequest) -> object:

@@ -122,7 +122,7 @@ def test_what_is_left_out_has_its_default(order):
         view="auto",
         speed=1.0,
         seed=0,
-        reach=Reach((), 0),
+        reach=Reach((), 231),
     )
 
 
