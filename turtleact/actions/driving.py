@@ -163,7 +163,7 @@ class Drive:
         self._steering = steering
         self._poses = poses
         self._twists = twists
-        self._turning = 0.0
+        self._speeds = (0.0, 0.0)
 
     def has_reached(self, target: Point) -> bool:
         """Whether the turtle is within the tolerance of a target."""
@@ -186,10 +186,9 @@ class Drive:
             Abort: if nothing is heard of the turtle's pose, or it is gone.
         """
         after = None if next_target is None else (next_target.x, next_target.y)
-        linear, angular = self._steering.command(
-            self._place, (target.x, target.y), after, self._turning
+        linear, angular = self._speeds = self._steering.command(
+            self._place, (target.x, target.y), after, self._speeds
         )
-        self._turning = angular
         self._twists.publish(Twist(linear=Vector3(x=linear), angular=Vector3(z=angular)))
         await self.wait_for_pose()
 

@@ -4,91 +4,31 @@ from __future__ import annotations
 
 import math
 import random
-import re
-import struct
-from collections import deque
 
-import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from turtleact.actions.steering import Area, Limits, Steering, shortest_time, time_bound
+from turtleact.actions.steering import Area, Limits, Steering, shortest_time
 from turtleact.errors import InvalidMessage
 
-SIDE = 11.088889
-START = (5.544445, 5.544445, 0.0)
-PATROL = [(9.0, 7.0), (5.0, 1.0), (1.0, 7.0), (2.0, 9.0)]
-STYLES = ["arc", "forward", "rotate_then_drive"]
-
-coordinates = st.one_of(st.floats(0.0, SIDE), st.sampled_from([0.0, SIDE / 2, SIDE]))
-points = st.tuples(coordinates, coordinates)
-near = st.tuples(st.floats(4.5, 6.5), st.floats(4.5, 6.5))
-headings = st.floats(-math.pi, math.pi, exclude_max=True)
-tours = st.lists(points, min_size=1, max_size=3) | st.lists(near, min_size=1, max_size=4)
-styles = st.sampled_from(STYLES)
-limits = st.builds(
-    Limits,
-    max_linear=st.floats(0.5, 10.0),
-    max_angular=st.floats(0.25, 10.0),
-    tolerance=st.floats(0.01, 1.0),
+from .track import (
+    PATROL,
+    SIDE,
+    START,
+    STYLES,
+    angle_between,
+    drive,
+    eased,
+    headings,
+    limits,
+    near,
+    points,
+    seconds,
+    styles,
+    tick,
+    tours,
 )
-
-
-class Tick(msgspec.Struct):
-    """A command, the pose after it, and how far the walls have pushed the turtle back."""
-
-    linear: float
-    angular: float
-    pose: tuple[float, float, float]
-    pushed: float
-
-
-def float32(value):
-    return struct.unpack("f", struct.pack("f", value))[0]
-
-
-def clamp(value):
-    return max(0.0, min(SIDE, value))
-
-
-def tick(pose, linear, angular, dt):
-    """One tick of turtlesim: turn, then move, then the walls; a pose is published as float32."""
-    theta = math.remainder(pose[2] + angular * dt, math.tau)
-    x, y = pose[0] + math.cos(theta) * linear * dt, pose[1] + math.sin(theta) * linear * dt
-    pushed = max(abs(x - clamp(x)), abs(y - clamp(y)))
-    return Tick(linear, angular, (clamp(x), clamp(y), theta), pushed)
-
-
-def drive(steering, pose, targets, *, look_ahead=True, late=0, teleports=None, patience=1.0):
-    """Every tick until all targets are reached, or the time bound is over."""
-    limits, left = steering.limits, list(targets)
-    ticks: list[Tick] = []
-    longest = patience * time_bound(pose, targets, steering) / limits.dt
-    commands = deque([(0.0, 0.0)] * late)
-    turning = 0.0
-    while True:
-        seen = tuple(float32(value) for value in pose)
-        while left and steering.is_reached(seen, left[0]):
-            left.pop(0)
-        if not left:
-            return ticks
-        assert len(ticks) < longest, f"{seen} has not reached {left[0]}"
-        after = left[1] if look_ahead and len(left) > 1 else None
-        commands.append(steering.command(seen, left[0], after, turning))
-        turning = commands[-1][1]
-        ticks.append(tick(pose, *commands.popleft(), limits.dt))
-        pose = (teleports or {}).get(len(ticks), ticks[-1].pose)
-
-
-def seconds(steering, pose, targets, **options):
-    return len(drive(steering, pose, targets, **options)) * steering.limits.dt
-
-
-def angle_between(pose, point):
-    bearing = math.atan2(point[1] - pose[1], point[0] - pose[0])
-    return abs(math.remainder(bearing - pose[2], math.tau))
-
 
 # How fast
 
@@ -114,7 +54,7 @@ def test_every_tour_ends_within_the_time_bound(place, theta, targets, style, lim
 @given(points, headings, tours, styles, limits)
 def test_no_tour_ends_before_the_shortest_time(place, theta, targets, style, limits):
     pose = (*place, theta)
-    least = shortest_time(pose, targets, limits)
+    least = shortest_time(pose, targets, Steering(style, limits))
     # Poses are rounded to float32, and may so be reached by a hair too early.
     assert seconds(Steering(style, limits), pose, targets) >= least - 1e-5
 
@@ -198,9 +138,9 @@ def test_a_target_outside_the_area_is_driven_to(style):
 
 @given(points, headings, tours, styles, limits)
 def test_no_command_is_over_a_limit(place, theta, targets, style, limits):
-    for tick in drive(Steering(style, limits), (*place, theta), targets):
-        assert abs(tick.linear) <= limits.max_linear
-        assert abs(tick.angular) <= limits.max_angular
+    for each in drive(Steering(style, limits), (*place, theta), targets):
+        assert abs(each.linear) <= limits.max_linear
+        assert abs(each.angular) <= limits.max_angular
 
 
 @given(points, headings, tours, styles, limits)
@@ -250,14 +190,16 @@ def test_exactly_opposite_turns_right():
 @pytest.mark.parametrize("turning", [1.0, -1.0])
 @pytest.mark.parametrize("aside", [0.1, -0.1])
 def test_almost_opposite_goes_on_turning_as_before(turning, aside):
-    command = Steering("forward").command((5.0, 5.0, 0.0), (1.0, 5.0 + aside), turning=turning)
+    command = Steering("forward").command(
+        (5.0, 5.0, 0.0), (1.0, 5.0 + aside), speeds=(0.0, turning)
+    )
     assert command == (0.0, 2.0 * turning)
 
 
 @pytest.mark.parametrize("turning", [1.0, -1.0])
 @pytest.mark.parametrize("ahead", [0.1, -0.1])
 def test_square_to_the_heading_goes_on_turning_as_before(turning, ahead):
-    angular = Steering().command((5.0, 5.0, 0.0), (5.0 + ahead, 9.0), turning=turning)[1]
+    angular = Steering().command((5.0, 5.0, 0.0), (5.0 + ahead, 9.0), speeds=(0.0, turning))[1]
     assert angular == 2.0 * turning
 
 
@@ -320,61 +262,82 @@ def test_the_law_remembers_nothing():
     assert steering.command(START, PATROL[0], PATROL[1]) == fresh
 
 
-# Bounds
+# Headings
 
 
-def test_nothing_to_reach_takes_no_time():
-    assert (shortest_time(START, []), time_bound(START, [], Steering())) == (0.0, 0.0)
+@given(points, headings, styles, limits, headings)
+def test_a_heading_that_is_wanted_is_taken_at_the_target(place, theta, style, limits, last):
+    steering = Steering(style, limits)
+    ticks = drive(steering, (*place, theta), [(5.0, 5.0)], theta=last)
+    pose = ticks[-1].pose if ticks else (*place, theta)
+    assert abs(math.remainder(pose[2] - last, math.tau)) <= limits.heading_tolerance + 1e-6
+    assert math.hypot(pose[0] - 5.0, pose[1] - 5.0) <= limits.tolerance + 1e-6
 
 
-def test_the_shortest_time_to_targets_in_reach_is_zero():
-    assert shortest_time((5.0, 5.0, 1.0), [(5.0, 5.05), (5.05, 5.0), (5.0, 5.0)]) == 0.0
+def test_a_turtle_at_its_target_turns_to_the_heading_on_the_spot():
+    assert Steering().command((5.0, 5.0, 0.0), (5.0, 5.05), theta=1.0) == (0.0, 2.0)
 
 
-@pytest.mark.parametrize("theta", [0.0, -math.pi])
-def test_the_shortest_time_along_a_line_is_that_of_driving_it_either_way(theta):
-    assert shortest_time((1.0, 5.0, theta), [(5.0, 5.0), (9.1, 5.0)]) == pytest.approx(4.0)
+def test_a_turtle_in_its_heading_stands_still():
+    assert Steering().command((5.0, 5.0, 0.96), (5.0, 5.05), theta=1.0) == (0.0, 0.0)
 
 
-def test_the_shortest_time_counts_the_turn_at_the_start():
-    turn = math.pi / 2 - 0.032
-    expected = (4.0 - 0.1) / 2.0 + (turn - math.sin(turn)) / 2.0
-    assert shortest_time((5.0, 1.0, 0.0), [(5.0, 5.0)]) == pytest.approx(expected)
+@pytest.mark.parametrize(("theta", "is_reached"), [(1.04, True), (1.06, False), (7.28, True)])
+def test_a_target_with_a_heading_is_reached_in_it(theta, is_reached):
+    steering = Steering(limits=Limits(heading_tolerance=0.05))
+    assert steering.is_reached((5.0, 5.0, 1.0), (5.0, 5.05), theta=theta) is is_reached
 
 
-def test_the_shortest_time_counts_each_corner_as_two_halves():
-    tiny = Limits(tolerance=1e-6, dt=1e-6)
-    expected = 4.0 + 2 * (math.pi / 4 - math.sin(math.pi / 4)) / 2.0
-    actual = shortest_time((1.0, 1.0, 0.0), [(5.0, 1.0), (5.0, 5.0)], tiny)
-    assert actual == pytest.approx(expected, abs=1e-4)
+# Accelerations
 
 
-def test_the_shortest_time_of_the_patrol_is_within_two_per_cent_of_what_is_driven():
-    driven = seconds(Steering(), START, PATROL)
-    assert 0.98 * driven < shortest_time(START, PATROL) < driven
+@given(points, headings, tours, styles, eased)
+def test_speeds_change_no_faster_than_they_may(place, theta, targets, style, limits):
+    before = (0.0, 0.0)
+    for each in drive(Steering(style, limits), (*place, theta), targets):
+        assert abs(each.linear - before[0]) <= limits.max_acceleration * limits.dt + 1e-9
+        assert abs(each.angular - before[1]) <= limits.max_angular_acceleration * limits.dt + 1e-9
+        assert abs(each.linear) <= limits.max_linear
+        assert abs(each.angular) <= limits.max_angular
+        before = each.linear, each.angular
 
 
-@given(points, headings, tours)
-def test_the_shortest_time_is_below_the_time_bound(place, theta, targets):
-    pose = (*place, theta)
-    assert shortest_time(pose, targets) <= time_bound(pose, targets, Steering())
+@given(points, headings, tours, styles, eased)
+def test_an_eased_turtle_ends_at_rest_at_its_last_target(place, theta, targets, style, limits):
+    ticks = drive(Steering(style, limits), (*place, theta), targets)
+    if ticks and limits.is_eased:
+        assert (ticks[-1].linear, ticks[-1].angular) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("seed", range(20))
+def test_an_eased_turtle_stops_before_the_walls(style, seed):
+    uniform = random.Random(seed).uniform
+    limits = Limits(
+        max_linear=uniform(0.5, 5.0),
+        max_angular=uniform(0.5, 5.0),
+        max_acceleration=uniform(0.25, 10.0),
+        max_angular_acceleration=uniform(0.25, 10.0),
+    )
+    pose = (uniform(0.0, SIDE), uniform(0.0, SIDE), uniform(-math.pi, math.pi))
+    targets = [(uniform(0.0, SIDE), uniform(0.0, SIDE)) for _ in range(4)]
+    ticks = drive(Steering(style, limits), pose, targets)
+    assert max(tick.pushed for tick in ticks) < 1e-6
+
+
+def test_an_eased_turtle_drives_through_a_target_on_its_way():
+    limits = Limits(max_acceleration=1.0, max_angular_acceleration=2.0)
+    ticks = drive(Steering(limits=limits), (1.0, 5.0, 0.0), [(5.0, 5.0), (9.0, 5.0)])
+    assert min(each.linear for each in ticks if 4.0 < each.pose[0] < 6.0) == 2.0
+
+
+def test_an_eased_turtle_that_rolls_the_wrong_way_brakes_first():
+    steering = Steering(limits=Limits(max_acceleration=1.0))
+    linear, angular = steering.command((5.0, 5.0, 0.0), (1.0, 6.0), speeds=(2.0, 0.0))
+    assert (linear, angular) == pytest.approx((1.984, 0.0))
 
 
 # Mistakes
-
-
-@pytest.mark.parametrize("name", ["max_linear", "max_angular", "tolerance", "dt"])
-@pytest.mark.parametrize("value", [0.0, -1.0, math.inf, math.nan])
-def test_a_limit_must_be_finite_and_above_zero(name, value):
-    with pytest.raises(
-        InvalidMessage, match=f"^{name}: must be finite and above zero, not {value}$"
-    ):
-        Limits(**{name: value})
-
-
-def test_a_tick_must_not_turn_more_than_a_quarter():
-    with pytest.raises(InvalidMessage, match=re.escape("dt: a tick may turn pi/2 rad at most")):
-        Limits(max_angular=10.0, dt=0.2)
 
 
 def test_an_unknown_style_is_refused_with_the_known_ones():

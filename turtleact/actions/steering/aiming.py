@@ -1,0 +1,150 @@
+"""Where to aim: what a turtle sees of its target, and what it may make of its way there.
+
+Points are complex numbers here, so that a turn is a product.
+
+Source: as for `turtleact.actions.steering.law`.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+
+import msgspec
+
+from turtleact.actions.steering.limits import Area, Limits
+from turtleact.geometry import saturate, wrap_angle
+
+__all__ = [
+    "Frame",
+    "approach",
+    "inside",
+    "is_clear",
+    "landing",
+    "late",
+    "reach",
+    "room",
+    "turn_to",
+]
+
+_CUT = 0.75  # Share of the tolerance by which an aim is moved to the inner side of a corner.
+_FACING = 0.5  # Cosine of the angle to the target within which an approach is shaped,
+_SWING = 1.0 / 3.0  # and over what share of the way at most.
+_MARGIN = 1e-3  # How far aims keep from the edge of the area (m), or a tenth of the tolerance.
+_LATE = 3  # Ticks that a command may come late and do no harm.
+
+
+class Frame(msgspec.Struct, frozen=True):
+    """Where the turtle is, and the unit vector along which it drives."""
+
+    at: complex
+    heading: complex
+
+    def see(self, point: complex) -> complex:
+        """How far a point is ahead and, as the imaginary part, to the left (m)."""
+        return (point - self.at) * self.heading.conjugate()
+
+    def turned(self, angle: float) -> Frame:
+        """The same place, turned by an angle (rad)."""
+        return Frame(self.at, self.heading * cmath.rect(1.0, angle))
+
+
+def turn_to(seen: complex, turning: float, limits: Limits) -> float:
+    """The angle to a point (rad), the short way round; as before where that is a tie."""
+    error = wrap_angle(cmath.phase(seen))
+    if error * turning < 0.0 and abs(error) > math.pi - late(limits):
+        return math.copysign(math.pi, turning)
+    return error
+
+
+def late(limits: Limits) -> float:
+    """How far a late command may turn (rad): as near to each other, two ways to turn are equal."""
+    return min(_LATE * limits.turn, math.pi / 8)
+
+
+def nearest(area: Area, point: complex, limits: Limits) -> complex:
+    """The nearest point that is in the area, by a margin."""
+    margin = min(_MARGIN, limits.tolerance / 10)
+    x = max(area.left + margin, min(area.right - margin, point.real))
+    y = max(area.bottom + margin, min(area.top - margin, point.imag))
+    return complex(x, y)
+
+
+def inside(target: complex, limits: Limits) -> tuple[Area, complex]:
+    """The area and the target within it; no area if the target is not reached from inside."""
+    aim = nearest(limits.area, target, limits)
+    return (limits.area, aim) if abs(aim - target) <= limits.tolerance / 2 else (Area(), target)
+
+
+def room(area: Area, at: complex, step: complex, limits: Limits) -> float:
+    """The share of a step, 0 to 1, that stays in the area; all of it if it leads inwards."""
+    # Half the margin of the aims, so that no rounding on the way to an aim ends at the edge.
+    margin = min(_MARGIN, limits.tolerance / 10) / 2
+    right = area.right - margin if step.real > 0.0 else area.left + margin
+    top = area.top - margin if step.imag > 0.0 else area.bottom + margin
+    across = (right - at.real) / step.real if step.real else 1.0
+    up = (top - at.imag) / step.imag if step.imag else 1.0
+    return max(0.0, min(1.0, across, up))
+
+
+def reach(area: Area, at: complex, heading: complex, limits: Limits) -> float:
+    """How far it is straight ahead to the edge of the area (m)."""
+    margin = min(_MARGIN, limits.tolerance / 10) / 2
+    right = area.right - margin if heading.real > 0.0 else area.left + margin
+    top = area.top - margin if heading.imag > 0.0 else area.bottom + margin
+    across = (right - at.real) / heading.real if heading.real else math.inf
+    up = (top - at.imag) / heading.imag if heading.imag else math.inf
+    return max(0.0, min(across, up))
+
+
+def is_clear(seen: complex, limits: Limits, *, slack: float = 0.0) -> bool:
+    """Whether driving on is the shortest way to a point.
+
+    It is if the last turn is a quarter turn or less: the point is outside the turning circle and,
+    where it is farther aside than the circle's centre, a radius ahead. Inside by no more than a
+    slack (m) still counts as outside.
+    """
+    if seen.real >= limits.radius:
+        return True
+    # Steps that first turn and then move walk on a circle that begins half a turn later.
+    begun = complex(seen.real, abs(seen.imag)) * cmath.rect(1.0, -limits.turn / 2)
+    short = max(0.0, limits.radius - begun.imag)
+    return begun.real > 0.0 and math.hypot(begun.real, short) >= limits.radius - slack
+
+
+def approach(
+    frame: Frame, target: complex, after: complex, limits: Limits, *, area: Area, sharpest: float
+) -> complex | None:
+    """Where to aim on the way to a target that is not the last; at itself if None.
+
+    The path is two lines, to a corner and from there through the inner side of the target's disc,
+    and the arc that joins them. It is the corner that is aimed at, as long as a tick towards it
+    leaves the disc outside the turning circle; from there on it is the disc.
+    """
+    way, leg = target - frame.at, after - target
+    if abs(leg) <= limits.tolerance or frame.see(target).real < _FACING * abs(way):
+        return None
+    inwards = leg / abs(leg) - way / abs(way)
+    # Two legs in one line have no inner side; the shift fades out towards that.
+    cut = _CUT * limits.tolerance / max(0.5, abs(inwards))
+    aim = nearest(area, target + cut * inwards, limits)
+    corner = aim - _arm(aim - frame.at, after - aim, limits.radius, sharpest)
+    if nearest(area, corner, limits) != corner or not is_clear(frame.see(corner), limits):
+        return aim
+    turned = frame.turned(saturate(cmath.phase(frame.see(corner)), limits.turn))
+    return corner if is_clear(turned.see(aim) - limits.step, limits) else aim
+
+
+def _arm(way: complex, leg: complex, radius: float, sharpest: float) -> complex:
+    """From corner to aim: halfway between arriving and leaving, as long as the arc needs."""
+    turn = cmath.phase(leg / way)
+    if abs(turn) > sharpest:
+        turn -= math.copysign(math.pi, turn)
+    length = min(radius * math.tan(abs(turn) / 4), _SWING * abs(way))
+    return cmath.rect(length, turn / 2) * way / abs(way)
+
+
+def landing(seen: complex, limits: Limits) -> float:
+    """The share of a full step to make: all, or up to where it is nearest to the target."""
+    lands = 0.0 < seen.real < limits.step and abs(seen.imag) <= limits.tolerance
+    return seen.real / limits.step if lands else 1.0
