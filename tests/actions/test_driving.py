@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import pytest
 
-from turtleact.actions.driving import FASTEST, PATIENCE, Turtles
+from turtleact.actions.driving import PATIENCE, Turtles
+from turtleact.actions.robots import Robot, Sighting
 from turtleact.actions.steering import Area, Steering, time_bound
 from turtleact.clock import VirtualClock
 from turtleact.errors import Abort, Reject
@@ -44,6 +45,11 @@ class Yard(NamedTuple):
     poses: Publisher[TurtlePose]
     twists: Subscription[Twist]
 
+    def told(self):
+        """How fast the robot was last told to go."""
+        twist = self.twists.latest
+        return None if twist is None else twist.linear.x
+
     def drive(self, robot="robot"):
         return self.turtles.drive(robot, Steering())
 
@@ -59,6 +65,20 @@ class Yard(NamedTuple):
                 await drive.towards(FAR)
                 if until():
                     return
+
+    async def drive_until_it_is_killed(self):
+        telling = Background(self.keep_telling(), "the robot")
+        async with aclosing(telling), self.drive() as drive:
+            await telling.aclose()
+            await self.poses.aclose()
+            await drive.towards(FAR)
+
+    @asynccontextmanager
+    async def drive_beside(self):
+        """Drive the robot far away, in a task of its own."""
+        async with aclosing(Background(self.drive_on(), "the driver")):
+            await settle()
+            yield
 
     async def tell_every(self, seconds, times):
         """Let the robot say where it is, now and then: from ``x=5`` on."""
@@ -158,7 +178,7 @@ async def test_the_law_of_steering_gets_the_options_of_the_goal_and_the_area():
 async def test_the_fastest_turn_is_the_last_that_the_law_of_steering_takes():
     async with yard() as place:
         steering = partial(place.turtles.steering, style="arc", max_linear=2.0, tolerance=0.1)
-        steering(max_angular=FASTEST)
+        steering(max_angular=Robot().fastest)
         with pytest.raises(Reject, match=r"^max_angular: must be 98\.17 rad/s at most, not 98\.2$"):
             steering(max_angular=98.2)
 
@@ -192,7 +212,7 @@ async def test_a_tick_sends_one_twist_and_waits_for_the_pose_after_it():
 async def test_where_both_ways_are_as_good_it_turns_on_the_way_it_has_begun():
     async with yard() as place, telling(place), place.drive() as drive:
         for aside in (-0.1, 0.1):
-            drive.pose = TurtlePose(x=5.0, y=5.0, theta=math.pi / 2)
+            drive.seen = Sighting((5.0, 5.0, math.pi / 2))
             await drive.towards(Point(x=9.0, y=5.0 + aside))
         turns = [twist.angular.z for twist in place.twists.drain()]
     assert turns == [2.0, 2.0]
@@ -200,7 +220,7 @@ async def test_where_both_ways_are_as_good_it_turns_on_the_way_it_has_begun():
 
 async def test_the_distance_is_counted_in_straight_lines():
     async with yard() as place, telling(place), place.drive() as drive:
-        drive.pose = TurtlePose()
+        drive.seen = Sighting((0.0, 0.0, 0.0))
         assert drive.distance_to([Point(x=3.0, y=4.0), Point(x=3.0, y=0.0)]) == 9.0
 
 
@@ -252,6 +272,39 @@ async def test_a_turtle_that_says_little_is_not_given_up():
             while drive.pose.x < 24.0:
                 await drive.towards(FAR)
         assert place.clock.time() == pytest.approx(19 * 1.9)
+
+
+async def test_a_turtle_that_is_killed_is_given_up_by_name():
+    async with yard() as place:
+        reason = "^turtle 'robot' is gone: nobody publishes robot/pose any more$"
+        with pytest.raises(Abort, match=reason):
+            await place.drive_until_it_is_killed()
+        assert place.clock.time() <= 1.0
+        assert place.twists.latest == Twist()
+
+
+async def test_a_turtle_that_falls_silent_is_stopped_within_a_second():
+    async with yard() as place, place.drive_beside():
+        await place.tell_every(0.016, 10)
+        assert place.told() == 2.0
+        await place.clock.sleep(1.0)
+        assert place.twists.latest == Twist()
+
+
+async def test_a_turtle_that_is_heard_of_again_is_driven_on():
+    async with yard() as place, place.drive_beside():
+        await place.tell_every(0.016, 10)
+        await place.clock.sleep(1.2)
+        await place.tell_every(0.016, 2)
+        assert place.told() == 2.0
+
+
+async def test_what_is_late_is_told_with_who_else_drives():
+    async with yard() as place, telling(place), place.drive() as drive:
+        assert str(drive.too_late("it")) == "it was not reached in time"
+        place.node.publisher(Twist, "robot/cmd_vel")
+        text = "it was not reached in time: somebody else publishes robot/cmd_vel too"
+        assert str(drive.too_late("it")) == text
 
 
 # The end

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from turtleact.actions.go_to import GoTo
@@ -51,6 +53,30 @@ async def test_a_target_where_the_turtle_stands_is_reached_at_once_and_in_silenc
     assert result.duration <= 0.016
 
 
+@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("theta", [0.0, 2.0, -math.pi, 10.0])
+async def test_a_turtle_ends_in_the_heading_that_is_wanted(style, theta):
+    goal = GoTo.Goal(x=7.0, y=7.0, theta=theta, heading_tolerance=0.02, style=style)
+    async with arena() as stage:
+        result = await client_of(stage).send_goal(goal)
+        assert abs(math.remainder(stage.place[2] - theta, math.tau)) <= 0.02
+        assert away(stage, 7.0, 7.0) <= 0.1
+    assert result.bound < result.duration
+
+
+async def test_without_a_tolerance_any_heading_will_do():
+    async with arena() as stage:
+        await client_of(stage).send_goal(GoTo.Goal(x=8.0, y=MIDDLE, theta=2.0))
+        assert stage.place[2] == 0.0
+
+
+async def test_the_result_tells_how_long_it_takes_at_least():
+    async with arena() as stage:
+        result = await client_of(stage).send_goal(FAR)
+    assert result.bound == pytest.approx(9.0 - MIDDLE - 0.1, abs=1e-5)
+    assert result.bound <= result.duration <= 1.02 * result.bound
+
+
 async def test_there_is_feedback_at_the_start_and_once_a_second():
     async with arena() as stage, client_of(stage).send_goal(FAR) as goal:
         start = stage.node.clock.time()
@@ -79,6 +105,8 @@ REFUSED = [
     ({"style": ""}, "style: '' is none of arc, forward, rotate_then_drive"),
     ({"tolerance": -0.1}, f"tolerance: {NO} -0.1"),
     ({"max_linear": 0.0}, f"max_linear: {NO} 0.0"),
+    ({"heading_tolerance": -1.0}, f"heading_tolerance: {NO} -1.0"),
+    ({"theta": float("inf")}, "theta is inf: it is an angle in rad"),
 ]
 
 

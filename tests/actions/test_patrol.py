@@ -11,7 +11,7 @@ import anyio
 import pytest
 
 from turtleact.actions.patrol import Patrol
-from turtleact.actions.steering import Steering, time_bound
+from turtleact.actions.steering import Steering, shortest_time, time_bound
 from turtleact.errors import GoalAborted, GoalRejected
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import load_interface
@@ -59,11 +59,28 @@ async def rejection(goal, **options):
 # The patrol of the README
 
 
-async def test_the_patrol_of_four_targets_takes_at_most_10_6_seconds():
+async def test_the_patrol_of_four_targets_takes_at_most_10_5_seconds():
     async with arena() as stage:
         result = await client_of(stage).send_goal(patrol(*TARGETS))
     assert (result.reached, result.missed) == (4, [])
-    assert result.duration <= 10.6
+    assert result.duration <= 10.5
+
+
+@pytest.mark.parametrize("style", STYLES)
+async def test_the_result_tells_how_long_it_takes_at_least(style):
+    async with arena() as stage:
+        result = await client_of(stage).send_goal(patrol(*TARGETS, style=style))
+    assert result.bound == shortest_time((MIDDLE, MIDDLE, 0.0), TARGETS, Steering(style))
+    assert result.bound <= result.duration <= 1.1 * result.bound
+
+
+async def test_the_bound_of_extra_rounds_counts_their_straight_legs():
+    bounds = []
+    for loops in (0, 3):
+        async with arena() as stage:
+            goal = patrol((9.0, MIDDLE), (7.0, MIDDLE), loops=loops)
+            bounds.append((await client_of(stage).send_goal(goal)).bound)
+    assert bounds[1] - bounds[0] == pytest.approx(3 * 2 * 1.8 / 2.0)
 
 
 async def test_the_duration_of_a_result_is_the_clocks():
@@ -492,6 +509,14 @@ async def test_a_turtle_that_somebody_else_drives_does_not_keep_its_patrol_for_e
         result = await client_of(stage).send_goal(patrol((9.0, 7.0)))
         assert (result.reached, result.missed) == (0, [0])
         assert stage.commands()[-1] == (0.0, 0.0)
+
+
+async def test_a_patrol_that_somebody_else_keeps_from_its_target_says_so():
+    async with disturbed(drive_too, speed=3.0, every=0.016) as stage:
+        with pytest.raises(GoalAborted) as caught:
+            await client_of(stage).send_goal(patrol((9.0, 7.0), stop_on_failure=True))
+    late = "targets[0] was not reached in time"
+    assert caught.value.reason == f"{late}: somebody else publishes turtle1/cmd_vel too"
 
 
 async def test_a_patrol_may_stop_on_failure():

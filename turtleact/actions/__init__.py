@@ -6,15 +6,16 @@ from typing import TYPE_CHECKING
 
 from turtleact.actions import fibonacci, go_to, patrol
 from turtleact.actions.driving import Turtles
+from turtleact.actions.robots import Robot
 from turtleact.actions.steering import Area
 
 if TYPE_CHECKING:
     from turtleact.node import Node
 
-__all__ = ["serve_built_ins"]
+__all__ = ["Area", "Robot", "Turtles", "serve_built_ins"]
 
 BUILT_IN = (go_to.serve, patrol.serve)
-"""The actions that drive turtles."""
+"""The actions that drive turtles: `Turtles` of any kind of `Robot`, in any `Area`."""
 
 
 def serve_built_ins(node: Node, *, side: float) -> None:

@@ -1,43 +1,48 @@
 """Turtles as an action drives them: a pose comes in on one topic, a twist goes out on another.
 
 `Turtles` knows which turtles there are and which of them a goal drives already; a `Drive` takes one
-of them from target to target. Both know topics only, so any robot that has ``<turtle>/pose`` and
-``<turtle>/cmd_vel`` will do.
+of them from target to target. Both know topics only, so any `Robot` will do.
+
+What goes wrong on the way: a turtle that is moved by others is driven on from where it is seen. One
+that is not heard of for half a second is stopped, and driven on when it is; after two seconds, or
+once nobody publishes its pose any more, it is given up. A pose that is too old, or older than one
+seen before, counts as none.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, cast
 
-from turtleact.actions.steering import Area, Limits, Steering, time_bound
+from turtleact.actions.robots import Robot, Sighting
+from turtleact.actions.steering import Area, Limits, Steering, shortest_time, time_bound
 from turtleact.errors import Abort, InvalidMessage, InvalidName, Reject
 from turtleact.geometry import distance
-from turtleact.interfaces.standard import Point, TurtlePose, Twist, Vector3
+from turtleact.interfaces.standard import Point, TurtlePose
 from turtleact.names import resolve_name, validate_name
 from turtleact.tasks import Background
 
 if TYPE_CHECKING:
-    from turtleact.actions.steering import Style
+    from turtleact.actions.steering import Speeds, Style
+    from turtleact.interfaces import Message
     from turtleact.node import Node
     from turtleact.topics import Publisher, Subscription
 
 __all__ = ["Drive", "Turtles"]
 
-LOOK: Final = 0.5
-"""How often (s) it is checked whether a pose has come; one that nobody publishes is given up."""
+PAUSE: Final = 0.5
+"""A turtle is stopped after so long (s) without a pose, or twice that: it is checked as often."""
 
-LOOKS: Final = 4
-"""After so many in a row without a pose a turtle is given up, whoever publishes."""
+SILENCE: Final = 2.0
+"""A turtle is given up after so long (s) without a pose, and one such check more at most."""
 
 PATIENCE: Final = 2.0
 """A target is given up after so many times the longest time that the law of steering needs."""
 
-FASTEST: Final = math.pi / 2 / Limits().dt
-"""The highest turn rate (rad/s) that the law of steering knows what to do with."""
+STILL: Final = (0.0, 0.0)
+"""The speeds of a turtle that stands."""
 
 
 class Turtles:
@@ -46,28 +51,42 @@ class Turtles:
     Args:
         node: Where the topics are opened.
         area: What targets must be in.
+        robot: How they are heard and told; as those of turtlesim are, if left out.
     """
 
-    def __init__(self, node: Node, area: Area) -> None:
+    def __init__(self, node: Node, area: Area, robot: Robot | None = None) -> None:
         self._node = node
         self._area = area
+        self._robot = robot or Robot()
         self._driven: set[str] = set()
 
     def steering(
-        self, *, style: str, max_linear: float, max_angular: float, tolerance: float
+        self,
+        *,
+        style: str,
+        max_linear: float,
+        max_angular: float,
+        tolerance: float,
+        heading_tolerance: float = Limits().heading_tolerance,
     ) -> Steering:
-        """The law of steering with a goal's options.
+        """The law of steering with a goal's options, for these robots.
 
         Raises:
             Reject: if there is no such style, or a number is out of its range.
         """
-        if max_angular > FASTEST:
-            raise Reject(f"max_angular: must be {FASTEST:.4g} rad/s at most, not {max_angular}")
+        robot = self._robot
+        if max_angular > robot.fastest:
+            most = f"{robot.fastest:.4g} rad/s at most"
+            raise Reject(f"max_angular: must be {most}, not {max_angular}")
         try:
             limits = Limits(
                 max_linear=max_linear,
                 max_angular=max_angular,
+                max_acceleration=robot.max_acceleration,
+                max_angular_acceleration=robot.max_angular_acceleration,
                 tolerance=tolerance,
+                heading_tolerance=heading_tolerance,
+                dt=robot.dt,
                 area=self._area,
             )
             return Steering(cast("Style", style), limits)
@@ -80,14 +99,15 @@ class Turtles:
         Raises:
             Reject: if nobody publishes its pose, or another goal drives it.
         """
+        poses, _ = self._robot.topics(turtle)
         try:
             if turtle:
                 validate_name(turtle)
-            publishers = self._node.count_publishers(f"{turtle}/pose")
+            publishers = self._node.count_publishers(poses)
         except InvalidName as error:
             raise Reject(f"'{turtle}' is no name of a turtle: {error.problem}") from None
         if not publishers:
-            raise Reject(f"there is no turtle '{turtle}': nobody publishes {turtle}/pose")
+            raise Reject(f"there is no turtle '{turtle}': nobody publishes {poses}")
         if self._topic(turtle) in self._driven:
             raise Reject(_taken(turtle))
 
@@ -114,121 +134,186 @@ class Turtles:
         """Hold a turtle for the length of a block; it stands still at the end, whatever ended it.
 
         Raises:
-            Abort: if nothing is heard of its pose, it is gone, or another goal has come first.
+            Abort: if nothing is heard of its pose, or another goal has come first.
         """
         topic = self._topic(turtle)
         if topic in self._driven:  # two goals may have been accepted before either has begun
             raise Abort(_taken(turtle))
-        poses = self._node.subscription(TurtlePose, f"{turtle}/pose")
-        twists = self._node.publisher(Twist, f"{turtle}/cmd_vel")
+        drive = Drive(self._node, self._robot, turtle, steering)
         self._driven.add(topic)
-        watch = Background(_close_when_silent(poses, self._node), f"the watch over {topic}")
         try:
-            drive = Drive(self._node, turtle, steering, poses, twists)
             await drive.wait_for_pose()
             drive.travelled = 0.0
             yield drive
         finally:
             self._driven.discard(topic)
-            twists.publish(Twist())
-            await twists.aclose()
-            await poses.aclose()
-            await watch.aclose()
+            await drive.aclose()
 
     def _topic(self, turtle: str) -> str:
         """The full name of its pose: a turtle may be called by several names."""
-        return resolve_name(f"{turtle}/pose", self._node.namespace, self._node.name)
+        poses, _ = self._robot.topics(turtle)
+        return resolve_name(poses, self._node.namespace, self._node.name)
 
 
 class Drive:
     """One turtle on its way.
 
     Attributes:
-        pose: Where it was last seen.
+        seen: Where it was last seen.
         travelled: How far it has gone (m).
     """
 
-    def __init__(
-        self,
-        node: Node,
-        turtle: str,
-        steering: Steering,
-        poses: Subscription[TurtlePose],
-        twists: Publisher[Twist],
-    ) -> None:
-        self.pose = TurtlePose()
+    def __init__(self, node: Node, robot: Robot, turtle: str, steering: Steering) -> None:
+        self.seen = Sighting((0.0, 0.0, 0.0))
         self.travelled = 0.0
         self._node = node
+        self._clock = node.clock
+        self._robot = robot
         self._turtle = turtle
         self._steering = steering
-        self._poses = poses
-        self._twists = twists
-        self._speeds = (0.0, 0.0)
+        self._speeds: Speeds = STILL
+        self._pose_topic, self._twist_topic = robot.topics(turtle)
+        self._nothing_heard = f"nothing was heard of {self._pose_topic} for {SILENCE:g} s"
+        self._why = self._nothing_heard
+        self._poses: Subscription[Message] = node.subscription(robot.pose_class, self._pose_topic)
+        self._twists: Publisher[Message] = node.publisher(robot.twist_class, self._twist_topic)
+        self._watch = Background(self._keep_watch(), f"the watch over {self._pose_topic}")
 
-    def has_reached(self, target: Point) -> bool:
-        """Whether the turtle is within the tolerance of a target."""
-        return self._steering.is_reached(self._place, (target.x, target.y))
+    @property
+    def pose(self) -> TurtlePose:
+        """Where it was last seen, as turtlesim says it."""
+        return TurtlePose(*self.seen.pose, *self.seen.speeds)
+
+    def has_reached(self, target: Point, *, theta: float | None = None) -> bool:
+        """Whether the turtle is within the tolerance of a target, and of a heading (rad)."""
+        return self._steering.is_reached(self.seen.pose, (target.x, target.y), theta=theta)
 
     def distance_to(self, targets: Sequence[Point]) -> float:
         """How far it is in straight lines from here through the targets (m)."""
-        stops = [(self.pose.x, self.pose.y), *((target.x, target.y) for target in targets)]
+        stops = [self.seen.pose[:2], *((target.x, target.y) for target in targets)]
         return sum(distance(*a, *b) for a, b in pairwise(stops))
 
-    def deadline(self, target: Point) -> float:
+    def deadline(self, target: Point, *, theta: float | None = None) -> float:
         """When to give a target up, by the node's clock (s)."""
-        bound = time_bound(self._place, [(target.x, target.y)], self._steering)
-        return self._node.clock.time() + PATIENCE * bound
+        stops = [(target.x, target.y)]
+        bound = time_bound(self.seen.pose, stops, self._steering, theta=theta)
+        return self._clock.time() + PATIENCE * bound
 
-    async def towards(self, target: Point, next_target: Point | None = None) -> None:
+    def shortest_time(self, targets: Sequence[Point], *, theta: float | None = None) -> float:
+        """How long (s) it takes from here through the targets at least, however it is driven."""
+        stops = [(target.x, target.y) for target in targets]
+        return shortest_time(self.seen.pose, stops, self._steering, theta=theta)
+
+    def too_late(self, target: str) -> Abort:
+        """What to raise where a target was not reached in time, with what may be to blame."""
+        others = self._node.count_publishers(self._twist_topic) > 1
+        hint = f": somebody else publishes {self._twist_topic} too" if others else ""
+        return Abort(f"{target} was not reached in time{hint}")
+
+    async def towards(
+        self, target: Point, next_target: Point | None = None, *, theta: float | None = None
+    ) -> None:
         """Drive for one tick.
 
         Raises:
-            Abort: if nothing is heard of the turtle's pose, or it is gone.
+            Abort: if nothing is heard of the turtle's pose.
         """
         after = None if next_target is None else (next_target.x, next_target.y)
-        linear, angular = self._speeds = self._steering.command(
-            self._place, (target.x, target.y), after, self._speeds
+        speeds = self._steering.command(
+            self.seen.pose, (target.x, target.y), after, self._speeds, theta=theta
         )
-        self._twists.publish(Twist(linear=Vector3(x=linear), angular=Vector3(z=angular)))
+        self._tell(speeds)
         await self.wait_for_pose()
+
+    async def rest(self) -> None:
+        """Come to rest, as fast as accelerations allow; without limits that takes no tick.
+
+        Raises:
+            Abort: if nothing is heard of the turtle's pose.
+        """
+        while self._steering.limits.is_eased and self._speeds != STILL:
+            here = self.seen.pose
+            self._tell(self._steering.command(here, here[:2], None, self._speeds))
+            await self.wait_for_pose()
 
     async def wait_for_pose(self) -> None:
         """Wait for the next pose, or take the newest of those that have come.
 
         Raises:
-            Abort: if nothing is heard of the turtle's pose, or it is gone.
+            Abort: if nothing is heard of the turtle's pose, or it is no pose.
         """
+        while True:
+            try:
+                message = await anext(self._poses)
+            except StopAsyncIteration:
+                raise Abort(self._why) from None
+            for message in self._poses.drain():  # noqa: B007  # the newest counts
+                pass
+            seen = self._read(message)
+            if not self._objection(seen):
+                break
+        self.travelled += distance(*self.seen.pose[:2], *seen.pose[:2])
+        self.seen = seen
+
+    async def aclose(self) -> None:
+        """Stop the turtle where it is, and leave its topics."""
+        self._tell(STILL)
+        await self._watch.aclose()
+        await self._twists.aclose()
+        await self._poses.aclose()
+
+    def _read(self, message: Message) -> Sighting:
         try:
-            pose = await anext(self._poses)
-        except StopAsyncIteration:
-            raise Abort(self._why_silent()) from None
-        for pose in self._poses.drain():  # noqa: B007  # the newest counts
-            pass
-        self.travelled += distance(self.pose.x, self.pose.y, pose.x, pose.y)
-        self.pose = pose
+            return self._robot.read(message)
+        except InvalidMessage as error:
+            raise Abort(f"{self._pose_topic}: {error}") from None
 
-    def _why_silent(self) -> str:
-        topic = f"{self._turtle}/pose"
-        if self._node.count_publishers(topic):
-            return f"nothing was heard of {topic} for {LOOK * LOOKS:g} s"
-        return f"turtle '{self._turtle}' is gone: nobody publishes {topic} any more"
+    def _tell(self, speeds: Speeds) -> None:
+        self._speeds = speeds
+        self._twists.publish(self._robot.write(speeds, self._clock.now()))
 
-    @property
-    def _place(self) -> tuple[float, float, float]:
-        return self.pose.x, self.pose.y, self.pose.theta
+    async def _keep_watch(self) -> None:
+        """Stop a turtle that is heard of no more; in the end, end whoever waits for it."""
+        last: Message | None = None
+        silence = 0.0
+        while silence < SILENCE:
+            await self._clock.sleep(PAUSE)
+            latest = self._poses.latest
+            if latest is not last and self._is_heard():
+                last, silence = latest, 0.0
+                continue
+            silence += PAUSE
+            if not self._node.count_publishers(self._pose_topic):
+                what = f"nobody publishes {self._pose_topic} any more"
+                self._why = f"turtle '{self._turtle}' is gone: {what}"
+                break
+            if silence == PAUSE:
+                self._tell(STILL)
+        await self._poses.aclose()
 
+    def _is_heard(self) -> bool:
+        """Whether the newest pose is one to drive by; if not, why."""
+        latest = self._poses.latest
+        if latest is None:
+            return False
+        try:
+            seen = self._robot.read(latest)
+        except InvalidMessage:  # whoever drives will say so
+            return True
+        objection = self._objection(seen)
+        self._why = objection or self._nothing_heard
+        return not objection
 
-async def _close_when_silent(poses: Subscription[TurtlePose], node: Node) -> None:
-    """End whoever waits for a pose once none will come, or none has come for a while."""
-    last: TurtlePose | None = None
-    silent = 0
-    while silent < LOOKS:
-        await node.clock.sleep(LOOK)
-        silent = silent + 1 if poses.latest is last else 0
-        last = poses.latest
-        if silent and not node.count_publishers(poses.topic):
-            break
-    await poses.aclose()
+    def _objection(self, seen: Sighting) -> str:
+        """What keeps the turtle from being driven by a pose; empty if nothing does."""
+        if seen.stamp is None:
+            return ""
+        age = (self._clock.now() - seen.stamp) / 1e9
+        if age > self._robot.max_age:
+            problem = f"by its stamp, the last one is {age:.3g} s old"
+            return f"{self._pose_topic} tells old poses: {problem}; set the clocks, or max_age"
+        back = ((self.seen.stamp or 0) - seen.stamp) / 1e9
+        return f"the stamps of {self._pose_topic} went back by {back:.3g} s" if back > 0.0 else ""
 
 
 def _taken(turtle: str) -> str:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
-from turtleact.errors import Abort
+from turtleact.actions.steering import Limits
+from turtleact.errors import Reject
 from turtleact.goal import GoalResponse
 from turtleact.interfaces import Action, Message, float64, string
 from turtleact.interfaces.standard import Point, TurtlePose
@@ -37,6 +39,10 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
             max_linear: Highest speed (m/s), above zero.
             max_angular: Highest turn rate (rad/s), above zero.
             style: ``arc``, ``forward`` or ``rotate_then_drive``.
+            theta: In which heading it shall be there (rad), any angle; if `heading_tolerance` is
+                given.
+            heading_tolerance: How far off the heading may be (rad), above zero; if it is 0, any
+                heading will do.
         """
 
         x: float64 = 0.0
@@ -46,6 +52,8 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
         max_linear: float64 = 2.0
         max_angular: float64 = 2.0
         style: string = "arc"
+        theta: float64 = 0.0
+        heading_tolerance: float64 = 0.0
 
     class Result(Message):
         """How it went.
@@ -53,10 +61,12 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
         Attributes:
             distance: How far the turtle went (m).
             duration: How long it took (s), by the clock of the graph.
+            bound: How long it takes at least (s), whoever drives at these speeds in this style.
         """
 
         distance: float64 = 0.0
         duration: float64 = 0.0
+        bound: float64 = 0.0
 
     class Feedback(Message):
         """How it goes, once a second.
@@ -82,6 +92,8 @@ class _GoTo:
 
     def check(self, goal: GoTo.Goal) -> GoalResponse:
         self._steering(goal)
+        if not math.isfinite(goal.theta):
+            raise Reject(f"theta is {goal.theta}: it is an angle in rad")
         self._turtles.check_turtle(goal.turtle)
         self._turtles.check_target(Point(x=goal.x, y=goal.y))
         return GoalResponse.ACCEPT
@@ -92,20 +104,23 @@ class _GoTo:
         clock = handle.node.clock
         started = clock.time()
         target = Point(x=goal.x, y=goal.y)
+        theta = goal.theta if goal.heading_tolerance else None
         async with self._turtles.drive(goal.turtle, self._steering(goal)) as drive:
-            deadline, due = drive.deadline(target), started
+            deadline, due = drive.deadline(target, theta=theta), started
+            result = GoTo.Result(bound=drive.shortest_time([target], theta=theta))
             try:
-                while not drive.has_reached(target):
+                while not drive.has_reached(target, theta=theta):
                     if clock.time() > deadline:
-                        raise Abort(f"x: {goal.x:g}, y: {goal.y:g} was not reached in time")
+                        raise drive.too_late(f"x: {goal.x:g}, y: {goal.y:g}")
                     if clock.time() >= due:
                         due = clock.time() + PERIOD
                         yield GoTo.Feedback(
                             pose=drive.pose, distance_remaining=drive.distance_to([target])
                         )
-                    await drive.towards(target)
+                    await drive.towards(target, theta=theta)
+                await drive.rest()
             finally:
-                result = GoTo.Result(distance=drive.travelled, duration=clock.time() - started)
+                result.distance, result.duration = drive.travelled, clock.time() - started
                 handle.set_partial_result(result)
         yield result
 
@@ -115,4 +130,5 @@ class _GoTo:
             max_linear=goal.max_linear,
             max_angular=goal.max_angular,
             tolerance=goal.tolerance,
+            heading_tolerance=goal.heading_tolerance or Limits().heading_tolerance,
         )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import anyio.lowlevel
 
-from turtleact.errors import Abort, Reject
+from turtleact.errors import Reject
 from turtleact.geometry import distance
 from turtleact.goal import GoalResponse
 from turtleact.interfaces import Action, Message, bool_, float64, int32, string
@@ -67,12 +67,15 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
             missed: The indices of those that were not, a round after the other.
             distance: How far the turtle went (m).
             duration: How long it took (s), by the clock of the graph.
+            bound: How long it takes at least (s) to reach all of them, whoever drives at these
+                speeds in this style.
         """
 
         reached: int32 = 0
         missed: list[int32] = []
         distance: float64 = 0.0
         duration: float64 = 0.0
+        bound: float64 = 0.0
 
     class Feedback(Message):
         """How it goes: at each target, and once a second on the way.
@@ -130,6 +133,11 @@ class _Tour:
         rounds, legs = divmod(self.stops - 1 - stop, len(self._targets))
         ahead = [self._legs[self.index(stop + leg)] for leg in range(legs)]
         return rounds * sum(self._legs) + sum(ahead)
+
+    def bound(self, drive: Drive, goal: Patrol.Goal) -> float:
+        """How long it takes at least (s): the first round, and the straight legs of the others."""
+        straight = sum(max(0.0, leg - 2.0 * goal.tolerance) for leg in self._legs)
+        return drive.shortest_time(self._targets) + goal.loops * straight / goal.max_linear
 
 
 class _Patrol:
@@ -196,6 +204,7 @@ class _Patrol:
         result = Patrol.Result()
         started = clock.time()
         async with self._turtles.drive(goal.turtle, self._steering(goal)) as drive:
+            result.bound = tour.bound(drive, goal)
             try:
                 for stop in range(tour.stops):
                     await anyio.lowlevel.checkpoint()  # a stop where it stands makes no other
@@ -206,7 +215,8 @@ class _Patrol:
                         continue
                     result.missed.append(tour.index(stop))
                     if goal.stop_on_failure:
-                        raise Abort(f"targets[{tour.index(stop)}] was not reached in time")
+                        raise drive.too_late(f"targets[{tour.index(stop)}]")
+                await drive.rest()
             finally:
                 result.distance = drive.travelled
                 result.duration = clock.time() - started

@@ -17,7 +17,8 @@ call: a turtle that somebody else moves is driven on from where it is. The rules
 - **Face last.** A heading that is wanted at the target is turned to there, on the spot.
 - **Ease.** Where accelerations are limited, it is only as fast as it can still stop before the
   target and the edge of the area, and as it can turn meanwhile; while it rolls the wrong way it
-  does not turn. It swings wide for no corner, and drives through a target without stopping.
+  does not turn. It swings wide for no corner, and drives through a target without stopping. That
+  keeps it in the area but for centimetres, where it comes fast into a corner.
 
 Why it always arrives: let e be the angle to the target, d its distance, R = v/omega the radius of
 the turning circle. The law only drives forwards where tan(e) <= d / R; there e/omega + d/v, the

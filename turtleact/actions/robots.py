@@ -1,0 +1,188 @@
+"""Robots as an action knows them: the names and types of two topics, and what may be asked of them.
+
+A `Robot` is told on one topic how fast to go and tells on another where it is. The types that can
+stand there are in two tables; the defaults are those of turtlesim.
+
+Source: the message definitions of ROS 2 Jazzy; Diebel, Representing Attitude, 2006, equation 290
+(the heading of a quaternion).
+"""
+
+from __future__ import annotations
+
+import math
+from operator import attrgetter
+from typing import TYPE_CHECKING, Final, NamedTuple, cast
+
+import msgspec
+
+from turtleact.errors import InvalidMessage, InvalidOption
+from turtleact.geometry import wrap_angle
+from turtleact.interfaces import from_dict, get_interface
+from turtleact.interfaces.standard import Twist, Vector3
+
+if TYPE_CHECKING:
+    from turtleact.actions.steering import Pose, Speeds
+    from turtleact.interfaces import Message
+    from turtleact.interfaces.standard import Time
+
+__all__ = ["POSE_TYPES", "TWIST_TYPES", "Robot", "Sighting"]
+
+
+class Sighting(NamedTuple):
+    """Where a robot says that it is.
+
+    Attributes:
+        pose: x and y (m), and the heading (rad, in [-pi, pi)).
+        speeds: Linear (m/s, never negative) and angular (rad/s); zeros where they are not told.
+        stamp: When that was, ROS time (ns); None where it is not told.
+    """
+
+    pose: Pose
+    speeds: Speeds = (0.0, 0.0)
+    stamp: int | None = None
+
+
+class _Fields(NamedTuple):
+    """Where in a message the pose and the twist stand."""
+
+    pose: str
+    twist: str = ""
+
+
+POSE_TYPES: Final[dict[str, _Fields | None]] = {
+    "turtlesim/msg/Pose": None,  # all of it are numbers
+    "turtlesim_msgs/msg/Pose": None,
+    "nav_msgs/msg/Odometry": _Fields("pose.pose", "twist.twist"),
+    "geometry_msgs/msg/PoseStamped": _Fields("pose"),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _Fields("pose.pose"),
+}
+"""What a robot can tell of its place."""
+
+TWIST_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+"""What a robot can be told."""
+
+
+class Robot(msgspec.Struct, frozen=True, kw_only=True):
+    """A kind of robots: how they are heard and told, and what they can do.
+
+    Attributes:
+        pose_topic: Where a robot says where it is; ``{turtle}`` is replaced by the goal's turtle.
+        pose_type: One of `POSE_TYPES`.
+        twist_topic: Where it is told how fast to go; likewise.
+        twist_type: One of `TWIST_TYPES`.
+        frame_id: What a stamped twist is given as its frame.
+        dt: Seconds between two poses: it is told anew after each.
+        max_age: A stamped pose that is older than this (s) is not heeded.
+        max_acceleration: How fast it is asked to change its speed (m/s²); may be infinite.
+        max_angular_acceleration: How fast it is asked to change its turn rate (rad/s²); likewise.
+
+    Raises:
+        InvalidOption: if there is no such type, or a number is out of its range.
+
+    Example:
+        >>> Robot().topics("turtle1")
+        ('turtle1/pose', 'turtle1/cmd_vel')
+        >>> Robot(pose_topic="/odom", twist_topic="/cmd_vel").topics("")
+        ('/odom', '/cmd_vel')
+    """
+
+    pose_topic: str = "{turtle}/pose"
+    pose_type: str = "turtlesim/msg/Pose"
+    twist_topic: str = "{turtle}/cmd_vel"
+    twist_type: str = "geometry_msgs/msg/Twist"
+    frame_id: str = "base_link"
+    dt: float = 0.016
+    max_age: float = 1.0
+    max_acceleration: float = math.inf
+    max_angular_acceleration: float = math.inf
+
+    def __post_init__(self) -> None:
+        for name, known in (("pose_type", POSE_TYPES), ("twist_type", TWIST_TYPES)):
+            if getattr(self, name) not in known:
+                problem = f"'{getattr(self, name)}' is none of {', '.join(known)}"
+                raise InvalidOption(name, problem)
+        for name in ("max_age", "max_acceleration", "max_angular_acceleration"):
+            if not getattr(self, name) > 0.0:
+                raise InvalidOption(name, f"must be above zero, not {getattr(self, name)}")
+        if not (math.isfinite(self.dt) and self.dt > 0.0):
+            raise InvalidOption("dt", f"must be finite and above zero, not {self.dt}")
+
+    @property
+    def fastest(self) -> float:
+        """The highest turn rate (rad/s) that the law of steering knows what to do with."""
+        return math.pi / 2.0 / self.dt
+
+    @property
+    def pose_class(self) -> type[Message]:
+        """The class of its poses."""
+        return cast("type[Message]", get_interface(self.pose_type))
+
+    @property
+    def twist_class(self) -> type[Message]:
+        """The class of what it is told."""
+        return cast("type[Message]", get_interface(self.twist_type))
+
+    def topics(self, turtle: str) -> tuple[str, str]:
+        """The names of a turtle's poses and of what it is told."""
+        pose, twist = (
+            topic.replace("{turtle}", turtle) for topic in (self.pose_topic, self.twist_topic)
+        )
+        return pose, twist
+
+    def read(self, message: Message) -> Sighting:
+        """What a message says.
+
+        Raises:
+            InvalidMessage: if that is no place or no heading.
+        """
+        fields = POSE_TYPES[self.pose_type]
+        seen = _read_turtle(message) if fields is None else _read_stamped(message, fields)
+        for name, value in zip(("x", "y", "theta"), seen.pose, strict=True):
+            if not math.isfinite(value):
+                raise InvalidMessage(name, f"is {value}: nobody knows where that is")
+        return seen
+
+    def write(self, speeds: Speeds, now: int) -> Message:
+        """The message that asks for some speeds.
+
+        Args:
+            speeds: Linear (m/s) and angular (rad/s).
+            now: ROS time (ns), for the stamp.
+        """
+        if self.twist_type == TWIST_TYPES[0]:
+            return Twist(linear=Vector3(x=speeds[0]), angular=Vector3(z=speeds[1]))
+        twist = {"linear": {"x": speeds[0]}, "angular": {"z": speeds[1]}}
+        sec, nanosec = divmod(now, 10**9)
+        header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": self.frame_id}
+        return from_dict(self.twist_class, {"header": header, "twist": twist})
+
+
+_turtle = attrgetter("x", "y", "theta", "linear_velocity", "angular_velocity")
+_place = attrgetter("position.x", "position.y")
+_quaternion = attrgetter("orientation.x", "orientation.y", "orientation.z", "orientation.w")
+_speeds = attrgetter("linear.x", "linear.y", "angular.z")
+_stamp = attrgetter("header.stamp")
+
+
+def _read_turtle(message: Message) -> Sighting:
+    x, y, theta, linear, angular = _turtle(message)
+    return Sighting((x, y, theta), (linear, angular))
+
+
+def _read_stamped(message: Message, fields: _Fields) -> Sighting:
+    pose = attrgetter(fields.pose)(message)
+    x, y = _place(pose)
+    theta = _heading(*_quaternion(pose), path=f"{fields.pose}.orientation")
+    speeds = (0.0, 0.0)
+    if fields.twist:
+        ahead, aside, angular = _speeds(attrgetter(fields.twist)(message))
+        speeds = math.hypot(ahead, aside), angular
+    stamp: Time = _stamp(message)
+    return Sighting((x, y, theta), speeds, stamp.sec * 10**9 + stamp.nanosec or None)
+
+
+def _heading(x: float, y: float, z: float, w: float, *, path: str) -> float:
+    """The heading (rad) of a quaternion of any length, seen from above."""
+    if not x * x + y * y + z * z + w * w > 0.0:
+        raise InvalidMessage(path, f"({x}, {y}, {z}, {w}) is no rotation")
+    return wrap_angle(math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
