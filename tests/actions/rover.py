@@ -47,6 +47,8 @@ class Rover:
         messages: Those commands as they came.
         age: How old its odometry is when it is published (s).
         is_silent: Whether it tells nothing.
+        every: It tells its pose in every so manieth tick.
+        turned: How far it has turned, to either side (rad).
     """
 
     def __init__(self, node: Node, robot: Robot, name: str = "rover") -> None:
@@ -55,6 +57,8 @@ class Rover:
         self.messages: list[Any] = []
         self.age = 0.0
         self.is_silent = False
+        self.every = 1
+        self.turned = 0.0
         self.orientation: dict[str, float] | None = None
         self.node = node
         self._robot = robot
@@ -77,7 +81,7 @@ class Rover:
                 body: Any = getattr(twist, "twist", twist)
                 self.told.append((body.linear.x, body.angular.z))
             self._roll()
-            if not self.is_silent:
+            if not (self.is_silent or ticks % self.every):
                 self.poses.publish(self._message())
             ticks += 1
             await clock.sleep_until(start + ticks * DT)
@@ -92,6 +96,7 @@ class Rover:
         linear, angular = self.speeds
         x, y, theta = self.pose
         middle = theta + angular * DT / 2
+        self.turned += abs(angular) * DT
         x, y = x + linear * math.cos(middle) * DT, y + linear * math.sin(middle) * DT
         self.pose = (x, y, math.remainder(theta + angular * DT, math.tau))
 

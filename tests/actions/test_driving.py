@@ -283,6 +283,16 @@ async def test_a_turtle_that_is_killed_is_given_up_by_name():
         assert place.twists.latest == Twist()
 
 
+async def test_a_pose_that_is_none_waits_for_who_drives():
+    async with yard() as place, telling(place), place.drive() as drive:
+        for _ in range(60):
+            place.poses.publish(TurtlePose(x=math.nan))
+            await place.clock.sleep(0.016)
+        place.poses.publish(TurtlePose(x=math.nan))
+        with pytest.raises(Abort, match=r"^robot/pose: x: is nan: nobody knows where that is$"):
+            await drive.towards(FAR)
+
+
 async def test_a_turtle_that_falls_silent_is_stopped_within_a_second():
     async with yard() as place, place.drive_beside():
         await place.tell_every(0.016, 10)

@@ -15,7 +15,7 @@ from turtleact.actions.go_to import GoTo
 from turtleact.actions.patrol import Patrol
 from turtleact.actions.robots import POSE_TYPES, TWIST_TYPES, Robot, Sighting
 from turtleact.clock import EPOCH
-from turtleact.errors import GoalAborted, GoalRejected, InvalidMessage, InvalidOption
+from turtleact.errors import GoalAborted, GoalRejected, InvalidMessage, InvalidName, InvalidOption
 from turtleact.interfaces import from_dict
 from turtleact.interfaces.standard import Point, TurtlePose, Twist, Vector3
 
@@ -139,6 +139,16 @@ async def test_odometry_that_is_late_by_a_tick_or_two_does_no_harm():
     async with rover() as one:
         one.age = 0.05
         assert (await patrol_of(one).send_goal(tour())).reached == 3
+
+
+@pytest.mark.parametrize(("dt", "most"), [(0.2, 1.6), (0.016, 4.0)], ids=["as told", "unknown"])
+async def test_poses_that_come_rarely_make_no_lasting_zigzag(dt, most):
+    quick = Robot(pose_topic="/odom", pose_type="nav_msgs/msg/Odometry", dt=dt)
+    goal = tour(targets=[Point(x=3.0, y=3.0)], max_linear=0.5, max_angular=2.0)
+    async with rover(quick) as one:
+        one.every = 10  # 5 times a second
+        assert (await patrol_of(one).send_goal(goal)).reached == 1
+    assert one.turned <= most * math.pi / 4
 
 
 async def test_a_robot_whose_poses_are_old_is_not_driven_by_them():
@@ -282,3 +292,9 @@ def test_what_no_robot_has_is_refused_by_its_option(options, problem):
         Robot(**options)
     assert caught.value.name == next(iter(options))
     assert caught.value.problem.startswith(problem)
+
+
+@pytest.mark.parametrize("option", ["pose_topic", "twist_topic"])
+def test_a_topic_that_can_be_none_is_refused_with_its_place(option):
+    with pytest.raises(InvalidName, match=r"^invalid name: (.|\n)*my topic"):
+        robot(**{option: "{turtle}/my topic"})

@@ -6,15 +6,19 @@ of them from target to target. Both know topics only, so any `Robot` will do.
 What goes wrong on the way: a turtle that is moved by others is driven on from where it is seen. One
 that is not heard of for half a second is stopped, and driven on when it is; after two seconds, or
 once nobody publishes its pose any more, it is given up. A pose that is too old, or older than one
-seen before, counts as none.
+seen before, counts as none. Where poses come more rarely than was said, each command is made for
+as long as it will hold.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, cast
+
+from msgspec.structs import replace
 
 from turtleact.actions.robots import Robot, Sighting
 from turtleact.actions.steering import Area, Limits, Steering, shortest_time, time_bound
@@ -40,6 +44,9 @@ SILENCE: Final = 2.0
 
 PATIENCE: Final = 2.0
 """A target is given up after so many times the longest time that the law of steering needs."""
+
+LEARNING: Final = 0.3
+"""How much of a change in the time from pose to pose is believed at once."""
 
 STILL: Final = (0.0, 0.0)
 """The speeds of a turtle that stands."""
@@ -168,6 +175,8 @@ class Drive:
         self.travelled = 0.0
         self._node = node
         self._clock = node.clock
+        self._pace = robot.dt
+        self._decided = node.clock.time()
         self._robot = robot
         self._turtle = turtle
         self._steering = steering
@@ -254,6 +263,7 @@ class Drive:
                 break
         self.travelled += distance(*self.seen.pose[:2], *seen.pose[:2])
         self.seen = seen
+        self._keep_pace()
 
     async def aclose(self) -> None:
         """Stop the turtle where it is, and leave its topics."""
@@ -261,6 +271,17 @@ class Drive:
         await self._watch.aclose()
         await self._twists.aclose()
         await self._poses.aclose()
+
+    def _keep_pace(self) -> None:
+        """See how long a command holds: poses may come more rarely than was said."""
+        now = self._clock.time()
+        held, self._decided = now - self._decided, now
+        self._pace += LEARNING * (min(held, 2.0 * self._pace) - self._pace)
+        limits = self._steering.limits
+        dt = min(max(self._robot.dt, self._pace), math.pi / 2.0 / limits.max_angular)
+        if abs(dt - limits.dt) > limits.dt / 4.0:
+            limits = replace(limits, dt=dt)
+            self._steering = replace(self._steering, limits=limits)
 
     def _read(self, message: Message) -> Sighting:
         try:
@@ -279,7 +300,7 @@ class Drive:
         while silence < SILENCE:
             await self._clock.sleep(PAUSE)
             latest = self._poses.latest
-            if latest is not last and self._is_heard():
+            if latest is not None and latest is not last and self._is_heard(latest):
                 last, silence = latest, 0.0
                 continue
             silence += PAUSE
@@ -291,13 +312,10 @@ class Drive:
                 self._tell(STILL)
         await self._poses.aclose()
 
-    def _is_heard(self) -> bool:
-        """Whether the newest pose is one to drive by; if not, why."""
-        latest = self._poses.latest
-        if latest is None:
-            return False
+    def _is_heard(self, message: Message) -> bool:
+        """Whether a message is one to drive by; if not, why."""
         try:
-            seen = self._robot.read(latest)
+            seen = self._robot.read(message)
         except InvalidMessage:  # whoever drives will say so
             return True
         objection = self._objection(seen)

@@ -19,6 +19,7 @@ from turtleact.errors import InvalidMessage, InvalidOption
 from turtleact.geometry import wrap_angle
 from turtleact.interfaces import from_dict, get_interface
 from turtleact.interfaces.standard import Twist, Vector3
+from turtleact.names import resolve_name
 
 if TYPE_CHECKING:
     from turtleact.actions.steering import Pose, Speeds
@@ -71,13 +72,15 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
         twist_topic: Where it is told how fast to go; likewise.
         twist_type: One of `TWIST_TYPES`.
         frame_id: What a stamped twist is given as its frame.
-        dt: Seconds between two poses: it is told anew after each.
+        dt: Seconds between two poses: it is told anew after each. If they come more rarely, that is
+            noticed on the way.
         max_age: A stamped pose that is older than this (s) is not heeded.
         max_acceleration: How fast it is asked to change its speed (m/s²); may be infinite.
         max_angular_acceleration: How fast it is asked to change its turn rate (rad/s²); likewise.
 
     Raises:
         InvalidOption: if there is no such type, or a number is out of its range.
+        InvalidName: if a topic breaks ROS 2's rules.
 
     Example:
         >>> Robot().topics("turtle1")
@@ -101,6 +104,8 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
             if getattr(self, name) not in known:
                 problem = f"'{getattr(self, name)}' is none of {', '.join(known)}"
                 raise InvalidOption(name, problem)
+        for topic in self.topics("turtle"):
+            resolve_name(topic)
         for name in ("max_age", "max_acceleration", "max_angular_acceleration"):
             if not getattr(self, name) > 0.0:
                 raise InvalidOption(name, f"must be above zero, not {getattr(self, name)}")
