@@ -151,6 +151,13 @@ async def test_poses_that_come_rarely_make_no_lasting_zigzag(dt, most):
     assert one.turned <= most * math.pi / 4
 
 
+async def test_poses_that_come_often_make_no_haste():
+    async with rover(robot(dt=0.08)) as one:
+        await patrol_of(one).send_goal(tour(targets=[Point(x=3.0, y=1.0)]))
+        told = one.told[20:-20]  # by then it is noticed; the end is a matter of a few ticks
+    assert max(abs(after[0] - before[0]) for before, after in pairwise(told)) <= 1.4 * DT
+
+
 async def test_a_robot_whose_poses_are_old_is_not_driven_by_them():
     async with rover() as one:
         one.age = 60.0

@@ -6,8 +6,8 @@ of them from target to target. Both know topics only, so any `Robot` will do.
 What goes wrong on the way: a turtle that is moved by others is driven on from where it is seen. One
 that is not heard of for half a second is stopped, and driven on when it is; after two seconds, or
 once nobody publishes its pose any more, it is given up. A pose that is too old, or older than one
-seen before, counts as none. Where poses come more rarely than was said, each command is made for
-as long as it will hold.
+seen before, counts as none. Where poses come at another pace than was said, each command is made
+for as long as it will hold.
 """
 
 from __future__ import annotations
@@ -176,7 +176,7 @@ class Drive:
         self._node = node
         self._clock = node.clock
         self._pace = robot.dt
-        self._decided = node.clock.time()
+        self._decided: float | None = None
         self._robot = robot
         self._turtle = turtle
         self._steering = steering
@@ -273,12 +273,14 @@ class Drive:
         await self._poses.aclose()
 
     def _keep_pace(self) -> None:
-        """See how long a command holds: poses may come more rarely than was said."""
-        now = self._clock.time()
-        held, self._decided = now - self._decided, now
+        """See how long a command holds: poses may come at another pace than was said."""
+        before, self._decided = self._decided, self._clock.time()
+        if before is None:
+            return
+        held = self._decided - before
         self._pace += LEARNING * (min(held, 2.0 * self._pace) - self._pace)
         limits = self._steering.limits
-        dt = min(max(self._robot.dt, self._pace), math.pi / 2.0 / limits.max_angular)
+        dt = min(max(self._robot.dt / 8.0, self._pace), math.pi / 2.0 / limits.max_angular)
         if abs(dt - limits.dt) > limits.dt / 4.0:
             limits = replace(limits, dt=dt)
             self._steering = replace(self._steering, limits=limits)

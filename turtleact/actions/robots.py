@@ -72,8 +72,8 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
         twist_topic: Where it is told how fast to go; likewise.
         twist_type: One of `TWIST_TYPES`.
         frame_id: What a stamped twist is given as its frame.
-        dt: Seconds between two poses: it is told anew after each. If they come more rarely, that is
-            noticed on the way.
+        dt: Seconds between two poses, about: it is told anew after each. If they come at another
+            pace, that is noticed on the way.
         max_age: A stamped pose that is older than this (s) is not heeded.
         max_acceleration: How fast it is asked to change its speed (m/s²); may be infinite.
         max_angular_acceleration: How fast it is asked to change its turn rate (rad/s²); likewise.
