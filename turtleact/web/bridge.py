@@ -1,0 +1,213 @@
+"""A node behind a WebSocket, as an ASGI app: rosbridge for programs, a page for people.
+
+The app is a plain callable over a running node: it has no lifespan, so it can be mounted into any
+other app. It runs on asyncio and trio, whatever the server around it does.
+
+Source: ASGI 3.0; rosbridge v2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Collection
+from contextlib import asynccontextmanager, suppress
+from functools import cache
+from importlib import resources
+from typing import Final
+
+import anyio
+import msgspec
+from starlette.requests import HTTPConnection
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from turtleact.errors import TurtleactError
+from turtleact.node import Node
+from turtleact.web.connection import TRY_AGAIN_LATER, Connection
+from turtleact.web.guard import Guard
+from turtleact.web.hub import Hub, Limits
+
+__all__ = ["Bridge", "Statistics", "open_bridge"]
+
+FAREWELL: Final = 2.0
+"""So long clients have to take what must still arrive, once the bridge is closed (s)."""
+
+POLICY: Final = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    "img-src 'self' data:; connect-src 'self' ws: wss:; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'"
+)
+HEADERS: Final = {
+    "Content-Security-Policy": POLICY,
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-cache",
+}
+FILES: Final = {
+    "/": ("page.html", "text/html"),
+    "/favicon.ico": ("icon.svg", "image/svg+xml"),
+}
+
+
+class Statistics(msgspec.Struct, frozen=True):
+    """How a bridge is doing.
+
+    Attributes:
+        connections: How many clients are connected.
+        goals: How many of their goals are under way.
+        waiting: How many frames wait to be sent.
+        dropped: How many frames the connected ones have lost as they were too slow for them.
+    """
+
+    connections: int
+    goals: int
+    waiting: int
+    dropped: int
+
+
+class Bridge:
+    """An ASGI app over a node; made by `open_bridge`.
+
+    Attributes:
+        is_open: Whether it takes connections.
+    """
+
+    def __init__(self, hub: Hub, guard: Guard) -> None:
+        self.is_open = True
+        self._hub = hub
+        self._guard = guard
+        self._connections: set[Connection] = set()
+        self._left = hub.tasks.signal()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request; what an ASGI server or an app around this one calls."""
+        if scope["type"] == "websocket":
+            await self._connect(WebSocket(scope, receive, send))
+        elif scope["type"] == "http":
+            await self._answer(HTTPConnection(scope))(scope, receive, send)
+        else:
+            raise TurtleactError(f"a bridge knows no '{scope['type']}': open it with open_bridge")
+
+    def statistics(self) -> Statistics:
+        """How it is doing now."""
+        boxes = [connection.mailbox for connection in self._connections]
+        return Statistics(
+            connections=len(boxes),
+            goals=len(self._hub.goals),
+            waiting=sum(map(len, boxes)),
+            dropped=sum(box.dropped for box in boxes),
+        )
+
+    async def aclose(self) -> None:
+        """Take no more connections, and end those there are.
+
+        Each gets what must still arrive and a close frame, and has `FAREWELL` seconds for it.
+        """
+        self.is_open = False
+        for connection in self._connections:
+            connection.close()
+        with anyio.CancelScope(shield=True):
+            with anyio.move_on_after(FAREWELL):
+                await self._wait_until_left()
+            for connection in self._connections:
+                connection.let_go("the bridge is closed")
+            await self._wait_until_left()
+            await self._hub.aclose()
+
+    async def _wait_until_left(self) -> None:
+        while self._connections:
+            await self._left.wait()
+
+    async def _connect(self, websocket: WebSocket) -> None:
+        refusal = self._refusal(websocket)
+        if refusal is not None:
+            if "websocket.http.response" in websocket.scope.get("extensions", {}):
+                await websocket.send_denial_response(refusal)
+            else:
+                await websocket.close(TRY_AGAIN_LATER)
+            return
+        connection = Connection(self._hub, websocket)
+        self._connections.add(connection)
+        try:
+            with suppress(WebSocketDisconnect):  # it may have gone by now
+                await websocket.accept()
+                await connection.run()
+        finally:
+            self._connections.remove(connection)
+            self._left.fire()
+
+    def _refusal(self, websocket: WebSocket) -> Response | None:
+        """What a client gets that is not let in; None if it is."""
+        if _path(websocket) != "/":
+            return _text(404, "rosbridge is at the path /")
+        problem = self._problem(websocket)
+        if problem:
+            return _text(403, problem)
+        if not self.is_open or len(self._connections) >= self._hub.limits.connections:
+            return _text(503, f"{len(self._connections)} clients are connected: come back later")
+        return None
+
+    def _problem(self, asked: HTTPConnection) -> str:
+        """Why somebody is not let in; empty if nothing speaks against it."""
+        scheme, _, token = asked.headers.get("authorization", "").partition(" ")
+        return self._guard.problem(
+            host=asked.headers.get("host", ""),
+            origin=asked.headers.get("origin"),
+            token=token if scheme.lower() == "bearer" else asked.query_params.get("token", ""),
+        )
+
+    def _answer(self, asked: HTTPConnection) -> Response:
+        if asked.scope["method"] not in ("GET", "HEAD"):
+            return _text(405, "there is nothing but to GET here")
+        found = FILES.get(_path(asked))
+        if found is None:
+            return _text(404, "there is one page, at the path /")
+        name, media_type = found
+        problem = self._problem(asked) if media_type == "text/html" else ""
+        if problem:
+            return _text(403, problem)
+        return Response(_file(name), media_type=media_type, headers=HEADERS)
+
+
+@asynccontextmanager
+async def open_bridge(
+    node: Node,
+    *,
+    hosts: Collection[str] = (),
+    origins: Collection[str] = (),
+    token: str = "",
+    limits: Limits | None = None,
+    cancel_on_disconnect: bool = False,
+) -> AsyncIterator[Bridge]:
+    """A node as an ASGI app, for the length of a block.
+
+    Args:
+        node: What is served: its graph, whatever lies below it.
+        hosts: Names that clients may call the server by, besides addresses and loopback names.
+        origins: Origins (``https://example.com``) of pages that may come in, besides the server's
+            own and those of loopback hosts.
+        token: What clients must know: ``?token=…``, or ``Authorization: Bearer …``.
+        limits: How much clients may ask for.
+        cancel_on_disconnect: Whether a client that goes takes its goals along.
+    """
+    hub = Hub(node, limits or Limits(), cancel_on_disconnect=cancel_on_disconnect)
+    bridge = Bridge(hub, Guard(frozenset(hosts), frozenset(origins), token))
+    try:
+        yield bridge
+    finally:
+        await bridge.aclose()
+
+
+def _path(asked: HTTPConnection) -> str:
+    """The path below the one that the bridge is mounted at."""
+    path: str = asked.scope["path"]
+    return path.removeprefix(asked.scope.get("root_path", "")) or "/"
+
+
+def _text(status: int, text: str) -> Response:
+    return Response(f"{text}\n", status, media_type="text/plain")
+
+
+@cache
+def _file(name: str) -> bytes:
+    return resources.files("turtleact.web").joinpath(name).read_bytes()

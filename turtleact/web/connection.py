@@ -1,0 +1,342 @@
+"""One client's connection: a task that reads, a task that writes, and what the client has open.
+
+The rules stand in `turtleact.web.protocol`; here they are carried out on the node. The reader never
+waits for a writer: whatever is to be sent goes into a mailbox, and a client that takes nothing for
+`PATIENCE` is let go. So nobody is slowed by somebody else's slow line.
+
+Source: rosbridge v2; ASGI, "HTTP and WebSocket message format".
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Final, cast
+
+import anyio
+from anyio.abc import TaskGroup
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from turtleact.errors import TurtleactError
+from turtleact.interfaces import Message
+from turtleact.summaries import summary
+from turtleact.topics import Publisher
+from turtleact.transports import QoS
+from turtleact.web import operations
+from turtleact.web.feeds import Deliver, Feed
+from turtleact.web.frames import Frame, Rendering, reply
+from turtleact.web.hub import Hub
+from turtleact.web.mailbox import Mailbox, Throttle
+from turtleact.web.operations import CallService, Id
+from turtleact.web.protocol import Adjust, Do, Effect, Open, Protocol, Reader, Say, Shut, Writer
+from turtleact.web.serving import Serving
+from turtleact.web.spelling import absolute
+from turtleact.web.values import message_from
+
+__all__ = ["PATIENCE", "Connection"]
+
+logger = logging.getLogger("turtleact.web")
+
+PATIENCE: Final = 2.0
+"""A client that takes nothing for so long (s) is let go."""
+
+SLOWEST: Final = 2**16
+"""… and as much longer as this rate (bytes/s) takes for the frame before."""
+
+GOING_AWAY: Final = 1001
+TRY_AGAIN_LATER: Final = 1013
+
+
+class Connection:
+    """One client.
+
+    Args:
+        hub: What all connections share.
+        websocket: The connection, accepted.
+
+    Attributes:
+        mailbox: What waits to be sent.
+    """
+
+    def __init__(self, hub: Hub, websocket: WebSocket) -> None:
+        self.mailbox = Mailbox()
+        self._hub = hub
+        self._websocket = websocket
+        self._protocol = Protocol(hub.limits.opened)
+        self._serving = Serving(hub.node, self.keep)
+        self._readers: dict[str, tuple[Throttle, Feed, Deliver]] = {}
+        self._writers: dict[str, tuple[type[Message], Publisher[Message]]] = {}
+        self._filled = hub.tasks.signal()
+        self._calls = 0
+        self._last_size = 0
+        self._is_closing = False
+        self._group: TaskGroup | None = None
+
+    async def run(self) -> None:
+        """Serve the client until it goes, is let go, or is told to."""
+        try:
+            async with anyio.create_task_group() as group:
+                self._group = group
+                group.start_soon(self._write)
+                await self._read()
+                group.cancel_scope.cancel()
+        finally:
+            self._group = None
+            self._hub.goals.lose(self)
+            with anyio.CancelScope(shield=True):
+                await self._close_all()
+
+    def close(self) -> None:
+        """Send what must still arrive, then a close frame, and end."""
+        self._is_closing = True
+        self.mailbox.drop_all()
+        self._filled.fire()
+
+    def keep(self, frame: str) -> None:
+        """Send a frame that must arrive."""
+        self.mailbox.keep(frame)
+        if self.mailbox.is_overfull:
+            self.let_go("too much waits for it")
+        self._filled.fire()
+
+    def put(self, source: str, frame: Frame) -> None:
+        """Send a frame, unless newer ones of its source push it out."""
+        if self._is_closing:
+            return
+        self.mailbox.put(source, frame)
+        self._filled.fire()
+
+    def let_go(self, reason: str) -> None:
+        """End at once, without a word to a client that does not listen."""
+        if self._group is None or self._group.cancel_scope.cancel_called:
+            return
+        logger.warning(
+            "a web client was let go: %s (%d frames dropped before)", reason, self.mailbox.dropped
+        )
+        abort = self._websocket.scope.get("extensions", {}).get("turtleact.abort")
+        if abort is not None:
+            abort()
+        self._group.cancel_scope.cancel()
+
+    # writing
+
+    async def _write(self) -> None:
+        while True:
+            due = self._release(anyio.current_time())
+            frame = self.mailbox.take()
+            if frame is not None:
+                await self._send(frame)
+            elif self._is_closing:
+                break
+            else:
+                with anyio.CancelScope(deadline=due):
+                    await self._filled.wait()
+        with anyio.move_on_after(PATIENCE):
+            await self._websocket.close(GOING_AWAY, "the server is closing")
+        self._end()
+
+    async def _send(self, frame: Frame) -> None:
+        """Send a frame; end if the client is gone, or takes nothing."""
+        with anyio.move_on_after(PATIENCE + self._last_size / SLOWEST) as scope:
+            try:
+                if isinstance(frame, str):
+                    await self._websocket.send_text(frame)
+                else:
+                    await self._websocket.send_bytes(frame)
+            except WebSocketDisconnect:
+                self._end()
+        self._last_size = len(frame)
+        if scope.cancelled_caught:
+            self.let_go(f"it took nothing for {PATIENCE:g} s")
+
+    def _end(self) -> None:
+        if self._group is not None:
+            self._group.cancel_scope.cancel()
+
+    def _release(self, now: float) -> float:
+        """Send what has waited for its time; when the next one is due."""
+        due = math.inf
+        for throttle, _, _ in self._readers.values():
+            message = throttle.release(now)
+            if message is not None:
+                self.mailbox.put(
+                    throttle.topic, message.frame(throttle.compression, throttle.topic)
+                )
+            if throttle.due is not None:
+                due = min(due, throttle.due)
+        return due
+
+    # reading
+
+    async def _read(self) -> None:
+        while True:
+            said = await self._websocket.receive()
+            if said["type"] == "websocket.disconnect":
+                return
+            text = said.get("text")
+            frame = said["bytes"] if text is None else text
+            if len(frame) > self._hub.limits.message_size:
+                self._say(self._protocol.complain("too long a message"))
+            else:
+                for effect in self._protocol.receive(frame):
+                    await self._perform(effect)
+            await self._hub.tasks.checkpoint()
+
+    def _say(self, said: list[Effect]) -> None:
+        for effect in said:
+            self.keep(cast("Say", effect).frame)
+
+    async def _perform(self, effect: Effect) -> None:
+        """Carry out what the protocol wants; the client is told of its mistakes."""
+        match effect:
+            case Say(frame):
+                self.keep(frame)
+            case Open(what):
+                self._attempt(partial(self._open, what), what.id, forget=_place_of(what))
+            case Adjust(key, delivery):
+                reader = self._readers.get(key)
+                if reader is not None:
+                    throttle = reader[0]
+                    throttle.adjust(delivery.interval, delivery.queue_length, delivery.compression)
+            case Shut(kind, key):
+                await self._shut(kind, key)
+            case Do(operation):
+                self._attempt(partial(self._do, operation), operation.id)
+
+    def _attempt(
+        self, action: Callable[[], None], id: Id, *, forget: tuple[str, str] | None = None
+    ) -> None:
+        try:
+            action()
+        except TurtleactError as error:
+            if forget is not None:
+                self._protocol.forget(*forget)
+            self._complain(str(error), id)
+
+    def _complain(self, problem: str, id: Id, *, level: str = "error") -> None:
+        self._say(self._protocol.complain(problem, id, level=level))
+
+    # what is opened
+
+    def _open(
+        self, what: Reader | Writer | operations.AdvertiseService | operations.AdvertiseAction
+    ) -> None:
+        match what:
+            case Reader():
+                self._subscribe(what)
+            case Writer():
+                topic = absolute(what.key)
+                message_type = self._hub.directory.topic_class(topic, what.type)
+                qos = QoS(
+                    depth=what.depth,
+                    durability="transient_local" if what.is_latched else "volatile",
+                )
+                publisher = self._hub.node.publisher(message_type, topic, qos)
+                self._writers[what.key] = (message_type, publisher)
+            case operations.AdvertiseService():
+                self._serving.serve_service(what)
+            case operations.AdvertiseAction():
+                self._serving.serve_action(what)
+
+    def _subscribe(self, what: Reader) -> None:
+        topic = absolute(what.key)
+        message_type = self._hub.directory.topic_class(topic, what.type)
+        throttle = Throttle(what.key)
+        wanted = what.delivery
+        throttle.adjust(wanted.interval, wanted.queue_length, wanted.compression)
+        deliver = partial(self._deliver, throttle)
+        feed = self._hub.feeds.join(topic, message_type, deliver)
+        self._readers[what.key] = (throttle, feed, deliver)
+
+    def _deliver(self, throttle: Throttle, message: Rendering) -> None:
+        """Take a topic's message."""
+        due = throttle.due
+        ready = throttle.offer(message, anyio.current_time())
+        if ready is not None:
+            self.put(throttle.topic, ready.frame(throttle.compression, throttle.topic))
+        elif throttle.due != due:
+            self._filled.fire()
+
+    async def _shut(self, kind: str, key: str) -> None:
+        if kind == "reader" and key in self._readers:
+            _, feed, deliver = self._readers.pop(key)
+            await self._hub.feeds.leave(feed, deliver)
+            self.mailbox.forget(key)
+        elif kind == "writer" and key in self._writers:
+            await self._writers.pop(key)[1].aclose()
+        elif kind in ("service", "action"):
+            # Its goals wait for what the client says next, which is read meanwhile.
+            cast("TaskGroup", self._group).start_soon(self._serving.close, kind, key)
+
+    async def _close_all(self) -> None:
+        for key in list(self._readers):
+            await self._shut("reader", key)
+        for key in list(self._writers):
+            await self._shut("writer", key)
+        await self._serving.aclose()
+
+    # what is done
+
+    def _do(self, operation: object) -> None:
+        match operation:
+            case operations.Publish():
+                writer = self._writers.get(operation.topic)
+                if writer is not None:  # else the client was told why not
+                    writer[1].publish(message_from(writer[0], operation.msg, root="msg"))
+            case operations.CallService():
+                self._call(operation)
+            case operations.SendActionGoal():
+                self._hub.goals.send(operation, self)
+            case operations.CancelActionGoal():
+                problem = self._hub.goals.cancel(operation, self)
+                if problem:
+                    self._complain(problem, operation.id, level="warning")
+            case operations.ActionFeedback():
+                self._serving.take_feedback(operation)
+            case operations.ServiceResponse() | operations.ActionResult():
+                if not self._serving.answer(operation):
+                    problem = f"nothing was asked under the id '{operation.id}'"
+                    self._complain(problem, operation.id, level="warning")
+
+    def _call(self, said: CallService) -> None:
+        if self._calls >= self._hub.limits.calls:
+            problem = f"{self._calls} calls are under way: wait for some"
+            self.keep(_response(said, problem, is_result=False))
+        else:
+            self._calls += 1
+            cast("TaskGroup", self._group).start_soon(self._answer, said)
+
+    async def _answer(self, said: CallService) -> None:
+        """Call a service, and tell the client what came of it."""
+        try:
+            frame = _response(said, await self._hub.call(said), is_result=True)
+        except TurtleactError as error:
+            frame = _response(said, str(error), is_result=False)
+        except Exception as error:
+            logger.exception("a call of %s for a web client failed", said.service)
+            frame = _response(said, summary(error), is_result=False)
+        finally:
+            self._calls -= 1
+        self.keep(frame)
+
+
+def _response(said: CallService, values: object, *, is_result: bool) -> str:
+    members = {"service": said.service, "values": values, "result": is_result}
+    return reply("service_response", said.id, **members)
+
+
+def _place_of(
+    what: Reader | Writer | operations.AdvertiseService | operations.AdvertiseAction,
+) -> tuple[str, str]:
+    """Under which kind and key the protocol knows something that is to be opened."""
+    match what:
+        case Reader():
+            return "reader", what.key
+        case Writer():
+            return "writer", what.key
+        case operations.AdvertiseService():
+            return "service", what.service
+        case operations.AdvertiseAction():
+            return "action", what.action

@@ -1,0 +1,165 @@
+"""What waits to be sent to one client, and how much of it: pure, time comes in as ``now=``.
+
+- What a client has asked for is kept in order and never dropped: responses, results, goals. Who
+  lets too much of it pile up is beyond help (`Mailbox.is_overfull`).
+- Of a topic's messages and of feedback the newest are kept; `Mailbox.dropped` counts the others.
+
+Source: rosbridge v2, ``throttle_rate`` and ``queue_length`` of ``subscribe``.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import deque
+from typing import Final
+
+from turtleact.web.frames import Compression, Frame, Rendering
+
+__all__ = ["Mailbox", "Throttle"]
+
+MOST_OF_ONE: Final = 32
+"""So many frames of one topic or goal wait at most."""
+
+MOST_DROPPABLE: Final = 4 * 2**20
+"""So much that can be dropped waits at most (bytes); the newest frame does, whatever its size."""
+
+MOST_KEPT: Final = 1024
+"""So many frames that cannot be dropped wait at most."""
+
+MOST_KEPT_BYTES: Final = 32 * 2**20
+"""So much that cannot be dropped waits at most (bytes)."""
+
+
+class Mailbox:
+    """The frames that wait for one client.
+
+    Attributes:
+        dropped: How many frames were dropped for newer ones.
+    """
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        self._order = itertools.count()
+        self._kept: deque[tuple[int, Frame]] = deque()
+        self._kept_bytes = 0
+        self._droppable: dict[str, deque[tuple[int, Frame]]] = {}
+        self._droppable_bytes = 0
+
+    def __len__(self) -> int:
+        return len(self._kept) + sum(map(len, self._droppable.values()))
+
+    @property
+    def is_overfull(self) -> bool:
+        """Whether more waits than a client may leave lying that reads at all."""
+        return len(self._kept) > MOST_KEPT or self._kept_bytes > MOST_KEPT_BYTES
+
+    def keep(self, frame: Frame) -> None:
+        """Put in a frame that must arrive."""
+        self._kept.append((next(self._order), frame))
+        self._kept_bytes += len(frame)
+
+    def put(self, source: str, frame: Frame) -> None:
+        """Put in a frame that newer ones of its source, or of any, may push out."""
+        line = self._droppable.setdefault(source, deque())
+        line.append((next(self._order), frame))
+        self._droppable_bytes += len(frame)
+        if len(line) > MOST_OF_ONE:
+            self._drop(source)
+        while self._droppable_bytes > MOST_DROPPABLE and self._droppable_bytes > len(frame):
+            self._drop(self._oldest())
+
+    def take(self) -> Frame | None:
+        """The next frame, in the order of their coming; None if there is none."""
+        source = self._oldest() if self._droppable else None
+        if source is not None and not (
+            self._kept and self._kept[0][0] < self._droppable[source][0][0]
+        ):
+            return self._pop(source)
+        if not self._kept:
+            return None
+        _, frame = self._kept.popleft()
+        self._kept_bytes -= len(frame)
+        return frame
+
+    def forget(self, source: str) -> None:
+        """Drop what waits of a source that nobody wants any more; it is not counted."""
+        for _, frame in self._droppable.pop(source, ()):
+            self._droppable_bytes -= len(frame)
+
+    def drop_all(self) -> None:
+        """Leave only what must arrive."""
+        for source in list(self._droppable):
+            self.forget(source)
+
+    def _oldest(self) -> str:
+        return min(self._droppable, key=lambda source: self._droppable[source][0])
+
+    def _drop(self, source: str) -> None:
+        self._pop(source)
+        self.dropped += 1
+
+    def _pop(self, source: str) -> Frame:
+        line = self._droppable[source]
+        _, frame = line.popleft()
+        self._droppable_bytes -= len(frame)
+        if not line:
+            del self._droppable[source]
+        return frame
+
+
+class Throttle:
+    """How often a client wants a topic's messages, and which of those that come too early it gets.
+
+    Args:
+        topic: The topic, as the client spells it.
+
+    Attributes:
+        topic: Likewise.
+        interval: Least time between two messages (s).
+        queue_length: How many wait for their time, the newest; those that come too early are
+            dropped if it is 0.
+        compression: How the messages are written.
+        due: When the next one that waits may go; None if none does.
+    """
+
+    __slots__ = ("_last", "_waiting", "compression", "due", "interval", "queue_length", "topic")
+
+    def __init__(self, topic: str) -> None:
+        self.topic = topic
+        self.interval = 0.0
+        self.queue_length = 0
+        self.compression: Compression = "none"
+        self.due: float | None = None
+        self._last: float | None = None
+        self._waiting: deque[Rendering] = deque()
+
+    def adjust(self, interval: float, queue_length: int, compression: Compression) -> None:
+        """Take over other wishes; what waits goes on waiting, the newest ``queue_length`` of it."""
+        self.interval, self.queue_length, self.compression = interval, queue_length, compression
+        while len(self._waiting) > queue_length:
+            self._waiting.popleft()
+        self._reckon()
+
+    def offer(self, message: Rendering, now: float) -> Rendering | None:
+        """What may go now that this message has come."""
+        if not self._waiting and (self._last is None or now >= self._last + self.interval):
+            self._last = now
+            return message
+        if self.queue_length:
+            if len(self._waiting) == self.queue_length:
+                self._waiting.popleft()
+            self._waiting.append(message)
+            self._reckon()
+        return None
+
+    def release(self, now: float) -> Rendering | None:
+        """The message whose time has come, if there is one."""
+        if self.due is None or now < self.due:
+            return None
+        message = self._waiting.popleft()
+        self._last = now
+        self._reckon()
+        return message
+
+    def _reckon(self) -> None:
+        self.due = None if not self._waiting or self._last is None else self._last + self.interval

@@ -1,0 +1,240 @@
+"""What a client may say, as data: one class an operation of rosbridge v2.
+
+A frame is JSON text; unknown members are ignored, unknown operations are not. Pure.
+
+Source: ``ROSBRIDGE_PROTOCOL.md`` of rosbridge_suite, version 2; what its clients really send.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any, TypeAlias, cast
+
+import msgspec
+
+__all__ = [
+    "ActionFeedback",
+    "ActionResult",
+    "Advertise",
+    "AdvertiseAction",
+    "AdvertiseService",
+    "CallService",
+    "CancelActionGoal",
+    "Id",
+    "Malformed",
+    "Operation",
+    "Publish",
+    "SendActionGoal",
+    "ServiceResponse",
+    "SetLevel",
+    "Subscribe",
+    "Unadvertise",
+    "UnadvertiseAction",
+    "UnadvertiseService",
+    "Unsubscribe",
+    "parse",
+]
+
+Id: TypeAlias = str | int | float | None
+"""What a client calls what it says by; None where it does not."""
+
+Arguments: TypeAlias = dict[str, Any] | list[Any] | None
+
+
+class Base(msgspec.Struct, tag_field="op", frozen=True, kw_only=True):
+    """What every operation may have."""
+
+    id: Id = None
+
+
+class SetLevel(Base, tag="set_level", frozen=True, kw_only=True):
+    """From which severity on the client wants to hear ``status``."""
+
+    level: str | None = None
+
+
+class Advertise(Base, tag="advertise", frozen=True, kw_only=True):
+    """The client will publish to a topic."""
+
+    topic: str
+    type: str
+    latch: bool | None = False
+    queue_size: int | float | None = None
+
+
+class Unadvertise(Base, tag="unadvertise", frozen=True, kw_only=True):
+    """The client will not publish any more."""
+
+    topic: str
+
+
+class Publish(Base, tag="publish", frozen=True, kw_only=True):
+    """A message for a topic."""
+
+    topic: str
+    msg: dict[str, Any] | None = None
+    type: str | None = None
+    latch: bool | None = False
+
+
+class Subscribe(Base, tag="subscribe", frozen=True, kw_only=True):
+    """The client wants a topic's messages.
+
+    Attributes:
+        topic: Its name.
+        type: Its type; that of the graph if left out.
+        throttle_rate: Least time between two messages (ms).
+        queue_length: How many that come too early are kept; none if 0.
+        compression: ``none``, ``png``, ``cbor`` or ``cbor-raw``.
+    """
+
+    topic: str
+    type: str | None = None
+    throttle_rate: int | float | None = 0
+    queue_length: int | float | None = 0
+    compression: str | None = "none"
+
+
+class Unsubscribe(Base, tag="unsubscribe", frozen=True, kw_only=True):
+    """The client does not want them any more; without an id, by none of its subscriptions."""
+
+    topic: str
+
+
+class CallService(Base, tag="call_service", frozen=True, kw_only=True):
+    """A request; ``timeout`` is how long the client waits (s)."""
+
+    service: str
+    type: str | None = None
+    args: Arguments = None
+    timeout: int | float | None = None
+
+
+class AdvertiseService(Base, tag="advertise_service", frozen=True, kw_only=True):
+    """The client serves a service."""
+
+    service: str
+    type: str
+
+
+class UnadvertiseService(Base, tag="unadvertise_service", frozen=True, kw_only=True):
+    """The client serves it no more."""
+
+    service: str
+
+
+class ServiceResponse(Base, tag="service_response", frozen=True, kw_only=True):
+    """What the client answers to a ``call_service`` of ours."""
+
+    service: str | None = None
+    values: Arguments | str = None
+    result: bool = True
+
+
+class SendActionGoal(Base, tag="send_action_goal", frozen=True, kw_only=True):
+    """A goal."""
+
+    action: str
+    action_type: str
+    args: Arguments = None
+    feedback: bool | None = False
+
+
+class CancelActionGoal(Base, tag="cancel_action_goal", frozen=True, kw_only=True):
+    """A goal is not wanted any more; ``id`` is that of its ``send_action_goal``."""
+
+    action: str
+
+
+class AdvertiseAction(Base, tag="advertise_action", frozen=True, kw_only=True):
+    """The client serves an action."""
+
+    action: str
+    type: str
+
+
+class UnadvertiseAction(Base, tag="unadvertise_action", frozen=True, kw_only=True):
+    """The client serves it no more."""
+
+    action: str
+
+
+class ActionFeedback(Base, tag="action_feedback", frozen=True, kw_only=True):
+    """Feedback of a goal that the client serves."""
+
+    action: str | None = None
+    values: Arguments = None
+
+
+class ActionResult(Base, tag="action_result", frozen=True, kw_only=True):
+    """The end of a goal that the client serves; ``result`` is false if it has failed."""
+
+    action: str | None = None
+    values: Arguments | str = None
+    status: int | None = None
+    result: bool = True
+
+
+Operation: TypeAlias = (
+    SetLevel
+    | Advertise
+    | Unadvertise
+    | Publish
+    | Subscribe
+    | Unsubscribe
+    | CallService
+    | AdvertiseService
+    | UnadvertiseService
+    | ServiceResponse
+    | SendActionGoal
+    | CancelActionGoal
+    | AdvertiseAction
+    | UnadvertiseAction
+    | ActionFeedback
+    | ActionResult
+)
+
+DECODER: msgspec.json.Decoder[Operation] = msgspec.json.Decoder(Operation)
+
+
+class Malformed(msgspec.Struct, frozen=True):
+    """A frame that says nothing rosbridge knows.
+
+    Attributes:
+        problem: What is wrong with it.
+        id: The id that it has all the same.
+    """
+
+    problem: str
+    id: Id = None
+
+
+def parse(frame: str | bytes) -> Operation | Malformed:
+    """What a frame says, whatever was sent.
+
+    >>> parse('{"op": "unsubscribe", "topic": "/pose"}').topic
+    '/pose'
+    """
+    if isinstance(frame, bytes):
+        return Malformed("a binary frame: say it as JSON in a text frame")
+    try:
+        return DECODER.decode(frame)
+    except (ValueError, RecursionError) as error:
+        return _second_look(frame, error)
+
+
+def _second_look(frame: str, first: ValueError | RecursionError) -> Operation | Malformed:
+    """Reads what Python's own JSON writes and JSON knows not, NaN; else tells what is wrong."""
+    try:
+        members = json.loads(frame)
+    except (ValueError, RecursionError):
+        return Malformed(_problem(first))
+    name = members.get("id") if isinstance(members, dict) else None
+    try:
+        return cast("Operation", msgspec.convert(members, Operation))
+    except (ValueError, RecursionError) as error:
+        return Malformed(_problem(error), name if isinstance(name, str | int) else None)
+
+
+def _problem(error: ValueError | RecursionError) -> str:
+    return "nested too deep" if isinstance(error, RecursionError) else f"{error}"

@@ -1,0 +1,201 @@
+"""A node on a port: uvicorn around a bridge, for the length of a block.
+
+uvicorn runs on asyncio, and so does this, uvloop included; on trio a bridge can be mounted into
+whatever serves ASGI there.
+
+Source: uvicorn ``server.py`` and ``websockets_sansio_impl.py``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import socket
+from collections.abc import AsyncIterator, Collection, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from typing import Final, cast
+
+import anyio
+import msgspec
+import uvicorn
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+
+from turtleact.errors import InvalidOption, TurtleactError
+from turtleact.node import Node
+from turtleact.tasks import Background
+from turtleact.web.bridge import Bridge, open_bridge
+from turtleact.web.guard import is_loopback
+from turtleact.web.hub import Limits
+
+__all__ = ["PORT", "Web", "open_web"]
+
+PORT: Final = 9090
+"""rosbridge's own port."""
+
+LAST_ORDERS: Final = 2
+"""So long uvicorn waits for requests that are still under way when it ends (s)."""
+
+
+class Web(msgspec.Struct, frozen=True):
+    """A server that listens.
+
+    Attributes:
+        host: The address that it is bound to.
+        port: The port.
+        token: What clients must know; empty if nothing.
+        bridge: What it serves.
+    """
+
+    host: str
+    port: int
+    token: str
+    bridge: Bridge
+
+    @property
+    def url(self) -> str:
+        """The address of the page; the same with ``ws:`` is that of rosbridge."""
+        host = ANY.get(self.host, self.host)
+        place = f"[{host}]" if ":" in host else host
+        return f"http://{place}:{self.port}/{f'?token={self.token}' if self.token else ''}"
+
+
+ANY: Final = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104  # told, not bound
+"""What a browser here goes to where all addresses are bound."""
+
+
+@asynccontextmanager
+async def open_web(
+    node: Node,
+    host: str = "127.0.0.1",
+    port: int = PORT,
+    *,
+    token: str | None = None,
+    hosts: Collection[str] = (),
+    origins: Collection[str] = (),
+    limits: Limits | None = None,
+    cancel_on_disconnect: bool = False,
+) -> AsyncIterator[Web]:
+    """Serve a node on a port; it listens when the block begins.
+
+    At its end every client gets what must still arrive, and a close frame.
+
+    Args:
+        node: What is served.
+        host: The address or name to bind; other machines reach it unless it is a loopback one.
+        port: The port; any free one if 0.
+        token: What clients must know. If left out, nothing on a loopback address, and a token made
+            for this run elsewhere.
+        hosts: As for `open_bridge`; ``host`` is among them.
+        origins: As for `open_bridge`.
+        limits: As for `open_bridge`.
+        cancel_on_disconnect: As for `open_bridge`.
+
+    Raises:
+        InvalidOption: if the host or the port cannot be bound; if it is no loopback address and
+            the token is empty.
+        TurtleactError: if it does not run on asyncio.
+    """
+    if anyio.get_cancelled_exc_class() is not asyncio.CancelledError:
+        raise TurtleactError("the web server runs on asyncio alone: elsewhere mount an open_bridge")
+    limits = limits or Limits()
+    if token is None:
+        token = "" if is_loopback(host) else secrets.token_urlsafe(16)
+    if not token and not is_loopback(host):
+        raise InvalidOption("token", f"must not be empty where other machines come in ({host})")
+    with _bound(host, port) as listener:
+        async with open_bridge(
+            node,
+            hosts={host.lower(), *hosts},
+            origins=origins,
+            token=token,
+            limits=limits,
+            cancel_on_disconnect=cancel_on_disconnect,
+        ) as bridge:
+            address: tuple[str, int] = listener.getsockname()[:2]
+            async with _serving(bridge, listener, limits):
+                yield Web(address[0], address[1], token, bridge)
+
+
+@asynccontextmanager
+async def _serving(bridge: Bridge, listener: socket.socket, limits: Limits) -> AsyncIterator[None]:
+    config = uvicorn.Config(
+        bridge,
+        http="h11",
+        ws=_Socket,
+        lifespan="off",
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        ws_max_size=limits.message_size,
+        ws_per_message_deflate=False,
+        timeout_graceful_shutdown=LAST_ORDERS,
+    )
+    server = _Server(config)
+    running = Background(server.serve([listener]), "the web server")
+    try:
+        await server.ready.wait()
+        yield
+    finally:
+        with anyio.CancelScope(shield=True):
+            await bridge.aclose()
+            server.should_exit = True
+            await server.over.wait()
+            await running.aclose()
+
+
+class _Server(uvicorn.Server):
+    """uvicorn's, which says when it is ready and over, and leaves the signals to the program."""
+
+    def __init__(self, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self.ready = anyio.Event()
+        self.over = anyio.Event()
+
+    async def serve(self, sockets: list[socket.socket] | None = None) -> None:
+        """Serve until ``should_exit``."""
+        try:
+            await super().serve(sockets)
+        finally:
+            self.ready.set()
+            self.over.set()
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listen."""
+        await super().startup(sockets)
+        self.ready.set()
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Capture none."""
+        yield
+
+
+class _Socket(WebSocketsSansIOProtocol):
+    """uvicorn's, which lets the app cut the line to a client that does not read."""
+
+    async def run_asgi(self) -> None:
+        """Serve the connection."""
+        extensions = cast("dict[str, object]", self.scope["extensions"])
+        extensions["turtleact.abort"] = self.transport.abort
+        await super().run_asgi()
+
+
+@contextmanager
+def _bound(host: str, port: int) -> Iterator[socket.socket]:
+    """A socket that listens on a port.
+
+    Raises:
+        InvalidOption: if it cannot.
+    """
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        listener = socket.create_server((host, port), family=family, backlog=128)
+    except socket.gaierror as error:
+        raise InvalidOption("host", f"'{host}' is no address of this machine: {error}") from None
+    except OverflowError:
+        raise InvalidOption("port", f"{port} is no port: say 0 to 65535") from None
+    except OSError as error:
+        problem = f"{host}:{port} cannot be bound: {error.strerror}; 0 means any free port"
+        raise InvalidOption("port", problem) from None
+    with listener:
+        yield listener

@@ -1,0 +1,251 @@
+"""The services and actions that one client serves: requests go out, answers come back.
+
+To the graph the bridge serves them; each request and each goal is put to the client under an id,
+and waits until the client has answered, or has gone.
+
+Source: rosbridge_library ``capabilities/advertise_{service,action}.py``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Final, Protocol, cast
+
+import anyio
+
+from turtleact.body import ActionType
+from turtleact.errors import Abort, Canceled, ServiceError, TurtleactError
+from turtleact.goal import GoalStatus
+from turtleact.interfaces import Message
+from turtleact.node import Node
+from turtleact.server import ServerGoalHandle
+from turtleact.services import ServiceType
+from turtleact.tasks import Signal, current_tasks
+from turtleact.web.frames import request
+from turtleact.web.operations import (
+    ActionFeedback,
+    ActionResult,
+    AdvertiseAction,
+    AdvertiseService,
+    ServiceResponse,
+)
+from turtleact.web.spelling import absolute, action_class, service_class
+from turtleact.web.values import json_values, message_from
+
+__all__ = ["Serving"]
+
+CANCEL_WITHIN: Final = 30.0
+"""A client has so long to end a goal that it was asked to cancel (s)."""
+
+
+class Server(Protocol):
+    """What was opened on the node."""
+
+    async def aclose(self) -> None:
+        """Serve no more."""
+
+
+class Serving:
+    """What one client serves.
+
+    Args:
+        node: Where it is served.
+        keep: Sends the client a frame.
+    """
+
+    def __init__(self, node: Node, keep: Callable[[str], None]) -> None:
+        self._node = node
+        self._keep = keep
+        self._tasks = current_tasks()
+        self._servers: dict[tuple[str, str], Server] = {}
+        self._asked: dict[str, _Question] = {}
+        self._count = 0
+
+    def serve_service(self, said: AdvertiseService) -> None:
+        """Serve a service.
+
+        Raises:
+            InvalidName: if its name breaks ROS 2's rules.
+            UnknownInterface: if there is no such type.
+        """
+        service_type = cast("ServiceType[Message, Message]", service_class(said.type))
+        handle = partial(self._handle, said, service_type)
+        server = self._node.service(service_type, absolute(said.service), handle)
+        self._servers["service", said.service] = server
+
+    def serve_action(self, said: AdvertiseAction) -> None:
+        """Serve an action; raises as `serve_service` does."""
+        action_type = cast("ActionType[Message, Message, Message]", action_class(said.type))
+
+        async def execute(goal: Message, handle: ServerGoalHandle[Any, Any, Any]) -> Message:
+            return await self._execute(said, action_type, goal, handle)
+
+        server = self._node.action_server(action_type, absolute(said.action), execute)
+        self._servers["action", said.action] = server
+
+    def is_served(self, kind: str, name: str) -> bool:
+        """Whether the client serves that."""
+        return (kind, name) in self._servers
+
+    async def close(self, kind: str, name: str) -> None:
+        """Serve something no more: who waits for it is told, its goals end ABORTED."""
+        server = self._servers.pop((kind, name), None)
+        if server is not None:
+            for question in self._asked.values():
+                if question.about == (kind, name):
+                    question.lose()
+            await server.aclose()
+
+    def answer(self, said: ServiceResponse | ActionResult) -> bool:
+        """Take the client's answer; whether it was asked."""
+        question = self._asked.get(str(said.id))
+        if question is not None:
+            question.answer(said)
+        return question is not None
+
+    def take_feedback(self, said: ActionFeedback) -> None:
+        """Publish the client's feedback; that of a goal that has ended is too late, and dropped.
+
+        Raises:
+            TurtleactError: if it does not fit the action.
+        """
+        question = self._asked.get(str(said.id))
+        if question is not None:
+            question.take_feedback(said.values)
+
+    async def aclose(self) -> None:
+        """The client has gone: serve nothing more."""
+        for kind, name in list(self._servers):
+            await self.close(kind, name)
+
+    def _ask(self, kind: str, name: str, prefix: str) -> _Question:
+        self._count += 1
+        question = _Question(f"{prefix}:{name}:{self._count}", (kind, name), self._tasks.signal())
+        self._asked[question.id] = question
+        return question
+
+    async def _handle(
+        self,
+        said: AdvertiseService,
+        service_type: ServiceType[Message, Message],
+        message: Message,
+    ) -> Message:
+        """Have the client answer a request."""
+        name = said.service
+        question = self._ask("service", name, "service_request")
+        try:
+            values = json_values(message)
+            self._keep(request("call_service", id=question.id, service=name, args=values))
+            await question.wait()
+        finally:
+            del self._asked[question.id]
+        answer = question.said
+        if answer is None:
+            raise ServiceError(name, "its server has gone")
+        if not answer.result:
+            raise ServiceError(name, f"its server says: {answer.values}")
+        response = cast("type[Message]", service_type.Response)
+        return message_from(response, answer.values, root="response")
+
+    async def _execute(
+        self,
+        said: AdvertiseAction,
+        action_type: ActionType[Message, Message, Message],
+        goal: Message,
+        handle: ServerGoalHandle[Any, Any, Any],
+    ) -> Message:
+        """Have the client carry out a goal; the body of the action."""
+        name = said.action
+        question = self._ask("action", name, "action_goal")
+        feedback_type = cast("type[Message]", action_type.Feedback)
+        question.take_feedback = lambda values: handle.publish_feedback(
+            message_from(feedback_type, values, root="feedback")
+        )
+        members = {"id": question.id, "action": name}
+        result_type = cast("type[Message]", action_type.Result)
+        try:
+            self._keep(
+                request(
+                    "send_action_goal",
+                    **members,
+                    action_type=action_type.type_name,
+                    args=json_values(goal),
+                    feedback=True,
+                )
+            )
+            try:
+                await question.wait()
+            except self._tasks.cancelled:
+                self._keep(request("cancel_action_goal", **members))
+                with anyio.move_on_after(CANCEL_WITHIN, shield=True):
+                    await question.wait()
+                if question.said is None:
+                    raise
+        finally:
+            del self._asked[question.id]
+        try:
+            return _result(question.said, result_type)
+        except Canceled as verdict:
+            if handle.is_cancel_requested:
+                raise
+            raise Abort("the client canceled it unasked", verdict.result) from None
+
+
+class _Question:
+    """What was put to the client.
+
+    Attributes:
+        id: What it is called in frames.
+        about: Which service or action it is for.
+        said: The answer; None as long as there is none.
+        take_feedback: Takes the values of feedback, where there can be such.
+    """
+
+    def __init__(self, id: str, about: tuple[str, str], changed: Signal) -> None:
+        self.id = id
+        self.about = about
+        self.said: ServiceResponse | ActionResult | None = None
+        self.take_feedback: Callable[[object], None] = lambda _values: None
+        self._is_lost = False
+        self._changed = changed
+
+    def answer(self, said: ServiceResponse | ActionResult) -> None:
+        """Take the answer; the first one counts."""
+        if self.said is None:
+            self.said = said
+        self._changed.fire()
+
+    def lose(self) -> None:
+        """Note that there will be no answer."""
+        self._is_lost = True
+        self._changed.fire()
+
+    async def wait(self) -> None:
+        """Wait for the answer, or until there will be none. Cancelling: safe."""
+        while self.said is None and not self._is_lost:
+            await self._changed.wait()
+
+
+def _result(said: ServiceResponse | ActionResult | None, result_type: type[Message]) -> Message:
+    """What the client's answer is to a body: a result, or the verdict that it raises.
+
+    Raises:
+        Abort: if the client has gone, has failed, or says what does not fit.
+        Canceled: if the client has canceled the goal.
+    """
+    if said is None:
+        raise Abort("the client that serves it has gone")
+    if not isinstance(said, ActionResult):
+        raise Abort("the client answered a goal with a service_response")
+    status = said.status or GoalStatus.SUCCEEDED if said.result else GoalStatus.ABORTED
+    values = said.values if said.result else None
+    try:
+        result = message_from(result_type, values, root="result")
+    except TurtleactError as misfit:
+        raise Abort(f"the client's result does not fit: {misfit}") from None
+    if status == GoalStatus.SUCCEEDED:
+        return result
+    if status == GoalStatus.CANCELED:
+        raise Canceled(result)
+    raise Abort(str(said.values) if isinstance(said.values, str) else "", result)
