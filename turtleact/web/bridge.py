@@ -9,7 +9,7 @@ Source: ASGI 3.0; rosbridge v2.
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Collection
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from functools import cache
 from importlib import resources
 from typing import Final
@@ -19,7 +19,7 @@ import msgspec
 from starlette.requests import HTTPConnection
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocket
 
 from turtleact.errors import TurtleactError
 from turtleact.node import Node
@@ -129,9 +129,7 @@ class Bridge:
         connection = Connection(self._hub, websocket)
         self._connections.add(connection)
         try:
-            with suppress(WebSocketDisconnect):  # it may have gone by now
-                await websocket.accept()
-                await connection.run()
+            await connection.run()
         finally:
             self._connections.remove(connection)
             self._left.fire()

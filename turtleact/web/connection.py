@@ -54,7 +54,7 @@ class Connection:
 
     Args:
         hub: What all connections share.
-        websocket: The connection, accepted.
+        websocket: The connection, not accepted yet.
 
     Attributes:
         mailbox: What waits to be sent.
@@ -79,6 +79,7 @@ class Connection:
         try:
             async with anyio.create_task_group() as group:
                 self._group = group
+                await self._websocket.accept()
                 group.start_soon(self._write)
                 await self._read()
                 group.cancel_scope.cancel()

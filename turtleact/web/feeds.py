@@ -30,11 +30,17 @@ class Feed:
 
     Args:
         subscription: Its messages.
+        reader: The first of them; what has come already is delivered to it at once.
         now: The time (ns since the epoch).
+
+    Attributes:
+        readers: All of them.
     """
 
-    def __init__(self, subscription: Subscription[Message], now: Callable[[], int]) -> None:
-        self.readers: list[Deliver] = []
+    def __init__(
+        self, subscription: Subscription[Message], reader: Deliver, now: Callable[[], int]
+    ) -> None:
+        self.readers: list[Deliver] = [reader]
         self._subscription = subscription
         self._now = now
         self._reading = Background(self._read(), f"a reader of {subscription.topic}")
@@ -74,14 +80,15 @@ class Feeds:
         key = (topic, message_type)
         is_latched = self._directory.is_latched(topic)
         feed = None if is_latched else self._shared.get(key)
-        if feed is None:
-            qos = QoS(depth=DEPTH, durability="transient_local" if is_latched else "volatile")
-            subscription = self._node.subscription(message_type, topic, qos)
-            feed = Feed(subscription, self._node.clock.now)
-            self._opened.add(feed)
-            if not is_latched:
-                self._shared[key] = feed
-        feed.readers.append(deliver)
+        if feed is not None:
+            feed.readers.append(deliver)
+            return feed
+        qos = QoS(depth=DEPTH, durability="transient_local" if is_latched else "volatile")
+        subscription = self._node.subscription(message_type, topic, qos)
+        feed = Feed(subscription, deliver, self._node.clock.now)
+        self._opened.add(feed)
+        if not is_latched:
+            self._shared[key] = feed
         return feed
 
     async def leave(self, feed: Feed, deliver: Deliver) -> None:

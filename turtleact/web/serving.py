@@ -177,6 +177,8 @@ class Serving:
             try:
                 await question.wait()
             except self._tasks.cancelled:
+                if question.is_lost:
+                    raise
                 self._keep(request("cancel_action_goal", **members))
                 with anyio.move_on_after(CANCEL_WITHIN, shield=True):
                     await question.wait()
@@ -199,6 +201,7 @@ class _Question:
         id: What it is called in frames.
         about: Which service or action it is for.
         said: The answer; None as long as there is none.
+        is_lost: Whether there will be none.
         take_feedback: Takes the values of feedback, where there can be such.
     """
 
@@ -207,7 +210,7 @@ class _Question:
         self.about = about
         self.said: ServiceResponse | ActionResult | None = None
         self.take_feedback: Callable[[object], None] = lambda _values: None
-        self._is_lost = False
+        self.is_lost = False
         self._changed = changed
 
     def answer(self, said: ServiceResponse | ActionResult) -> None:
@@ -218,12 +221,12 @@ class _Question:
 
     def lose(self) -> None:
         """Note that there will be no answer."""
-        self._is_lost = True
+        self.is_lost = True
         self._changed.fire()
 
     async def wait(self) -> None:
         """Wait for the answer, or until there will be none. Cancelling: safe."""
-        while self.said is None and not self._is_lost:
+        while self.said is None and not self.is_lost:
             await self._changed.wait()
 
 

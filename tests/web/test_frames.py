@@ -1,0 +1,102 @@
+"""What the server says, as frames."""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+import zlib
+
+import cbor2
+import pytest
+
+from turtleact.interfaces import decode
+from turtleact.interfaces.standard import Point
+from turtleact.web.frames import Rendering, png, reply, request
+
+
+def read_png(picture: bytes) -> tuple[int, int, bytes]:
+    """Width, height and pixels of an RGB picture whose rows are not filtered."""
+    assert picture.startswith(b"\x89PNG\r\n\x1a\n")
+    at, found = 8, {}
+    while at < len(picture):
+        (length,) = struct.unpack_from(">I", picture, at)
+        kind, data = picture[at + 4 : at + 8], picture[at + 8 : at + 8 + length]
+        (checksum,) = struct.unpack_from(">I", picture, at + 8 + length)
+        assert checksum == zlib.crc32(kind + data)
+        found[kind] = data
+        at += 12 + length
+    width, height, depth, colour = struct.unpack_from(">IIBB", found[b"IHDR"])
+    assert (depth, colour) == (8, 2)
+    rows = zlib.decompress(found[b"IDAT"])
+    step = width * 3 + 1
+    assert len(rows) == height * step
+    assert set(rows[::step]) == {0}
+    return width, height, b"".join(rows[at + 1 : at + step] for at in range(0, len(rows), step))
+
+
+def test_a_frame_has_its_operation_first():
+    assert request("status", level="info") == '{"op":"status","level":"info"}'
+
+
+def test_a_reply_has_the_id_of_what_it_answers():
+    assert reply("status", "a:1", msg="") == '{"op":"status","msg":"","id":"a:1"}'
+
+
+def test_a_reply_to_what_had_no_id_has_none():
+    assert reply("status", None, msg="") == '{"op":"status","msg":""}'
+
+
+@pytest.mark.parametrize(
+    "text", ["{}", '{"a":"b"}', '{"word":"é€😀"}', '{"a":"' + "x" * 5000 + '"}']
+)
+def test_a_picture_holds_the_text(text):
+    frame = json.loads(png(text))
+    assert frame["op"] == "png"
+    _, _, pixels = read_png(base64.b64decode(frame["data"]))
+    assert json.loads(pixels.decode("latin-1")) == json.loads(text)
+
+
+def test_a_picture_is_padded_with_line_breaks():
+    width, height, pixels = read_png(base64.b64decode(json.loads(png('{"a":1}'))["data"]))
+    assert pixels == b'{"a":1}\n\n'
+    assert (width, height) == (1, 3)
+
+
+def test_a_topics_message_is_published_as_text():
+    frame = Rendering(Point(x=1.0), 0).frame("none", "/here")
+    assert frame == '{"op":"publish","topic":"/here","msg":{"x":1.0,"y":0.0,"z":0.0}}'
+
+
+def test_it_is_published_inside_a_picture():
+    frame = json.loads(Rendering(Point(x=1.0), 0).frame("png", "/here"))
+    _, _, pixels = read_png(base64.b64decode(frame["data"]))
+    assert json.loads(pixels) == {
+        "op": "publish",
+        "topic": "/here",
+        "msg": {"x": 1.0, "y": 0.0, "z": 0.0},
+    }
+
+
+def test_it_is_published_as_cbor():
+    frame = Rendering(Point(x=1.0), 0).frame("cbor", "/here")
+    assert isinstance(frame, bytes)
+    assert cbor2.loads(frame) == {
+        "op": "publish",
+        "topic": "/here",
+        "msg": {"x": 1.0, "y": 0.0, "z": 0.0},
+    }
+
+
+def test_it_is_published_as_cdr_in_cbor():
+    frame = cbor2.loads(Rendering(Point(x=1.0), 3_000_000_004).frame("cbor-raw", "/here"))
+    assert (frame["op"], frame["topic"]) == ("publish", "/here")
+    assert (frame["msg"]["secs"], frame["msg"]["nsecs"]) == (3, 4)
+    assert frame["msg"]["bytes"][:4] == b"\x00\x01\x00\x00"
+    assert decode(Point, frame["msg"]["bytes"]) == Point(x=1.0)
+
+
+def test_a_frame_is_made_once_for_all():
+    rendering = Rendering(Point(), 0)
+    assert rendering.frame("none", "/a") is rendering.frame("none", "/a")
+    assert rendering.frame("none", "a") != rendering.frame("none", "/a")

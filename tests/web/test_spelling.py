@@ -1,0 +1,76 @@
+"""Names and types, in all spellings that clients use."""
+
+from __future__ import annotations
+
+import pytest
+
+from turtleact.errors import InvalidName, UnknownInterface
+from turtleact.interfaces import get_interface
+from turtleact.web.spelling import (
+    absolute,
+    action_class,
+    message_class,
+    service_class,
+    type_name,
+)
+
+
+@pytest.mark.parametrize(
+    "spelled",
+    ["turtlesim/Pose", "turtlesim/msg/Pose", "turtlesim::msg::dds_::Pose_", "turtlesim::Pose"],
+)
+def test_a_message_is_known_by_every_spelling_of_its_type(spelled):
+    assert message_class(spelled) is get_interface("turtlesim/msg/Pose")
+
+
+@pytest.mark.parametrize(
+    "spelled", ["example_interfaces/Fibonacci", "example_interfaces/action/Fibonacci"]
+)
+def test_an_action_is_known_by_every_spelling_of_its_type(spelled):
+    assert action_class(spelled) is get_interface("example_interfaces/action/Fibonacci")
+
+
+@pytest.mark.parametrize(
+    "spelled", ["std_srvs/SetBool", "std_srvs/srv/SetBool", "std_srvs::srv::dds_::SetBool_"]
+)
+def test_a_service_is_known_by_every_spelling_of_its_type(spelled):
+    assert service_class(spelled) is get_interface("std_srvs/srv/SetBool")
+
+
+def test_a_type_that_an_action_implies_is_known():
+    name = "example_interfaces/action/Fibonacci_SendGoal"
+    assert service_class(name) is get_interface(name)
+
+
+def test_what_has_no_known_form_stays_as_it_is():
+    assert type_name("a/b/c/d", "msg") == "a/b/c/d"
+
+
+def test_a_type_of_another_kind_is_unknown():
+    with pytest.raises(UnknownInterface, match="std_srvs/srv/SetBool"):
+        message_class("std_srvs/srv/SetBool")
+
+
+@pytest.mark.parametrize("spelled", ["", "/", "nope", "a/Nope", "../../etc/passwd", "a::", "é/É"])
+def test_a_type_that_does_not_exist_is_unknown(spelled):
+    with pytest.raises(UnknownInterface):
+        message_class(spelled)
+
+
+def test_a_type_too_long_to_be_a_files_name_is_unknown():
+    with pytest.raises(UnknownInterface, match="…"):
+        message_class(f"a/msg/{'A' * 5000}")
+
+
+def test_a_name_may_lack_its_slash():
+    assert absolute("turtle1/pose") == absolute("/turtle1/pose") == "/turtle1/pose"
+
+
+@pytest.mark.parametrize("name", ["", "a b", "/a//b", "~", "a" * 256])
+def test_a_name_that_breaks_the_rules_is_refused(name):
+    with pytest.raises(InvalidName):
+        absolute(name)
+
+
+def test_a_name_of_255_characters_is_one():
+    assert absolute("/" + "a" * 254) == "/" + "a" * 254

@@ -1,0 +1,63 @@
+"""Interfaces as rosapi describes them."""
+
+from __future__ import annotations
+
+from turtleact.interfaces import get_interface
+from turtleact.interfaces.standard import UUID, GoalStatusMessage, Twist
+from turtleact.web.typedefs import full_text, short_name, typedefs
+
+
+def test_a_message_is_described_with_the_messages_in_it():
+    assert typedefs(Twist) == [
+        {
+            "type": "geometry_msgs/Twist",
+            "fieldnames": ["linear", "angular"],
+            "fieldtypes": ["geometry_msgs/Vector3", "geometry_msgs/Vector3"],
+            "fieldarraylen": [-1, -1],
+            "examples": ["{}", "{}"],
+            "constnames": [],
+            "constvalues": [],
+        },
+        {
+            "type": "geometry_msgs/Vector3",
+            "fieldnames": ["x", "y", "z"],
+            "fieldtypes": ["float64", "float64", "float64"],
+            "fieldarraylen": [-1, -1, -1],
+            "examples": ["0.0", "0.0", "0.0"],
+            "constnames": [],
+            "constvalues": [],
+        },
+    ]
+
+
+def test_a_list_has_its_length_if_that_is_fixed():
+    (described,) = typedefs(UUID)
+    assert (described["fieldtypes"], described["fieldarraylen"]) == (["uint8"], [16])
+    (described,) = typedefs(get_interface("example_interfaces/action/Fibonacci").Result)
+    assert (described["fieldarraylen"], described["examples"]) == ([0], ["[]"])
+
+
+def test_constants_are_described():
+    described = typedefs(GoalStatusMessage)[0]
+    assert (
+        dict(zip(described["constnames"], described["constvalues"], strict=True))[
+            "STATUS_EXECUTING"
+        ]
+        == "2"
+    )
+
+
+def test_a_part_of_a_service_goes_by_its_own_name():
+    (described,) = typedefs(get_interface("turtlesim/srv/Spawn").Request)
+    assert described["type"] == "turtlesim/Spawn_Request"
+
+
+def test_the_full_text_holds_each_message_once():
+    text = full_text(Twist)
+    assert text.startswith("Vector3 linear\nVector3 angular\n" + "=" * 80)
+    assert text.count("\nMSG: geometry_msgs/Vector3\n") == 1
+    assert text.endswith("float64 x\nfloat64 y\nfloat64 z")
+
+
+def test_a_short_name_has_no_kind():
+    assert short_name("turtlesim/msg/Pose") == "turtlesim/Pose"

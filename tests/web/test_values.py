@@ -1,0 +1,216 @@
+"""Messages as JSON and CBOR say them, and back."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import struct
+
+import cbor2
+import msgspec
+import pytest
+
+from turtleact.errors import InvalidGoal, InvalidMessage
+from turtleact.interfaces import (
+    Message,
+    byte,
+    char,
+    float32,
+    float64,
+    int8,
+    int16,
+    int32,
+    int64,
+    string,
+    uint8,
+    uint16,
+    uint32,
+    uint64,
+)
+from turtleact.interfaces.standard import (
+    UUID,
+    GoalInfo,
+    Point,
+    Time,
+    Twist,
+    Vector3,
+)
+from turtleact.web.values import cbor_values, json_values, message_from
+
+
+class Everything(Message, type_name="lab_interfaces/msg/Everything"):
+    """One field of each sort that JSON or CBOR treats in its own way."""
+
+    from_: string = ""
+    pixels: list[uint8] = []
+    letters: list[char] = []
+    octets: list[byte] = []
+    ratios: list[float64] = []
+    ratio: float32 = 0.0
+    whole: int32 = 0
+    stamps: list[Time] = []
+    ids: list[UUID] = []
+    word: string = ""
+
+
+class Numbers(Message, type_name="lab_interfaces/msg/Numbers"):
+    """A list of each type of number that CBOR has a tag for."""
+
+    a: list[uint16] = []
+    b: list[uint32] = []
+    c: list[uint64] = []
+    d: list[byte] = []
+    e: list[int8] = []
+    f: list[int16] = []
+    g: list[int32] = []
+    h: list[int64] = []
+    i: list[float32] = []
+    j: list[float64] = []
+    k: list[uint8] = []
+
+
+def said(message: Message) -> object:
+    """What a client reads of the JSON of a message."""
+    return json.loads(msgspec.json.encode(json_values(message)))
+
+
+# out
+
+
+def test_a_plain_message_is_written_as_it_is():
+    twist = Twist(linear=Vector3(x=1.0))
+    assert json_values(twist) is twist
+
+
+def test_bytes_are_base64():
+    message = Everything(pixels=[0, 1, 255], letters=[65])
+    assert said(message) | {} == said(message)
+    assert said(message)["pixels"] == base64.b64encode(b"\x00\x01\xff").decode()
+    assert said(message)["letters"] == "QQ=="
+
+
+def test_bytes_given_as_bytes_are_base64_too():
+    assert said(Everything(pixels=b"\x00\x01"))["pixels"] == "AAE="
+
+
+def test_octets_are_numbers():
+    assert said(Everything(octets=[1, 255]))["octets"] == [1, 255]
+
+
+def test_a_field_goes_by_its_name_in_ros():
+    assert said(Everything(from_="here"))["from"] == "here"
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+def test_what_json_cannot_say_is_null(number):
+    assert said(Everything(ratio=number, ratios=[number]))["ratio"] is None
+    assert said(Everything(ratio=number, ratios=[1.0, number]))["ratios"] == [1.0, None]
+
+
+def test_messages_inside_messages_are_written():
+    message = Everything(stamps=[Time(1, 2)], ids=[UUID(bytes(range(16)))])
+    assert said(message)["stamps"] == [{"sec": 1, "nanosec": 2}]
+    assert said(message)["ids"] == [{"uuid": base64.b64encode(bytes(range(16))).decode()}]
+
+
+def test_cbor_tags_lists_of_numbers():
+    numbers = [1, 2, 127]
+    message = Numbers(**{name: list(numbers) for name in "abcdefghijk"})
+    values = cbor2.loads(cbor2.dumps(cbor_values(message)))
+    codes = {69: "H", 70: "I", 71: "Q", 72: "b", 77: "h", 78: "i", 79: "q", 85: "f", 86: "d"}
+    tags = {name: value.tag for name, value in values.items() if name != "k"}
+    assert list(tags.values()) == [69, 70, 71, 72, 72, 77, 78, 79, 85, 86]
+    for name, tag in tags.items():
+        assert struct.unpack(f"<3{codes[tag]}", values[name].value) == tuple(numbers)
+
+
+def test_cbor_has_bytes_for_uint8():
+    assert cbor_values(Numbers(k=[1, 2]))["k"] == b"\x01\x02"
+
+
+def test_cbor_has_maps_for_messages_and_keeps_nan():
+    values = cbor_values(Twist(linear=Vector3(x=math.nan)))
+    assert math.isnan(values["linear"]["x"])
+    assert values["angular"] == {"x": 0.0, "y": 0.0, "z": 0.0}
+
+
+# in
+
+
+def test_what_is_left_out_keeps_its_default():
+    assert message_from(Twist, {"linear": {"x": 1}}, root="msg") == Twist(linear=Vector3(x=1.0))
+
+
+def test_nothing_at_all_is_the_default_message():
+    assert message_from(Point, None, root="msg") == Point()
+
+
+def test_a_list_gives_the_fields_in_their_order():
+    assert message_from(Point, [1, 2], root="args") == Point(x=1.0, y=2.0)
+
+
+def test_a_list_that_is_too_long_is_refused():
+    with pytest.raises(InvalidMessage, match="args: 4 values for 3 fields"):
+        message_from(Point, [1, 2, 3, 4], root="args")
+
+
+def test_an_unknown_field_is_refused_with_its_path():
+    with pytest.raises(InvalidGoal, match=r"goal: unknown field 'xx', did you mean 'x'\?"):
+        message_from(Point, {"xx": 1}, root="goal")
+
+
+@pytest.mark.parametrize("given", [[0, 1, 255], "AAH/"])
+def test_bytes_are_taken_as_base64_and_as_numbers(given):
+    assert list(message_from(Everything, {"pixels": given}, root="msg").pixels) == [0, 1, 255]
+
+
+def test_a_goals_id_is_taken_as_base64():
+    given = {"goal_id": {"uuid": base64.b64encode(bytes(range(16))).decode()}}
+    assert message_from(GoalInfo, given, root="args").goal_id.uuid == bytes(range(16))
+
+
+@pytest.mark.parametrize("given", ["AAH", "A!H/", "AAH/ "])
+def test_text_that_is_no_base64_is_refused(given):
+    with pytest.raises(InvalidMessage, match=r"pixels.*expected base64 text or a list of numbers"):
+        message_from(Everything, {"pixels": given}, root="msg")
+
+
+def test_null_is_taken_for_nan():
+    message = message_from(Everything, {"ratio": None, "ratios": [1, None]}, root="msg")
+    assert math.isnan(message.ratio)
+    assert math.isnan(message.ratios[1])
+
+
+def test_null_is_not_taken_for_a_whole_number():
+    with pytest.raises(InvalidMessage, match=r"msg.whole: expected a whole number \(int32\)"):
+        message_from(Everything, {"whole": None}, root="msg")
+
+
+def test_a_time_is_taken_as_in_ros_1():
+    given = {"stamps": [{"secs": 1, "nsecs": 2}, {"sec": 3, "nanosec": 4}]}
+    assert message_from(Everything, given, root="msg").stamps == [Time(1, 2), Time(3, 4)]
+
+
+@pytest.mark.parametrize("given", [{"stamps": 3}, {"stamps": [3]}, {"ids": {"uuid": 1}}])
+def test_what_is_no_list_and_no_object_is_refused(given):
+    with pytest.raises(InvalidMessage, match="msg"):
+        message_from(Everything, given, root="msg")
+
+
+def test_what_was_written_is_read_again():
+    message = Everything(
+        from_="here",
+        pixels=[1, 2],
+        letters=[3],
+        octets=[4],
+        ratios=[0.5],
+        ratio=0.25,
+        whole=-1,
+        stamps=[Time(1, 2)],
+        ids=[UUID(bytes(range(16)))],
+        word="é",
+    )
+    again = message_from(Everything, said(message), root="msg")
+    assert said(again) == said(message)
+    assert again.stamps == message.stamps
