@@ -39,6 +39,7 @@ class Line:
     Attributes:
         closed: The close frame, or the refusal, once there is one.
         gate: While it is not set, the client takes nothing.
+        is_broken: Whether sending fails.
     """
 
     def __init__(self) -> None:
@@ -50,12 +51,15 @@ class Line:
         self.gate = anyio.Event()
         self.gate.set()
         self.aborted = False
+        self.is_broken = False
 
     async def receive(self) -> dict[str, Any]:
         return await self._inbox.receive()
 
     async def send(self, message: Any) -> None:
         await self.gate.wait()
+        if self.is_broken:
+            raise OSError("gone")
         if message["type"] == "websocket.send":
             text = message.get("text")
             self._outbox.send_nowait(message["bytes"] if text is None else text)
@@ -65,10 +69,10 @@ class Line:
     def abort(self) -> None:
         self.aborted = True
 
-    async def run(self, bridge: Bridge, scope: dict[str, Any]) -> None:
+    async def run(self, app: Any, scope: dict[str, Any]) -> None:
         scope["extensions"]["turtleact.abort"] = self.abort
         try:
-            await bridge(scope, self.receive, self.send)
+            await app(scope, self.receive, self.send)
         finally:
             self.over.set()
             self._outbox.close()
@@ -96,7 +100,7 @@ class Line:
         self.say("call_service", id="a call", service=service, **members)
         return await self.hear()
 
-    async def hears_nothing(self) -> bool:
+    async def hears_nothing(self) -> Any:
         """Whether nothing was sent before the answer to a question that is put now."""
         return (await self.call("/rosapi/get_ros_version"))["values"] == {
             "version": 2,
@@ -113,12 +117,12 @@ class Line:
 
 
 @asynccontextmanager
-async def line(bridge: Bridge, scope: dict[str, Any] | None = None) -> AsyncIterator[Line]:
+async def line(app: Any, scope: dict[str, Any] | None = None) -> AsyncIterator[Line]:
     """A connection for the length of a block."""
     connection = Line()
     try:
         async with anyio.create_task_group() as group:
-            group.start_soon(connection.run, bridge, scope or websocket_scope())
+            group.start_soon(connection.run, app, scope or websocket_scope())
             yield connection
             connection.gate.set()
             connection.hang_up()

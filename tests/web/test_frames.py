@@ -6,6 +6,7 @@ import base64
 import json
 import struct
 import zlib
+from typing import Any
 
 import cbor2
 import pytest
@@ -89,7 +90,8 @@ def test_it_is_published_as_cbor():
 
 
 def test_it_is_published_as_cdr_in_cbor():
-    frame = cbor2.loads(Rendering(Point(x=1.0), 3_000_000_004).frame("cbor-raw", "/here"))
+    raw: Any = Rendering(Point(x=1.0), 3_000_000_004).frame("cbor-raw", "/here")
+    frame = cbor2.loads(raw)
     assert (frame["op"], frame["topic"]) == ("publish", "/here")
     assert (frame["msg"]["secs"], frame["msg"]["nsecs"]) == (3, 4)
     assert frame["msg"]["bytes"][:4] == b"\x00\x01\x00\x00"

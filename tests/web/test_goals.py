@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import anyio
 import pytest
@@ -96,7 +97,7 @@ async def test_a_goal_that_is_aborted_has_a_result():
         assert of(await client.hear()) == ("action_result", {"counted": [7]}, 6, True)
 
 
-def reject(_goal: object) -> object:
+def reject(_goal: object) -> GoalResponse:
     raise Reject("not today")
 
 
@@ -131,7 +132,7 @@ async def test_a_rejection_without_a_reason_is_rosbridges_own(monkeypatch):
         assert (await client.hear())["values"] == "Action goal was rejected"
 
 
-def reject_plainly() -> object:
+def reject_plainly() -> GoalResponse:
     raise Reject
 
 
@@ -186,7 +187,7 @@ async def test_a_cancel_that_comes_before_the_acceptance_is_remembered():
     asked, answer = anyio.Event(), anyio.Event()
     gate = Gate()
 
-    async def decide(_goal: object) -> object:
+    async def decide(_goal: object) -> GoalResponse:
         asked.set()
         await answer.wait()
         return GoalResponse.ACCEPT
@@ -325,7 +326,7 @@ async def serve(client: Line) -> None:
 async def test_a_client_serves_an_action():
     async with bridged() as (node, bridge), line(bridge) as client:
         await serve(client)
-        seen = []
+        seen: list[Count.Feedback] = []
         sending = partial(
             node.action_client(Count, "count").send_goal, goal(6), feedback_callback=seen.append
         )
@@ -427,7 +428,7 @@ def test_a_client_that_does_not_cancel_is_waited_for_no_longer_than_half_a_minut
 
 async def test_the_goals_of_a_client_that_goes_are_aborted():
     async with bridged() as (node, bridge):
-        sent = Running(partial(node.action_client(Count, "count").send_goal, goal()))
+        sent: Running[Any] = Running(partial(node.action_client(Count, "count").send_goal, goal()))
         async with anyio.create_task_group() as group, line(bridge) as client:
             await serve(client)
             group.start_soon(sent.run)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -20,7 +21,7 @@ from turtleact.web.mailbox import (
 )
 
 
-def taken(mailbox: Mailbox) -> list[object]:
+def taken(mailbox: Mailbox) -> list[Any]:
     return list(iter(mailbox.take, None))
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import pytest
 
@@ -27,7 +29,7 @@ def frame(op: str, **members: object) -> str:
     return json.dumps({"op": op, **members})
 
 
-def told(effects: list[object]) -> list[dict[str, object]]:
+def told(effects: Sequence[object]) -> list[dict[str, Any]]:
     return [json.loads(effect.frame) for effect in effects if isinstance(effect, Say)]
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from turtleact.interfaces import get_interface
+from typing import Any
+
 from turtleact.interfaces.standard import UUID, GoalStatusMessage, Twist
+from turtleact.web.spelling import action_class, service_class
 from turtleact.web.typedefs import full_text, short_name, typedefs
 
 
@@ -33,12 +35,12 @@ def test_a_message_is_described_with_the_messages_in_it():
 def test_a_list_has_its_length_if_that_is_fixed():
     (described,) = typedefs(UUID)
     assert (described["fieldtypes"], described["fieldarraylen"]) == (["uint8"], [16])
-    (described,) = typedefs(get_interface("example_interfaces/action/Fibonacci").Result)
+    (described,) = typedefs(action_class("example_interfaces/Fibonacci").Result)
     assert (described["fieldarraylen"], described["examples"]) == ([0], ["[]"])
 
 
 def test_constants_are_described():
-    described = typedefs(GoalStatusMessage)[0]
+    described: Any = typedefs(GoalStatusMessage)[0]
     assert (
         dict(zip(described["constnames"], described["constvalues"], strict=True))[
             "STATUS_EXECUTING"
@@ -48,7 +50,7 @@ def test_constants_are_described():
 
 
 def test_a_part_of_a_service_goes_by_its_own_name():
-    (described,) = typedefs(get_interface("turtlesim/srv/Spawn").Request)
+    (described,) = typedefs(service_class("turtlesim/Spawn").Request)
     assert described["type"] == "turtlesim/Spawn_Request"
 
 

@@ -6,6 +6,7 @@ import base64
 import json
 import math
 import struct
+from typing import Any, cast
 
 import cbor2
 import msgspec
@@ -70,7 +71,7 @@ class Numbers(Message, type_name="lab_interfaces/msg/Numbers"):
     k: list[uint8] = []
 
 
-def said(message: Message) -> object:
+def said(message: Message) -> Any:
     """What a client reads of the JSON of a message."""
     return json.loads(msgspec.json.encode(json_values(message)))
 
@@ -85,13 +86,12 @@ def test_a_plain_message_is_written_as_it_is():
 
 def test_bytes_are_base64():
     message = Everything(pixels=[0, 1, 255], letters=[65])
-    assert said(message) | {} == said(message)
     assert said(message)["pixels"] == base64.b64encode(b"\x00\x01\xff").decode()
     assert said(message)["letters"] == "QQ=="
 
 
 def test_bytes_given_as_bytes_are_base64_too():
-    assert said(Everything(pixels=b"\x00\x01"))["pixels"] == "AAE="
+    assert said(Everything(pixels=cast("list[int]", b"\x00\x01")))["pixels"] == "AAE="
 
 
 def test_octets_are_numbers():
@@ -116,7 +116,8 @@ def test_messages_inside_messages_are_written():
 
 def test_cbor_tags_lists_of_numbers():
     numbers = [1, 2, 127]
-    message = Numbers(**{name: list(numbers) for name in "abcdefghijk"})
+    lists: dict[str, Any] = {name: list(numbers) for name in "abcdefghijk"}
+    message = Numbers(**lists)
     values = cbor2.loads(cbor2.dumps(cbor_values(message)))
     codes = {69: "H", 70: "I", 71: "Q", 72: "b", 77: "h", 78: "i", 79: "q", 85: "f", 86: "d"}
     tags = {name: value.tag for name, value in values.items() if name != "k"}
@@ -130,7 +131,7 @@ def test_cbor_has_bytes_for_uint8():
 
 
 def test_cbor_has_maps_for_messages_and_keeps_nan():
-    values = cbor_values(Twist(linear=Vector3(x=math.nan)))
+    values: Any = cbor_values(Twist(linear=Vector3(x=math.nan)))
     assert math.isnan(values["linear"]["x"])
     assert values["angular"] == {"x": 0.0, "y": 0.0, "z": 0.0}
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import Final, cast
 
@@ -79,9 +80,10 @@ class Connection:
         try:
             async with anyio.create_task_group() as group:
                 self._group = group
-                await self._websocket.accept()
-                group.start_soon(self._write)
-                await self._read()
+                with suppress(OSError, WebSocketDisconnect):  # it may have gone by now
+                    await self._websocket.accept()
+                    group.start_soon(self._write)
+                    await self._read()
                 group.cancel_scope.cancel()
         finally:
             self._group = None
@@ -134,7 +136,7 @@ class Connection:
             else:
                 with anyio.CancelScope(deadline=due):
                     await self._filled.wait()
-        with anyio.move_on_after(PATIENCE):
+        with anyio.move_on_after(PATIENCE), suppress(WebSocketDisconnect):
             await self._websocket.close(GOING_AWAY, "the server is closing")
         self._end()
 

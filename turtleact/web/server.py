@@ -9,6 +9,7 @@ Source: uvicorn ``server.py`` and ``websockets_sansio_impl.py``.
 from __future__ import annotations
 
 import asyncio
+import errno
 import secrets
 import socket
 from collections.abc import AsyncIterator, Collection, Iterator
@@ -61,6 +62,10 @@ class Web(msgspec.Struct, frozen=True):
 
 ANY: Final = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104  # told, not bound
 """What a browser here goes to where all addresses are bound."""
+
+
+PORT_ERRORS: Final = (errno.EADDRINUSE, errno.EACCES)
+"""With another port these would not have been."""
 
 
 @asynccontextmanager
@@ -125,6 +130,7 @@ async def _serving(bridge: Bridge, listener: socket.socket, limits: Limits) -> A
         lifespan="off",
         log_config=None,
         access_log=False,
+        proxy_headers=False,
         server_header=False,
         ws_max_size=limits.message_size,
         ws_per_message_deflate=False,
@@ -187,15 +193,15 @@ def _bound(host: str, port: int) -> Iterator[socket.socket]:
     Raises:
         InvalidOption: if it cannot.
     """
+    if not 0 <= port <= 65535:
+        raise InvalidOption("port", f"{port} is no port: say 0 to 65535")
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         listener = socket.create_server((host, port), family=family, backlog=128)
-    except socket.gaierror as error:
-        raise InvalidOption("host", f"'{host}' is no address of this machine: {error}") from None
-    except OverflowError:
-        raise InvalidOption("port", f"{port} is no port: say 0 to 65535") from None
-    except OSError as error:
-        problem = f"{host}:{port} cannot be bound: {error.strerror}; 0 means any free port"
-        raise InvalidOption("port", problem) from None
+    except (OSError, UnicodeError) as error:
+        is_port = isinstance(error, OSError) and error.errno in PORT_ERRORS
+        problem = f"{host}:{port} cannot be bound: {error}"
+        hint = "; choose another, or 0 for any free one" if is_port else ""
+        raise InvalidOption("port" if is_port else "host", problem + hint) from None
     with listener:
         yield listener

@@ -1,0 +1,224 @@
+"""A node on a port; uvicorn runs on asyncio alone, and so do these tests, uvloop included."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+import socket
+import sys
+
+import anyio
+import pytest
+import websockets
+from websockets.asyncio.client import connect
+from websockets.exceptions import InvalidStatus
+
+import turtleact
+from turtleact.errors import InvalidOption, TurtleactError
+from turtleact.interfaces import Message, string
+from turtleact.web import Limits, open_web
+from turtleact.web.server import Web
+
+from ..lab import ON_ASYNCIO, ON_TRIO, other_tasks
+
+
+class Text(Message, type_name="lab_interfaces/msg/Text"):
+    data: string = ""
+
+
+def address(web: Web) -> str:
+    return web.url.replace("http:", "ws:")
+
+
+async def ask(client: websockets.ClientConnection, service: str) -> object:
+    await client.send(json.dumps({"op": "call_service", "service": service}))
+    return json.loads(await client.recv())["values"]
+
+
+@ON_ASYNCIO
+async def test_a_node_is_served_once_the_block_begins():
+    async with turtleact.open_node("lab") as node, open_web(node, port=0) as web:
+        assert web.url == f"http://127.0.0.1:{web.port}/"
+        async with connect(address(web)) as client:
+            assert await ask(client, "/rosapi/nodes") == {"nodes": ["/lab"]}
+
+
+@ON_ASYNCIO
+async def test_nothing_is_left_behind():
+    before = other_tasks()
+    async with turtleact.open_node("lab") as node:
+        async with open_web(node, port=0) as web, connect(address(web)) as client:
+            await ask(client, "/rosapi/nodes")
+        assert other_tasks() == before
+        with socket.create_server((web.host, web.port)):
+            pass
+
+
+@ON_ASYNCIO
+async def test_a_busy_port_is_one_clear_error():
+    with socket.create_server(("127.0.0.1", 0)) as busy:
+        port = busy.getsockname()[1]
+        async with turtleact.open_node("lab") as node:
+            with pytest.raises(
+                InvalidOption, match=f"option 'port': 127.0.0.1:{port} cannot be bound: .*in use"
+            ):
+                async with open_web(node, port=port):
+                    pass
+
+
+@ON_ASYNCIO
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        ({"port": 70_000}, "option 'port': 70000 is no port: say 0 to 65535"),
+        (
+            {"host": "a..b", "token": "x"},
+            "option 'host': a..b:9090 cannot be bound",
+        ),
+        (
+            {"host": "192.0.2.1", "token": "x", "port": 0},
+            "option 'host': 192.0.2.1:0 cannot be bound",
+        ),
+        (
+            {"host": "0.0.0.0", "token": ""},
+            "option 'token': must not be empty where other machines",
+        ),
+    ],
+)
+async def test_what_cannot_be_bound_is_one_clear_error(options, problem):
+    async with turtleact.open_node("lab") as node:
+        with pytest.raises(InvalidOption, match=problem):
+            async with open_web(node, **options):
+                pass
+
+
+@ON_TRIO
+async def test_on_trio_there_is_no_server():
+    async with turtleact.open_node("lab") as node:
+        with pytest.raises(TurtleactError, match="the web server runs on asyncio alone"):
+            async with open_web(node, port=0):
+                pass
+
+
+@ON_ASYNCIO
+async def test_other_machines_need_a_token():
+    async with turtleact.open_node("lab") as node, open_web(node, "0.0.0.0", 0) as web:
+        assert len(web.token) > 20
+        assert web.url == f"http://127.0.0.1:{web.port}/?token={web.token}"
+        with pytest.raises(InvalidStatus, match="403"):
+            await connect(f"ws://127.0.0.1:{web.port}/")
+        async with connect(address(web)) as client:
+            assert await ask(client, "/rosapi/nodes") == {"nodes": ["/lab"]}
+
+
+@ON_ASYNCIO
+async def test_the_address_of_an_ipv6_host_is_in_brackets():
+    if not socket.has_ipv6:
+        pytest.skip("there is no IPv6 here")
+    async with turtleact.open_node("lab") as node:
+        try:
+            async with open_web(node, "::1", 0) as web, connect(address(web)) as client:
+                assert web.url == f"http://[::1]:{web.port}/"
+                assert await ask(client, "/rosapi/nodes") == {"nodes": ["/lab"]}
+        except InvalidOption as error:
+            pytest.skip(f"there is no IPv6 here: {error}")
+
+
+@ON_ASYNCIO
+async def test_clients_get_a_close_frame_at_the_end():
+    async with turtleact.open_node("lab") as node:
+        async with open_web(node, port=0) as web:
+            client = await connect(address(web))
+            await ask(client, "/rosapi/nodes")
+        with pytest.raises(websockets.ConnectionClosed) as closed:
+            await client.recv()
+        assert closed.value.rcvd is not None
+        assert (closed.value.rcvd.code, closed.value.rcvd.reason) == (1001, "the server is closing")
+        await client.wait_closed()
+
+
+@ON_ASYNCIO
+async def test_a_canceled_server_is_closed_like_any_other():
+    async with turtleact.open_node("lab") as node:
+        begun, place = anyio.Event(), []
+
+        async def serve() -> None:
+            async with open_web(node, port=0) as web:
+                place.append((web.host, web.port))
+                begun.set()
+                await anyio.sleep_forever()
+
+        async with anyio.create_task_group() as group:
+            group.start_soon(serve)
+            await begun.wait()
+            group.cancel_scope.cancel()
+        with socket.create_server(place[0]):
+            pass
+
+
+@ON_ASYNCIO
+async def test_signals_are_left_to_the_program():
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    async with turtleact.open_node("lab") as node, open_web(node, port=0):
+        assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+
+
+@ON_ASYNCIO
+async def test_a_message_that_is_too_long_ends_its_connection():
+    limits = Limits(message_size=1000)
+    async with (
+        turtleact.open_node("lab") as node,
+        open_web(node, port=0, limits=limits) as web,
+        connect(address(web)) as client,
+    ):
+        await client.send("x" * 1001)
+        with pytest.raises(websockets.ConnectionClosed) as closed:
+            await client.recv()
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 1009
+
+
+@ON_ASYNCIO
+async def test_a_reader_that_never_reads_is_cut_off_and_slows_nobody(caplog, monkeypatch):
+    monkeypatch.setattr("turtleact.web.connection.PATIENCE", 0.05)
+    monkeypatch.setattr("turtleact.web.connection.SLOWEST", 2**30)
+    async with (
+        turtleact.open_node("lab") as node,
+        open_web(node, port=0) as web,
+        connect(address(web)) as reader,
+    ):
+        publisher = node.publisher(Text, "text")
+        with socket.create_connection((web.host, web.port)) as deaf:
+            deaf.setblocking(False)
+            await asyncio.get_running_loop().sock_sendall(deaf, HANDSHAKE)
+            answer = await asyncio.get_running_loop().sock_recv(deaf, 1000)
+            assert answer.startswith(b"HTTP/1.1 101 ")
+            deaf.sendall(masked(b'{"op":"subscribe","topic":"/text"}'))
+            await reader.send(json.dumps({"op": "subscribe", "topic": "/text"}))
+            await ask(reader, "/rosapi/nodes")
+            text = "x" * 200_000
+            while web.bridge.statistics().connections == 2:
+                publisher.publish(Text(data=text))
+                assert json.loads(await reader.recv())["msg"]["data"] == text
+        assert "a web client was let go: it took nothing for 0.05 s" in caplog.text
+
+
+HANDSHAKE = (
+    b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+)
+
+
+def masked(payload: bytes) -> bytes:
+    """A text frame as a client sends it, under a mask of zeros."""
+    assert len(payload) < 126
+    return bytes([0x81, 0x80 | len(payload), 0, 0, 0, 0]) + payload
+
+
+def test_a_missing_package_is_named_with_its_cure(monkeypatch):
+    for name in [name for name in sys.modules if name.startswith("turtleact.web")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "cbor2", None)
+    with pytest.raises(ModuleNotFoundError, match=r"needs cbor2: pip install 'turtleact\[web\]'"):
+        __import__("turtleact.web")
