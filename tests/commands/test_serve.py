@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -240,6 +241,15 @@ def test_the_world_is_served_with_its_actions(tmp_path):
         assert (status, out.endswith("status: SUCCEEDED\n")) == (0, True)
         status, out, _ = server.run("topic", "echo", "/turtle1/pose", "--once")
         assert (status, out.startswith("x: ")) == (0, True)
+
+
+def test_a_page_is_served_besides(lab):
+    with serving(lab, "servedlab", "--no-sim", "--web", "0") as server:
+        begin, _, url = server.ready.strip().rpartition(" ")
+        assert begin == "web page, and rosbridge, at"
+        with urllib.request.urlopen(url, timeout=PATIENCE) as page:
+            assert page.status == 200
+        assert server.end(signal.SIGTERM)[0] == 0
 
 
 def test_a_module_that_is_not_there_is_one_line(tmp_path):

@@ -43,6 +43,7 @@ USAGE = [
     (["serve", "--listen", "7447"], "--listen is an endpoint such as tcp/127.0.0.1:7447"),
     (["serve", "--speed", "max"], "--speed is a number above 0, 100 at most, not 'max'"),
     (["serve", "--speed", "0"], "--speed is a number above 0"),
+    (["serve", "--web", "localhost"], "the port of --web is a whole number, 0 to 65535"),
     (["serve", "--turtles", "0"], "--turtles is a whole number, 1 or more"),
     (["serve", "--seed", "-1"], "--seed is a whole number"),
     (["run", "turtlesim", "mimic"], "'turtlesim mimic' is not there: turtleact runs"),

@@ -50,6 +50,8 @@ class Service(NamedTuple):
         turtles: How many there are.
         seed: What its random choices begin with.
         config: Paths and values of Zenoh's configuration, such as those of its locks.
+        web: The host and port of the page and of rosbridge; None for neither.
+        token: What its clients must know; None means as `turtleact.web.open_web` says.
     """
 
     targets: tuple[str, ...]
@@ -61,6 +63,8 @@ class Service(NamedTuple):
     turtles: int
     seed: int
     config: dict[str, object]
+    web: tuple[str, int] | None
+    token: str | None
 
 
 def run(service: Service, interrupts: Interrupts) -> int:
@@ -85,6 +89,13 @@ async def _serve(
             node = await stack.enter_async_context(_open_node(service, graph, log))
             for each in declared:
                 node.serve(each)
+            if service.web is not None:
+                from turtleact.web import open_web
+
+                web = await stack.enter_async_context(
+                    open_web(node, *service.web, token=service.token)
+                )
+                log.say(f"web page, and rosbridge, at {web.url}")
             (transport, where), *_ = opened
             await transport.flush()
             await transport.explore()

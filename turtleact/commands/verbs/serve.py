@@ -39,6 +39,17 @@ _Listen = Annotated[
         help="Where others come in, such as tcp/0.0.0.0:7447; several with commas between.",
     ),
 ]
+_Web = Annotated[
+    str | None,
+    typer.Option(
+        "--web",
+        metavar="[HOST:]PORT",
+        help="A page to see it on, and rosbridge, such as 9090; needs turtleact[web].",
+    ),
+]
+_Token = Annotated[
+    str | None, typer.Option("--token", metavar="TEXT", help="What clients of --web must know.")
+]
 _Insecure = Annotated[
     bool, typer.Option("--insecure", help="Let in whoever can reach the endpoints of --listen.")
 ]
@@ -52,6 +63,7 @@ _EXAMPLES = """\b
 Examples:
   turtleact serve
   turtleact serve lab:patrol robot.arm --no-sim
+  turtleact serve --web 9090
   turtleact serve --listen tls/0.0.0.0:7447 --config serve.toml
 """
 
@@ -66,6 +78,8 @@ def serve(
     connect: Connect = None,
     domain: Domain = None,
     config: Config = None,
+    web: _Web = None,
+    token: _Token = None,
     insecure: _Insecure = False,
     no_sim: _NoSim = False,
     headless: _Headless = False,
@@ -78,6 +92,7 @@ def serve(
     del headless  # there is no other display yet
     where = reach(connect, domain, config)
     at = endpoints("--listen", listen)
+    page = None if web is None else _host_and_port(web)
     factor = _factor(speed)
     count, first = whole("--turtles", turtles, least=1), whole("--seed", seed)
 
@@ -104,6 +119,8 @@ def serve(
             count,
             first,
             locks.settings(),
+            page,
+            token,
         )
         return run(service, interrupts)
 
@@ -124,6 +141,12 @@ def run(
             "your own actions are for 'turtleact serve module:object'"
         )
     return serve(domain=domain)
+
+
+def _host_and_port(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    host = host.removeprefix("[").removesuffix("]")
+    return host or "127.0.0.1", whole("the port of --web", port, most=65535)
 
 
 def _factor(text: str) -> float:
