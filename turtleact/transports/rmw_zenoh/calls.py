@@ -44,6 +44,10 @@ __all__ = ["WireCaller", "WireService"]
 logger = logging.getLogger("turtleact.services")
 
 
+#: So long a call goes on without its server (s).
+LOST = 0.25
+
+
 class WireService:
     """The serving end of a service.
 
@@ -202,6 +206,13 @@ class WireCaller:
         for call in tuple(self._calls):
             call.end()
 
+    def doubt(self, server: str) -> None:
+        """A server has gone: give calls to it a moment to end, or to be answered by another."""
+        if server != self._endpoint.name:
+            return
+        for call in self._calls:
+            self._link.crew.run(call.end_soon(), f"a call of {self._endpoint.name}")
+
     async def _ask(self, payload: bytes) -> Reply:
         call = _Call(self._link, payload, self._counter.next())
         self._calls.add(call)
@@ -267,6 +278,8 @@ class WireCaller:
 
     def _servers_changed(self, is_matching: bool) -> None:
         self._is_matching = is_matching
+        if not is_matching:
+            self.doubt(self._endpoint.name)
         self._link.near.tell_change()
 
     # in the outbox
@@ -307,6 +320,12 @@ class _Call:
         """Wait until it is over."""
         while not self.is_over:
             await self._changed.wait()
+
+    async def end_soon(self) -> None:
+        """End it in a while: Zenoh may have lost it with its server, and never say so."""
+        with anyio.move_on_after(LOST):
+            await self.wait()
+        self.end()
 
     def end(self) -> None:
         """Nothing more comes."""

@@ -223,6 +223,10 @@ class ZenohTransport:
             for handler in self._near.handlers(token.endpoint.name):
                 if isinstance(handler, CallerAware):
                     handler.caller_lost(token.endpoint.gid)
+        if token.endpoint is not None and token.endpoint.kind == "service":
+            for each in tuple(self._link.opened):
+                if isinstance(each, WireCaller):
+                    each.doubt(token.endpoint.name)
         self._near.tell_change()
 
 
