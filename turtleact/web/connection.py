@@ -46,6 +46,9 @@ PATIENCE: Final = 2.0
 SLOWEST: Final = 2**16
 """… and as much longer as this rate (bytes/s) takes for the frame before."""
 
+GONE: Final = (OSError, WebSocketDisconnect, RuntimeError)
+"""What is raised by sending to a client that has gone: by some, that it was closed already."""
+
 GOING_AWAY: Final = 1001
 TRY_AGAIN_LATER: Final = 1013
 
@@ -80,8 +83,7 @@ class Connection:
         try:
             async with anyio.create_task_group() as group:
                 self._group = group
-                with suppress(OSError, WebSocketDisconnect):  # it may have gone by now
-                    await self._websocket.accept()
+                if await self._accept():
                     group.start_soon(self._write)
                     await self._read()
                 group.cancel_scope.cancel()
@@ -123,6 +125,14 @@ class Connection:
             abort()
         self._group.cancel_scope.cancel()
 
+    async def _accept(self) -> bool:
+        """Let the client in; False if it has gone by now."""
+        try:
+            await self._websocket.accept()
+        except GONE:
+            return False
+        return True
+
     # writing
 
     async def _write(self) -> None:
@@ -136,7 +146,7 @@ class Connection:
             else:
                 with anyio.CancelScope(deadline=due):
                     await self._filled.wait()
-        with anyio.move_on_after(PATIENCE), suppress(WebSocketDisconnect):
+        with anyio.move_on_after(PATIENCE), suppress(*GONE):
             await self._websocket.close(GOING_AWAY, "the server is closing")
         self._end()
 
@@ -148,7 +158,7 @@ class Connection:
                     await self._websocket.send_text(frame)
                 else:
                     await self._websocket.send_bytes(frame)
-            except WebSocketDisconnect:
+            except GONE:
                 self._end()
         self._last_size = len(frame)
         if scope.cancelled_caught:
