@@ -849,7 +849,7 @@ async def test_an_interrupted_process_ends(address):
 async def test_a_graph_out_of_reach_is_said_at_once(address):
     with pytest.raises(TurtleactError, match="no ROS 2 graph in reach: nobody at unixsock") as said:
         await open_zenoh([address], listen=[]).__aenter__()
-    assert "start a router there, or connect to another one" in str(said.value)
+    assert str(said.value).endswith("; is a router running there?")
 
 
 @pytest.mark.parametrize("mode", ["peer", "client"])
