@@ -441,6 +441,32 @@ async def test_a_service_can_be_withdrawn():
         assert kinds(node, "/add") == []
 
 
+async def test_a_service_that_is_advertised_again_is_served_anew():
+    async with bridged() as (node, bridge), line(bridge) as client:
+        for _ in range(2):
+            client.say("advertise_service", type="lab_interfaces/Add", service="/add")
+        assert await client.hears_nothing()
+        await settle()
+        assert kinds(node, "/add") == ["service"]
+        async with running(lambda: node.service_client(Add, "add").call(Add.Request())) as call:
+            asked = await client.hear()
+            client.say("service_response", id=asked["id"], values={"sum": 3}, result=True)
+        assert call.value == Add.Response(sum=3)
+
+
+async def test_a_service_that_is_withdrawn_leaves_the_others_alone(caplog):
+    async with bridged() as (node, bridge), line(bridge) as client:
+        for name in ("/add", "/sub"):
+            client.say("advertise_service", type="lab_interfaces/Add", service=name)
+        assert await client.hears_nothing()
+        async with running(lambda: node.service_client(Add, "sub").call(Add.Request())) as call:
+            asked = await client.hear()
+            client.say("unadvertise_service", service="/add")
+            assert await client.hears_nothing()
+            client.say("service_response", id=asked["id"], values={"sum": 3}, result=True)
+        assert call.value == Add.Response(sum=3)
+
+
 async def test_a_canceled_call_is_forgotten():
     async with bridged() as (node, bridge), line(bridge) as client:
         client.say("advertise_service", type="lab_interfaces/Add", service="/add")
@@ -619,6 +645,8 @@ async def test_a_bridge_that_closes_sends_what_must_arrive_and_a_close_frame():
         await settle()
         async with anyio.create_task_group() as group:
             group.start_soon(bridge.aclose)
+            await settle()
+            publisher.publish(Point())
             await settle()
             client.gate.set()
         heard = [await client.hear() for _ in range(2)]

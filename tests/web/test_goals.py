@@ -266,6 +266,24 @@ async def test_a_goal_goes_on_when_its_client_goes_and_can_be_canceled_by_anothe
         assert bridge.statistics().goals == 0
 
 
+async def test_a_client_that_has_gone_is_not_told_of_a_rejection():
+    asked, answer = anyio.Event(), anyio.Event()
+
+    async def decide(_goal: object) -> GoalResponse:
+        asked.set()
+        await answer.wait()
+        return GoalResponse.REJECT
+
+    async with bridged() as (node, bridge):
+        node.action_server(Count, "count", count, goal_callback=decide)
+        async with line(bridge) as client:
+            send(client)
+            await asked.wait()
+        answer.set()
+        await settle()
+        assert bridge.statistics().goals == 0
+
+
 async def test_a_client_can_take_its_goals_along():
     gate = Gate()
     async with bridged(cancel_on_disconnect=True) as (node, bridge):

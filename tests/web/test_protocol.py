@@ -235,6 +235,7 @@ def test_what_could_not_be_opened_can_be_tried_again(protocol):
     opened = protocol.receive(said)
     protocol.forget("reader", "a")
     protocol.forget("reader", "a")
+    protocol.forget("service", "never there")
     assert protocol.receive(said) == opened
 
 

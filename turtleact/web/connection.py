@@ -165,8 +165,7 @@ class Connection:
             self.let_go(f"it took nothing for {PATIENCE:g} s")
 
     def _end(self) -> None:
-        if self._group is not None:
-            self._group.cancel_scope.cancel()
+        cast("TaskGroup", self._group).cancel_scope.cancel()
 
     def _release(self, now: float) -> float:
         """Send what has waited for its time; when the next one is due."""
@@ -209,10 +208,8 @@ class Connection:
             case Open(what):
                 self._attempt(partial(self._open, what), what.id, forget=_place_of(what))
             case Adjust(key, delivery):
-                reader = self._readers.get(key)
-                if reader is not None:
-                    throttle = reader[0]
-                    throttle.adjust(delivery.interval, delivery.queue_length, delivery.compression)
+                throttle = self._readers[key][0]
+                throttle.adjust(delivery.interval, delivery.queue_length, delivery.compression)
             case Shut(kind, key):
                 await self._shut(kind, key)
             case Do(operation):
@@ -273,15 +270,16 @@ class Connection:
             self._filled.fire()
 
     async def _shut(self, kind: str, key: str) -> None:
-        if kind == "reader" and key in self._readers:
+        if kind == "reader":
             _, feed, deliver = self._readers.pop(key)
             await self._hub.feeds.leave(feed, deliver)
             self.mailbox.forget(key)
-        elif kind == "writer" and key in self._writers:
+        elif kind == "writer":
             await self._writers.pop(key)[1].aclose()
-        elif kind in ("service", "action"):
+        else:
             # Its goals wait for what the client says next, which is read meanwhile.
-            cast("TaskGroup", self._group).start_soon(self._serving.close, kind, key)
+            server = self._serving.withdraw(kind, key)
+            cast("TaskGroup", self._group).start_soon(server.aclose)
 
     async def _close_all(self) -> None:
         for key in list(self._readers):

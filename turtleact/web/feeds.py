@@ -69,7 +69,6 @@ class Feeds:
         self._node = node
         self._directory = directory
         self._shared: dict[tuple[str, type[Message]], Feed] = {}
-        self._opened: set[Feed] = set()
 
     def join(self, topic: str, message_type: type[Message], deliver: Deliver) -> Feed:
         """Have a topic's messages delivered; what the publishers keep of a latched one, too.
@@ -86,7 +85,6 @@ class Feeds:
         qos = QoS(depth=DEPTH, durability="transient_local" if is_latched else "volatile")
         subscription = self._node.subscription(message_type, topic, qos)
         feed = Feed(subscription, deliver, self._node.clock.now)
-        self._opened.add(feed)
         if not is_latched:
             self._shared[key] = feed
         return feed
@@ -95,13 +93,5 @@ class Feeds:
         """Deliver no more; the last one closes the feed."""
         feed.readers.remove(deliver)
         if not feed.readers:
-            self._opened.discard(feed)
             self._shared = {key: each for key, each in self._shared.items() if each is not feed}
-            await feed.aclose()
-
-    async def aclose(self) -> None:
-        """Leave all topics."""
-        opened, self._opened = self._opened, set()
-        self._shared.clear()
-        for feed in opened:
             await feed.aclose()

@@ -78,5 +78,4 @@ class Hub:
     async def aclose(self) -> None:
         """Close all that was opened."""
         await self.goals.aclose()
-        await self.feeds.aclose()
         await self._clients.aclose()

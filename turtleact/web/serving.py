@@ -84,18 +84,12 @@ class Serving:
         server = self._node.action_server(action_type, absolute(said.action), execute)
         self._servers["action", said.action] = server
 
-    def is_served(self, kind: str, name: str) -> bool:
-        """Whether the client serves that."""
-        return (kind, name) in self._servers
-
-    async def close(self, kind: str, name: str) -> None:
-        """Serve something no more: who waits for it is told, its goals end ABORTED."""
-        server = self._servers.pop((kind, name), None)
-        if server is not None:
-            for question in self._asked.values():
-                if question.about == (kind, name):
-                    question.lose()
-            await server.aclose()
+    def withdraw(self, kind: str, name: str) -> Server:
+        """Serve something no more: closing what is given tells all who wait for it."""
+        for question in self._asked.values():
+            if question.about == (kind, name):
+                question.lose()
+        return self._servers.pop((kind, name))
 
     def answer(self, said: ServiceResponse | ActionResult) -> bool:
         """Take the client's answer; whether it was asked."""
@@ -117,7 +111,7 @@ class Serving:
     async def aclose(self) -> None:
         """The client has gone: serve nothing more."""
         for kind, name in list(self._servers):
-            await self.close(kind, name)
+            await self.withdraw(kind, name).aclose()
 
     def _ask(self, kind: str, name: str, prefix: str) -> _Question:
         self._count += 1
