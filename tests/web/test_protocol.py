@@ -350,6 +350,11 @@ MISTAKES = [
         "out of range",
         id="long-number",
     ),
+    pytest.param('{"op":"unsubscribe","topic":"\\ud800"}', "half a surrogate", id="half-topic"),
+    pytest.param('{"op":"\\udfff"}', "half a surrogate", id="half-op"),
+    pytest.param('{"op":"\\ud800"', "half a surrogate", id="half-cut"),
+    pytest.param('{"op":"\ud800"}', "half a surrogate", id="half-raw"),
+    pytest.param('{"op":"x","id":"\\ud83d\\ude00"}', "Invalid value 'x'", id="whole-pair"),
     pytest.param(b"\x00\xff", "a binary frame", id="binary"),
     pytest.param(
         '{"op":"subscribe","topic":"a","compression":"zip"}',

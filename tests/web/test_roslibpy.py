@@ -62,11 +62,9 @@ async def play_services(node: turtleact.Node) -> None:
         await multiply.call(AddTwoInts.Request(a=-1, b=1))
 
 
-async def run_client(port: int) -> tuple[dict[str, Any], str]:
+async def run_client(*command: str | Path) -> tuple[dict[str, Any], str]:
     """What the client has said, and what it has complained of."""
-    async with await anyio.open_process(
-        [sys.executable, CLIENT, f"{port}"], stdin=subprocess.DEVNULL
-    ) as process:
+    async with await anyio.open_process(command, stdin=subprocess.DEVNULL) as process:
         assert process.stdout is not None
         assert process.stderr is not None
         async with aclosing(TextReceiveStream(process.stdout)) as output:
@@ -109,6 +107,6 @@ async def test_roslibpy_does_all_that_it_can(caplog):
         async with anyio.create_task_group() as group:
             group.start_soon(play_topics, node)
             group.start_soon(play_services, node)
-            said, complaints = await run_client(web.port)
+            said, complaints = await run_client(sys.executable, CLIENT, f"{web.port}")
     assert said == SAID, complaints
     assert complaints == ""

@@ -8,6 +8,7 @@ Source: ``ROSBRIDGE_PROTOCOL.md`` of rosbridge_suite, version 2; what its client
 from __future__ import annotations
 
 import json
+import re
 from typing import Any, TypeAlias, cast
 
 import msgspec
@@ -194,6 +195,9 @@ Operation: TypeAlias = (
     | ActionResult
 )
 
+half_pattern = re.compile(r"[\ud800-\udfff]|\\u[dD][89a-fA-F]")
+"""What may be half a surrogate pair, as it stands or escaped."""
+
 DECODER: msgspec.json.Decoder[Operation] = msgspec.json.Decoder(Operation)
 
 
@@ -217,10 +221,21 @@ def parse(frame: str | bytes) -> Operation | Malformed:
     """
     if isinstance(frame, bytes):
         return Malformed("a binary frame: say it as JSON in a text frame")
+    if half_pattern.search(frame) and not _is_sound(frame):
+        return Malformed("half a surrogate pair, which cannot be sent")
     try:
         return DECODER.decode(frame)
     except (ValueError, RecursionError) as error:
         return _second_look(frame, error)
+
+
+def _is_sound(frame: str) -> bool:
+    """Whether all text in a frame can be said again, in an answer or an error."""
+    try:
+        json.dumps(json.loads(frame), ensure_ascii=False).encode()
+    except (ValueError, RecursionError):
+        return False
+    return True
 
 
 def _second_look(frame: str, first: ValueError | RecursionError) -> Operation | Malformed:
