@@ -1,0 +1,193 @@
+"""How near do patrols come to the shortest time that is possible, and what do others make of it?
+
+Every patrol has a start, a heading and four targets of its own, drawn from its number. The turtle
+is sent through them by a goal to ``/patrol``, in virtual time, once in each style; eight turtles
+patrol side by side. The bound is that of the style (`turtleact.actions.steering.shortest_time`):
+nobody who keeps to the speeds can do it faster. A hit is a tick in which a wall stopped a turtle.
+
+The peer is what a student writes: turn and drive in proportion to the error, without wrapping any
+limits but those of the speeds. Its bound is that of ``arc``.
+
+Run with ``--patrols 10000`` for the figures in ``docs/actions.md``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import platform
+import random
+import statistics
+import time
+from collections.abc import Iterator
+from contextlib import AsyncExitStack, aclosing
+from pathlib import Path
+from typing import NamedTuple
+
+import anyio
+
+from turtleact.actions import serve_built_ins
+from turtleact.actions.patrol import Patrol
+from turtleact.actions.steering import Steering, shortest_time
+from turtleact.client import ActionClient
+from turtleact.clock import VirtualClock
+from turtleact.geometry import bearing, distance, shortest_turn
+from turtleact.interfaces.standard import Point
+from turtleact.node import Node, open_node
+from turtleact.sim.kinematics import DT, SIDE, Hits
+from turtleact.sim.turtlesim import Turtlesim
+from turtleact.sim.world import World
+from turtleact.tasks import Background
+from turtleact.transports import MemoryTransport
+
+STYLES = ("arc", "forward", "rotate_then_drive")
+TURTLES = 8
+LONGEST = 1.25
+README = [(9.0, 7.0), (5.0, 1.0), (1.0, 7.0), (2.0, 9.0)]
+
+Client = ActionClient[Patrol.Goal, Patrol.Result, Patrol.Feedback]
+
+
+class Course(NamedTuple):
+    """Where a patrol begins, and its targets."""
+
+    start: tuple[float, float, float]
+    targets: list[tuple[float, float]]
+
+
+class Run(NamedTuple):
+    """What came of a patrol."""
+
+    seconds: float
+    bound: float
+    reached: int
+
+
+class WatchedWorld(World):
+    """A world that counts how often a wall stops a turtle."""
+
+    hits = 0
+
+    def step(self) -> Hits:
+        hits = super().step()
+        self.hits += len(hits)
+        return hits
+
+
+def course(number: int) -> Course:
+    uniform = random.Random(number).uniform
+    start = (uniform(0.0, SIDE), uniform(0.0, SIDE), uniform(-math.pi, math.pi))
+    return Course(start, [(uniform(0.0, SIDE), uniform(0.0, SIDE)) for _ in range(4)])
+
+
+class Patrols:
+    """The patrols of one style, each driven by a goal."""
+
+    def __init__(self, style: str, courses: list[Course]) -> None:
+        self.style = style
+        self.runs: list[Run] = []
+        self.world = WatchedWorld(min(TURTLES, len(courses)))
+        self._left: Iterator[Course] = iter(courses)
+
+    async def run(self) -> None:
+        clock = VirtualClock()
+        transport = MemoryTransport(clock)
+        async with AsyncExitStack() as stack:
+            open_up = stack.enter_async_context
+            await open_up(aclosing(Background(clock.run(), "the clock")))
+            node = await open_up(open_node("sim", transport=transport))
+            await open_up(aclosing(Turtlesim(node, self.world)))
+            serve_built_ins(await open_up(open_node("actions", transport=transport)), side=SIDE)
+            async with anyio.create_task_group() as group:
+                for turtle in self.world.names:
+                    group.start_soon(self._patrol, node, turtle)
+
+    async def _patrol(self, node: Node, turtle: str) -> None:
+        client = node.action_client(Patrol, "/patrol")
+        for course in self._left:
+            self.world.teleport_absolute(turtle, *course.start)
+            await node.clock.sleep(2 * DT)
+            self.runs.append(await self._send(client, turtle, course))
+
+    async def _send(self, client: Client, turtle: str, course: Course) -> Run:
+        targets = [Point(x=x, y=y) for x, y in course.targets]
+        goal = Patrol.Goal(targets=targets, turtle=turtle, style=self.style)
+        result = await client.send_goal(goal)
+        return Run(result.duration, result.bound, result.reached)
+
+
+def proportional(courses: list[Course]) -> tuple[list[Run], int]:
+    """The peer, straight on the world: it needs no goal for it."""
+    world, runs = WatchedWorld(), []
+    for course in courses:
+        world.teleport_absolute("turtle1", *course.start)
+        world.step()
+        begun = world.time
+        reached = sum(pursue(world, target) for target in course.targets)
+        bound = shortest_time(course.start, course.targets, Steering())
+        runs.append(Run(world.time - begun, bound, reached))
+    return runs, world.hits
+
+
+def pursue(world: World, target: tuple[float, float]) -> bool:
+    deadline = world.time + 60.0
+    while world.time < deadline:
+        x, y, theta, *_ = world.pose("turtle1")
+        away = distance(x, y, *target)
+        if away <= 0.1:
+            return True
+        turn = shortest_turn(theta, bearing(x, y, *target))
+        world.set_velocity("turtle1", min(2.0, away), 0.0, max(-2.0, min(2.0, 4.0 * turn)))
+        world.step()
+    return False
+
+
+def row(name: str, runs: list[Run], hits: int, readme: Run, wall: float) -> str:
+    ratios = sorted(run.seconds / run.bound for run in runs)
+    reached = sum(run.reached for run in runs) / (4 * len(runs))
+    over = sum(ratio > LONGEST for ratio in ratios)
+    total = sum(run.seconds for run in runs)
+    spots = statistics.median(ratios), ratios[int(0.99 * len(ratios))], ratios[-1]
+    shares = " ".join(f"{spot:>7.3f}" for spot in spots)
+    return (
+        f"{name:>18} {reached:>8.2%} {hits:>5} {total / len(runs):>8.2f} {shares}"
+        f" {over:>7} {readme.seconds:>7.2f} {readme.bound:>7.2f} {total / wall:>7.0f}x"
+    )
+
+
+def machine() -> str:
+    path = Path("/proc/cpuinfo")
+    lines = path.read_text().splitlines() if path.exists() else []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    model = models[0] if models else platform.processor() or platform.machine()
+    load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
+    return f"{os.cpu_count()} cores, {model}, load {load}, Python {platform.python_version()}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--patrols", type=int, default=200, help="how many in each style")
+    count = parser.parse_args().patrols
+    courses = [course(number) for number in range(count)]
+    readme = [Course((SIDE / 2, SIDE / 2, 0.0), README)]
+    print(machine())
+    print(f"{count} patrols of 4 targets; time over the bound of the style:")
+    print(
+        f"{'':>18} {'reached':>8} {'hits':>5} {'mean s':>8} {'median':>7} {'p99':>7} {'worst':>7}"
+        f" {f'> {LONGEST}':>7} {'README':>7} {'bound':>7} {'speed':>8}"
+    )
+    for style in STYLES:
+        one, all_of_them = Patrols(style, readme), Patrols(style, courses)
+        anyio.run(one.run)
+        begun = time.perf_counter()
+        anyio.run(all_of_them.run)
+        wall = time.perf_counter() - begun
+        print(row(style, all_of_them.runs, all_of_them.world.hits, one.runs[0], wall), flush=True)
+    ((peer,), _), begun = proportional(readme), time.perf_counter()
+    runs, hits = proportional(courses)
+    print(row("in proportion", runs, hits, peer, time.perf_counter() - begun))
+
+
+if __name__ == "__main__":
+    main()
