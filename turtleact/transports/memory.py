@@ -294,7 +294,8 @@ class _Caller:
 
     @property
     def is_served(self) -> bool:
-        return isinstance(self._handler(), Replying)
+        handler = self._handler()
+        return handler is not None and isinstance(handler, Replying)
 
     async def call(self, request: object) -> Reply:
         name, handler = self.endpoint.name, self._handler()

@@ -63,12 +63,12 @@ class WireService:
         self._key = named.key
         self._name = named.endpoint.name
         self._format = format
-        self._handler = handler
+        self._replying = handler if isinstance(handler, Replying) else None
         self._is_open = True
         self._under_way: set[tuple[bytes, int]] = set()
         self._declared: Declared | None = None
         self._near: Closeable = link.near.serve(named.endpoint, format, handler)
-        if isinstance(handler, Replying):
+        if self._replying is not None:
             link.outbox.post(self._declare)
         self._presence = Presence(link, named.token)
         link.opened.add(self)
@@ -107,8 +107,8 @@ class WireService:
         error: TurtleactError = self._closed()
         response: tuple[bytes, str] | None = None
         try:
-            assert isinstance(self._handler, Replying)  # noqa: S101  # or nothing is declared
-            reply = await self._handler.reply(request, beside.gid)
+            assert self._replying is not None  # noqa: S101  # or nothing is declared
+            reply = await self._replying.reply(request, beside.gid)
             response = self._format.encode(reply.message), reply.note
         except TurtleactError as failure:
             error = failure
@@ -184,9 +184,8 @@ class WireCaller:
         if self._near.is_served or not self._is_open:
             return await self._near.call(request)
         payload = self._format.encode(request)
-        with anyio.move_on_after(GRACE):
-            while not self._is_matching and any(map(self._fits, self._servers())):
-                await self._link.near.wait_for_change()  # its token came before its route
+        if not self._is_matching:
+            await self._wait_for_route()
         if not self._is_matching or not self._link.is_open:
             raise self._unavailable(self._why_not_served())
         return await self._ask(payload)
@@ -212,6 +211,12 @@ class WireCaller:
             return
         for call in self._calls:
             self._link.crew.run(call.end_soon(), f"a call of {self._endpoint.name}")
+
+    async def _wait_for_route(self) -> None:
+        """Wait until a server whose token has come can be reached, `GRACE` seconds at most."""
+        with anyio.move_on_after(GRACE):
+            while not self._is_matching and any(map(self._fits, self._servers())):
+                await self._link.near.wait_for_change()
 
     async def _ask(self, payload: bytes) -> Reply:
         call = _Call(self._link, payload, self._counter.next())
@@ -369,7 +374,8 @@ class _Call:
             self._link.inbox.push(self._changed.fire)
 
     def _ended(self) -> None:
-        self._link.inbox.push(self.end)
+        if not self.is_over:  # else the loop has been told
+            self._link.inbox.push(self.end)
 
 
 def _said(error: TurtleactError) -> tuple[str, str]:
