@@ -139,7 +139,7 @@ def reject_plainly() -> GoalResponse:
 async def test_a_bug_in_following_a_goal_is_told_and_logged(monkeypatch, caplog):
     async with bridged() as (node, bridge), line(bridge) as client:
         node.action_server(Count, "count", count)
-        monkeypatch.setattr(goals, "message_from", lambda *_, **__: 1 / 0)
+        monkeypatch.setattr(goals, "read_message", lambda *_, **__: 1 / 0)
         send(client)
         assert "ZeroDivisionError" in (await client.hear())["values"]
         assert "goal g:1 of a web client cannot be followed" in caplog.text

@@ -93,6 +93,19 @@ async def test_what_cannot_be_bound_is_one_clear_error(options, problem):
                 pass
 
 
+@ON_ASYNCIO
+async def test_a_server_that_does_not_start_is_one_clear_error(monkeypatch, caplog):
+    async def fail(*_: object) -> None:
+        raise ValueError("no luck")
+
+    monkeypatch.setattr("uvicorn.Server.startup", fail)
+    async with turtleact.open_node("lab") as node:
+        with pytest.raises(TurtleactError, match="has not started: its log says why"):
+            async with open_web(node, port=0):
+                pass
+    assert "the web server has failed" in caplog.text
+
+
 @ON_TRIO
 async def test_on_trio_there_is_no_server():
     async with turtleact.open_node("lab") as node:

@@ -8,6 +8,8 @@ import math
 import struct
 from typing import Any, cast
 
+import anyio
+import anyio.lowlevel
 import cbor2
 import msgspec
 import pytest
@@ -37,6 +39,7 @@ from turtleact.interfaces.standard import (
     Twist,
     Vector3,
 )
+from turtleact.web.reading import read_message
 from turtleact.web.values import cbor_values, json_values, message_from
 
 
@@ -181,6 +184,30 @@ def test_null_is_taken_for_nan():
     message = message_from(Everything, {"ratio": None, "ratios": [1, None]}, root="msg")
     assert math.isnan(message.ratio)
     assert math.isnan(message.ratios[1])
+
+
+async def test_a_large_message_is_read_while_others_go_on():
+    stamps = [{"secs": number} for number in range(5000)]
+    turns, is_read = [0], anyio.Event()
+
+    async def go_on() -> None:
+        while not is_read.is_set():
+            turns[0] += 1
+            await anyio.lowlevel.checkpoint()
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(go_on)
+        message = await read_message(Everything, {"stamps": stamps}, root="msg")
+        is_read.set()
+    assert message.stamps[4999] == Time(4999, 0)
+    assert turns[0] > 1
+
+
+async def test_a_mistake_in_a_large_message_is_told():
+    stamps: list[Any] = [{"secs": number} for number in range(5000)]
+    stamps[4000] = {"secs": "late"}
+    with pytest.raises(InvalidMessage, match=r"msg.stamps\[4000\].sec: expected a whole number"):
+        await read_message(Everything, {"stamps": stamps}, root="msg")
 
 
 def test_null_is_not_taken_for_a_whole_number():

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from functools import partial
 from typing import Final, cast
@@ -32,9 +32,9 @@ from turtleact.web.hub import Hub
 from turtleact.web.mailbox import Mailbox, Throttle
 from turtleact.web.operations import CallService, Id
 from turtleact.web.protocol import Adjust, Do, Effect, Open, Protocol, Reader, Say, Shut, Writer
+from turtleact.web.reading import read_message
 from turtleact.web.serving import Serving
 from turtleact.web.spelling import absolute
-from turtleact.web.values import message_from
 
 __all__ = ["PATIENCE", "Connection"]
 
@@ -206,20 +206,24 @@ class Connection:
             case Say(frame):
                 self.keep(frame)
             case Open(what):
-                self._attempt(partial(self._open, what), what.id, forget=_place_of(what))
+                await self._attempt(partial(self._open, what), what.id, forget=_place_of(what))
             case Adjust(key, delivery):
                 throttle = self._readers[key][0]
                 throttle.adjust(delivery.interval, delivery.queue_length, delivery.compression)
             case Shut(kind, key):
                 await self._shut(kind, key)
             case Do(operation):
-                self._attempt(partial(self._do, operation), operation.id)
+                await self._attempt(partial(self._do, operation), operation.id)
 
-    def _attempt(
-        self, action: Callable[[], None], id: Id, *, forget: tuple[str, str] | None = None
+    async def _attempt(
+        self,
+        action: Callable[[], Awaitable[None]],
+        id: Id,
+        *,
+        forget: tuple[str, str] | None = None,
     ) -> None:
         try:
-            action()
+            await action()
         except TurtleactError as error:
             if forget is not None:
                 self._protocol.forget(*forget)
@@ -230,7 +234,7 @@ class Connection:
 
     # what is opened
 
-    def _open(
+    async def _open(
         self, what: Reader | Writer | operations.AdvertiseService | operations.AdvertiseAction
     ) -> None:
         match what:
@@ -290,12 +294,12 @@ class Connection:
 
     # what is done
 
-    def _do(self, operation: object) -> None:
+    async def _do(self, operation: object) -> None:
         match operation:
             case operations.Publish():
                 writer = self._writers.get(operation.topic)
                 if writer is not None:  # else the client was told why not
-                    writer[1].publish(message_from(writer[0], operation.msg, root="msg"))
+                    writer[1].publish(await read_message(writer[0], operation.msg, root="msg"))
             case operations.CallService():
                 self._call(operation)
             case operations.SendActionGoal():
@@ -305,7 +309,7 @@ class Connection:
                 if problem:
                     self._complain(problem, operation.id, level="warning")
             case operations.ActionFeedback():
-                self._serving.take_feedback(operation)
+                await self._serving.take_feedback(operation)
             case operations.ServiceResponse() | operations.ActionResult():
                 if not self._serving.answer(operation):
                     problem = f"nothing was asked under the id '{operation.id}'"

@@ -25,8 +25,9 @@ from turtleact.tasks import Background
 from turtleact.web.frames import reply
 from turtleact.web.operations import CancelActionGoal, Id, SendActionGoal
 from turtleact.web.pool import Pool
+from turtleact.web.reading import read_message
 from turtleact.web.spelling import absolute, action_class
-from turtleact.web.values import json_values, message_from
+from turtleact.web.values import json_values
 
 __all__ = ["Goals", "Teller"]
 
@@ -133,7 +134,7 @@ class Goals:
     async def _run(self, sent: _Sent) -> None:
         said = sent.said
         name, action_type = absolute(said.action), action_class(said.action_type)
-        goal = message_from(action_type.Goal, said.args, root="goal")
+        goal = await read_message(action_type.Goal, said.args, root="goal")
         key = (name, cast("ActionType[Message, Message, Message]", action_type))
         on_feedback = sent.tell_feedback if said.feedback else None
         async with (

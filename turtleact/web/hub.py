@@ -15,9 +15,10 @@ from turtleact.web.feeds import Feeds
 from turtleact.web.goals import Goals
 from turtleact.web.operations import CallService
 from turtleact.web.pool import Pool
+from turtleact.web.reading import read_message
 from turtleact.web.rosapi import Rosapi
 from turtleact.web.spelling import absolute
-from turtleact.web.values import json_values, message_from
+from turtleact.web.values import json_values
 
 __all__ = ["Hub", "Limits"]
 
@@ -70,7 +71,7 @@ class Hub:
             return values
         name = absolute(said.service)
         service_type = self.directory.service_class(name, said.type or "")
-        request = message_from(service_type.Request, said.args, root="args")
+        request = await read_message(service_type.Request, said.args, root="args")
         timeout = said.timeout if said.timeout is not None and said.timeout > 0 else None
         async with self._clients.use((name, service_type)) as client:
             return json_values(await client.call(request, timeout))

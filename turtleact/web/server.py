@@ -140,6 +140,8 @@ async def _serving(bridge: Bridge, listener: socket.socket, limits: Limits) -> A
     running = Background(server.serve([listener]), "the web server")
     try:
         await server.ready.wait()
+        if not server.started:
+            raise TurtleactError("the web server has not started: its log says why")
         yield
     finally:
         with anyio.CancelScope(shield=True):

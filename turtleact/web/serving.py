@@ -8,7 +8,7 @@ Source: rosbridge_library ``capabilities/advertise_{service,action}.py``.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from functools import partial
 from typing import Any, Final, Protocol, cast
 
@@ -30,8 +30,9 @@ from turtleact.web.operations import (
     AdvertiseService,
     ServiceResponse,
 )
+from turtleact.web.reading import read_message
 from turtleact.web.spelling import absolute, action_class, service_class
-from turtleact.web.values import json_values, message_from
+from turtleact.web.values import json_values
 
 __all__ = ["Serving"]
 
@@ -98,7 +99,7 @@ class Serving:
             question.answer(said)
         return question is not None
 
-    def take_feedback(self, said: ActionFeedback) -> None:
+    async def take_feedback(self, said: ActionFeedback) -> None:
         """Publish the client's feedback; that of a goal that has ended is too late, and dropped.
 
         Raises:
@@ -106,7 +107,7 @@ class Serving:
         """
         question = self._asked.get(str(said.id))
         if question is not None:
-            question.take_feedback(said.values)
+            await question.take_feedback(said.values)
 
     async def aclose(self) -> None:
         """The client has gone: serve nothing more."""
@@ -140,7 +141,7 @@ class Serving:
         if not answer.result:
             raise ServiceError(name, f"its server says: {answer.values}")
         response = cast("type[Message]", service_type.Response)
-        return message_from(response, answer.values, root="response")
+        return await read_message(response, answer.values, root="response")
 
     async def _execute(
         self,
@@ -153,9 +154,11 @@ class Serving:
         name = said.action
         question = self._ask("action", name, "action_goal")
         feedback_type = cast("type[Message]", action_type.Feedback)
-        question.take_feedback = lambda values: handle.publish_feedback(
-            message_from(feedback_type, values, root="feedback")
-        )
+
+        async def publish(values: object) -> None:
+            handle.publish_feedback(await read_message(feedback_type, values, root="feedback"))
+
+        question.take_feedback = publish
         members = {"id": question.id, "action": name}
         result_type = cast("type[Message]", action_type.Result)
         try:
@@ -181,7 +184,7 @@ class Serving:
         finally:
             del self._asked[question.id]
         try:
-            return _result(question.said, result_type)
+            return await _result(question.said, result_type)
         except Canceled as verdict:
             if handle.is_cancel_requested:
                 raise
@@ -203,7 +206,7 @@ class _Question:
         self.id = id
         self.about = about
         self.said: ServiceResponse | ActionResult | None = None
-        self.take_feedback: Callable[[object], None] = lambda _values: None
+        self.take_feedback: Callable[[object], Awaitable[None]] = _no_feedback
         self.is_lost = False
         self._changed = changed
 
@@ -224,7 +227,13 @@ class _Question:
             await self._changed.wait()
 
 
-def _result(said: ServiceResponse | ActionResult | None, result_type: type[Message]) -> Message:
+async def _no_feedback(_values: object) -> None:
+    """A service has none."""
+
+
+async def _result(
+    said: ServiceResponse | ActionResult | None, result_type: type[Message]
+) -> Message:
     """What the client's answer is to a body: a result, or the verdict that it raises.
 
     Raises:
@@ -238,7 +247,7 @@ def _result(said: ServiceResponse | ActionResult | None, result_type: type[Messa
     status = said.status or GoalStatus.SUCCEEDED if said.result else GoalStatus.ABORTED
     values = said.values if said.result else None
     try:
-        result = message_from(result_type, values, root="result")
+        result = await read_message(result_type, values, root="result")
     except TurtleactError as misfit:
         raise Abort(f"the client's result does not fit: {misfit}") from None
     if status == GoalStatus.SUCCEEDED:
