@@ -40,6 +40,7 @@ class Line:
         closed: The close frame, or the refusal, once there is one.
         gate: While it is not set, the client takes nothing.
         is_broken: Whether sending fails.
+        can_be_cut: Whether the server lets the app cut the line; set before it is run.
     """
 
     def __init__(self) -> None:
@@ -52,6 +53,7 @@ class Line:
         self.gate.set()
         self.aborted = False
         self.is_broken = False
+        self.can_be_cut = True
 
     async def receive(self) -> dict[str, Any]:
         return await self._inbox.receive()
@@ -70,7 +72,8 @@ class Line:
         self.aborted = True
 
     async def run(self, app: Any, scope: dict[str, Any]) -> None:
-        scope["extensions"]["turtleact.abort"] = self.abort
+        if self.can_be_cut:
+            scope["extensions"]["turtleact.abort"] = self.abort
         try:
             await app(scope, self.receive, self.send)
         finally:

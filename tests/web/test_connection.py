@@ -19,7 +19,7 @@ from turtleact.web import Limits
 from turtleact.web.mailbox import MOST_KEPT
 
 from ..lab import Count, Gate, Running, count, goal, running, settle
-from .line import Line, bridged, line
+from .line import Line, bridged, line, websocket_scope
 
 LATCHED = QoS(depth=2, durability="transient_local")
 
@@ -593,6 +593,24 @@ def test_a_client_that_asks_and_never_reads_is_let_go(caplog):
         caplog.clear()
         assert testing.run(stall, backend=backend)
         assert "a web client was let go: too much waits for it" in caplog.text
+
+
+def test_a_client_that_cannot_be_cut_off_is_given_up(caplog):
+    async def stall():
+        async with bridged() as (_, bridge):
+            client = Line()
+            client.can_be_cut = False
+            async with anyio.create_task_group() as group:
+                group.start_soon(client.run, bridge, websocket_scope())
+                assert await client.hears_nothing()
+                client.gate = anyio.Event()
+                client.say("call_service", service="/rosapi/topics")
+                await client.over.wait()
+            client.close()
+            return client.aborted, bridge.statistics().connections
+
+    for backend in ("asyncio", "trio"):
+        assert testing.run(stall, backend=backend) == (False, 0)
 
 
 def test_a_slow_client_that_reads_is_kept():

@@ -403,6 +403,17 @@ async def test_a_goal_ends_as_its_client_says(answer, status, counted, reason):
         assert outcome.reason.startswith(reason)
 
 
+async def test_the_first_answer_counts():
+    async with bridged() as (node, bridge), line(bridge) as client:
+        await serve(client)
+        async with node.action_client(Count, "count").send_goal(goal()) as handle:
+            asked = await client.hear()
+            for number in (1, 2):
+                values = {"counted": [number]}
+                client.say("action_result", id=asked["id"], values=values, result=True)
+            assert (await handle.result()).counted == [1]
+
+
 @pytest.mark.parametrize(
     ("answer", "status"),
     [
