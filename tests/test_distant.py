@@ -25,6 +25,7 @@ from turtleact.errors import (
     UnknownGoal,
 )
 from turtleact.goal import CancelCode
+from turtleact.interfaces import Action, Message, int32
 from turtleact.interfaces.standard import Time
 from turtleact.transports import MemoryTransport
 
@@ -602,3 +603,37 @@ async def test_a_reader_far_behind_loses_the_oldest(monkeypatch):
         rest = [each async for each in reader]
         assert 1 + len(rest) + handle.missed == 8000
         assert (first, rest[-1]) == (feedback(0), feedback(7999))
+
+
+# --- two under one name -------------------------------------------------------------------------
+
+
+class Other(Action, type_name="lab_interfaces/action/Other"):
+    """Another action, with the same fields."""
+
+    class Goal(Message):
+        upto: int32 = 0
+
+    class Result(Message):
+        counted: list[int32] = []
+
+    class Feedback(Message):
+        so_far: list[int32] = []
+
+
+@pytest.mark.parametrize("order", [(Count, Other), (Other, Count)])
+async def test_two_actions_of_one_name_answer_for_each_other(order):
+    transport = MemoryTransport()
+    near: Any = Apart(transport)
+    gate = Gate()
+    async with (
+        turtleact.open_node("far", transport=transport) as far,
+        turtleact.open_node("near", transport=near) as node,
+    ):
+        for action_type in order:
+            far.action_server(action_type, "count", gate.wait)
+        async with node.action_client(Count, "count").send_goal(goal(), goal_id=ID) as handle:
+            response = await handle.cancel()
+            assert [info.goal_id.uuid for info in response.goals_canceling] == [ID]
+            assert (await handle.outcome()).status is GoalStatus.CANCELED
+            assert (await handle.cancel()).return_code == CancelCode.GOAL_TERMINATED

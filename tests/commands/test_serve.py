@@ -37,6 +37,21 @@ async def endless(goal):
     await anyio.sleep_forever()
 """
 
+STUBBORN = """
+import anyio
+import turtleact
+from turtleact.interfaces.standard import Fibonacci
+
+
+@turtleact.action(Fibonacci, "stubborn")
+async def stubborn(goal):
+    while True:
+        try:
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class():
+            pass
+"""
+
 PATIENCE = 30.0
 """Seconds after which a process is taken to hang."""
 
@@ -204,7 +219,8 @@ def test_a_server_that_is_killed_is_told_at_once(served):
     served.process.kill()
     _, err = sender.communicate(timeout=PATIENCE)
     assert sender.returncode == 1
-    assert err.startswith("turtleact: action '/endless': the server went away before ")
+    assert "turtleact: action '/endless': the server went away before " in err
+    assert "if its server lives, the goal goes on; 'turtleact watch " in err
 
 
 def test_a_taken_port_is_one_clear_line(served, lab):
@@ -260,3 +276,41 @@ def test_a_module_that_is_not_there_is_one_line(tmp_path):
         "",
         "turtleact: there is no module 'nowhere_at_all' here, or on the path\n",
     )
+
+
+def test_a_second_world_is_not_put_on_the_graph_of_the_first(tmp_path):
+    with serving(tmp_path) as server:
+        status, out, err = server.run("serve")
+    assert (status, out) == (1, "")
+    assert err == (
+        f"turtleact: there is a world already in domain 0 at {server.at}: give another --domain, "
+        "or --no-sim to serve your own actions beside it\n"
+    )
+
+
+def test_a_goal_of_two_types_of_one_name_is_canceled(tmp_path):
+    with serving(tmp_path) as server:
+        status, out, err = server.run(
+            "send-goal", "fibonacci", "order: 40", "--timeout", "0.1", "--plain"
+        )
+    assert (status, out.endswith("status: CANCELED\n")) == (124, True)
+    assert err == "turtleact: no result after 0.1 s\n"
+
+
+def test_a_server_goes_on_where_nobody_reads_its_lines(served):
+    assert served.process.stdout is not None
+    served.process.stdout.close()
+    for _ in range(2):
+        assert served.run("send-goal", "quick", "order: 2", "--plain")[0] == 0
+    served.process.send_signal(signal.SIGTERM)
+    assert served.process.wait(PATIENCE) == 0
+    assert served.process.stderr is not None
+    assert "Traceback" not in served.process.stderr.read()
+
+
+def test_a_body_that_does_not_end_does_not_hold_the_server(tmp_path):
+    (tmp_path / "stubborn.py").write_text(STUBBORN)
+    with serving(tmp_path, "stubborn", "--no-sim") as server:
+        server.run("send-goal", "stubborn", "--timeout", "0")
+        server.process.send_signal(signal.SIGTERM)
+        assert server.process.wait(PATIENCE) == 0

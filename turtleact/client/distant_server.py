@@ -77,6 +77,7 @@ class DistantServer:
         self._followed: dict[bytes, Followed] = {}
         self._canceling: set[Cancelable] = set()
         self._status = tasks.signal()
+        self._last_told: dict[bytes, GoalStatusMessage] = {}
         self._held: dict[bytes, GoalStatusMessage] | None = None  # the last status, if one has come
 
     @property
@@ -286,7 +287,8 @@ class DistantServer:
             self.signal(followed.goal).fire()
 
     def _on_status(self, array: GoalStatusArray) -> None:
-        self._held = {bytes(each.goal_info.goal_id.uuid): each for each in array.status_list}
+        told = {bytes(each.goal_info.goal_id.uuid): each for each in array.status_list}
+        self._held, self._last_told = {**self._last_told, **told}, told  # two may share the name
         for goal_id, followed in self._followed.items():
             if goal_id in self._held:
                 _update(followed.goal, self._held[goal_id])

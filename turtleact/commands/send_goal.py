@@ -198,6 +198,10 @@ class _Sending:
                 async with client.send_goal(goal) as handle:
                     self._sent = Sent(node, self._name, action_type.type_name, goal, handle)
                     status = await self._follow(self._sent, beside)
+            except ServerUnavailable:
+                if self._sent is not None and self._sent.handle.done:
+                    self._transcript.note(f"if its server lives, {self._way_back(self._sent)}")
+                raise
             except GoalRejected as error:
                 self._transcript.rejected(error.reason)
                 self._transcript.note(str(error))

@@ -15,7 +15,8 @@ from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from turtleact.commands.stderr import note, printable
+from turtleact.commands.interrupts import leave
+from turtleact.commands.stderr import abandon, note, printable
 from turtleact.commands.targets import find_actions
 from turtleact.errors import TurtleactError
 from turtleact.node import Node, open_node
@@ -103,6 +104,8 @@ async def _serve(
             log.say(f"ready at {where}, domain {service.domain}: {actions}")
             await interrupts.wait(1)
             note("no new goals are taken; those that run are ended")
+        if len(asyncio.all_tasks()) > 1:  # a body that does not end, and has been left behind
+            leave(0)
     return 0
 
 
@@ -164,6 +167,12 @@ async def _open_graph(
                 except TurtleactError:
                     raise taken from None
             where = ROUTER
+        await transport.explore()
+        if service.has_world and "/turtlesim" in transport.nodes():
+            raise TurtleactError(
+                f"there is a world already in domain {service.domain} at {where}: give another "
+                "--domain, or --no-sim to serve your own actions beside it"
+            )
         opened.append((transport, where))
         yield transport
 
@@ -180,6 +189,10 @@ class _Log:
         self.say(f"{datetime.now():%H:%M:%S.%f} {name} {new.name}{reason}")
 
     def say(self, line: str) -> None:
-        """A line that is there at once."""
-        if sys.stdout is not None:
+        """A line that is there at once; where nobody reads any more, the server goes on without."""
+        if sys.stdout is None:
+            return
+        try:
             print(line, flush=True)
+        except BrokenPipeError:
+            abandon(sys.stdout)

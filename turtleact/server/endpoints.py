@@ -25,7 +25,7 @@ from typing import Any, cast
 import anyio
 
 from turtleact.errors import GoalRejected
-from turtleact.goal import Goal, GoalStatus
+from turtleact.goal import CancelCode, Goal, GoalStatus
 from turtleact.goal_note import GoalNote
 from turtleact.interfaces import Action, Implied, Message, WireFormat, implied
 from turtleact.interfaces.standard import (
@@ -70,9 +70,11 @@ class ActionEndpoints:
     ) -> None:
         self._server = server
         self._names = names
+        self._transport = transport
         self._tasks = tasks
         self._send_goal = _Lazy(names.send_goal, lambda: self._implied.send_goal, self._take, tasks)
         self._cancel_goal = _Lazy(names.cancel_goal, lambda: CancelGoal, self._cancel, tasks)
+        self._cancel_goal.server = server
         self._get_result = _Lazy(
             names.get_result, lambda: self._implied.get_result, self._wait, tasks
         )
@@ -155,7 +157,20 @@ class ActionEndpoints:
     async def _cancel(self, request: Any, _caller: bytes) -> Reply:  # noqa: ANN401
         stamp = request.goal_info.stamp
         nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec
-        return Reply(await self._server.cancel(request.goal_info.goal_id.uuid, nanoseconds))
+        goal_id = request.goal_info.goal_id.uuid
+        response = await self._server.cancel(goal_id, nanoseconds)
+        if response.return_code == CancelCode.UNKNOWN_GOAL_ID:
+            for sibling in self._siblings():  # or its answer might come after ours
+                answer = await sibling.cancel(goal_id, nanoseconds)
+                if answer.return_code != CancelCode.UNKNOWN_GOAL_ID:
+                    return Reply(answer)
+        return Reply(response)
+
+    def _siblings(self) -> list[ActionServer[Any, Any, Any]]:
+        """The servers of other actions of the same name in this process: they share a service."""
+        handlers = self._transport.all_local(self._names.cancel_goal, CancelGoal.type_name)
+        lazy = [each for each in handlers if isinstance(each, _Lazy)]
+        return [each.server for each in lazy if each is not self._cancel_goal]
 
     async def _wait(self, request: Any, _caller: bytes) -> Reply:  # noqa: ANN401
         server, response = self._server, self._implied.get_result.Response
@@ -184,7 +199,10 @@ class _Lazy:
         name: The name of the service.
         find_type: Makes its class.
         is_open: Whether it takes requests.
+        server: Whose goals it cancels, if it is that service.
     """
+
+    server: ActionServer[Any, Any, Any]
 
     def __init__(
         self,

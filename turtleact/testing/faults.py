@@ -151,6 +151,10 @@ class FaultyTransport:
         """Appear in the graph as a client of a service; what it calls passes without faults."""
         return self._transport.join(endpoint, format)
 
+    def all_local(self, name: str, type_name: str) -> tuple[object, ...]:
+        """All handlers that serve it, cut or not."""
+        return self._transport.all_local(name, type_name)
+
     def local(self, name: str, type_name: str) -> object | None:
         """The handler that serves a service, cut or not."""
         return self._transport.local(name, type_name)

@@ -253,6 +253,9 @@ class Transport(Protocol):
     def local(self, name: str, type_name: str) -> object | None:
         """The handler that serves a service in this very process, if there is one."""
 
+    def all_local(self, name: str, type_name: str) -> tuple[object, ...]:
+        """All handlers that serve it in this very process, in the order of their coming."""
+
     def enter(self, node: str) -> Closeable:
         """Appear in the graph as a node of this fully qualified name."""
 

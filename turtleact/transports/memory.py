@@ -121,6 +121,10 @@ class MemoryTransport:
         offers = self._handlers.get((name, type_name))
         return offers[0].handler if offers else None
 
+    def all_local(self, name: str, type_name: str) -> tuple[object, ...]:
+        """All handlers that serve it, the one that came first before others."""
+        return tuple(offer.handler for offer in self._handlers.get((name, type_name), ()))
+
     def handlers(self, name: str) -> list[object]:
         """The handlers of all services of that name, whatever their type."""
         return [

@@ -8,6 +8,7 @@ import typer
 
 from turtleact.commands import VERBS
 from turtleact.commands.verbs.arguments import (
+    Config,
     Connect,
     Domain,
     Interfaces,
@@ -42,9 +43,10 @@ def list_(
     count: _CountActions = False,
     connect: Connect = None,
     domain: Domain = None,
+    config: Config = None,
 ) -> Job:
     """``action list``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph, listing
@@ -66,9 +68,10 @@ def info(
     count: _Count = False,
     connect: Connect = None,
     domain: Domain = None,
+    config: Config = None,
 ) -> Job:
     """``action info``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph, listing
@@ -83,9 +86,11 @@ def info(
 
 
 @app.command("type", cls=Verb, help="Print the type of an action.")
-def type_(name: _Name, *, connect: Connect = None, domain: Domain = None) -> Job:
+def type_(
+    name: _Name, *, connect: Connect = None, domain: Domain = None, config: Config = None
+) -> Job:
     """``action type``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph, listing
@@ -102,9 +107,10 @@ def find(
     count: _CountActions = False,
     connect: Connect = None,
     domain: Domain = None,
+    config: Config = None,
 ) -> Job:
     """``action find``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph, listing
@@ -124,10 +130,11 @@ def echo(
     *,
     connect: Connect = None,
     domain: Domain = None,
+    config: Config = None,
     interfaces: Interfaces = None,
 ) -> Job:
     """``action echo``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import goals, graph

@@ -61,6 +61,7 @@ ArgumentError = cast("type[Exception]", typer.BadParameter.__base__)  # click's 
 
 _OPTION = re.compile(r"-[A-Za-z]\S*|--[A-Za-z][\w-]*(=.*)?", re.DOTALL)
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+)+")
+_PORT = re.compile(r"(tcp|udp|tls|quic|ws)/(.*:(?P<port>[0-9]{1,9})|.*)")
 _ENDPOINT = re.compile(r"[a-z][a-z0-9]*/\S+")
 _TEXT = "\0"
 """Stands before an argument that begins with a dash and is no option; no argument can hold it."""
@@ -197,7 +198,8 @@ def endpoints(option: str, text: str | None) -> tuple[str, ...]:
     """
     found = () if text is None else tuple(text.split(","))
     for each in found:
-        if not _ENDPOINT.fullmatch(each):
+        port = _PORT.fullmatch(each)
+        if not _ENDPOINT.fullmatch(each) or (port and not 0 < int(port["port"] or 0) < 65536):
             problem = f"is an endpoint such as tcp/127.0.0.1:7447, not {quoted(each)}"
             raise UsageError(f"{option} {problem}")
     return found

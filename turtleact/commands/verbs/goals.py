@@ -9,10 +9,12 @@ import typer
 
 from turtleact.commands import VERBS
 from turtleact.commands.verbs.arguments import (
+    Config,
     Connect,
     Domain,
     Interfaces,
     Job,
+    Reach,
     Verb,
     quoted,
     reach,
@@ -61,10 +63,15 @@ app = typer.Typer()
 
 @app.command("goals", cls=Verb, help=VERBS["goals"])
 def goals(
-    name: _Name = None, *, json: _Json = False, connect: Connect = None, domain: Domain = None
+    name: _Name = None,
+    *,
+    json: _Json = False,
+    connect: Connect = None,
+    domain: Domain = None,
+    config: Config = None,
 ) -> Job:
     """``goals``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import goals, graph
@@ -84,9 +91,10 @@ def cancel(
     before: _Before = None,
     connect: Connect = None,
     domain: Domain = None,
+    config: Config = None,
 ) -> Job:
     """``cancel``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
     given = what or []
     is_many = all_ or before is not None
     if all_ and before is not None:
@@ -117,10 +125,11 @@ def watch(
     *,
     connect: Connect = None,
     domain: Domain = None,
+    config: Config = None,
     interfaces: Interfaces = None,
 ) -> Job:
     """``watch``."""
-    return _follow(goal_id, connect, domain, interfaces, with_feedback=True)
+    return _follow(goal_id, reach(connect, domain, config), interfaces, with_feedback=True)
 
 
 @app.command("result", cls=Verb, help=VERBS["result"])
@@ -129,10 +138,11 @@ def result(
     *,
     connect: Connect = None,
     domain: Domain = None,
+    config: Config = None,
     interfaces: Interfaces = None,
 ) -> Job:
     """``result``."""
-    return _follow(goal_id, connect, domain, interfaces, with_feedback=False)
+    return _follow(goal_id, reach(connect, domain, config), interfaces, with_feedback=False)
 
 
 def moment(text: str) -> int:
@@ -178,15 +188,8 @@ def _goal_id(text: str) -> str:
     return digits
 
 
-def _follow(
-    goal_id: str,
-    connect: str | None,
-    domain: str | None,
-    interfaces: str | None,
-    *,
-    with_feedback: bool,
-) -> Job:
-    where, wanted = reach(connect, domain), _goal_id(goal_id)
+def _follow(goal_id: str, where: Reach, interfaces: str | None, *, with_feedback: bool) -> Job:
+    wanted = _goal_id(goal_id)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import goals, graph

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from turtleact.commands.verbs.arguments import Connect, Domain, Job, Verb, new_group, reach
+from turtleact.commands.verbs.arguments import Config, Connect, Domain, Job, Verb, new_group, reach
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
@@ -30,9 +30,10 @@ def list_(
     count: _Count = False,
     connect: Connect = None,
     domain: Domain = None,
+    config: Config = None,
 ) -> Job:
     """``node list``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph, listing
@@ -46,10 +47,15 @@ def list_(
 
 @app.command("info", cls=Verb, help="Print the topics, services and actions of a node.")
 def info(
-    name: _Name, *, hidden: _Hidden = False, connect: Connect = None, domain: Domain = None
+    name: _Name,
+    *,
+    hidden: _Hidden = False,
+    connect: Connect = None,
+    domain: Domain = None,
+    config: Config = None,
 ) -> Job:
     """``node info``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph, listing

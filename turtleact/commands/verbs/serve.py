@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
+MOST_TURTLES = 10_000
+"""A node cannot tell more of them in time."""
+
 _Targets = Annotated[
     list[str] | None,
     typer.Argument(metavar="TARGET", help="Your actions: module:object, or module for all in it."),
@@ -94,7 +97,7 @@ def serve(
     at = endpoints("--listen", listen)
     page = None if web is None else _host_and_port(web)
     factor = _factor(speed)
-    count, first = whole("--turtles", turtles, least=1), whole("--seed", seed)
+    count, first = whole("--turtles", turtles, least=1, most=MOST_TURTLES), whole("--seed", seed)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from turtleact.commands.verbs.arguments import (
+    Config,
     Connect,
     Domain,
     Interfaces,
@@ -55,9 +56,10 @@ def list_(
     hidden: _Hidden = False,
     connect: Connect = None,
     domain: Domain = None,
+    config: Config = None,
 ) -> Job:
     """``service list``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph, listing
@@ -74,9 +76,11 @@ def list_(
 
 
 @app.command("info", cls=Verb, help="Print the type of a service, and how many use it.")
-def info(name: _Name, *, connect: Connect = None, domain: Domain = None) -> Job:
+def info(
+    name: _Name, *, connect: Connect = None, domain: Domain = None, config: Config = None
+) -> Job:
     """``service info``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph, listing
@@ -87,9 +91,11 @@ def info(name: _Name, *, connect: Connect = None, domain: Domain = None) -> Job:
 
 
 @app.command("type", cls=Verb, help="Print the type of a service.")
-def type_(name: _Name, *, connect: Connect = None, domain: Domain = None) -> Job:
+def type_(
+    name: _Name, *, connect: Connect = None, domain: Domain = None, config: Config = None
+) -> Job:
     """``service type``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph, listing
@@ -107,9 +113,10 @@ def find(
     hidden: _Hidden = False,
     connect: Connect = None,
     domain: Domain = None,
+    config: Config = None,
 ) -> Job:
     """``service find``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph, listing
@@ -135,6 +142,7 @@ def call(
     rate: _Rate = None,
     connect: Connect = None,
     domain: Domain = None,
+    config: Config = None,
     interfaces: Interfaces = None,
 ) -> Job:
     """``service call``."""
@@ -143,7 +151,7 @@ def call(
     hertz = (
         None if rate is None else number("--rate", rate, unit="calls a second", is_positive=True)
     )
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import calling, graph

@@ -8,6 +8,7 @@ import typer
 
 from turtleact.commands.policies import Durability, Policies, Reliability
 from turtleact.commands.verbs.arguments import (
+    Config,
     Connect,
     Domain,
     Interfaces,
@@ -122,9 +123,10 @@ def list_(
     verbose: _Verbose = False,
     connect: Connect = None,
     domain: Domain = None,
+    config: Config = None,
 ) -> Job:
     """``topic list``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph, listing
@@ -146,10 +148,11 @@ def info(
     verbose: _Verbose = False,
     connect: Connect = None,
     domain: Domain = None,
+    config: Config = None,
     interfaces: Interfaces = None,
 ) -> Job:
     """``topic info``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph, listing
@@ -166,9 +169,11 @@ def info(
 
 
 @app.command("type", cls=Verb, help="Print the type of a topic.")
-def type_(name: _Name, *, connect: Connect = None, domain: Domain = None) -> Job:
+def type_(
+    name: _Name, *, connect: Connect = None, domain: Domain = None, config: Config = None
+) -> Job:
     """``topic type``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph, listing
@@ -186,9 +191,10 @@ def find(
     hidden: _Hidden = False,
     connect: Connect = None,
     domain: Domain = None,
+    config: Config = None,
 ) -> Job:
     """``topic find``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph, listing
@@ -220,10 +226,11 @@ def echo(
     depth: _Depth = None,
     connect: Connect = None,
     domain: Domain = None,
+    config: Config = None,
     interfaces: Interfaces = None,
 ) -> Job:
     """``topic echo``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
     length = whole("--truncate-length", truncate_length)
     seconds = None if timeout is None else number("--timeout", timeout)
     policies = _policies(reliability, durability, depth)
@@ -259,10 +266,11 @@ def hz(
     window: _Window = "10000",
     connect: Connect = None,
     domain: Domain = None,
+    config: Config = None,
     interfaces: Interfaces = None,
 ) -> Job:
     """``topic hz``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
     most = whole("--window", window, least=1)
 
     def job(interrupts: Interrupts) -> int:
@@ -292,10 +300,11 @@ def pub(
     depth: _Depth = None,
     connect: Connect = None,
     domain: Domain = None,
+    config: Config = None,
     interfaces: Interfaces = None,
 ) -> Job:
     """``topic pub``."""
-    where = reach(connect, domain)
+    where = reach(connect, domain, config)
     type_name, values = type_and_text(type_name, values, "message")
     only_one("the message", VALUES=values is not None, stdin=stdin)
     only_one("how often", once=once, times=times is not None)

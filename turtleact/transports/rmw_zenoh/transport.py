@@ -107,6 +107,10 @@ class ZenohTransport:
         """
         return WireCaller(self._link, self._name(endpoint, format), format, self._servers)
 
+    def all_local(self, name: str, type_name: str) -> tuple[object, ...]:
+        """All handlers that serve it in this very process."""
+        return self._near.all_local(name, type_name)
+
     def local(self, name: str, type_name: str) -> object | None:
         """The handler that serves a service in this very process, if there is one."""
         return self._near.local(name, type_name)
