@@ -18,7 +18,7 @@ import turtleact
 from turtleact.errors import InvalidOption, TurtleactError
 from turtleact.interfaces import Message, string
 from turtleact.web import Limits, open_web
-from turtleact.web.server import Web
+from turtleact.web.server import Web, _bound
 
 from ..lab import ON_ASYNCIO, ON_TRIO, other_tasks
 
@@ -42,6 +42,13 @@ async def test_a_node_is_served_once_the_block_begins():
         assert web.url == f"http://127.0.0.1:{web.port}/"
         async with connect(address(web)) as client:
             assert await ask(client, "/rosapi/nodes") == {"nodes": ["/lab"]}
+
+
+def test_small_frames_do_not_wait_for_one_another():
+    with _bound("127.0.0.1", 0) as listener, socket.create_connection(listener.getsockname()):
+        accepted, _ = listener.accept()
+        with accepted:
+            assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
 
 
 @ON_ASYNCIO

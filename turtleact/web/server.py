@@ -200,6 +200,7 @@ def _bound(host: str, port: int) -> Iterator[socket.socket]:
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         listener = socket.create_server((host, port), family=family, backlog=128)
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # or small frames take 40 ms
     except (OSError, UnicodeError) as error:
         is_port = isinstance(error, OSError) and error.errno in PORT_ERRORS
         problem = f"{host}:{port} cannot be bound: {error}"
