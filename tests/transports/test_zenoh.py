@@ -25,6 +25,7 @@ from turtleact.errors import (
     InvalidOption,
     ServerUnavailable,
     ServiceError,
+    ServiceTimeout,
     TurtleactError,
 )
 from turtleact.interfaces import WireFormat, implied
@@ -39,7 +40,7 @@ from turtleact.transports.rmw_zenoh.keys import data_key, endpoint_token, gid_of
 from turtleact.transports.rmw_zenoh.session import Publisher, Query, Session
 from turtleact.transports.rmw_zenoh.topics import WirePublication
 
-from ..lab import Count, count, feedback, goal, result, running, settle
+from ..lab import Count, Gate, count, feedback, goal, result, running, settle
 from .conformance import (
     ASKING,
     LATCHED,
@@ -969,3 +970,45 @@ async def test_an_action_of_a_node_is_used_from_another_process(address):
         (status,) = statuses.status_list
         assert status.goal_info.goal_id == goal_id
         assert user.graph().actions == {"/count": (Count.type_name,)}
+
+
+async def test_a_goal_may_take_longer_than_zenoh_waits(address, monkeypatch):
+    monkeypatch.setattr("turtleact.transports.rmw_zenoh.session.PATIENCE", 0.1)
+    gate, asked = Gate(), []
+    async with (
+        two(address) as (here, there, _),
+        turtleact.open_node("robot", transport=here) as robot,
+        turtleact.open_node("guest", transport=there) as guest,
+    ):
+        server = robot.action_server(Count, "count", gate.wait)
+        assert server.endpoints is not None
+        wait = server.endpoints._wait
+
+        async def count_and_wait(request: Any, caller: bytes) -> Any:
+            asked.append(caller)
+            if len(asked) == 3:
+                gate.opened.set()
+            return await wait(request, caller)
+
+        monkeypatch.setattr(server.endpoints._get_result, "_handle", count_and_wait)
+        action_client = guest.action_client(Count, "count")
+        assert await action_client.wait_for_server(5)
+        assert await action_client.send_goal(goal(7)) == result(7)
+        assert len(asked) >= 3
+
+
+async def test_a_call_that_takes_longer_is_told(address, monkeypatch):
+    monkeypatch.setattr("turtleact.transports.rmw_zenoh.session.PATIENCE", 0.1)
+    async with two(address) as (here, there, _):
+        opened = anyio.Event()
+
+        class Slow:
+            async def reply(self, request: object, caller: bytes) -> Any:
+                await opened.wait()
+
+        here.serve(service(), SERVING, Slow())
+        caller = there.join(client(), ASKING)
+        await until(there, lambda: caller.is_served)
+        with pytest.raises(ServiceTimeout):
+            await caller.call(Sum.Request())
+        opened.set()

@@ -22,7 +22,13 @@ import anyio
 
 from turtleact.client.followed import Followed, move, nanoseconds, status_of
 from turtleact.client.links import Links
-from turtleact.errors import GoalRejected, ServerUnavailable, TurtleactError, UnknownGoal
+from turtleact.errors import (
+    GoalRejected,
+    ServerUnavailable,
+    ServiceTimeout,
+    TurtleactError,
+    UnknownGoal,
+)
 from turtleact.goal import Cancelable, Goal, GoalStatus, OnFeedback, failure
 from turtleact.goal_id import new_goal_id
 from turtleact.goal_note import GoalNote
@@ -231,17 +237,17 @@ class DistantServer:
     async def _await_result(self, followed: Followed) -> None:
         goal, links = followed.goal, self._links
         request = links.implied.get_result.Request(UUID(cast("bytes", goal.id)))
-        lost: ServerUnavailable | None = None
-        for _ in range(ATTEMPTS):
+        lost: list[ServerUnavailable] = []
+        while True:
             try:
                 reply = await links.get_result.call(request)
                 break
+            except ServiceTimeout:  # the goal takes longer than the transport waits
+                continue
             except ServerUnavailable as error:
-                lost = lost or error
-                if not await self._is_back():
-                    raise lost from None
-        else:
-            raise lost or self._unavailable("no server answers")
+                lost.append(error)
+                if len(lost) == ATTEMPTS or not await self._is_back():
+                    raise lost[0] from None
         response: Any = reply.message
         status, note = status_of(response.status), GoalNote.read(reply.note)
         if not status.is_terminal:

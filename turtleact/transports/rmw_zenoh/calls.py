@@ -17,7 +17,12 @@ from typing import TYPE_CHECKING
 
 import anyio
 
-from turtleact.errors import InvalidMessage, ServerUnavailable, ServiceError, TurtleactError
+from turtleact.errors import (
+    InvalidMessage,
+    ServerUnavailable,
+    ServiceError,
+    TurtleactError,
+)
 from turtleact.summaries import summary
 from turtleact.tasks import GRACE
 from turtleact.transports.base import (
@@ -34,6 +39,7 @@ from turtleact.transports.rmw_zenoh.attachment import (
     read_attachment,
     write_attachment,
 )
+from turtleact.transports.rmw_zenoh.failures import error_said, said
 from turtleact.transports.rmw_zenoh.link import Counter, Link, Named, Presence
 
 if TYPE_CHECKING:
@@ -126,7 +132,7 @@ class WireService:
                 self._link.outbox.post(lambda: query.reply(payload, attachment))
 
     def _fail(self, query: Query, error: TurtleactError) -> None:
-        kind, text = _said(error)
+        kind, text = said(error)
         self._link.outbox.post(lambda: query.fail(text, kind))
 
     def _closed(self) -> ServerUnavailable:
@@ -235,7 +241,7 @@ class WireCaller:
     def _reply(self, call: _Call) -> Reply:
         """What came of a call; raises what its server raised."""
         if call.error is not None:
-            raise _error(self._endpoint.name, *call.error)
+            raise error_said(self._endpoint.name, *call.error)
         if call.answer is None:
             gone = "server went away" if self._link.is_open else "Zenoh transport was closed"
             raise self._unavailable(f"the {gone} before there was an answer")
@@ -376,22 +382,3 @@ class _Call:
     def _ended(self) -> None:
         if not self.is_over:  # else the loop has been told
             self._link.inbox.push(self.end)
-
-
-def _said(error: TurtleactError) -> tuple[str, str]:
-    """The kind of an error, and the text by which `_error` makes it again."""
-    if isinstance(error, InvalidMessage):
-        return "InvalidMessage", str(error)
-    if isinstance(error, ServerUnavailable):
-        return "ServerUnavailable", error.problem
-    return "ServiceError", error.reason if isinstance(error, ServiceError) else summary(error)
-
-
-def _error(name: str, text: str, kind: str) -> TurtleactError:
-    """What a server raised; an error of a peer of another kind is its own text."""
-    if kind == "InvalidMessage":
-        path, _, problem = text.partition(": ")
-        return InvalidMessage(path, problem)
-    if kind == "ServerUnavailable":
-        return ServerUnavailable(name, text, kind="service")
-    return ServiceError(name, text)

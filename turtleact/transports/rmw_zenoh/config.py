@@ -17,9 +17,13 @@ import msgspec
 
 from turtleact.errors import InvalidOption
 
-__all__ = ["Mode", "SessionConfig", "session_config"]
+__all__ = ["PATIENCE", "Mode", "SessionConfig", "session_config"]
 
 Mode: TypeAlias = Literal["peer", "client", "router"]
+
+#: So long a call waits for its answer (s), as in rmw_zenoh. Zenoh keeps a timer for each until
+#: then, answered or not, so that no end at all would fill the memory.
+PATIENCE = 600.0
 
 #: The last domain whose ports ROS 2 can count with.
 LAST_DOMAIN = 232

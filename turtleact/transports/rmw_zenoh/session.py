@@ -20,14 +20,14 @@ from zenoh import ext
 from zenoh.handlers import Callback
 
 from turtleact.errors import InvalidOption, TurtleactError
-from turtleact.transports.rmw_zenoh.config import SessionConfig
+from turtleact.transports.rmw_zenoh.config import PATIENCE, SessionConfig
 
 __all__ = ["Declared", "Publisher", "Querier", "Query", "Session"]
 
 Take: TypeAlias = Callable[[bytes, bytes], object]
 
-#: So long a query is held (s): the death of its server ends it, nothing else does.
-FOR_EVER = 3e9
+#: The kind of the error by which a query is over that nobody has answered.
+TIMEOUT = "Timeout"
 
 #: So long others have to say which tokens they know (s).
 ANSWER = 2.0
@@ -180,7 +180,7 @@ class Session:
                 key,
                 target=zenoh.QueryTarget.ALL_COMPLETE,
                 consolidation=zenoh.ConsolidationMode.NONE,
-                timeout=FOR_EVER,
+                timeout=PATIENCE,
                 allowed_destination=REMOTE,
             )
             querier.declare_matching_listener(_direct(lambda status: matching(status.matching)))
@@ -237,7 +237,8 @@ class Querier:
                 replied(*_parts(reply.ok))
             elif reply.err is not None:
                 kind = str(reply.err.encoding).partition(";")[2]
-                failed(reply.err.payload.to_bytes().decode(errors="replace"), kind)
+                text = reply.err.payload.to_bytes().decode(errors="replace")
+                failed(text, kind or (TIMEOUT if text == TIMEOUT else ""))
 
         token = zenoh.CancellationToken()
         with _mapped("send a request"):

@@ -103,7 +103,8 @@ class ZenohTransport:
 
         A server in this process is preferred. A call to another process that is canceled is over
         here; its handler goes on, as there is no word for it on the wire. A server that hangs
-        without dying is waited for: give calls a time of their own. Raises as `advertise` does.
+        without dying is waited for, ten minutes: then the call raises `ServiceTimeout`. Raises as
+        `advertise` does.
         """
         return WireCaller(self._link, self._name(endpoint, format), format, self._servers)
 
