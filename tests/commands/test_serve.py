@@ -77,8 +77,11 @@ class Served(NamedTuple):
 
     def run(self, *arguments: str) -> tuple[int, str, str]:
         """The same, to its end: exit status, stdout, stderr."""
-        process = self.start(*arguments)
-        out, err = process.communicate(timeout=PATIENCE)
+        with self.start(*arguments) as process:
+            try:
+                out, err = process.communicate(timeout=PATIENCE)
+            finally:
+                process.kill()
         return process.returncode, out, err
 
     def end(self, number: signal.Signals) -> tuple[int, str, str]:

@@ -1012,3 +1012,11 @@ async def test_a_call_that_takes_longer_is_told(address, monkeypatch):
         with pytest.raises(ServiceTimeout):
             await caller.call(Sum.Request())
         opened.set()
+
+
+async def test_a_change_of_the_graph_is_told_once_a_reader_is_reached(address):
+    async with two(address) as (here, there, _):
+        publication = here.advertise(publisher(), SPEECH)
+        there.subscribe(subscription(), SPEECH, print)
+        while not publication.has_readers:
+            await here.wait_for_change()

@@ -139,6 +139,7 @@ class WirePublication:
     def _far_readers_changed(self, has_readers: bool) -> None:
         self._is_read = has_readers or self._is_expected
         self._tell_source()
+        self._link.near.tell_change()  # its token told of the reader, not that it is reached
 
     def _near_readers_changed(self, has_readers: bool) -> None:
         self._has_near_readers = has_readers
