@@ -15,12 +15,14 @@ from turtleact.commands.verbs.arguments import (
     Job,
     Verb,
     new_group,
+    on_graph,
     reach,
 )
 from turtleact.commands.verbs.send_goal import EXAMPLES, send_goal
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
+    from turtleact.node import Node
 
 __all__ = ["app"]
 
@@ -46,18 +48,13 @@ def list_(
     config: Config = None,
 ) -> Job:
     """``action list``."""
-    where = reach(connect, domain, config)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import graph, listing
+    async def look(node: Node) -> int:
+        from turtleact.commands import listing
 
-        return graph.run(
-            where,
-            lambda node: listing.print_list(node, "action", types=types, count=count, hidden=False),
-            interrupts,
-        )
+        return await listing.print_list(node, "action", types=types, count=count, hidden=False)
 
-    return job
+    return on_graph(look, connect, domain, config)
 
 
 @app.command("info", cls=Verb, help="Print which nodes serve an action, or are its clients.")
@@ -71,18 +68,13 @@ def info(
     config: Config = None,
 ) -> Job:
     """``action info``."""
-    where = reach(connect, domain, config)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import graph, listing
+    async def look(node: Node) -> int:
+        from turtleact.commands import listing
 
-        return graph.run(
-            where,
-            lambda node: listing.print_action_info(node, name, types=types, count=count),
-            interrupts,
-        )
+        return await listing.print_action_info(node, name, types=types, count=count)
 
-    return job
+    return on_graph(look, connect, domain, config)
 
 
 @app.command("type", cls=Verb, help="Print the type of an action.")
@@ -90,14 +82,13 @@ def type_(
     name: _Name, *, connect: Connect = None, domain: Domain = None, config: Config = None
 ) -> Job:
     """``action type``."""
-    where = reach(connect, domain, config)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import graph, listing
+    async def look(node: Node) -> int:
+        from turtleact.commands import listing
 
-        return graph.run(where, lambda node: listing.print_type(node, "action", name), interrupts)
+        return await listing.print_type(node, "action", name)
 
-    return job
+    return on_graph(look, connect, domain, config)
 
 
 @app.command("find", cls=Verb, help="List the actions of a type.")
@@ -110,18 +101,13 @@ def find(
     config: Config = None,
 ) -> Job:
     """``action find``."""
-    where = reach(connect, domain, config)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import graph, listing
+    async def look(node: Node) -> int:
+        from turtleact.commands import listing
 
-        return graph.run(
-            where,
-            lambda node: listing.print_found(node, "action", type_name, count=count, hidden=False),
-            interrupts,
-        )
+        return await listing.print_found(node, "action", type_name, count=count, hidden=False)
 
-    return job
+    return on_graph(look, connect, domain, config)
 
 
 @app.command("echo", cls=Verb, help="Print the feedback and the states of all goals.")

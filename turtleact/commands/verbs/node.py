@@ -6,10 +6,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from turtleact.commands.verbs.arguments import Config, Connect, Domain, Job, Verb, new_group, reach
+from turtleact.commands.verbs.arguments import (
+    Config,
+    Connect,
+    Domain,
+    Job,
+    Verb,
+    new_group,
+    on_graph,
+)
 
 if TYPE_CHECKING:
-    from turtleact.commands.interrupts import Interrupts
+    from turtleact.node import Node
 
 __all__ = ["app"]
 
@@ -33,16 +41,13 @@ def list_(
     config: Config = None,
 ) -> Job:
     """``node list``."""
-    where = reach(connect, domain, config)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import graph, listing
+    async def look(node: Node) -> int:
+        from turtleact.commands import listing
 
-        return graph.run(
-            where, lambda node: listing.print_nodes(node, count=count, hidden=hidden), interrupts
-        )
+        return await listing.print_nodes(node, count=count, hidden=hidden)
 
-    return job
+    return on_graph(look, connect, domain, config)
 
 
 @app.command("info", cls=Verb, help="Print the topics, services and actions of a node.")
@@ -55,13 +60,10 @@ def info(
     config: Config = None,
 ) -> Job:
     """``node info``."""
-    where = reach(connect, domain, config)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import graph, listing
+    async def look(node: Node) -> int:
+        from turtleact.commands import listing
 
-        return graph.run(
-            where, lambda node: listing.print_node_info(node, name, hidden=hidden), interrupts
-        )
+        return await listing.print_node_info(node, name, hidden=hidden)
 
-    return job
+    return on_graph(look, connect, domain, config)

@@ -15,6 +15,7 @@ from turtleact.commands.verbs.arguments import (
     Verb,
     new_group,
     number,
+    on_graph,
     only_one,
     reach,
     type_and_text,
@@ -22,6 +23,7 @@ from turtleact.commands.verbs.arguments import (
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
+    from turtleact.node import Node
 
 __all__ = ["app"]
 
@@ -59,20 +61,13 @@ def list_(
     config: Config = None,
 ) -> Job:
     """``service list``."""
-    where = reach(connect, domain, config)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import graph, listing
+    async def look(node: Node) -> int:
+        from turtleact.commands import listing
 
-        return graph.run(
-            where,
-            lambda node: listing.print_list(
-                node, "service", types=types, count=count, hidden=hidden
-            ),
-            interrupts,
-        )
+        return await listing.print_list(node, "service", types=types, count=count, hidden=hidden)
 
-    return job
+    return on_graph(look, connect, domain, config)
 
 
 @app.command("info", cls=Verb, help="Print the type of a service, and how many use it.")
@@ -80,14 +75,13 @@ def info(
     name: _Name, *, connect: Connect = None, domain: Domain = None, config: Config = None
 ) -> Job:
     """``service info``."""
-    where = reach(connect, domain, config)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import graph, listing
+    async def look(node: Node) -> int:
+        from turtleact.commands import listing
 
-        return graph.run(where, lambda node: listing.print_service_info(node, name), interrupts)
+        return await listing.print_service_info(node, name)
 
-    return job
+    return on_graph(look, connect, domain, config)
 
 
 @app.command("type", cls=Verb, help="Print the type of a service.")
@@ -95,14 +89,13 @@ def type_(
     name: _Name, *, connect: Connect = None, domain: Domain = None, config: Config = None
 ) -> Job:
     """``service type``."""
-    where = reach(connect, domain, config)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import graph, listing
+    async def look(node: Node) -> int:
+        from turtleact.commands import listing
 
-        return graph.run(where, lambda node: listing.print_type(node, "service", name), interrupts)
+        return await listing.print_type(node, "service", name)
 
-    return job
+    return on_graph(look, connect, domain, config)
 
 
 @app.command("find", cls=Verb, help="List the services of a type.")
@@ -116,20 +109,13 @@ def find(
     config: Config = None,
 ) -> Job:
     """``service find``."""
-    where = reach(connect, domain, config)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import graph, listing
+    async def look(node: Node) -> int:
+        from turtleact.commands import listing
 
-        return graph.run(
-            where,
-            lambda node: listing.print_found(
-                node, "service", type_name, count=count, hidden=hidden
-            ),
-            interrupts,
-        )
+        return await listing.print_found(node, "service", type_name, count=count, hidden=hidden)
 
-    return job
+    return on_graph(look, connect, domain, config)
 
 
 @app.command("call", cls=Verb, help="Call a service, and print its response.")

@@ -16,6 +16,7 @@ from turtleact.commands.verbs.arguments import (
     Verb,
     new_group,
     number,
+    on_graph,
     only_one,
     quoted,
     reach,
@@ -173,14 +174,13 @@ def type_(
     name: _Name, *, connect: Connect = None, domain: Domain = None, config: Config = None
 ) -> Job:
     """``topic type``."""
-    where = reach(connect, domain, config)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import graph, listing
+    async def look(node: Node) -> int:
+        from turtleact.commands import listing
 
-        return graph.run(where, lambda node: listing.print_type(node, "topic", name), interrupts)
+        return await listing.print_type(node, "topic", name)
 
-    return job
+    return on_graph(look, connect, domain, config)
 
 
 @app.command("find", cls=Verb, help="List the topics of a type.")
@@ -194,18 +194,13 @@ def find(
     config: Config = None,
 ) -> Job:
     """``topic find``."""
-    where = reach(connect, domain, config)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import graph, listing
+    async def look(node: Node) -> int:
+        from turtleact.commands import listing
 
-        return graph.run(
-            where,
-            lambda node: listing.print_found(node, "topic", type_name, count=count, hidden=hidden),
-            interrupts,
-        )
+        return await listing.print_found(node, "topic", type_name, count=count, hidden=hidden)
 
-    return job
+    return on_graph(look, connect, domain, config)
 
 
 @app.command("echo", cls=Verb, help="Print the messages of a topic.")
