@@ -42,6 +42,7 @@ __all__ = [
     "cancel_code",
     "failure",
     "select",
+    "status_of",
     "transition",
 ]
 
@@ -66,6 +67,14 @@ class GoalStatus(IntEnum):
     def is_terminal(self) -> bool:
         """Whether the goal has ended."""
         return self >= GoalStatus.SUCCEEDED
+
+
+def status_of(number: int) -> GoalStatus:
+    """The state of that number; UNKNOWN for one that is none."""
+    try:
+        return GoalStatus(number)
+    except ValueError:
+        return GoalStatus.UNKNOWN
 
 
 class GoalEvent(IntEnum):

@@ -25,6 +25,7 @@ from turtleact.errors import InvalidOption, ServerUnavailable, TurtleactError, U
 from turtleact.goal import OnFeedback
 from turtleact.goal_id import goal_id_bytes
 from turtleact.interfaces import Message
+from turtleact.interfaces.stamps import nanoseconds
 from turtleact.interfaces.standard import CancelGoal, Time
 from turtleact.names import ActionNames
 from turtleact.transports.base import (
@@ -133,7 +134,7 @@ class ActionClient(Generic[G, R, F]):
 
     async def cancel_before(self, stamp: Time) -> CancelGoal.Response:
         """Ask the server to cancel every goal accepted at or before ``stamp``."""
-        return await self.server().cancel(None, stamp.sec * 1_000_000_000 + stamp.nanosec)
+        return await self.server().cancel(None, nanoseconds(stamp))
 
     async def aclose(self) -> None:
         """Leave the graph; the goals it has sent go on, unless their server cancels them."""

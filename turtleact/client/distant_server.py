@@ -20,7 +20,7 @@ from typing import Any, Final, cast
 
 import anyio
 
-from turtleact.client.followed import Followed, move, nanoseconds, status_of
+from turtleact.client.followed import Followed, move
 from turtleact.client.links import Links
 from turtleact.errors import (
     GoalRejected,
@@ -29,17 +29,17 @@ from turtleact.errors import (
     TurtleactError,
     UnknownGoal,
 )
-from turtleact.goal import Cancelable, Goal, GoalStatus, OnFeedback, failure
+from turtleact.goal import Goal, GoalStatus, OnFeedback, failure, status_of
 from turtleact.goal_id import new_goal_id
 from turtleact.goal_note import GoalNote
 from turtleact.interfaces import Message, snapshotter
+from turtleact.interfaces.stamps import nanoseconds, stamp_of
 from turtleact.interfaces.standard import (
     UUID,
     CancelGoal,
     GoalInfo,
     GoalStatusArray,
     GoalStatusMessage,
-    Time,
 )
 from turtleact.summaries import summary
 from turtleact.tasks import GRACE, Signal, Tasks
@@ -81,7 +81,6 @@ class DistantServer:
         self._tasks = tasks
         self._now = now
         self._followed: dict[bytes, Followed] = {}
-        self._canceling: set[Cancelable] = set()
         self._status = tasks.signal()
         self._last_told: dict[bytes, GoalStatusMessage] = {}
         self._held: dict[bytes, GoalStatusMessage] | None = None  # the last status, if one has come
@@ -347,9 +346,8 @@ class DistantServer:
             ServerUnavailable: if nobody answers.
         """
         self._links.open(self._on_feedback)
-        time = Time(*divmod(stamp, 1_000_000_000))
         named = UUID() if goal_id is None else UUID(goal_id)
-        request = CancelGoal.Request(GoalInfo(named, time))
+        request = CancelGoal.Request(GoalInfo(named, stamp_of(stamp)))
         try:
             reply = await self._links.cancel_goal.call(request)
         except ServerUnavailable as error:

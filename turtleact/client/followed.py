@@ -10,10 +10,9 @@ from typing import Final
 
 from turtleact.feedback import FeedbackLog
 from turtleact.goal import Cancelable, Goal, GoalEvent, GoalStatus
-from turtleact.interfaces.standard import Time
 from turtleact.summaries import STOPS
 
-__all__ = ["Followed", "move", "nanoseconds", "status_of"]
+__all__ = ["Followed", "move"]
 
 logger = logging.getLogger("turtleact.client")
 
@@ -82,16 +81,3 @@ def move(goal: Goal, status: GoalStatus) -> None:
         goal.apply(GoalEvent.CANCEL_GOAL)
     if status in _EVENTS:
         goal.apply(_EVENTS[status])
-
-
-def status_of(number: int) -> GoalStatus:
-    """The state of that number; UNKNOWN for one that is none."""
-    try:
-        return GoalStatus(number)
-    except ValueError:
-        return GoalStatus.UNKNOWN
-
-
-def nanoseconds(stamp: Time) -> int:
-    """A time in ns since the epoch."""
-    return stamp.sec * 1_000_000_000 + stamp.nanosec

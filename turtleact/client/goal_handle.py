@@ -27,6 +27,7 @@ from turtleact.client.goal_server import GoalServer
 from turtleact.feedback import FeedbackLog
 from turtleact.goal import Goal, GoalStatus, failure
 from turtleact.interfaces import Message
+from turtleact.interfaces.stamps import stamp_of
 from turtleact.interfaces.standard import CancelGoal, Time
 
 __all__ = [
@@ -141,8 +142,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
     @property
     def stamp(self) -> Time:
         """When the goal was accepted."""
-        sec, nanosec = divmod(self._goal.stamp, 1_000_000_000)
-        return Time(sec=sec, nanosec=nanosec)
+        return stamp_of(self._goal.stamp)
 
     @property
     def status(self) -> GoalStatus:

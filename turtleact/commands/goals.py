@@ -31,7 +31,8 @@ from turtleact.commands.transcript import PlainTranscript, say
 from turtleact.errors import UnknownGoal
 from turtleact.goal import CancelCode, GoalStatus
 from turtleact.interfaces import Action, Implied, Message, implied, to_dict
-from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo, GoalStatusArray, Time
+from turtleact.interfaces.stamps import SECOND, stamp_of
+from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo, GoalStatusArray
 from turtleact.names import action_names
 from turtleact.transports import QoS
 
@@ -51,8 +52,6 @@ HEADINGS = ("id", "action", "state", "age", "client")
 
 NOBODY = bytes(16)
 """The id that names no goal."""
-
-SECOND = 1_000_000_000
 
 
 # goals
@@ -204,7 +203,7 @@ async def _why_not_canceling(node: Node, goal: HeldGoal) -> str | None:
 
 async def _request(node: Node, action: str, goal_id: bytes, stamp: int) -> CancelGoal.Response:
     client = node.service_client(CancelGoal, action_names(action).cancel_goal)
-    info = GoalInfo(UUID(goal_id), Time(*divmod(stamp, SECOND)))
+    info = GoalInfo(UUID(goal_id), stamp_of(stamp))
     try:
         return await client.call(CancelGoal.Request(info))
     finally:

@@ -16,8 +16,9 @@ import anyio
 from turtleact.clock import within
 from turtleact.commands.graph import names_like, types_by_name
 from turtleact.errors import ServerUnavailable, UnknownGoal, UsageError
-from turtleact.goal import GoalStatus
-from turtleact.interfaces.standard import GoalStatusArray, Time
+from turtleact.goal import GoalStatus, status_of
+from turtleact.interfaces.stamps import nanoseconds
+from turtleact.interfaces.standard import GoalStatusArray
 from turtleact.names import action_names, resolve_name
 from turtleact.transports import QoS
 
@@ -86,13 +87,8 @@ def goals_in(message: GoalStatusArray, action: str, type_name: str) -> Iterable[
     """The goals that a status message tells of."""
     for each in message.status_list:
         info = each.goal_info
-        status = GoalStatus(each.status) if each.status in _STATUSES else GoalStatus.UNKNOWN
+        status = status_of(each.status)
         yield HeldGoal(info.goal_id.uuid, action, type_name, status, nanoseconds(info.stamp))
-
-
-def nanoseconds(stamp: Time) -> int:
-    """A stamp as nanoseconds."""
-    return stamp.sec * 1_000_000_000 + stamp.nanosec
 
 
 def find_goals(goals: Iterable[HeldGoal], wanted: str) -> HeldGoal | None:
@@ -138,6 +134,3 @@ async def _listen(
                 found[name, goal.goal_id] = goal
     finally:
         await subscription.aclose()
-
-
-_STATUSES = frozenset(GoalStatus)

@@ -34,7 +34,8 @@ from turtleact.goal import (
 )
 from turtleact.goal_id import new_goal_id
 from turtleact.interfaces import Message
-from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo, Time
+from turtleact.interfaces.stamps import stamp_of
+from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
 from turtleact.server.callbacks import Questions
 from turtleact.server.canceling import Canceling
 from turtleact.server.claim import Claim
@@ -320,7 +321,7 @@ class ActionServer(Generic[G, R, F]):
 
     def info(self, goal: Goal) -> GoalInfo:
         """A goal's id and stamp, as sent."""
-        return GoalInfo(UUID(self.name_goal(goal)), Time(*divmod(goal.stamp, 1_000_000_000)))
+        return GoalInfo(UUID(self.name_goal(goal)), stamp_of(goal.stamp))
 
     async def cancel_goal(self, goal: Goal) -> CancelGoal.Response:
         """Answer a request to cancel one goal, which may have been forgotten."""

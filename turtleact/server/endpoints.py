@@ -28,6 +28,7 @@ from turtleact.errors import GoalRejected
 from turtleact.goal import CancelCode, Goal, GoalStatus
 from turtleact.goal_note import GoalNote
 from turtleact.interfaces import Action, Implied, Message, WireFormat, implied
+from turtleact.interfaces.stamps import nanoseconds
 from turtleact.interfaces.standard import (
     UUID,
     CancelGoal,
@@ -72,11 +73,14 @@ class ActionEndpoints:
         self._names = names
         self._transport = transport
         self._tasks = tasks
-        self._send_goal = _Lazy(names.send_goal, lambda: self._implied.send_goal, self._take, tasks)
-        self._cancel_goal = _Lazy(names.cancel_goal, lambda: CancelGoal, self._cancel, tasks)
-        self._cancel_goal.server = server
+        self._send_goal = _Lazy(
+            server, names.send_goal, lambda: self._implied.send_goal, self._take, tasks
+        )
+        self._cancel_goal = _Lazy(
+            server, names.cancel_goal, lambda: CancelGoal, self._cancel, tasks
+        )
         self._get_result = _Lazy(
-            names.get_result, lambda: self._implied.get_result, self._wait, tasks
+            server, names.get_result, lambda: self._implied.get_result, self._wait, tasks
         )
         action = server.action_type.type_name
         if transport.local(names.send_goal, f"{action}_SendGoal") is not None:
@@ -104,7 +108,7 @@ class ActionEndpoints:
 
     async def reply(self, request: object, caller: bytes) -> Reply:
         """Answer a ``SendGoal`` request that came over a wire."""
-        self._feedback.send_always()
+        self._feedback.publication.expect_readers()  # who sends goals reads, known yet or not
         return await self._send_goal.reply(request, caller)
 
     async def aclose(self) -> None:
@@ -155,13 +159,11 @@ class ActionEndpoints:
         return Reply(response(accepted=True, stamp=server.info(goal).stamp))
 
     async def _cancel(self, request: Any, _caller: bytes) -> Reply:  # noqa: ANN401
-        stamp = request.goal_info.stamp
-        nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec
-        goal_id = request.goal_info.goal_id.uuid
-        response = await self._server.cancel(goal_id, nanoseconds)
+        goal_id, stamp = request.goal_info.goal_id.uuid, nanoseconds(request.goal_info.stamp)
+        response = await self._server.cancel(goal_id, stamp)
         if response.return_code == CancelCode.UNKNOWN_GOAL_ID:
             for sibling in self._siblings():  # or its answer might come after ours
-                answer = await sibling.cancel(goal_id, nanoseconds)
+                answer = await sibling.cancel(goal_id, stamp)
                 if answer.return_code != CancelCode.UNKNOWN_GOAL_ID:
                     return Reply(answer)
         return Reply(response)
@@ -190,27 +192,28 @@ class _Lazy:
     Requests from a wire are not checked again: they were read as what they have to be.
 
     Args:
+        server: The server that it belongs to.
         name: The name of the service.
         find_type: Makes its class.
         handle: Takes a request, of that very class, and the gid of its client, if it has one.
         tasks: Runs what answers requests.
 
     Attributes:
+        server: The server that it belongs to.
         name: The name of the service.
         find_type: Makes its class.
         is_open: Whether it takes requests.
-        server: Whose goals it cancels, if it is that service.
     """
-
-    server: ActionServer[Any, Any, Any]
 
     def __init__(
         self,
+        server: ActionServer[Any, Any, Any],
         name: str,
         find_type: Callable[[], Any],
         handle: Callable[[Any, bytes], Awaitable[Reply]],
         tasks: Tasks,
     ) -> None:
+        self.server = server
         self.name = name
         self.find_type = find_type
         self.is_open = True
@@ -275,10 +278,6 @@ class _Feedback:
     def current(self) -> Sequence[object]:
         """Feedback is for those who are there."""
         return ()
-
-    def send_always(self) -> None:
-        """Publish from now on: who sends goals over a wire reads, be it known here yet or not."""
-        self.publication.expect_readers()
 
     def readers_changed(self, *, has_readers: bool) -> None:
         """Publish while somebody reads."""

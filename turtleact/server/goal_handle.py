@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar, cast
 from turtleact.errors import InvalidTransition
 from turtleact.goal import Goal, GoalStatus
 from turtleact.interfaces import Message
+from turtleact.interfaces.stamps import stamp_of
 from turtleact.interfaces.standard import Time
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ class ServerGoalHandle(Generic[G, R, F]):
     @property
     def stamp(self) -> Time:
         """When the goal was accepted."""
-        return Time(*divmod(self._goal.stamp, 1_000_000_000))
+        return stamp_of(self._goal.stamp)
 
     @property
     def status(self) -> GoalStatus:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from turtleact.errors import InvalidOption
-from turtleact.interfaces.standard import Time
+from turtleact.interfaces.stamps import stamp_of
 from turtleact.interfaces.standard.parameters import (
     DescribeParameters,
     GetParameters,
@@ -155,7 +155,7 @@ class Parameters:
 
     def _tell(self, *, new: Sequence[Parameter] = (), changed: Sequence[Parameter] = ()) -> None:
         if self._events.has_subscriptions:
-            stamp = Time(*divmod(self._node.clock.now(), 1_000_000_000))
+            stamp = stamp_of(self._node.clock.now())
             name = self._node.fully_qualified_name
             self._events.publish(ParameterEvent(stamp, name, list(new), list(changed)))
 
