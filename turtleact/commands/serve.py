@@ -99,7 +99,6 @@ async def _serve(
                 log.say(f"web page, and rosbridge, at {web.url}")
             (transport, where), *_ = opened
             await transport.flush()
-            await transport.explore()
             actions = ", ".join(node.graph().actions) or "nothing"
             log.say(f"ready at {where}, domain {service.domain}: {actions}")
             await interrupts.wait(1)
