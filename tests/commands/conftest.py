@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import os
 import signal
 import subprocess
 import sys
+from contextlib import ExitStack
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import NamedTuple
@@ -125,13 +125,16 @@ def on_graph(turtleact, graphs, interrupts, monkeypatch):
 
 
 @pytest.fixture
-def stdin_of(monkeypatch):
+def stdin_of(monkeypatch, tmp_path):
     """Puts bytes on standard input."""
+    with ExitStack() as stack:
 
-    def put(data):
-        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
+        def put(data):
+            path = tmp_path / "stdin"
+            path.write_bytes(data)
+            monkeypatch.setattr(sys, "stdin", stack.enter_context(path.open()))
 
-    return put
+        yield put
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import io
 import os
 import signal
 import sys
@@ -19,10 +18,6 @@ def read(interrupts):
     return read
 
 
-def stdin_of(monkeypatch, data):
-    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
-
-
 def test_what_is_given_is_the_text(read):
     assert read("order: 5") == GoalText("order: 5", "goal")
 
@@ -31,14 +26,14 @@ def test_nothing_given_is_the_default_goal(read):
     assert read() == GoalText("{}", "goal")
 
 
-def test_standard_input_is_read_to_its_end(read, monkeypatch):
-    stdin_of(monkeypatch, b"order: 5\n")
+def test_standard_input_is_read_to_its_end(read, stdin_of):
+    stdin_of(b"order: 5\n")
     assert read(stdin=True) == GoalText("order: 5\n", "stdin")
 
 
 @pytest.mark.parametrize("data", [b"", b"\n \n"])
-def test_empty_standard_input_is_an_error(read, monkeypatch, data):
-    stdin_of(monkeypatch, data)
+def test_empty_standard_input_is_an_error(read, stdin_of, data):
+    stdin_of(data)
     with pytest.raises(UsageError, match=r"stdin: is empty; the default goal is \{\}"):
         read(stdin=True)
 
@@ -93,20 +88,6 @@ def test_a_file_that_is_not_utf8_is_an_error(read, tmp_path):
 def test_an_endless_file_is_an_error(read):
     with pytest.raises(UsageError, match=f"/dev/zero: is longer than {MOST} bytes"):
         read(path="/dev/zero")
-
-
-def test_a_signal_ends_the_reading(read, interrupts, monkeypatch):
-    class Waits(io.RawIOBase):
-        def read(self, size=-1):
-            signal.raise_signal(signal.SIGINT)
-
-    class Stdin:
-        buffer = Waits()
-
-    monkeypatch.setattr(sys, "stdin", Stdin())
-    interrupts.install()
-    with pytest.raises(KeyboardInterrupt):
-        read(stdin=True)
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])

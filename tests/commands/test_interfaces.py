@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import json
+import os
 import shlex
-import signal
 import sys
 from pathlib import Path
 
@@ -175,13 +174,13 @@ def test_a_class_without_a_file_is_shown(turtleact):
     )
 
 
-def test_the_type_may_come_from_a_pipe(turtleact, monkeypatch):
-    monkeypatch.setattr(sys, "stdin", io.StringIO("std_msgs/msg/String\nmore\n"))
+def test_the_type_may_come_from_a_pipe(turtleact, stdin_of):
+    stdin_of(b"std_msgs/msg/String\nmore\n")
     assert turtleact("interface", "show", "-").out == "string data\n"
 
 
-def test_an_empty_pipe_is_a_usage_error(turtleact, monkeypatch):
-    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+def test_an_empty_pipe_is_a_usage_error(turtleact, stdin_of):
+    stdin_of(b"")
     ran = turtleact("interface", "show", "-")
     assert (ran.status, ran.err) == (
         2,
@@ -195,17 +194,12 @@ def test_a_closed_stdin_is_no_pipe(interrupts, monkeypatch):
         interfaces.read_type("-", interrupts)
 
 
-class Waiting(io.StringIO):
-    def readline(self, _=-1):
-        signal.raise_signal(signal.SIGINT)
-        raise AssertionError("the signal was not heard")
-
-
-def test_a_signal_ends_the_waiting_for_a_type(interrupts, monkeypatch):
-    monkeypatch.setattr(sys, "stdin", Waiting())
-    interrupts.install()
-    with pytest.raises(KeyboardInterrupt):
-        interfaces.read_type("-", interrupts)
+def test_a_type_is_taken_before_the_pipe_ends(interrupts, monkeypatch):
+    file, other = os.pipe()
+    os.write(other, b"std_msgs/msg/String\nmore")
+    with os.fdopen(file) as stdin, os.fdopen(other, "wb"):
+        monkeypatch.setattr(sys, "stdin", stdin)
+        assert interfaces.read_type("-", interrupts) == "std_msgs/msg/String"
 
 
 def test_an_unknown_type_is_an_error_that_names_the_nearest(turtleact):

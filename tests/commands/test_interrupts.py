@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import select
 import signal
 
 import pytest
@@ -44,22 +45,65 @@ def test_a_second_signal_before_the_loop_ends_the_process(installed):
         signal.raise_signal(SIGTERM)
 
 
-def test_reading_is_ended_by_a_signal(installed):
-    with pytest.raises(KeyboardInterrupt), installed.reading():
-        signal.raise_signal(SIGINT)
+@pytest.fixture
+def pipe():
+    file, other = os.pipe()
+    with os.fdopen(file, "rb") as reader, os.fdopen(other, "wb", buffering=0) as writer:
+        yield reader, writer
 
 
-def test_reading_does_not_begin_after_a_signal(installed):
+@pytest.fixture
+def at_the_wait(monkeypatch):
+    """Something happens when the system is asked to wait."""
+
+    def put(happens):
+        real = select.select
+
+        def wait(*files):
+            happens()
+            return real(*files)
+
+        monkeypatch.setattr(select, "select", wait)
+
+    return put
+
+
+def test_reading_is_ended_by_a_signal(installed, pipe, at_the_wait):
+    at_the_wait(lambda: signal.raise_signal(SIGINT))
+    with pytest.raises(KeyboardInterrupt):
+        installed.read(pipe[0].fileno(), 10)
+
+
+def test_a_signal_wakes_the_reading_before_python_knows(interrupts, pipe, at_the_wait):
+    """As one does that comes after Python last looked, and before the system waits."""
+    then = iter([lambda: signal.raise_signal(SIGINT), pipe[1].close])
+    before = signal.signal(SIGINT, lambda *_: None)
+    at_the_wait(lambda: next(then)())
+    try:
+        assert interrupts.read(pipe[0].fileno(), 10) == b""
+    finally:
+        signal.signal(SIGINT, before)
+    assert not list(then)
+
+
+def test_reading_does_not_begin_after_a_signal(installed, pipe, at_the_wait):
+    at_the_wait(lambda: pytest.fail("it began"))
     signal.raise_signal(SIGINT)
-    with pytest.raises(KeyboardInterrupt), installed.reading():
-        pytest.fail("it began")
+    with pytest.raises(KeyboardInterrupt):
+        installed.read(pipe[0].fileno(), 10)
 
 
-def test_behind_the_reading_a_signal_is_noted_again(installed):
-    with installed.reading():
-        pass
+def test_behind_the_reading_a_signal_is_noted_again(installed, pipe):
+    pipe[1].write(b"x")
+    assert installed.read(pipe[0].fileno(), 1) == b"x"
     signal.raise_signal(SIGINT)
     assert installed.received == [SIGINT]
+
+
+def test_what_comes_in_parts_is_read_to_the_end(interrupts, pipe, at_the_wait):
+    parts = iter([b"a", b"b\n", b"c"])
+    at_the_wait(lambda: pipe[1].write(part) if (part := next(parts, b"")) else pipe[1].close())
+    assert interrupts.read(pipe[0].fileno(), 10) == b"ab\nc"
 
 
 def spin() -> None:

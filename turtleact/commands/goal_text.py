@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import sys
-from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from turtleact.errors import UsageError
 
@@ -63,8 +63,7 @@ class GoalText(NamedTuple):
 
 def _read(path: str | None, source: str, interrupts: Interrupts) -> bytes:
     try:
-        with interrupts.reading():
-            data = _read_stdin() if path is None else _read_file(path)
+        data = _read_stdin(interrupts) if path is None else _read_file(path, interrupts)
     except OSError as error:
         raise UsageError(f"{source}: cannot be read: {error.strerror}") from None
     if len(data) > MOST:
@@ -81,18 +80,21 @@ def _decoded(data: bytes, source: str) -> str:
         ) from None
 
 
-def _read_stdin() -> bytes:
+def _read_stdin(interrupts: Interrupts) -> bytes:
     if sys.stdin is None:
         raise UsageError("stdin: is closed")
-    stream: BinaryIO = sys.stdin.buffer
-    return stream.read(MOST + 1)
+    return interrupts.read(sys.stdin.fileno(), MOST + 1)
 
 
-def _read_file(path: str) -> bytes:
+def _read_file(path: str, interrupts: Interrupts) -> bytes:
     if not path:
         raise UsageError("--goal-file: the path is empty")
     try:
-        with Path(path).open("rb") as file:
-            return file.read(MOST + 1)
+        # Else a named pipe that nobody writes to would be waited for here.
+        file = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except ValueError:  # a null byte in the path
         raise UsageError("--goal-file: a path holds no null character") from None
+    try:
+        return interrupts.read(file, MOST + 1)
+    finally:
+        os.close(file)

@@ -45,6 +45,9 @@ __all__ = [
 KINDS: Final = {"msg": "Messages", "srv": "Services", "action": "Actions"}
 """The kinds of interfaces, in the order in which they are listed."""
 
+LONGEST_LINE: Final = 2**12
+"""Bytes that are read of a pipe that holds a name: no name is longer."""
+
 
 def make_known(folder: str | None) -> None:
     """Make known the interfaces of our actions, of a folder, and of the installed ROS workspace.
@@ -131,8 +134,8 @@ def read_type(type_name: str, interrupts: Interrupts) -> str:
         return type_name
     if sys.stdin is None or sys.stdin.isatty():
         raise UsageError("'-' reads the type from a pipe, and stdin is none")
-    with interrupts.reading():
-        line = sys.stdin.readline().strip()
+    data = interrupts.read(sys.stdin.fileno(), LONGEST_LINE, line=True)
+    line = data.partition(b"\n")[0].decode(errors="replace").strip()
     if not line:
         raise UsageError("stdin: is empty; expected a type such as std_msgs/msg/String")
     return line

@@ -5,7 +5,7 @@ it depends on where the program stands:
 
 - before the event loop runs: nobody; the program looks at `Interrupts.received` before it begins.
   A second signal ends the process at once.
-- while it reads what the user types (`Interrupts.reading`): the signal ends the reading.
+- while it reads what the user types (`Interrupts.read`): the signal ends the reading.
 - in the event loop (`Interrupts.listening`): whoever waits in `Interrupts.wait`. Should the loop
   not come to the second signal within `GRACE`, or to a deadline (`Interrupts.end_within`), because
   it is stuck in a body or in writing to somebody who does not read, the system's alarm clock ends
@@ -20,6 +20,7 @@ behind, and with it a traceback, in the moments before and after the loop. The l
 from __future__ import annotations
 
 import os
+import select
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -39,6 +40,10 @@ GRACE = 0.5
 
 LONGEST = 1e9
 """Wall seconds that the system's alarm clock can be set to without harm: 31 years."""
+
+
+CHUNK = 2**16
+"""Bytes that are read at once: what a pipe holds on Linux."""
 
 
 def leave(status: int) -> NoReturn:
@@ -80,16 +85,40 @@ class Interrupts:
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
 
-    @contextmanager
-    def reading(self) -> Iterator[None]:
-        """A block that a signal leaves with KeyboardInterrupt."""
+    def read(self, file: int, most: int, *, line: bool = False) -> bytes:
+        """What a file holds, waited for; a signal ends the waiting.
+
+        The file is waited for together with a pipe into which the system writes each signal. One
+        that came in the moment before a plain read began to wait would be told after that only.
+
+        Args:
+            file: Its descriptor.
+            most: So many bytes at most; the end of the file comes before.
+            line: Whether the end of the first line is enough. More may have been read.
+
+        Raises:
+            KeyboardInterrupt: if a signal comes, or came before.
+            OSError: if it cannot be read.
+        """
+        data = bytearray()
         self._is_reading = True
         try:
-            if self.received:
-                raise KeyboardInterrupt
-            yield
+            with _signals_in_a_pipe() as signals:
+                if self.received:
+                    raise KeyboardInterrupt
+                while len(data) < most and not (line and b"\n" in data):
+                    ready, _, _ = select.select([file, signals], (), ())
+                    if signals in ready:  # one that ends nothing
+                        os.read(signals, CHUNK)
+                    if file not in ready:
+                        continue
+                    part = os.read(file, min(most - len(data), CHUNK))
+                    if not part:
+                        break
+                    data += part
         finally:
             self._is_reading = False
+        return bytes(data)
 
     @contextmanager
     def listening(self, loop: asyncio.AbstractEventLoop) -> Iterator[None]:
@@ -141,3 +170,17 @@ class Interrupts:
             self.restore()
         finally:
             os._exit(status)
+
+
+@contextmanager
+def _signals_in_a_pipe() -> Iterator[int]:
+    """The end of a pipe that can be read as soon as a signal has come."""
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    before = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    try:
+        yield reader
+    finally:
+        signal.set_wakeup_fd(before)
+        os.close(reader)
+        os.close(writer)
