@@ -377,6 +377,27 @@ async def test_a_request_that_cannot_be_read_is_answered_so(
     assert "service /add: a request cannot be read" in caplog.text
 
 
+async def test_a_thread_that_brings_messages_stays_with_python(address):
+    """A state made anew for each call would hold nothing of the one before."""
+    fresh, state, last = [], threading.local(), threading.Event()
+
+    def take(payload, _):
+        if not hasattr(state, "is_known"):
+            state.is_known = True
+            fresh.append(threading.get_ident())
+        if SPEECH.decode(payload) == feedback(9):
+            last.set()
+
+    async with beside(address) as (transport, other):
+        await anyio.to_thread.run_sync(other.session.declare_subscriber, CHATTER_KEY, take)
+        publication = transport.advertise(publisher(), SPEECH)
+        await until_read(publication)
+        for number in range(10):
+            publication.publish(feedback(number))
+        assert await anyio.to_thread.run_sync(last.wait, 10)
+    assert len(fresh) == len(set(fresh))
+
+
 async def test_a_request_that_is_under_way_is_refused_a_second_time(address, caplog):
     gate = anyio.Event()
     async with beside(address) as (transport, other):

@@ -15,6 +15,7 @@ from turtleact.interfaces.types import Message, Service
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from types import ModuleType
 
     from turtleact.interfaces.registry import Interface
 
@@ -56,9 +57,8 @@ class WireFormat:
         if not isinstance(message, self._classes[0]):
             problem = f"expected {self._classes[0].type_name}, not {type(message).__name__}"
             raise InvalidMessage("message", problem)
-        from turtleact.interfaces import cdr  # only who sends bytes waits for its import
-
-        return cdr.encode(message)
+        data: bytes = self._cdr.encode(message)
+        return data
 
     def decode(self, data: bytes) -> Message:
         """What was received, as a message.
@@ -66,9 +66,14 @@ class WireFormat:
         Raises:
             InvalidMessage: if the bytes hold none; it says where.
         """
-        from turtleact.interfaces import cdr
+        message: Message = self._cdr.decode(self._classes[1], data)
+        return message
 
-        return cdr.decode(self._classes[1], data)
+    @cached_property
+    def _cdr(self) -> ModuleType:
+        from turtleact.interfaces import cdr  # only who sends bytes waits for its import
+
+        return cdr
 
     @cached_property
     def _found(self) -> Interface:

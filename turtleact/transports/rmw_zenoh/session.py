@@ -21,6 +21,7 @@ from zenoh.handlers import Callback
 
 from turtleact.errors import InvalidOption, TurtleactError
 from turtleact.transports.rmw_zenoh.config import PATIENCE, SessionConfig
+from turtleact.transports.rmw_zenoh.staying import stay
 
 __all__ = ["Declared", "Publisher", "Querier", "Query", "Session"]
 
@@ -195,8 +196,10 @@ class Publisher:
 
     def put(self, payload: bytes, attachment: bytes) -> None:
         """Send a message; blocks while a reader takes nothing, if it is reliable."""
-        with _mapped("publish"):
+        try:
             self._publisher.put(payload, attachment=attachment)
+        except zenoh.ZError as error:
+            raise _error("publish", error) from error
 
     def undeclare(self) -> None:
         """Take it back, and what it has kept."""
@@ -241,13 +244,15 @@ class Querier:
                 failed(text, kind or (TIMEOUT if text == TIMEOUT else ""))
 
         token = zenoh.CancellationToken()
-        with _mapped("send a request"):
+        try:
             self._querier.get(
-                Callback(take, ended, indirect=False),
+                Callback(_staying(take), ended, indirect=False),
                 payload=payload,
                 attachment=attachment,
                 cancellation_token=token,
             )
+        except zenoh.ZError as error:
+            raise _error("send a request", error) from error
         return token.cancel
 
     def undeclare(self) -> None:
@@ -272,8 +277,11 @@ class Query:
 
     def reply(self, payload: bytes, attachment: bytes) -> None:
         """Answer it."""
-        with _mapped("reply"), self._query:
-            self._query.reply(self._key, payload, attachment=attachment)
+        try:
+            with self._query:
+                self._query.reply(self._key, payload, attachment=attachment)
+        except zenoh.ZError as error:
+            raise _error("reply", error) from error
 
     def fail(self, text: str, kind: str) -> None:
         """Answer that it has failed: a text for people, and a kind for peers like us."""
@@ -293,7 +301,17 @@ def _parts(sample: zenoh.Sample) -> tuple[bytes, bytes]:
 
 def _direct(callback: Callable[[Any], object]) -> Any:  # noqa: ANN401  # of whatever is declared
     """A handler that runs in the thread that receives: no thread and no queue of its own."""
-    return Callback(callback, indirect=False)
+    return Callback(_staying(callback), indirect=False)
+
+
+def _staying(callback: Callable[[Any], object]) -> Callable[[Any], object]:
+    """A callback that its thread is made to stay with Python by."""
+
+    def take(value: object) -> None:
+        stay()
+        callback(value)
+
+    return take
 
 
 def _congestion(is_reliable: bool) -> zenoh.CongestionControl:
@@ -306,7 +324,11 @@ def _mapped(what: str) -> Iterator[None]:
     try:
         yield
     except zenoh.ZError as error:
-        raise TurtleactError(f"Zenoh cannot {what}: {_words(error)}") from error
+        raise _error(what, error) from error
+
+
+def _error(what: str, error: zenoh.ZError) -> TurtleactError:
+    return TurtleactError(f"Zenoh cannot {what}: {_words(error)}")
 
 
 def _words(error: zenoh.ZError) -> str:
