@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import inspect
+import sys
 from importlib import resources
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 
 from turtleact.interfaces import get_interface, known_interfaces, standard
 from turtleact.interfaces.parse import parse
+from turtleact.interfaces.registry import REGISTRY
 from turtleact.interfaces.standard import parameters
 from turtleact.interfaces.types import Action, Message, Service, definition
 
@@ -35,6 +37,16 @@ def test_a_class_says_what_its_file_says(cls):
 @pytest.mark.parametrize("cls", CLASSES, ids=IDS)
 def test_a_class_is_what_its_name_gives(cls):
     assert get_interface(cls.type_name) is cls
+
+
+def test_a_class_that_is_imported_late_is_what_its_name_gives(monkeypatch):
+    monkeypatch.delitem(sys.modules, parameters.__name__)
+    monkeypatch.setattr(standard, "parameters", parameters)  # put back behind the test
+    for cls in CLASSES:
+        if cls.__module__ == parameters.__name__:
+            REGISTRY.forget(cls.type_name)
+    found = get_interface("rcl_interfaces/msg/Parameter")
+    assert found is sys.modules[parameters.__name__].Parameter
 
 
 def test_every_file_is_known():

@@ -8,6 +8,7 @@ files.
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,6 +49,9 @@ KINDS = ("msg", "srv", "action")
 
 #: Where packages lie in a folder: side by side, in a ROS prefix, or in one of several prefixes.
 LAYOUTS = ("*", "share/*", "*/share/*")
+
+#: Packages whose classes stand in a module that few need: it is imported with the first of them.
+DECLARED = {"rcl_interfaces": "turtleact.interfaces.standard.parameters"}
 
 #: The former name of ``implied``.
 implied_types = implied
@@ -208,11 +212,20 @@ def look_up(type_name: str, making: tuple[str, ...]) -> Interface | None:
         raise InvalidInterface(f"a message contains itself: {circle}", source=making[0])
     owner, part = owner_and_part(type_name)
     found = part_of(look_up(owner, making), part) if part else None
-    found = found or REGISTRY.get(type_name)
+    found = found or REGISTRY.get(type_name) or declared(type_name)
     if found is not None:
         return found
     file = REGISTRY.files.get(type_name) or shipped(type_name) or installed(type_name)
     return None if file is None else build(parse(read(file), type_name, source=str(file)), making)
+
+
+def declared(type_name: str) -> Interface | None:
+    """The class of that full name in a module that is imported once it is needed, or None."""
+    module = DECLARED.get(type_name.partition("/")[0])
+    if module is None:
+        return None
+    import_module(module)
+    return REGISTRY.get(type_name)
 
 
 def full_names(type_name: str) -> list[str]:
