@@ -73,7 +73,7 @@ def send(request) -> Send:
 @pytest.fixture(autouse=True)
 def no_patience(monkeypatch) -> None:
     """What a server that has died is waited for: nothing."""
-    monkeypatch.setattr("turtleact.client.distant_server.BACK_WITHIN", 0.0)
+    monkeypatch.setattr("turtleact.client.requests.BACK_WITHIN", 0.0)
 
 
 # --- ends ---------------------------------------------------------------------------------------
@@ -473,6 +473,9 @@ class CutCaller:
     def is_served(self) -> bool:
         return not self._graph.is_cut and self._caller.is_served
 
+    def ask(self, _request: object) -> None:
+        """Nothing is asked early here."""
+
     async def call(self, request: object) -> Any:
         if self._graph.delays and self._name.endswith("get_result"):
             await settle()
@@ -526,7 +529,7 @@ async def test_a_server_that_comes_back_at_once_is_asked_again(send, monkeypatch
     gate = Gate()
     async with cut(gate.wait) as (served, graph), running(lambda: send(served, goal())) as sent:
         await gate.started.wait()
-        monkeypatch.setattr("turtleact.client.distant_server.BACK_WITHIN", 5.0)
+        monkeypatch.setattr("turtleact.client.requests.BACK_WITHIN", 5.0)
         graph.returns = True
         graph.cut()
         await settle()

@@ -18,7 +18,7 @@ Source: the ROS 2 design article "Actions"; rcl_action ``goal_state_machine.c`` 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from enum import IntEnum
 from types import MappingProxyType
 from typing import Final, Protocol, TypeAlias
@@ -339,6 +339,11 @@ class GoalTable:
         """The goal of that id, or None if it was never held or has expired."""
         self.expire(now)
         return self._named.get(goal_id)
+
+    def ids(self, now: int) -> Container[bytes]:
+        """The ids of all goals held that have one."""
+        self.expire(now)
+        return self._named.keys()
 
     def held(self, now: int) -> list[Goal]:
         """All goals held: the active ones, and those whose result is kept, by their acceptance."""

@@ -116,6 +116,9 @@ class Numbers:
     def current(self) -> list[object]:
         return [feedback(self.number)]
 
+    def written(self, encode: Callable[[object], bytes]) -> list[bytes]:
+        return [encode(message) for message in self.current()]
+
     def readers_changed(self, *, has_readers: bool) -> None:
         self.told.append(has_readers)
 

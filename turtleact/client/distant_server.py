@@ -22,16 +22,14 @@ import anyio
 
 from turtleact.client.followed import Followed, move
 from turtleact.client.links import Links
+from turtleact.client.requests import Requests
 from turtleact.errors import (
     GoalRejected,
     ServerUnavailable,
-    ServiceTimeout,
     TurtleactError,
-    UnknownGoal,
 )
 from turtleact.goal import Goal, GoalStatus, OnFeedback, failure, status_of
 from turtleact.goal_id import new_goal_id
-from turtleact.goal_note import GoalNote
 from turtleact.interfaces import Message, snapshotter
 from turtleact.interfaces.stamps import nanoseconds, stamp_of
 from turtleact.interfaces.standard import (
@@ -47,12 +45,6 @@ from turtleact.tasks import GRACE, Signal, Tasks
 __all__ = ["DistantServer"]
 
 logger = logging.getLogger("turtleact.client")
-
-BACK_WITHIN: Final = 0.5
-"""A server that has gone and is back after so long was only out of reach (s)."""
-
-ATTEMPTS: Final = 3
-"""So many times the result of a goal is asked for, if its server seems to be back."""
 
 LATE_FEEDBACK: Final = 1.0
 """Feedback that is behind its goal's result is waited for so long (s)."""
@@ -77,6 +69,7 @@ class DistantServer:
     ) -> None:
         self.from_anywhere = tasks.from_anywhere
         self._links = links
+        self._requests = Requests(links)
         self._check_goal = cast("Callable[[object], Message]", snapshotter(goal_type, root="goal"))
         self._tasks = tasks
         self._now = now
@@ -202,7 +195,8 @@ class DistantServer:
         goal = followed.goal
         try:
             if not followed.is_accepted:
-                await self._ask(followed)
+                await self._requests.send(followed)
+                self.signal(goal).fire()
             if followed.is_given_up:
                 await self.cancel_goal(goal)
             await self._await_result(followed)
@@ -217,45 +211,17 @@ class DistantServer:
             logger.exception("goal %s of %s cannot be followed", goal.hex, self._links.name)
             self._lose(goal, TurtleactError(f"the goal cannot be followed: {summary(error)}"))
         finally:
+            followed.drop()
             self._followed.pop(cast("bytes", goal.id), None)
 
-    async def _ask(self, followed: Followed) -> None:
-        """Send the request; raises unless it is accepted."""
-        goal, links = followed.goal, self._links
-        request = links.implied.send_goal.Request(
-            UUID(cast("bytes", goal.id)), cast("Message", goal.request)
-        )
-        reply = await links.send_goal.call(request)
-        response: Any = reply.message
-        if not response.accepted:
-            raise GoalRejected(GoalNote.read(reply.note).reason)
-        goal.stamp = nanoseconds(response.stamp)
-        followed.is_accepted = True
-        self.signal(goal).fire()
-
     async def _await_result(self, followed: Followed) -> None:
-        goal, links = followed.goal, self._links
-        request = links.implied.get_result.Request(UUID(cast("bytes", goal.id)))
-        lost: list[ServerUnavailable] = []
-        while True:
-            try:
-                reply = await links.get_result.call(request)
-                break
-            except ServiceTimeout:  # the goal takes longer than the transport waits
-                continue
-            except ServerUnavailable as error:
-                lost.append(error)
-                if len(lost) == ATTEMPTS or not await self._is_back():
-                    raise lost[0] from None
-        response: Any = reply.message
-        status, note = status_of(response.status), GoalNote.read(reply.note)
-        if not status.is_terminal:
-            raise UnknownGoal(f"'{links.name}' holds no goal {goal.hex}, or not any more")
+        goal = followed.goal
+        answer = await self._requests.result(followed)
         if followed.is_sender:
-            await self._await_feedback(followed, note.feedback)
-        goal.result, goal.reason = response.result, note.reason
+            await self._await_feedback(followed, answer.note.feedback)
+        goal.result, goal.reason = answer.result, answer.note.reason
         goal.ended = self._now()
-        move(goal, status)
+        move(goal, answer.status)
 
     async def _await_feedback(self, followed: Followed, count: int) -> None:
         """Wait for the feedback that the result has overtaken."""
@@ -267,12 +233,6 @@ class DistantServer:
         if followed.received < count:
             lost = count - followed.received
             logger.warning("%d feedback messages of goal %s were lost", lost, followed.goal.hex)
-
-    async def _is_back(self) -> bool:
-        """Whether the server was out of reach for a moment only."""
-        with anyio.move_on_after(BACK_WITHIN):
-            await self._links.wait_until_served()
-        return self._links.is_served
 
     def _unavailable(self, problem: str) -> ServerUnavailable:
         return ServerUnavailable(self._links.name, problem)

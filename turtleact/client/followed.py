@@ -6,11 +6,14 @@ Source: rcl_action ``goal_state_machine.c`` for the steps between states.
 from __future__ import annotations
 
 import logging
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from turtleact.feedback import FeedbackLog
 from turtleact.goal import Cancelable, Goal, GoalEvent, GoalStatus
 from turtleact.summaries import STOPS
+
+if TYPE_CHECKING:
+    from turtleact.transports.base import Asked
 
 __all__ = ["Followed", "move"]
 
@@ -30,6 +33,7 @@ class Followed:
         is_accepted: Whether the server has taken it.
         is_given_up: Whether it is to be canceled as soon as that is possible.
         received: How many feedback messages have come.
+        asked: The request for its result, if that was sent together with the goal.
         task: What keeps it up to date.
     """
 
@@ -43,6 +47,13 @@ class Followed:
         self.is_accepted = not is_sender
         self.is_given_up = False
         self.received = 0
+        self.asked: Asked | None = None
+
+    def drop(self) -> None:
+        """Want no answer to what was asked early."""
+        if self.asked is not None:
+            self.asked.drop()
+            self.asked = None
 
     def take(self, feedback: object) -> None:
         """Note a feedback message, and tell the sender's callback."""

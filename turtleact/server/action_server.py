@@ -13,7 +13,7 @@ Source: rclpy ``action/server.py`` for names and meaning.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Container, Generator
 from contextvars import copy_context
 from functools import partial
 from time import monotonic
@@ -286,6 +286,10 @@ class ActionServer(Generic[G, R, F]):
         if goal is not None:
             goal.is_streamed = True
         return goal
+
+    def held_ids(self) -> Container[bytes]:
+        """The ids of those of the goals held that have one."""
+        return self._table.ids(self._now())
 
     def held(self) -> list[Goal]:
         """All goals held: the active ones, and those whose result is kept."""

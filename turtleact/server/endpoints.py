@@ -33,10 +33,10 @@ from turtleact.interfaces.standard import (
     UUID,
     CancelGoal,
     GoalStatusArray,
-    GoalStatusMessage,
 )
 from turtleact.names import ActionNames
 from turtleact.server.action_server import SHUTDOWN, ActionServer
+from turtleact.server.status import StatusSource
 from turtleact.services import ServiceServer
 from turtleact.tasks import GRACE, Tasks
 from turtleact.transports.base import STATUS_QOS, MakeEndpoint, Publication, Reply, Transport
@@ -73,6 +73,8 @@ class ActionEndpoints:
         self._names = names
         self._transport = transport
         self._tasks = tasks
+        self._taken_up: list[bytes] = []
+        self._taken = tasks.signal()
         self._send_goal = _Lazy(
             server, names.send_goal, lambda: self._implied.send_goal, self._take, tasks
         )
@@ -127,7 +129,7 @@ class ActionEndpoints:
     def _advertise(self, transport: Transport, endpoint: MakeEndpoint) -> list[Publication]:
         """Open the topics."""
         server, names = self._server, self._names
-        feedback, status = self._feedback, _Status(server)
+        feedback, status = self._feedback, StatusSource(server)
         described = endpoint(
             "publisher", names.feedback, f"{server.action_type.type_name}_FeedbackMessage"
         )
@@ -153,10 +155,21 @@ class ActionEndpoints:
         try:
             goal = server.begin(message, goal_id, None, caller, is_streamed=False)
             if goal is None:
-                goal = await server.take(message, goal_id, None, caller, is_streamed=False)
+                with self._taking_up(goal_id):
+                    goal = await server.take(message, goal_id, None, caller, is_streamed=False)
         except GoalRejected as rejected:
             return Reply(response(accepted=False), GoalNote(rejected.reason).write())
         return Reply(response(accepted=True, stamp=server.info(goal).stamp))
+
+    @contextmanager
+    def _taking_up(self, goal_id: bytes) -> Iterator[None]:
+        """A block in which a goal is thought about: who asks for its result meanwhile waits."""
+        self._taken_up.append(goal_id)  # a list: a second goal of the same id may come
+        try:
+            yield
+        finally:
+            self._taken_up.remove(goal_id)
+            self._taken.fire()
 
     async def _cancel(self, request: Any, _caller: bytes) -> Reply:  # noqa: ANN401
         goal_id, stamp = request.goal_info.goal_id.uuid, nanoseconds(request.goal_info.stamp)
@@ -176,7 +189,9 @@ class ActionEndpoints:
 
     async def _wait(self, request: Any, _caller: bytes) -> Reply:  # noqa: ANN401
         server, response = self._server, self._implied.get_result.Response
-        goal = server.find(request.goal_id.uuid)
+        goal_id = request.goal_id.uuid
+        while (goal := server.find(goal_id)) is None and goal_id in self._taken_up:
+            await self._taken.wait()
         if goal is None:
             return Reply(response(status=GoalStatus.UNKNOWN))
         goal.is_asked_for = True
@@ -279,6 +294,10 @@ class _Feedback:
         """Feedback is for those who are there."""
         return ()
 
+    def written(self, _encode: Callable[[object], bytes]) -> Sequence[bytes]:
+        """Likewise."""
+        return ()
+
     def readers_changed(self, *, has_readers: bool) -> None:
         """Publish while somebody reads."""
         execution = self._server.execution
@@ -291,35 +310,6 @@ class _Feedback:
         message = _implied(self._server).feedback_message
         goal.published += 1
         self.publication.publish(message(UUID(self._server.name_goal(goal)), feedback))
-
-
-class _Status:
-    """The source of the status topic."""
-
-    publication: Publication
-
-    def __init__(self, server: ActionServer[Any, Any, Any]) -> None:
-        self._server = server
-        self._is_watching = False
-
-    def current(self) -> Sequence[object]:
-        """All goals that the server holds."""
-        statuses = [
-            GoalStatusMessage(self._server.info(goal), int(goal.status))
-            for goal in self._server.held()
-        ]
-        return (GoalStatusArray(statuses),)
-
-    def readers_changed(self, *, has_readers: bool) -> None:
-        """Publish while somebody reads."""
-        if has_readers and not self._is_watching:
-            self._server.hooks.add(self._publish)
-        elif self._is_watching and not has_readers:
-            self._server.hooks.remove(self._publish)
-        self._is_watching = has_readers
-
-    def _publish(self, *_change: object) -> None:
-        self.publication.refresh()
 
 
 def _may_be_asked_for(goal: Goal) -> bool:

@@ -169,6 +169,9 @@ class Source(Protocol):
     def current(self) -> Sequence[object]:
         """What a late reader of a transient-local topic gets first, made when it comes."""
 
+    def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:
+        """The same as bytes, for readers in other processes."""
+
     def readers_changed(self, *, has_readers: bool) -> None:
         """Called when the first reader has come, and when the last one has gone."""
 
@@ -183,6 +186,16 @@ class Reply(msgspec.Struct, frozen=True):
 
     message: object
     note: str = ""
+
+
+class Asked(Protocol):
+    """A request that is under way; one of the two is called, or it goes on for nobody."""
+
+    async def reply(self) -> Reply:
+        """Wait for the reply; as `Caller.call`."""
+
+    def drop(self) -> None:
+        """Want no reply any more; behind `reply`, this does nothing."""
 
 
 class Caller(Closeable, Protocol):
@@ -202,6 +215,13 @@ class Caller(Closeable, Protocol):
             ServerUnavailable: if nobody serves it, or under another type, or the server went away.
             ServiceError: if the handler failed; what it raised on purpose comes as it is.
             TurtleactError: if the caller is closed.
+        """
+
+    def ask(self, request: object) -> Asked | None:
+        """Send a request to another process now; None if that takes waiting: then see `call`.
+
+        Raises:
+            InvalidMessage: if the request does not fit its type; nothing was sent.
         """
 
 

@@ -315,6 +315,9 @@ class _Caller:
         except Exception as error:
             raise ServiceError(name, f"the handler failed: {summary(error)}") from error
 
+    def ask(self, _request: object) -> None:
+        """Nobody is in another process."""
+
     def close(self) -> None:
         self._is_open = False
         self.on_close()

@@ -26,6 +26,7 @@ from turtleact.errors import (
 from turtleact.summaries import summary
 from turtleact.tasks import GRACE
 from turtleact.transports.base import (
+    Asked,
     Caller,
     Closeable,
     Endpoint,
@@ -34,6 +35,7 @@ from turtleact.transports.base import (
     Replying,
     why_not_served,
 )
+from turtleact.transports.rmw_zenoh.asking import Call
 from turtleact.transports.rmw_zenoh.attachment import (
     Attachment,
     read_attachment,
@@ -48,10 +50,6 @@ if TYPE_CHECKING:
 __all__ = ["WireCaller", "WireService"]
 
 logger = logging.getLogger("turtleact.services")
-
-
-#: So long a call goes on without its server (s).
-LOST = 0.25
 
 
 class WireService:
@@ -174,7 +172,7 @@ class WireCaller:
         self._is_open = True
         self._is_matching = False
         self._querier: Querier | None = None
-        self._calls: set[_Call] = set()
+        self._calls: set[Call] = set()
         self._near: Caller = link.near.join(endpoint, format)
         link.outbox.post(self._declare)
         self._presence = Presence(link, named.token)
@@ -194,7 +192,12 @@ class WireCaller:
             await self._wait_for_route()
         if not self._is_matching or not self._link.is_open:
             raise self._unavailable(self._why_not_served())
-        return await self._ask(payload)
+        return await self._send(payload).reply()
+
+    def ask(self, request: object) -> Asked | None:
+        """Send a request now; None if it would not go to another process, or has to wait."""
+        is_far = self._is_matching and self._link.is_open and not self._near.is_served
+        return self._send(self._format.encode(request)) if is_far and self._is_open else None
 
     def close(self) -> None:
         """Leave the graph; calls under way go on. A second time does nothing."""
@@ -224,21 +227,18 @@ class WireCaller:
             while not self._is_matching and any(map(self._fits, self._servers())):
                 await self._link.near.wait_for_change()
 
-    async def _ask(self, payload: bytes) -> Reply:
-        call = _Call(self._link, payload, self._counter.next())
+    def _send(self, payload: bytes) -> Call:
+        call = Call(self._link, payload, self._counter.next(), self._is_over, self._read)
         self._calls.add(call)
         self._link.outbox.post(lambda: call.send(self._querier))
-        try:
-            await call.wait()
-        finally:
-            self._calls.discard(call)
-            if not call.is_over:
-                self._link.outbox.post(call.cancel)
-            if not self._is_open and not self._calls:
-                self._link.outbox.post(self._undeclare)
-        return self._reply(call)
+        return call
 
-    def _reply(self, call: _Call) -> Reply:
+    def _is_over(self, call: Call) -> None:
+        self._calls.discard(call)
+        if not self._is_open and not self._calls:
+            self._link.outbox.post(self._undeclare)
+
+    def _read(self, call: Call) -> Reply:
         """What came of a call; raises what its server raised."""
         if call.error is not None:
             raise error_said(self._endpoint.name, *call.error)
@@ -302,83 +302,3 @@ class WireCaller:
         if self._querier is not None:
             self._querier.undeclare()
             self._querier = None
-
-
-class _Call:
-    """One request and what comes of it.
-
-    Attributes:
-        answer: Payload and attachment of the reply.
-        error: The text of an error, and its kind.
-    """
-
-    def __init__(self, link: Link, payload: bytes, attachment: bytes) -> None:
-        self.answer: tuple[bytes, bytes] | None = None
-        self.error: tuple[str, str] | None = None
-        self._has_ended = False
-        self._link = link
-        self._payload = payload
-        self._attachment = attachment
-        self._changed = link.tasks.signal()
-        self._give_up: Callable[[], None] | None = None
-
-    @property
-    def is_over(self) -> bool:
-        """Whether there is a reply or an error, or the end without either."""
-        return self._has_ended or self.answer is not None or self.error is not None
-
-    async def wait(self) -> None:
-        """Wait until it is over."""
-        while not self.is_over:
-            await self._changed.wait()
-
-    async def end_soon(self) -> None:
-        """End it in a while: Zenoh may have lost it with its server, and never say so."""
-        with anyio.move_on_after(LOST):
-            await self.wait()
-        self.end()
-
-    def end(self) -> None:
-        """Nothing more comes."""
-        self._has_ended = True
-        self._changed.fire()
-
-    # in the outbox
-
-    def send(self, querier: Querier | None) -> None:
-        """Send the request."""
-        if querier is None:
-            self._ended()
-            return
-        try:
-            self._give_up = querier.get(
-                self._payload,
-                self._attachment,
-                replied=self._replied,
-                failed=self._failed,
-                ended=self._ended,
-            )
-        except TurtleactError:
-            self._ended()
-            raise
-
-    def cancel(self) -> None:
-        """Take no more answers."""
-        if self._give_up is not None:
-            self._give_up()
-
-    # in a thread of the session
-
-    def _replied(self, payload: bytes, attachment: bytes) -> None:
-        if not self.is_over:  # of several servers the quickest is heard
-            self.answer = payload, attachment
-            self._link.inbox.push(self._changed.fire)
-
-    def _failed(self, text: str, kind: str) -> None:
-        if not self.is_over:
-            self.error = text, kind
-            self._link.inbox.push(self._changed.fire)
-
-    def _ended(self) -> None:
-        if not self.is_over:  # else the loop has been told
-            self._link.inbox.push(self.end)

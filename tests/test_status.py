@@ -1,0 +1,94 @@
+"""The status of the goals that a server holds, as messages and as bytes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import anyio
+
+from turtleact import Abort, GoalStatus
+from turtleact.interfaces import WireFormat, decode
+from turtleact.interfaces.standard import GoalStatusArray
+from turtleact.server.status import StatusSource
+
+from .lab import Count, Lab, goal, lab, settle
+
+
+class Topic:
+    """Counts how often the state has changed."""
+
+    changes = 0
+
+    def refresh(self) -> None:
+        self.changes += 1
+
+
+def source_of(server: Any) -> StatusSource:
+    source = StatusSource(server)
+    topic: Any = Topic()
+    source.publication = topic
+    source.readers_changed(has_readers=True)
+    return source
+
+
+def check(source: StatusSource, *expected: GoalStatus) -> None:
+    """Both forms say the same, and this."""
+    encode = WireFormat(GoalStatusArray).encode
+    (message,), (data,) = source.current(), source.written(encode)
+    assert data == encode(message)
+    said = decode(GoalStatusArray, data)
+    assert [GoalStatus(each.status) for each in said.status_list] == list(expected)
+
+
+async def act(request: Count.Goal) -> Count.Result:
+    if request.upto == 1:
+        raise Abort("no")
+    if request.upto == 2:
+        await anyio.sleep_forever()
+    return Count.Result()
+
+
+async def send(served: Lab, upto: int) -> None:
+    """Send a goal for others to wait for."""
+    async with served.client.send_goal(goal(upto)) as sent:
+        sent.detach()
+    await settle()
+
+
+async def test_no_goal_is_an_empty_array():
+    async with lab(act) as served:
+        check(source_of(served.server))
+
+
+async def test_both_forms_say_the_same_of_goals_in_any_state():
+    async with lab(act) as served:
+        source = source_of(served.server)
+        for upto in (0, 1, 2):
+            await send(served, upto)
+        check(source, GoalStatus.SUCCEEDED, GoalStatus.ABORTED, GoalStatus.EXECUTING)
+        await served.client.cancel_all()
+        await settle()
+        check(source, GoalStatus.SUCCEEDED, GoalStatus.ABORTED, GoalStatus.CANCELED)
+
+
+async def test_goals_from_before_the_first_reader_are_told_of():
+    async with lab(act) as served:
+        await send(served, 2)
+        check(source_of(served.server), GoalStatus.EXECUTING)
+
+
+async def test_who_reads_again_is_told_of_what_happened_meanwhile():
+    async with lab(act) as served:
+        source = source_of(served.server)
+        source.readers_changed(has_readers=False)
+        await send(served, 2)
+        source.readers_changed(has_readers=True)
+        check(source, GoalStatus.EXECUTING)
+
+
+async def test_goals_that_are_not_held_any_more_are_left_out():
+    async with lab(act, result_timeout=0.0) as served:
+        source = source_of(served.server)
+        await send(served, 2)
+        await send(served, 0)
+        check(source, GoalStatus.EXECUTING)

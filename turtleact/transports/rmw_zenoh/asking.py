@@ -1,0 +1,131 @@
+"""A request on its way to a server in another process, until its reply, its error or its end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import anyio
+
+from turtleact.errors import TurtleactError
+
+if TYPE_CHECKING:
+    from turtleact.transports.base import Reply
+    from turtleact.transports.rmw_zenoh.link import Link
+    from turtleact.transports.rmw_zenoh.session import Querier
+
+__all__ = ["Call"]
+
+#: So long a call goes on without its server (s).
+LOST = 0.25
+
+
+class Call:
+    """One request and what comes of it.
+
+    Args:
+        link: What carries it.
+        payload: The request.
+        attachment: What goes beside it.
+        over: Told once nobody waits for it any more.
+        read: Makes a reply of it, or raises.
+
+    Attributes:
+        answer: Payload and attachment of the reply.
+        error: The text of an error, and its kind.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        payload: bytes,
+        attachment: bytes,
+        over: Callable[[Call], object],
+        read: Callable[[Call], Reply],
+    ) -> None:
+        self.answer: tuple[bytes, bytes] | None = None
+        self.error: tuple[str, str] | None = None
+        self._has_ended = False
+        self._link = link
+        self._payload = payload
+        self._attachment = attachment
+        self._over = over
+        self._read = read
+        self._is_wanted = True
+        self._changed = link.tasks.signal()
+        self._give_up: Callable[[], None] | None = None
+
+    @property
+    def is_over(self) -> bool:
+        """Whether there is a reply or an error, or the end without either."""
+        return self._has_ended or self.answer is not None or self.error is not None
+
+    async def reply(self) -> Reply:
+        """Wait for the reply; see `turtleact.transports.base.Asked`."""
+        try:
+            await self._wait()
+        finally:
+            self.drop()
+        return self._read(self)
+
+    def drop(self) -> None:
+        """Want no reply any more; a second time does nothing."""
+        if self._is_wanted:
+            self._is_wanted = False
+            if not self.is_over:
+                self._link.outbox.post(self._cancel)
+            self._over(self)
+
+    async def end_soon(self) -> None:
+        """End it in a while: Zenoh may have lost it with its server, and never say so."""
+        with anyio.move_on_after(LOST):
+            await self._wait()
+        self.end()
+
+    def end(self) -> None:
+        """Nothing more comes."""
+        self._has_ended = True
+        self._changed.fire()
+
+    async def _wait(self) -> None:
+        while not self.is_over:
+            await self._changed.wait()
+
+    # in the outbox
+
+    def send(self, querier: Querier | None) -> None:
+        """Send the request."""
+        if querier is None:
+            self._ended()
+            return
+        try:
+            self._give_up = querier.get(
+                self._payload,
+                self._attachment,
+                replied=self._replied,
+                failed=self._failed,
+                ended=self._ended,
+            )
+        except TurtleactError:
+            self._ended()
+            raise
+
+    def _cancel(self) -> None:
+        if self._give_up is not None:
+            self._give_up()
+
+    # in a thread of the session
+
+    def _replied(self, payload: bytes, attachment: bytes) -> None:
+        if not self.is_over:  # of several servers the quickest is heard
+            self.answer = payload, attachment
+            self._link.inbox.push(self._changed.fire)
+
+    def _failed(self, text: str, kind: str) -> None:
+        if not self.is_over:
+            self.error = text, kind
+            self._link.inbox.push(self._changed.fire)
+
+    def _ended(self) -> None:
+        if not self.is_over:  # else the loop has been told
+            self._link.inbox.push(self.end)
