@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import signal
 import socket
@@ -31,7 +32,7 @@ from turtleact.errors import (
 from turtleact.interfaces import WireFormat, implied
 from turtleact.interfaces.standard import UUID, GoalStatusArray
 from turtleact.transports import QoS, ZenohTransport, open_zenoh
-from turtleact.transports.base import Endpoint
+from turtleact.transports.base import Endpoint, Reply
 from turtleact.transports.rmw_zenoh import calls
 from turtleact.transports.rmw_zenoh.attachment import read_attachment, write_attachment
 from turtleact.transports.rmw_zenoh.calls import WireCaller
@@ -676,6 +677,69 @@ async def test_who_publishes_more_than_goes_out_can_wait(address):
         assert not publication.is_congested
 
 
+async def test_what_waits_behind_a_message_that_cannot_be_sent_is_sent(
+    address, monkeypatch, caplog
+):
+    gate, put = threading.Event(), Publisher.put
+
+    def fail_once(self, payload, attachment):
+        if SPEECH.decode(payload) == feedback(1):
+            raise TurtleactError("Zenoh cannot publish: as a test wants it")
+        put(self, payload, attachment)
+
+    async with two(address) as peers:
+        inbox = Inbox()
+        peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
+        publication = peers.here.advertise(publisher(), SPEECH)
+        await peers.settle()
+        monkeypatch.setattr(Publisher, "put", fail_once)
+        peers.here._link.outbox.post(gate.wait)
+        for number in range(4):
+            publication.publish(feedback(number))
+        gate.set()
+        await peers.here.flush()
+        monkeypatch.undo()
+        await peers.settle()
+    assert inbox.numbers == [0, 2, 3]
+    assert "as a test wants it" in caplog.text
+
+
+class PromptAdder(Adder):
+    """Answers small sums at once."""
+
+    def reply_now(self, request: Any, caller: bytes) -> Reply | None:
+        if request.numbers == [0]:
+            raise self._fail or ValueError("nothing to add")
+        return Reply(Sum.Response(total=-1)) if len(request.numbers) < 2 else None
+
+
+@pytest.mark.parametrize(("numbers", "total"), [([5], -1), ([2, 3], 5)])
+async def test_a_server_may_answer_at_once_or_in_a_while(address, numbers, total):
+    async with two(address) as peers:
+        peers.here.serve(service(), SERVING, PromptAdder())
+        caller = peers.there.join(client(), ASKING)
+        await peers.settle()
+        reply = await caller.call(Sum.Request(numbers=numbers))
+        assert reply.message == Sum.Response(total=total)
+
+
+@pytest.mark.parametrize(
+    ("fail", "raised"),
+    [
+        (None, ServiceError("/add", "the handler failed: ValueError: nothing to add")),
+        (ServiceError("/add", "as told"), ServiceError("/add", "as told")),
+    ],
+)
+async def test_a_server_that_fails_at_once_tells_its_client(address, caplog, fail, raised):
+    async with two(address) as peers:
+        peers.here.serve(service(), SERVING, PromptAdder(fail))
+        caller = peers.there.join(client(), ASKING)
+        await peers.settle()
+        with pytest.raises(type(raised), match=re.escape(str(raised))):
+            await caller.call(Sum.Request(numbers=[0]))
+    assert ("the handler of service /add failed" in caplog.text) == (fail is None)
+
+
 async def test_closing_a_publisher_ends_the_waiting_for_it(address):
     gate = threading.Event()
     async with two(address) as peers:
@@ -805,7 +869,7 @@ SERVER = """
 import sys, anyio
 from turtleact.interfaces import WireFormat
 from turtleact.transports import open_zenoh
-from turtleact.transports.base import Endpoint
+from turtleact.transports.base import Endpoint, Reply
 from turtleact.interfaces.standard import CancelGoal
 
 class Silent:

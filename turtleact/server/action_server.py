@@ -153,6 +153,10 @@ class ActionServer(Generic[G, R, F]):
         """Answer a ``SendGoal`` request that came over a wire."""
         return await cast("ActionEndpoints", self.endpoints).reply(request, caller)
 
+    def reply_now(self, request: object, caller: bytes) -> Reply | None:
+        """The same if it takes no waiting."""
+        return cast("ActionEndpoints", self.endpoints).reply_now(request, caller)
+
     def _waits_first(self) -> bool:
         """Whether `_prepare` is to be awaited before the next goal is begun.
 

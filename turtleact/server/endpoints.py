@@ -20,6 +20,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from typing import Any, cast
 
 import anyio
@@ -28,7 +29,7 @@ from turtleact.errors import GoalRejected
 from turtleact.goal import CancelCode, Goal, GoalStatus
 from turtleact.goal_note import GoalNote
 from turtleact.interfaces import Action, Implied, Message, WireFormat, implied
-from turtleact.interfaces.stamps import nanoseconds
+from turtleact.interfaces.stamps import nanoseconds, stamp_of
 from turtleact.interfaces.standard import (
     UUID,
     CancelGoal,
@@ -45,6 +46,9 @@ __all__ = ["ActionEndpoints"]
 
 logger = logging.getLogger("turtleact.server")
 
+
+NAMELESS = "zeros name no goal: nobody could ask for it"
+"""Why a goal of the id zero is rejected."""
 
 LATE_REQUEST = 0.5
 """A client elsewhere whose goal ends with its server may take so long to ask for the end (s)."""
@@ -76,13 +80,23 @@ class ActionEndpoints:
         self._taken_up: list[bytes] = []
         self._taken = tasks.signal()
         self._send_goal = _Lazy(
-            server, names.send_goal, lambda: self._implied.send_goal, self._take, tasks
+            server,
+            names.send_goal,
+            lambda: self._implied.send_goal,
+            self._take,
+            tasks,
+            now=self._take_now,
         )
         self._cancel_goal = _Lazy(
             server, names.cancel_goal, lambda: CancelGoal, self._cancel, tasks
         )
         self._get_result = _Lazy(
-            server, names.get_result, lambda: self._implied.get_result, self._wait, tasks
+            server,
+            names.get_result,
+            lambda: self._implied.get_result,
+            self._wait,
+            tasks,
+            now=self._wait_now,
         )
         action = server.action_type.type_name
         if transport.local(names.send_goal, f"{action}_SendGoal") is not None:
@@ -112,6 +126,11 @@ class ActionEndpoints:
         """Answer a ``SendGoal`` request that came over a wire."""
         self._feedback.publication.expect_readers()  # who sends goals reads, known yet or not
         return await self._send_goal.reply(request, caller)
+
+    def reply_now(self, request: object, caller: bytes) -> Reply | None:
+        """The same if it takes no waiting."""
+        self._feedback.publication.expect_readers()
+        return self._send_goal.reply_now(request, caller)
 
     async def aclose(self) -> None:
         """Answer all who still wait; with results, as the goals have ended."""
@@ -146,20 +165,36 @@ class ActionEndpoints:
 
     # the services
 
-    async def _take(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401  # see below
-        server, response = self._server, self._implied.send_goal.Response
-        goal_id, message = request.goal_id.uuid, request.goal
+    def _take_now(self, request: Any, caller: bytes) -> Reply | None:  # noqa: ANN401  # see below
+        goal_id = request.goal_id.uuid
         if not any(goal_id):
-            note = GoalNote("zeros name no goal: nobody could ask for it")
-            return Reply(response(accepted=False), note.write())
+            return self._rejection(NAMELESS)
         try:
-            goal = server.begin(message, goal_id, None, caller, is_streamed=False)
-            if goal is None:
-                with self._taking_up(goal_id):
-                    goal = await server.take(message, goal_id, None, caller, is_streamed=False)
+            goal = self._server.begin(request.goal, goal_id, None, caller, is_streamed=False)
         except GoalRejected as rejected:
-            return Reply(response(accepted=False), GoalNote(rejected.reason).write())
-        return Reply(response(accepted=True, stamp=server.info(goal).stamp))
+            return self._rejection(rejected.reason)
+        return None if goal is None else self._acceptance(goal)
+
+    async def _take(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
+        goal_id = request.goal_id.uuid
+        if not any(goal_id):
+            return self._rejection(NAMELESS)
+        try:
+            with self._taking_up(goal_id):
+                goal = await self._server.take(
+                    request.goal, goal_id, None, caller, is_streamed=False
+                )
+        except GoalRejected as rejected:
+            return self._rejection(rejected.reason)
+        return self._acceptance(goal)
+
+    def _acceptance(self, goal: Goal) -> Reply:
+        response = self._implied.send_goal.Response
+        return Reply(response(accepted=True, stamp=stamp_of(goal.stamp)))
+
+    def _rejection(self, reason: str) -> Reply:
+        response = self._implied.send_goal.Response
+        return Reply(response(accepted=False), GoalNote(reason).write())
 
     @contextmanager
     def _taking_up(self, goal_id: bytes) -> Iterator[None]:
@@ -187,18 +222,34 @@ class ActionEndpoints:
         lazy = [each for each in handlers if isinstance(each, _Lazy)]
         return [each.server for each in lazy if each is not self._cancel_goal]
 
-    async def _wait(self, request: Any, _caller: bytes) -> Reply:  # noqa: ANN401
-        server, response = self._server, self._implied.get_result.Response
+    def _wait_now(self, request: Any, _caller: bytes) -> Reply | None:  # noqa: ANN401
         goal_id = request.goal_id.uuid
-        while (goal := server.find(goal_id)) is None and goal_id in self._taken_up:
-            await self._taken.wait()
-        if goal is None:
-            return Reply(response(status=GoalStatus.UNKNOWN))
+        goal = self._server.find(goal_id)
+        if goal is None and goal_id not in self._taken_up:
+            return Reply(self._implied.get_result.Response(status=GoalStatus.UNKNOWN))
+        if goal is None or not goal.ended:
+            return None
         goal.is_asked_for = True
-        await server.wait_for_end(goal)
-        note = GoalNote(goal.reason, goal.published)
+        return self._end(goal)
+
+    async def _wait(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
+        while (goal := self._server.find(request.goal_id.uuid)) is None:
+            reply = self._wait_now(request, caller)
+            if reply is not None:
+                return reply
+            await self._taken.wait()
+        goal.is_asked_for = True
+        await self._server.wait_for_end(goal)
+        return self._end(goal)
+
+    def _end(self, goal: Goal) -> Reply:
+        response = self._implied.get_result.Response
         message = response(status=int(goal.status), result=cast("Message", goal.result))
-        return Reply(message, note.write())
+        return Reply(message, GoalNote(goal.reason, goal.published).write())
+
+
+def _never(_request: object, _caller: bytes) -> None:
+    """Nothing is answered at once."""
 
 
 class _Lazy:
@@ -212,6 +263,7 @@ class _Lazy:
         find_type: Makes its class.
         handle: Takes a request, of that very class, and the gid of its client, if it has one.
         tasks: Runs what answers requests.
+        now: Takes a request likewise, if that needs no waiting; else None, with nothing done.
 
     Attributes:
         server: The server that it belongs to.
@@ -227,8 +279,10 @@ class _Lazy:
         find_type: Callable[[], Any],
         handle: Callable[[Any, bytes], Awaitable[Reply]],
         tasks: Tasks,
+        now: Callable[[Any, bytes], Reply | None] = _never,
     ) -> None:
         self.server = server
+        self._now = now
         self.name = name
         self.find_type = find_type
         self.is_open = True
@@ -249,6 +303,13 @@ class _Lazy:
         """Answer a request that came over a wire."""
         with self._counting():
             return await self._handle(request, caller)
+
+    def reply_now(self, request: object, caller: bytes) -> Reply | None:
+        """The same if it takes no waiting."""
+        reply = self._now(request, caller)
+        if reply is not None:
+            self._answered.fire()
+        return reply
 
     async def wait(self) -> None:
         """Wait until a request has been answered."""
@@ -307,9 +368,12 @@ class _Feedback:
             execution.also_feedback = execution.outlet = None
 
     def _publish(self, goal: Goal, feedback: Any) -> None:  # noqa: ANN401  # of the action's own class
-        message = _implied(self._server).feedback_message
         goal.published += 1
-        self.publication.publish(message(UUID(self._server.name_goal(goal)), feedback))
+        self.publication.publish(self._message(UUID(self._server.name_goal(goal)), feedback))
+
+    @cached_property
+    def _message(self) -> type[Any]:
+        return _implied(self._server).feedback_message
 
 
 def _may_be_asked_for(goal: Goal) -> bool:

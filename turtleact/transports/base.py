@@ -234,6 +234,14 @@ class Replying(Protocol):
 
 
 @runtime_checkable
+class Prompt(Protocol):
+    """A `Replying` handler that needs no task for what it can answer at once."""
+
+    def reply_now(self, request: object, caller: bytes) -> Reply | None:
+        """Answer a request if that takes no waiting; else None, with nothing done."""
+
+
+@runtime_checkable
 class CallerAware(Protocol):
     """A handler that is told when a caller of its service has gone."""
 

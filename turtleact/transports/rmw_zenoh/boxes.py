@@ -58,12 +58,16 @@ class Lane(Generic[T]):
         """How much waits (bytes)."""
         return self._put - self._taken - self._lost
 
+    def __len__(self) -> int:
+        return len(self._entries)
+
     def put(self, entry: T, size: int) -> bool:
         """Put one in; answers whether there is one more to take than before."""
         weight = size + ENTRY
-        is_full = self.weight + weight > CAPACITY or len(self._entries) == self._longest
-        self._entries.append((entry, weight))
         self._put += weight
+        entries = self._entries
+        is_full = self._put - self._taken - self._lost > CAPACITY or len(entries) == self._longest
+        entries.append((entry, weight))
         return not (is_full and self._drop())
 
     def take(self) -> T | None:

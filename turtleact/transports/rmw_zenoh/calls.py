@@ -31,6 +31,7 @@ from turtleact.transports.base import (
     Closeable,
     Endpoint,
     Format,
+    Prompt,
     Reply,
     Replying,
     why_not_served,
@@ -68,6 +69,7 @@ class WireService:
         self._name = named.endpoint.name
         self._format = format
         self._replying = handler if isinstance(handler, Replying) else None
+        self._prompt = handler if isinstance(handler, Prompt) else None
         self._is_open = True
         self._under_way: set[tuple[bytes, int]] = set()
         self._declared: Declared | None = None
@@ -103,31 +105,42 @@ class WireService:
         if not self._is_open or not self._link.is_open:
             self._fail(query, self._closed())
             return
-        self._under_way.add((beside.gid, beside.sequence))
-        self._link.crew.run(self._answer(query, beside, request), f"a request to {self._name}")
+        try:
+            reply = None if self._prompt is None else self._prompt.reply_now(request, beside.gid)
+            if reply is not None:
+                self._respond(query, beside, reply)
+        except Exception as error:
+            self._fail(query, self._failure(error))
+            return
+        if reply is None:
+            self._under_way.add((beside.gid, beside.sequence))
+            self._link.crew.run(self._answer(query, beside, request), f"a request to {self._name}")
 
     async def _answer(self, query: Query, beside: Attachment, request: object) -> None:
         """Have a request answered; nothing but a cancellation gets out."""
-        error: TurtleactError = self._closed()
-        response: tuple[bytes, str] | None = None
+        error: TurtleactError | None = self._closed()
         try:
             assert self._replying is not None  # noqa: S101  # or nothing is declared
-            reply = await self._replying.reply(request, beside.gid)
-            response = self._format.encode(reply.message), reply.note
-        except TurtleactError as failure:
-            error = failure
+            self._respond(query, beside, await self._replying.reply(request, beside.gid))
+            error = None
         except Exception as failure:
-            logger.exception("the handler of service %s failed", self._name)
-            error = ServiceError(self._name, f"the handler failed: {summary(failure)}")
+            error = self._failure(failure)
         finally:
             self._under_way.discard((beside.gid, beside.sequence))
-            if response is None:
+            if error is not None:
                 self._fail(query, error)
-            else:
-                payload, note = response
-                stamp = time.time_ns()
-                attachment = write_attachment(beside.sequence, stamp, beside.gid, note)
-                self._link.outbox.post(lambda: query.reply(payload, attachment))
+
+    def _respond(self, query: Query, beside: Attachment, reply: Reply) -> None:
+        payload = self._format.encode(reply.message)
+        attachment = write_attachment(beside.sequence, time.time_ns(), beside.gid, reply.note)
+        self._link.outbox.post(lambda: query.reply(payload, attachment))
+
+    def _failure(self, error: Exception) -> TurtleactError:
+        """What a client is told of what a handler has raised."""
+        if isinstance(error, TurtleactError):
+            return error
+        logger.error("the handler of service %s failed", self._name, exc_info=error)
+        return ServiceError(self._name, f"the handler failed: {summary(error)}")
 
     def _fail(self, query: Query, error: TurtleactError) -> None:
         kind, text = said(error)

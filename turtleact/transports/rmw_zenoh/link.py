@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Coroutine
 from functools import partial
+from time import time_ns
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -106,7 +106,7 @@ class Counter:
     def next(self) -> bytes:
         """The attachment of the next message."""
         self._sequence += 1
-        return write_attachment(self._sequence, time.time_ns(), self._gid)
+        return write_attachment(self._sequence, time_ns(), self._gid)
 
 
 class Presence:
