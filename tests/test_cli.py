@@ -176,9 +176,11 @@ def test_help_is_printed(arguments, capsys):
         "  watch       Print the feedback of a goal, then its result.\n"
         "  result      Print the result of a goal, once there is one.\n"
         "  action      The verbs of 'ros2 action': send_goal, list, info, type, find, echo.\n"
-        "  topic       The verbs of 'ros2 topic': list, info, type, find, echo, hz, pub.\n"
+        "  topic       The verbs of 'ros2 topic': "
+        "list, info, type, find, echo, pub, hz, bw, delay.\n"
         "  service     The verbs of 'ros2 service': list, info, type, find, call.\n"
         "  node        The verbs of 'ros2 node': list, info.\n"
+        "  param       The verbs of 'ros2 param': list, get, set, delete, describe, dump, load.\n"
         "  interface   The verbs of 'ros2 interface': list, package, packages, proto, show.\n"
     )
 

@@ -20,6 +20,7 @@ from turtleact.commands import graph
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard import TurtlePose, Twist
+from turtleact.sim.parameters import Parameters
 from turtleact.tasks import Background
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Endpoint
@@ -132,6 +133,19 @@ async def turtlesim(transport):
         node.action_server(rotate, "/turtle1/rotate_absolute", fibonacci_body)
         async with aclosing(Background(again_and_again(node, pose, POSE, 0.016), "poses")):
             yield node
+
+
+@asynccontextmanager
+async def parameters(transport):
+    """The parameters of turtlesim."""
+    async with open_node("turtlesim", transport=transport) as node:
+        declared = Parameters(node, lambda: None)
+        for name, value in (("r", 69), ("g", 86), ("b", 255)):
+            colour = {"r": "Red", "g": "Green", "b": "Blue"}[name]
+            text = f"{colour} channel of the background color"
+            declared.declare(f"background_{name}", value, text, (0, 255))
+        declared.declare("holonomic", False, "If true, then turtles will be holonomic")
+        yield declared
 
 
 def answer(service_type):

@@ -17,7 +17,7 @@ import pytest
 from turtleact import Message, QoS, open_node
 from turtleact.commands.policies import Policies
 from turtleact.commands.python_text import python_text
-from turtleact.commands.rate import Rate
+from turtleact.commands.rate import Bandwidth, Rate
 from turtleact.interfaces import array, float64, get_interface, int32, load_interface, string
 from turtleact.interfaces.standard import UUID, GoalInfo, GoalStatusArray, GoalStatusMessage, Twist
 
@@ -301,6 +301,64 @@ def test_policies_that_are_not_asked_for_are_the_verbs_to_choose(policies, expec
     assert policies.qos(durability="transient_local", depth=7) == expected
 
 
+# --- which messages, and as what ------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "out"),
+    [
+        (["--filter", "m.data > 'b'"], "data: c\n---\n"),
+        (["--filter", "m == 'b'", "--field", "data"], "b\n---\n"),
+        (["--filter", "False"], ""),
+        (["--raw", "--once"], r"b'\x00\x01\x00\x00\x02\x00\x00\x00a\x00'" + "\n---\n"),
+    ],
+)
+def test_messages_are_picked_by_python_and_printed_as_bytes(on_graph, options, out):
+    nodes = publishing("/it", *map(text, "abc"))
+    ran = on_graph(nodes, "topic", "echo", "/it", *options, "--timeout", "1")
+    assert ran.out == out
+
+
+@pytest.mark.parametrize(
+    ("expression", "problem"),
+    [
+        ("m.datum", "--filter: AttributeError: 'String' object has no attribute 'datum'; m is "),
+        ("m.data >", "--filter is a Python expression such as m.x > 5, not 'm.data >': invalid"),
+        ("1/0", "--filter: ZeroDivisionError: division by zero; m is String(data='a')"),
+    ],
+)
+def test_a_filter_that_fails_is_a_usage_error(on_graph, expression, problem):
+    ran = on_graph(publishing("/it", text("a")), "topic", "echo", "/it", "--filter", expression)
+    assert (ran.status, ran.out) == (2, "")
+    assert ran.err.startswith(f"turtleact: {problem}")
+
+
+def test_a_type_that_the_topic_has_not_is_refused(on_graph, graphs):
+    ran = on_graph(graphs.turtlesim, "topic", "echo", "/turtle1/pose", "std_msgs/msg/String")
+    assert (ran.status, ran.err) == (
+        1,
+        "turtleact: topic '/turtle1/pose': it is of type turtlesim/msg/Pose, not "
+        "std_msgs/msg/String; the type may be left out\n",
+    )
+
+
+def test_a_topic_that_comes_with_another_type_is_told_so(on_graph, graphs):
+    @asynccontextmanager
+    async def nodes(transport):
+        async with open_node("late", transport=transport) as node:
+            with_it = graphs.after(1, lambda: node.publisher(Twist, "/it"))
+            async with with_it(transport):
+                yield
+
+    command = ["topic", "echo", "/it", "std_msgs/msg/String", "--timeout", "2"]
+    ran = on_graph(nodes, *command)
+    assert (ran.status, ran.err) == (
+        1,
+        "turtleact: topic '/it': it is of type geometry_msgs/msg/Twist, not std_msgs/msg/String; "
+        "the type may be left out\n",
+    )
+
+
 # --- hz -------------------------------------------------------------------------------------
 
 NUMBER = re.compile(r"\d+(\.\d+)?")
@@ -350,20 +408,84 @@ def test_a_topic_that_comes_is_measured(on_graph, graphs):
 
 def test_a_rate_is_that_of_the_times_between_messages():
     rate = Rate(3)
-    assert rate.line() == ""
+    assert rate.line(0) == ""
     for now in (100, 0, 10**9, 2 * 10**9, 5 * 10**9, 6 * 10**9):
-        rate.add(now)
-    assert rate.line() == (
+        rate.add(now, Twist())
+    assert rate.line(0) == (
         "average rate: 0.600\n\tmin: 1.000s max: 3.000s std dev: 0.94281s window: 3\n"
     )
-    assert rate.line() == ""
+    assert rate.line(0) == ""
 
 
 def test_messages_of_one_moment_have_no_rate():
     rate = Rate(10)
-    rate.add(5)
-    rate.add(5)
-    assert rate.line().startswith("average rate: 0.000\n")
+    rate.add(5, Twist())
+    rate.add(5, Twist())
+    assert rate.line(0).startswith("average rate: 0.000\n")
+
+
+# --- bw and delay ---------------------------------------------------------------------------
+
+
+def stamped(seconds):
+    header = interface("std_msgs/msg/Header")(interface("builtin_interfaces/msg/Time")(seconds))
+    return interface("geometry_msgs/msg/PoseStamped")(header)
+
+
+def test_the_bandwidth_is_printed_each_second(on_graph, graphs):
+    nodes = graphs.in_turn(graphs.turtlesim, graphs.interrupted(2.5))
+    ran = on_graph(nodes, "topic", "bw", "/turtle1/pose")
+    assert ran.out == (
+        "Subscribed to [/turtle1/pose]\n"
+        "1.51 KB/s from 62 messages\n\tMessage size mean: 0.02 KB min: 0.02 KB max: 0.02 KB\n"
+        "1.50 KB/s from 100 messages\n\tMessage size mean: 0.02 KB min: 0.02 KB max: 0.02 KB\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("length", "rate", "mean"),
+    [
+        (11, "100 B/s", "20 B"),
+        (9_991, "50.00 KB/s", "10.00 KB"),
+        (999_991, "5.00 MB/s", "1.00 MB"),
+    ],
+)
+def test_sizes_are_told_in_one_unit(length, rate, mean):
+    bandwidth = Bandwidth(5)
+    for _ in range(7):
+        bandwidth.add(0, text("x" * length))
+    assert bandwidth.line(10**9) == (
+        f"{rate} from 5 messages\n\tMessage size mean: {mean} min: {mean} max: {mean}\n"
+    )
+
+
+def test_time_that_goes_back_begins_the_bandwidth_anew():
+    bandwidth = Bandwidth(5)
+    for now in (10, 20, 5):
+        bandwidth.add(now, Twist())
+    assert bandwidth.line(100) == ""
+
+
+def test_the_delay_is_told_of_the_stamps(on_graph, graphs):
+    messages = [stamped(1_700_000_001) for _ in range(3)]
+    nodes = publishing("/it", *messages, latched=False, period=1.0, wait=1.5)
+    nodes = graphs.in_turn(nodes, graphs.interrupted(5.5))
+    ran = on_graph(nodes, "topic", "delay", "/it")
+    assert ran.out == (
+        "average delay: 0.500\n\tmin: 0.500s max: 0.500s std dev: 0.00000s window: 1\n"
+        "average delay: 1.000\n\tmin: 0.500s max: 1.500s std dev: 0.50000s window: 2\n"
+        "average delay: 1.500\n\tmin: 0.500s max: 2.500s std dev: 0.81650s window: 3\n"
+        "no new messages\n"
+    )
+
+
+def test_messages_without_a_header_have_no_delay(on_graph, graphs):
+    ran = on_graph(graphs.turtlesim, "topic", "delay", "/turtle1/pose")
+    assert (ran.status, ran.err) == (
+        1,
+        "turtleact: topic '/turtle1/pose': messages of type turtlesim/msg/Pose have no header, "
+        "which says when they were made\n",
+    )
 
 
 # --- pub ------------------------------------------------------------------------------------
@@ -392,6 +514,18 @@ def listening(topic, type_name, heard):
 def test_a_message_is_published_as_by_ros2(on_graph, graphs):
     ran = on_graph(graphs.turtlesim, *arguments_of("pub_once"))
     assert ran == (0, GOLDEN["pub_once"]["stdout"], "")
+
+
+def test_a_type_that_nobody_reads_is_told_and_waited_for(on_graph, graphs):
+    nodes = graphs.in_turn(graphs.turtlesim, graphs.interrupted(2))
+    command = ["topic", "pub", "--once", "/turtle1/cmd_vel", "std_msgs/msg/String", "data: x"]
+    ran = on_graph(nodes, *command)
+    assert ran == (
+        130,
+        "Waiting for at least 1 matching subscription(s)...\n",
+        "turtleact: topic '/turtle1/cmd_vel' is of type geometry_msgs/msg/Twist: "
+        "nobody there reads std_msgs/msg/String\n",
+    )
 
 
 def test_messages_are_published_at_a_rate(on_graph):

@@ -56,6 +56,8 @@ USAGE = [
     (["topic", "list", "--connect", "localhost"], "--connect is an endpoint .* not 'localhost'"),
     (["topic", "list", "--connect", "tcp/a:1,"], "--connect is an endpoint .* not ''"),
     (["topic", "echo", "x", "--field", "a..b"], r"--field is names with dots .* not 'a\.\.b'"),
+    (["topic", "echo", "x", "--raw", "--csv"], "give one of --raw and --csv"),
+    (["topic", "echo", "x", "--raw", "--field", "x"], "give one of --raw and --field"),
     (["topic", "echo", "x", "-l", "many"], "--truncate-length is a whole number, 0 or more"),
     (["topic", "echo", "x", "--timeout", "-1"], "--timeout is a number of seconds, 0 or more"),
     (["topic", "echo", "x", "--qos-depth", "0"], "--qos-depth is a whole number, 1 or more"),
@@ -201,7 +203,8 @@ def test_only_the_group_that_is_asked_for_is_imported(verb):
     )
     home = verbs.HOMES.get(verb, verb)
     imported = subprocess.check_output([sys.executable, "-c", code], text=True).splitlines()[-1]
-    assert {*imported.split()} - {"turtleact.commands.policies"} == {
+    shared = {"turtleact.commands.policies", "turtleact.commands.verbs.policies"}
+    assert {*imported.split()} - shared == {
         "turtleact.commands",
         "turtleact.commands.interrupts",
         "turtleact.commands.verbs",

@@ -19,9 +19,10 @@ VERBS: Final = {
     "watch": "Print the feedback of a goal, then its result.",
     "result": "Print the result of a goal, once there is one.",
     "action": "The verbs of 'ros2 action': send_goal, list, info, type, find, echo.",
-    "topic": "The verbs of 'ros2 topic': list, info, type, find, echo, hz, pub.",
+    "topic": "The verbs of 'ros2 topic': list, info, type, find, echo, pub, hz, bw, delay.",
     "service": "The verbs of 'ros2 service': list, info, type, find, call.",
     "node": "The verbs of 'ros2 node': list, info.",
+    "param": "The verbs of 'ros2 param': list, get, set, delete, describe, dump, load.",
     "interface": "The verbs of 'ros2 interface': list, package, packages, proto, show.",
 }
 """What there is, and what it does."""

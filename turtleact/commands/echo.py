@@ -10,18 +10,20 @@ import sys
 from typing import TYPE_CHECKING, NamedTuple
 
 from turtleact.clock import within
-from turtleact.commands.graph import chosen_class
+from turtleact.commands.graph import chosen_class, types_by_name
 from turtleact.commands.stderr import note, printable
 from turtleact.commands.transcript import say
-from turtleact.errors import UsageError
-from turtleact.interfaces import Message, to_dict
+from turtleact.errors import TurtleactError, UsageError
+from turtleact.interfaces import Message, encode, to_dict
 from turtleact.interfaces.definition import ArrayForm, did_you_mean
 from turtleact.interfaces.text import block, listed
 from turtleact.interfaces.types import fields, nested_classes
 from turtleact.names import resolve_name
+from turtleact.summaries import summary
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from types import CodeType
 
     from turtleact.commands.policies import Durability, Policies
     from turtleact.interfaces.definition import FieldType
@@ -42,6 +44,9 @@ IDL_NAMES = {
 }
 """What IDL calls a type otherwise, and so ``--no-arr``."""
 
+LONGEST = 300
+"""So many characters of an error are shown, which tells a message."""
+
 DONE, TIMEOUT = 0, 124
 """Exit statuses."""
 
@@ -59,6 +64,8 @@ class Order(NamedTuple):
         arrays: Whether lists are printed, or just what they are.
         strings: Whether strings are printed, or just how long they are.
         timeout: When to leave (s, by the clock of the graph); None for never.
+        wanted: A Python expression that is true of messages ``m`` to be printed; None for all.
+        raw: Whether to print messages as bytes, as CDR.
         policies: The quality of service that is asked for.
     """
 
@@ -71,6 +78,8 @@ class Order(NamedTuple):
     arrays: bool
     strings: bool
     timeout: float | None
+    wanted: CodeType | None
+    raw: bool
     policies: Policies
 
 
@@ -79,11 +88,12 @@ async def echo(node: Node, order: Order) -> int:
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules.
-        TurtleactError: if the topic's type is not known.
-        UsageError: if its messages have no such field.
+        TurtleactError: if the topic's type is not known, or another than the order says.
+        UsageError: if its messages have no such field, or what is asked of them fails.
     """
     name = resolve_name(order.name)
     message_type = chosen_class(node, "topic", Message, name, order.type_name)
+    _check_type(node, name, message_type)
     _check_path(message_type, order.path)
     qos = order.policies.qos(durability=_durability(node, name), depth=DEPTH)
     subscription = node.subscription(message_type, name, qos)
@@ -91,12 +101,15 @@ async def echo(node: Node, order: Order) -> int:
     async with within(order.timeout, node.clock):
         async for message in subscription:
             missed = _note_missed(subscription, missed)
+            if order.wanted is not None and not _is_wanted(message, order.wanted, order.path):
+                continue
             text = _text(message, order)
             say(printable(text) if _is_terminal() else text)
             count += 1
             if order.once:
                 return DONE
     if not count:
+        _check_type(node, name, message_type)
         note(f"no message on topic '{name}' within {order.timeout:g} s")
     return DONE if count else TIMEOUT
 
@@ -121,6 +134,27 @@ def _durability(node: Node, name: str) -> Durability:
     publishers = [each for each in endpoints if each.kind == "publisher" and each.name == name]
     is_latched = any(each.qos.durability == "transient_local" for each in publishers)
     return "transient_local" if is_latched else "volatile"
+
+
+def _check_type(node: Node, name: str, message_type: type[Message]) -> None:
+    """Refuse a type of which no message can come, as the topic is of others."""
+    endpoints = node.transport.endpoints()
+    types = types_by_name(endpoints, "topic", "publisher", hidden=True).get(name, ())
+    others = [each for each in types if each != message_type.type_name]
+    if others and len(others) == len(types):
+        problem = f"it is of type {' and '.join(others)}, not {message_type.type_name}"
+        raise TurtleactError(f"topic '{name}': {problem}; the type may be left out")
+
+
+def _is_wanted(message: Message, wanted: CodeType, path: Sequence[str]) -> bool:
+    """Whether a message, or the field of it that is printed, is what the user asks for."""
+    value: object = message
+    for name in path:
+        value = getattr(value, name)
+    try:
+        return bool(eval(wanted, {"m": value}))  # noqa: S307  # the user's own program
+    except Exception as error:
+        raise UsageError(f"--filter: {summary(error)}; m is {value!r}"[:LONGEST]) from None
 
 
 def _check_path(message_type: type[Message], path: Sequence[str]) -> None:
@@ -148,6 +182,8 @@ def _note_missed(subscription: Subscription[Message], noted: int) -> int:
 
 def _text(message: Message, order: Order) -> str:
     """What is printed of a message."""
+    if order.raw:
+        return f"{encode(message)!r}\n---\n"
     value: object = to_dict(message)
     if not (order.arrays and order.strings):
         value = _described(type(message), to_dict(message), order)

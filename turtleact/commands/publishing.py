@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from turtleact.commands.graph import chosen_class
+from turtleact.commands.graph import chosen_class, types_by_name
 from turtleact.commands.python_text import python_text
+from turtleact.commands.stderr import note
 from turtleact.commands.transcript import say
 from turtleact.interfaces import Message, from_text
 from turtleact.names import resolve_name
@@ -57,8 +58,12 @@ async def publish(node: Node, order: Order) -> int:
     message_type = chosen_class(node, "topic", Message, name, order.type_name)
     text, source = order.text
     message = from_text(message_type, text, root="message", source=source, allow_nonfinite=True)
+    type_name = message_type.type_name
+    types = types_by_name(node.transport.endpoints(), "topic", hidden=True).get(name, ())
+    if types and type_name not in types:
+        note(f"topic '{name}' is of type {' and '.join(types)}: nobody there reads {type_name}")
     publisher = node.publisher(message_type, name, order.policies.qos())
-    await _wait_for_subscriptions(node, name, order.wait)
+    await _wait_for_subscriptions(node, name, type_name, order.wait)
     say("publisher: beginning loop\n")
     start, count = node.clock.time(), 0
     while True:
@@ -71,11 +76,11 @@ async def publish(node: Node, order: Order) -> int:
         await node.clock.sleep_until(start + count / order.rate)
 
 
-async def _wait_for_subscriptions(node: Node, name: str, least: int) -> None:
+async def _wait_for_subscriptions(node: Node, name: str, type_name: str, least: int) -> None:
     def count() -> int:
-        return sum(
-            each.kind == "subscription" and each.name == name for each in node.transport.endpoints()
-        )
+        wanted = ("subscription", name, type_name)
+        endpoints = node.transport.endpoints()
+        return sum((each.kind, each.name, each.type_name) == wanted for each in endpoints)
 
     if count() < least:
         say(f"Waiting for at least {least} matching subscription(s)...\n")

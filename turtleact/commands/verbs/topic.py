@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from turtleact.commands.policies import Durability, Policies, Reliability
 from turtleact.commands.verbs.arguments import (
     Config,
     Connect,
     Domain,
     Interfaces,
     Job,
+    Reach,
     Verb,
     new_group,
     number,
@@ -23,17 +23,18 @@ from turtleact.commands.verbs.arguments import (
     type_and_text,
     whole,
 )
+from turtleact.commands.verbs.policies import Depth, Durability, Reliability, read_policies
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Mapping
+    from collections.abc import Awaitable
+    from types import CodeType
 
     from turtleact.commands.interrupts import Interrupts
+    from turtleact.commands.rate import Meter
     from turtleact.node import Node
 
 __all__ = ["app"]
-
-P = TypeVar("P")
 
 _Name = Annotated[str, typer.Argument(metavar="NAME", help="The topic, such as /turtle1/pose.")]
 _Type = Annotated[str, typer.Argument(metavar="TYPE", help="The type, pkg/msg/Name.")]
@@ -70,17 +71,11 @@ _NoStrings = Annotated[bool, typer.Option("--no-str", help="Print no strings, ju
 _Timeout = Annotated[
     str | None, typer.Option("--timeout", metavar="SECONDS", help="Leave after so long.")
 ]
-_Reliability = Annotated[
+_Filter = Annotated[
     str | None,
-    typer.Option("--qos-reliability", metavar="POLICY", help="reliable or best_effort."),
+    typer.Option("--filter", metavar="EXPR", help="Only messages m of which this Python is true."),
 ]
-_Durability = Annotated[
-    str | None,
-    typer.Option("--qos-durability", metavar="POLICY", help="volatile or transient_local."),
-]
-_Depth = Annotated[
-    str | None, typer.Option("--qos-depth", metavar="N", help="How many messages are kept.")
-]
+_Raw = Annotated[bool, typer.Option("--raw", help="Print the bytes, as CDR.")]
 _Window = Annotated[
     str, typer.Option("--window", "-w", metavar="N", help="How many messages are looked at.")
 ]
@@ -105,12 +100,6 @@ _Wait = Annotated[
     ),
 ]
 _Stdin = Annotated[bool, typer.Option("--stdin", help="Read the message from stdin.")]
-
-_RELIABILITIES: dict[str, Reliability] = {"reliable": "reliable", "best_effort": "best_effort"}
-_DURABILITIES: dict[str, Durability] = {
-    "volatile": "volatile",
-    "transient_local": "transient_local",
-}
 
 app = new_group("topic")
 
@@ -216,9 +205,11 @@ def echo(
     no_arr: _NoArrays = False,
     no_str: _NoStrings = False,
     timeout: _Timeout = None,
-    reliability: _Reliability = None,
-    durability: _Durability = None,
-    depth: _Depth = None,
+    filter_: _Filter = None,
+    raw: _Raw = False,
+    reliability: Reliability = None,
+    durability: Durability = None,
+    depth: Depth = None,
     connect: Connect = None,
     domain: Domain = None,
     config: Config = None,
@@ -228,9 +219,13 @@ def echo(
     where = reach(connect, domain, config)
     length = whole("--truncate-length", truncate_length)
     seconds = None if timeout is None else number("--timeout", timeout)
-    policies = _policies(reliability, durability, depth)
+    policies = read_policies(reliability, durability, depth)
     if field is not None and not all(field.split(".")):
         raise UsageError(f"--field is names with dots between, such as linear.x, not '{field}'")
+
+    only_one("how messages are printed", raw=raw, csv=csv)
+    only_one("what is printed", raw=raw, field=field is not None)
+    wanted = None if filter_ is None else _compiled(filter_)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import echo, graph
@@ -247,6 +242,8 @@ def echo(
             arrays=not no_arr,
             strings=not no_str,
             timeout=seconds,
+            wanted=wanted,
+            raw=raw,
             policies=policies,
         )
         return graph.run(where, lambda node: echo.echo(node, order), interrupts)
@@ -265,17 +262,44 @@ def hz(
     interfaces: Interfaces = None,
 ) -> Job:
     """``topic hz``."""
-    where = reach(connect, domain, config)
-    most = whole("--window", window, least=1)
+    from turtleact.commands.rate import Rate
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import graph, rate
-        from turtleact.commands.interfaces import make_known
+    meter = Rate(whole("--window", window, least=1))
+    return _measure(name, meter, reach(connect, domain, config), interfaces)
 
-        make_known(interfaces)
-        return graph.run(where, lambda node: rate.measure(node, name, most), interrupts)
 
-    return job
+@app.command("bw", cls=Verb, help="Print how many bytes come a second.")
+def bw(
+    name: _Name,
+    *,
+    window: _Window = "100",
+    connect: Connect = None,
+    domain: Domain = None,
+    config: Config = None,
+    interfaces: Interfaces = None,
+) -> Job:
+    """``topic bw``."""
+    from turtleact.commands.rate import Bandwidth
+
+    meter = Bandwidth(whole("--window", window, least=1))
+    return _measure(name, meter, reach(connect, domain, config), interfaces)
+
+
+@app.command("delay", cls=Verb, help="Print how old messages with a header are.")
+def delay(
+    name: _Name,
+    *,
+    window: _Window = "10000",
+    connect: Connect = None,
+    domain: Domain = None,
+    config: Config = None,
+    interfaces: Interfaces = None,
+) -> Job:
+    """``topic delay``."""
+    from turtleact.commands.rate import Delay
+
+    meter = Delay(whole("--window", window, least=1))
+    return _measure(name, meter, reach(connect, domain, config), interfaces)
 
 
 @app.command("pub", cls=Verb, help="Publish messages on a topic.")
@@ -290,9 +314,9 @@ def pub(
     print_each: _PrintEach = "1",
     wait: _Wait = None,
     stdin: _Stdin = False,
-    reliability: _Reliability = None,
-    durability: _Durability = None,
-    depth: _Depth = None,
+    reliability: Reliability = None,
+    durability: Durability = None,
+    depth: Depth = None,
     connect: Connect = None,
     domain: Domain = None,
     config: Config = None,
@@ -307,7 +331,7 @@ def pub(
     count = 1 if once else 0 if times is None else whole("--times", times)
     least = int(count > 0) if wait is None else whole("--wait-matching-subscriptions", wait)
     every = whole("--print", print_each)
-    policies = _policies(reliability, durability, depth)
+    policies = read_policies(reliability, durability, depth)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph, publishing
@@ -322,19 +346,21 @@ def pub(
     return job
 
 
-def _policies(reliability: str | None, durability: str | None, depth: str | None) -> Policies:
-    """The policies that are asked for, checked."""
-    return Policies(
-        _policy("--qos-reliability", reliability, _RELIABILITIES),
-        _policy("--qos-durability", durability, _DURABILITIES),
-        None if depth is None else whole("--qos-depth", depth, least=1),
-    )
+def _measure(name: str, meter: Meter, where: Reach, interfaces: str | None) -> Job:
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import graph, rate
+        from turtleact.commands.interfaces import make_known
+
+        make_known(interfaces)
+        return graph.run(where, lambda node: rate.measure(node, name, meter), interrupts)
+
+    return job
 
 
-def _policy(option: str, text: str | None, words: Mapping[str, P]) -> P | None:
-    if text is None:
-        return None
+def _compiled(expression: str) -> CodeType:
+    """A Python expression, ready to be asked."""
     try:
-        return words[text]
-    except KeyError:
-        raise UsageError(f"{option} is {' or '.join(words)}, not {quoted(text)}") from None
+        return compile(expression.strip(), "--filter", "eval")
+    except (SyntaxError, ValueError) as error:
+        problem = f"is a Python expression such as m.x > 5, not {quoted(expression)}"
+        raise UsageError(f"--filter {problem}: {getattr(error, 'msg', error)}") from None

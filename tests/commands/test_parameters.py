@@ -1,0 +1,382 @@
+"""``param``: what a node's parameters are, and what they shall be."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import anyio
+import pytest
+
+from turtleact import open_node
+from turtleact.commands.parameter_values import parameter_value
+from turtleact.errors import InvalidMessage, UsageError
+from turtleact.interfaces.standard.parameters import (
+    DescribeParameters,
+    FloatingPointRange,
+    GetParameters,
+    ListParameters,
+    ListParametersResult,
+    ParameterDescriptor,
+    ParameterValue,
+    SetParameters,
+    SetParametersResult,
+)
+
+GOLDEN = {
+    case["case"]: case
+    for case in json.loads(Path(__file__).with_name("golden").joinpath("verbs.json").read_text())
+}
+EVENTS = "qos_overrides./parameter_events.publisher."
+OF_TURTLESIM = {
+    "background_b": "255",
+    "background_g": "86",
+    "background_r": "69",
+    "holonomic": "false",
+    f"{EVENTS}depth": "1000",
+    f"{EVENTS}durability": "volatile",
+    f"{EVENTS}history": "keep_last",
+    f"{EVENTS}reliability": "reliable",
+    "start_type_description_service": "true",
+    "use_sim_time": "false",
+}
+ALL_KINDS = {
+    "yes": "true",
+    "whole": "7",
+    "part": "0.5",
+    "text": "a: b",
+    "bools": "[true, false]",
+    "wholes": "[1, 2]",
+    "parts": "[0.5, .inf]",
+    "texts": "[a, 'on']",
+}
+
+
+def values_of(texts):
+    return {name: parameter_value(text) for name, text in texts.items()}
+
+
+def having(values, name="turtlesim"):
+    """A node that has these parameters, all read-only."""
+    described = {
+        each: ParameterDescriptor(each, value.type, read_only=True)
+        for each, value in values.items()
+    }
+    if "part" in described:
+        described["part"].floating_point_range = [FloatingPointRange(0.0, 2.0)]
+        described["part"].additional_constraints = "no thirds"
+
+    def found(known, names):
+        return [known[each] for each in names] if known.keys() >= set(names) else []
+
+    def names_in(groups):
+        return [
+            each for each in values if not groups or any(each.startswith(f"{g}.") for g in groups)
+        ]
+
+    @asynccontextmanager
+    async def nodes(transport):
+        async with open_node(name, transport=transport) as node:
+            node.service(
+                ListParameters,
+                "~/list_parameters",
+                lambda asked: ListParameters.Response(
+                    ListParametersResult(names_in(asked.prefixes))
+                ),
+            )
+            node.service(
+                GetParameters,
+                "~/get_parameters",
+                lambda asked: GetParameters.Response(found(values, asked.names)),
+            )
+            node.service(
+                DescribeParameters,
+                "~/describe_parameters",
+                lambda asked: DescribeParameters.Response(found(described, asked.names)),
+            )
+            node.service(
+                SetParameters,
+                "~/set_parameters",
+                lambda asked: SetParameters.Response(
+                    [SetParametersResult(True, "noted") for _ in asked.parameters]
+                ),
+            )
+            yield node
+
+    return nodes
+
+
+@pytest.fixture
+def on_turtlesim(on_graph, graphs):
+    """Runs ``param`` on the graph of turtlesim's parameters."""
+    return lambda *arguments: on_graph(graphs.parameters, "param", *arguments)
+
+
+# --- as recorded ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["param_list", "param_dump"])
+def test_it_prints_what_ros2_prints(on_graph, name):
+    case = GOLDEN[name]
+    ran = on_graph(having(values_of(OF_TURTLESIM)), *shlex.split(case["command"])[1:])
+    assert (ran.status, ran.out, ran.err) == (case["exit"], case["stdout"], "")
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("yes", "Boolean value is: True"),
+        ("whole", "Integer value is: 7"),
+        ("part", "Double value is: 0.5"),
+        ("text", "String value is: a: b"),
+        ("bools", "Boolean values are: [True, False]"),
+        ("wholes", "Integer values are: [1, 2]"),
+        ("parts", "Double values are: [0.5, inf]"),
+        ("texts", "String values are: ['a', 'on']"),
+        ("bytes", "Byte values are: [1, 2]"),
+        ("nothing", "Parameter not set."),
+    ],
+)
+def test_a_value_is_printed_with_its_kind_as_by_ros2(on_graph, name, expected):
+    values = values_of(ALL_KINDS) | {
+        "bytes": ParameterValue(5, byte_array_value=[1, 2]),
+        "nothing": ParameterValue(),
+    }
+    assert on_graph(having(values), "param", "get", "/turtlesim", name).out == f"{expected}\n"
+
+
+def test_a_value_may_be_printed_alone(on_turtlesim):
+    assert on_turtlesim("get", "/turtlesim", "background_r", "--hide-type").out == "69\n"
+
+
+def test_a_description_has_the_lines_of_ros2(on_graph):
+    ran = on_graph(having(values_of(ALL_KINDS)), "param", "describe", "turtlesim", "part", "yes")
+    assert ran.out == (
+        "Parameter name: part\n  Type: double\n  Constraints:\n    Read only: true\n"
+        "    Min value: 0.0\n    Max value: 2.0\n    Additional constraints: no thirds\n"
+        "Parameter name: yes\n  Type: boolean\n  Constraints:\n    Read only: true\n"
+    )
+
+
+# --- list -----------------------------------------------------------------------------------
+
+
+def test_the_parameters_of_one_node_stand_alone(on_turtlesim):
+    assert on_turtlesim("list", "turtlesim").out == (
+        "  background_b\n  background_g\n  background_r\n  holonomic\n"
+    )
+
+
+def test_kinds_are_listed_and_names_filtered(on_turtlesim):
+    ran = on_turtlesim("list", "--param-type", "--filter", "h|.*_b")
+    assert ran.out == ("/turtlesim:\n  background_b (type: integer)\n  holonomic (type: boolean)\n")
+
+
+def test_a_group_is_listed_alone(on_graph):
+    ran = on_graph(
+        having(values_of(OF_TURTLESIM)), "param", "list", "--param-prefixes", "qos_overrides"
+    )
+    assert ran.out.splitlines()[1:] == [f"  {each}" for each in OF_TURTLESIM if EVENTS in each]
+
+
+def test_nodes_without_parameters_are_left_out(on_graph, graphs):
+    assert on_graph(graphs.fibonacci, "param", "list")[:2] == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("option", "out"), [((), ""), (("--include-hidden-nodes",), "/_x:\n  a\n")]
+)
+def test_hidden_nodes_are_listed_if_asked_for(on_graph, option, out):
+    assert on_graph(having(values_of({"a": "1"}), "_x"), "param", "list", *option).out == out
+
+
+# --- set, delete, dump, load ----------------------------------------------------------------
+
+
+def test_a_value_that_is_taken_is_told_as_by_ros2_and_there(on_graph, graphs):
+    values = []
+
+    @asynccontextmanager
+    async def nodes(transport):
+        async with graphs.parameters(transport) as declared:
+            yield
+            values.append(declared["background_r"])
+
+    ran = on_graph(nodes, "param", "set", "/turtlesim", "background_r", "150")
+    assert (ran, values) == ((0, "Set parameter successful\n", ""), [150])
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("background_r", "300", "Parameter {background_r} doesn't comply with integer range."),
+        ("holonomic", "no", "Wrong parameter type, parameter {holonomic} is of type {bool}, "),
+        ("backgroud_r", "1", "was not declared, did you mean 'background_r'?"),
+    ],
+)
+def test_a_value_that_is_refused_is_an_error_with_the_reason(on_turtlesim, name, value, reason):
+    ran = on_turtlesim("set", "/turtlesim", name, value)
+    assert (ran.status, ran.out) == (1, "")
+    assert ran.err.startswith("turtleact: Setting parameter failed: ")
+    assert reason in ran.err
+
+
+def test_what_a_node_says_to_a_value_it_takes_is_printed(on_graph):
+    ran = on_graph(having({}), "param", "set", "/turtlesim", "x", "-1")
+    assert ran.out == "Set parameter successful: noted\n"
+
+
+def test_a_parameter_can_be_deleted_if_its_node_lets_us(on_graph, on_turtlesim):
+    assert on_graph(having({}), "param", "delete", "/turtlesim", "x").out == (
+        "Deleted parameter successfully: noted\n"
+    )
+    ran = on_turtlesim("delete", "/turtlesim", "holonomic")
+    assert (ran.status, ran.err) == (
+        1,
+        "turtleact: Deleting parameter failed: cannot undeclare a statically typed parameter\n",
+    )
+
+
+def test_what_was_dumped_can_be_loaded(on_graph, tmp_path):
+    values = values_of(ALL_KINDS | {"group.inner.x": "1", "group.y": "2", "yes.no": "3"})
+    dumped = on_graph(having(values), "param", "dump", "/turtlesim").out
+    file = tmp_path / "params.yaml"
+    file.write_text(dumped)
+    ran = on_graph(having(values), "param", "load", "/turtlesim", str(file))
+    assert ran.out == "".join(
+        f"Set parameter {name} successful: noted\n" for name in sorted(values)
+    )
+
+
+def test_loading_tells_what_was_not_taken(on_turtlesim, tmp_path):
+    file = tmp_path / "params.yaml"
+    file.write_text(
+        "/**: {ros__parameters: {background_r: 1, background_g: 300}}\n"
+        "/other: {ros__parameters: {background_b: 2}}\n"
+        "turtlesim: {ros__parameters: {holonomic: true}}\n"
+    )
+    ran = on_turtlesim("load", "/turtlesim", str(file))
+    assert (ran.status, ran.out) == (
+        1,
+        "Set parameter background_r successful\nSet parameter holonomic successful\n",
+    )
+    assert ran.err == (
+        "turtleact: Set parameter background_g failed: "
+        "Parameter {background_g} doesn't comply with integer range.\n"
+    )
+    assert on_turtlesim("load", "/turtlesim", str(file), "--no-use-wildcard").out == (
+        "Set parameter holonomic successful\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("/other: {ros__parameters: {x: 1}}", "has no parameters for /turtlesim, but for /other"),
+        ("", "has no parameters for /turtlesim, but for nobody"),
+        ("/turtlesim: {x: 1}", "/turtlesim has no ros__parameters"),
+        ("/turtlesim: {ros__parameters: {a: {b: null}}}", "a.b: a parameter is a bool, a number"),
+        ("/turtlesim: {ros__parameters: {a: [1", "2:1: "),
+        (b"\xff", "it is not UTF-8"),
+        (None, "No such file or directory"),
+    ],
+)
+def test_a_file_that_cannot_be_loaded_is_a_usage_error(on_turtlesim, tmp_path, text, problem):
+    file = tmp_path / "params.yaml"
+    if text is not None:
+        file.write_bytes(text if isinstance(text, bytes) else f"{text}\n".encode())
+    ran = on_turtlesim("load", "/turtlesim", str(file))
+    assert ran.status == 2
+    assert ran.err.startswith(f"turtleact: {file}")
+    assert problem in ran.err
+
+
+# --- values ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "field", "value"),
+    [
+        ("true", "bool_value", True),
+        ("on", "string_value", "on"),
+        ("'7'", "string_value", "7"),
+        ("a: b", "string_value", "a: b"),
+        ("1e3", "double_value", 1000.0),
+        ("[]", "bool_array_value", []),
+        ("['1', a]", "string_array_value", ["1", "a"]),
+    ],
+)
+def test_a_text_says_a_value(text, field, value):
+    assert getattr(parameter_value(text), field) == value
+
+
+@pytest.mark.parametrize("text", ["null", "[1, a]", "[1, 0.5]", "[[1]]", "[{a: 1}]"])
+def test_what_is_of_no_kind_is_refused(text):
+    with pytest.raises(UsageError, match="a bool, a number, text, or a list of values of one kind"):
+        parameter_value(text)
+
+
+def test_malformed_text_is_told_by_its_place():
+    with pytest.raises(InvalidMessage, match="value:1:5"):
+        parameter_value("[1, ")
+
+
+def test_a_number_that_does_not_fit_is_refused(on_turtlesim):
+    ran = on_turtlesim("set", "/turtlesim", "background_r", str(2**63))
+    assert ran.status == 2
+    assert "9223372036854775808" in ran.err
+
+
+# --- nodes that are not there ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "line", ["list X", "get X a", "set X a 1", "delete X a", "describe X a", "dump X"]
+)
+def test_an_unknown_node_is_told_with_the_nearest(on_turtlesim, line):
+    ran = on_turtlesim(*line.replace("X", "/turtlesin").split())
+    assert (ran.status, ran.err) == (
+        1,
+        "turtleact: node '/turtlesin': there is none of that name, did you mean '/turtlesim'?\n",
+    )
+
+
+def test_a_node_that_comes_late_is_waited_for(on_graph, graphs):
+    @asynccontextmanager
+    async def nodes(transport):
+        async def appear():
+            await transport.clock.sleep(0.9)
+            async with graphs.parameters(transport):
+                await anyio.sleep_forever()
+
+        async with anyio.create_task_group() as beside:
+            beside.start_soon(appear)
+            yield
+            beside.cancel_scope.cancel()
+
+    assert on_graph(nodes, "param", "get", "/turtlesim", "background_r").status == 0
+
+
+def test_a_node_without_parameters_is_told_so(on_graph, graphs):
+    ran = on_graph(graphs.fibonacci, "param", "dump", "/fibonacci_action_server")
+    assert ran.err == (
+        "turtleact: node '/fibonacci_action_server' has no parameters: "
+        "nobody serves /fibonacci_action_server/get_parameters\n"
+    )
+
+
+@pytest.mark.parametrize("line", ["get /turtlesim holonomik", "describe /turtlesim holonomik"])
+def test_an_unknown_parameter_is_told_with_the_nearest(on_turtlesim, line):
+    ran = on_turtlesim(*line.split())
+    assert (ran.status, ran.err) == (
+        1,
+        "turtleact: node '/turtlesim' has no parameter 'holonomik', did you mean 'holonomic'?\n",
+    )
+
+
+def test_a_filter_that_is_no_expression_is_a_usage_error(turtleact):
+    ran = turtleact("param", "list", "--filter", "(")
+    assert ran.status == 2
+    assert "--filter is a regular expression, not '('" in ran.err
