@@ -38,6 +38,14 @@ OK, FAILED, USAGE, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 def main() -> int:
     """Run the program and give its exit status; the entry point of ``turtleact``."""
     try:
+        import os
+
+        if shell := os.environ.get("_TURTLEACT_COMPLETE"):
+            from turtleact.commands.completion import complete
+            from turtleact.commands.interrupts import leave
+
+            leave(complete(shell, sys.argv[1:]))
+
         from turtleact.commands.interrupts import Interrupts
 
         interrupts = Interrupts()
@@ -73,6 +81,11 @@ def _run(arguments: Sequence[str], interrupts: Interrupts) -> int:
             from turtleact import __version__
 
             print(f"turtleact {__version__}")
+        case ["--show-completion" | "--install-completion" as option, *shells]:
+            from turtleact.commands.shells import install, script
+
+            act = script if option == "--show-completion" else install
+            print(act(shells[0] if shells else None).removesuffix("\n"))
         case _:
             from turtleact.commands.verbs import parse
 
@@ -83,10 +96,14 @@ def _run(arguments: Sequence[str], interrupts: Interrupts) -> int:
 def _help() -> str:
     from turtleact.commands import VERBS
 
-    options = {"--version": "Print the version.", "-h, --help": "Show this message and exit."}
-    width = max(map(len, [*options, *VERBS]))
+    options = {
+        "--version": "Print the version.",
+        "--install-completion": "Let bash, zsh or fish complete the command line.",
+        "--show-completion": "Print what --install-completion would tell that shell.",
+        "-h, --help": "Show this message and exit.",
+    }
     option_lines, verb_lines = (
-        "\n".join(f"  {name:{width}}  {text}" for name, text in each.items())
+        "\n".join(f"  {name:{max(map(len, each))}}  {text}" for name, text in each.items())
         for each in (options, VERBS)
     )
     return f"{_HELP}\n\nOptions:\n{option_lines}\n\nCommands:\n{verb_lines}"

@@ -10,7 +10,8 @@ import sys
 from typing import TYPE_CHECKING, NamedTuple
 
 from turtleact.clock import within
-from turtleact.commands.graph import chosen_class, types_by_name
+from turtleact.commands.graph import chosen_class
+from turtleact.commands.kinds import types_by_name
 from turtleact.commands.stderr import note, printable
 from turtleact.commands.transcript import say
 from turtleact.errors import TurtleactError, UsageError

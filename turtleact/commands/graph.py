@@ -10,10 +10,11 @@ import asyncio
 import os
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
 from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import anyio
 
+from turtleact.commands.kinds import Kind, types_by_name
 from turtleact.commands.stderr import printable
 from turtleact.commands.transcript import say
 from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface
@@ -26,10 +27,8 @@ if TYPE_CHECKING:
     from turtleact.commands.verbs.arguments import Reach
     from turtleact.interfaces import Action, Message, Service
     from turtleact.transports import Transport
-    from turtleact.transports.base import Endpoint, EndpointKind
 
 __all__ = [
-    "Kind",
     "Look",
     "chosen_class",
     "interface_class",
@@ -38,24 +37,12 @@ __all__ = [
     "open_transport",
     "run",
     "say_names",
-    "types_by_name",
 ]
 
 I = TypeVar("I", bound="Message | Service | Action")  # noqa: E741  # an interface
 
 Look: TypeAlias = Callable[[Node], Awaitable[int]]
 """Looks at the graph and gives the exit status."""
-
-Kind = Literal["action", "service", "topic"]
-
-SEND_GOAL = "/_action/send_goal"
-
-ENDPOINTS: dict[Kind, tuple[EndpointKind, ...]] = {
-    "action": ("service",),
-    "service": ("service",),
-    "topic": ("publisher", "subscription"),
-}
-"""What makes something of a kind exist."""
 
 MOST_SHOWN = 10
 """So many names are listed where none is like the one that is looked for."""
@@ -99,34 +86,6 @@ def run(reach: Reach, look: Look, interrupts: Interrupts) -> int:
         TurtleactError: if there is no graph in reach; what the verb raises.
     """
     return asyncio.run(_run(reach, look, interrupts))
-
-
-def types_by_name(
-    endpoints: Iterable[Endpoint],
-    kind: Kind,
-    *kinds: EndpointKind,
-    hidden: bool = False,
-) -> dict[str, tuple[str, ...]]:
-    """The types of all that is of a kind, by name; both sorted.
-
-    Args:
-        endpoints: Of what is looked at: the graph, or a node.
-        kind: Of what kind.
-        *kinds: What it takes to exist; as `ENDPOINTS` says if left out.
-        hidden: Whether hidden names are wanted.
-    """
-    found: dict[str, set[str]] = {}
-    for endpoint in endpoints:
-        name, type_name = endpoint.name, endpoint.type_name
-        if endpoint.kind not in (kinds or ENDPOINTS[kind]):
-            continue
-        if kind == "action":
-            if not name.endswith(SEND_GOAL):
-                continue
-            name, type_name = name.removesuffix(SEND_GOAL), type_name.removesuffix("_SendGoal")
-        if hidden or "/_" not in name:
-            found.setdefault(name, set()).add(type_name)
-    return {name: tuple(sorted(types)) for name, types in sorted(found.items())}
 
 
 def interface_class(base: type[I], type_name: str, where: str = "") -> type[I]:

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import anyio
 
 from turtleact.clock import within
-from turtleact.commands.graph import names_like, types_by_name
+from turtleact.commands.graph import names_like
+from turtleact.commands.kinds import types_by_name
 from turtleact.errors import ServerUnavailable, UnknownGoal, UsageError
 from turtleact.goal import GoalStatus, status_of
 from turtleact.interfaces.stamps import nanoseconds

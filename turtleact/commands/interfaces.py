@@ -30,9 +30,11 @@ from turtleact.interfaces.parse import Line, parse_member, without_comment
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
+    from turtleact.interfaces import Message
 
 __all__ = [
     "KINDS",
+    "first_message",
     "make_known",
     "print_list",
     "print_package",
@@ -98,13 +100,20 @@ def print_prototype(type_name: str, *, quotes: bool) -> None:
     Raises:
         UnknownInterface: with the nearest known name.
     """
+    quote = '"' if quotes else ""
+    say(f"{quote}{to_yaml(first_message(type_name))}{quote}\n")
+
+
+def first_message(type_name: str) -> Message:
+    """The message of an interface that is sent first, of its defaults: the goal of an action.
+
+    Raises:
+        UnknownInterface: with the nearest known name.
+    """
     interface = get_interface(type_name)
     if issubclass(interface, Action):
-        interface = interface.Goal
-    elif issubclass(interface, Service):
-        interface = interface.Request
-    quote = '"' if quotes else ""
-    say(f"{quote}{to_yaml(interface())}{quote}\n")
+        return interface.Goal()
+    return interface.Request() if issubclass(interface, Service) else interface()
 
 
 def show(type_name: str, *, comments: bool, nested_comments: bool) -> None:

@@ -13,7 +13,8 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
-from turtleact.commands.graph import Kind, names_like, say_names, types_by_name
+from turtleact.commands.graph import names_like, say_names
+from turtleact.commands.kinds import Kind, types_by_name
 from turtleact.commands.stderr import note
 from turtleact.errors import TurtleactError, UnknownInterface
 from turtleact.interfaces import get_interface, type_hash

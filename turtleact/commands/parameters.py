@@ -11,7 +11,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from turtleact.clock import within
-from turtleact.commands.graph import names_like, say_names, types_by_name
+from turtleact.commands.graph import names_like, say_names
+from turtleact.commands.kinds import types_by_name
 from turtleact.commands.parameter_values import BELOW, KINDS, WILDCARD, kind_name, plain
 from turtleact.commands.stderr import note
 from turtleact.errors import TurtleactError, UsageError
@@ -44,6 +45,7 @@ __all__ = [
     "describe",
     "dump",
     "load",
+    "names_of",
     "print_names",
     "print_value",
     "set_value",
@@ -111,6 +113,11 @@ async def print_names(
         else:
             say_names("".join(f"  {each}\n" for each in names))
     return DONE
+
+
+async def names_of(node: Node, name: str) -> list[str]:
+    """The names of a node's parameters; raises as `print_names` does."""
+    return await _names(node, await _find(node, Owner(name, hidden=True, timeout=0)), ())
 
 
 async def print_value(node: Node, owner: Owner, name: str, *, hide_type: bool) -> int:

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from turtleact.commands.graph import chosen_class, types_by_name
+from turtleact.commands.graph import chosen_class
+from turtleact.commands.kinds import types_by_name
 from turtleact.commands.python_text import python_text
 from turtleact.commands.stderr import note
 from turtleact.commands.transcript import say

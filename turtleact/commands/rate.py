@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Protocol
 
 import anyio
 
-from turtleact.commands.graph import chosen_class, names_like, say_names, types_by_name
+from turtleact.commands.graph import chosen_class, names_like, say_names
+from turtleact.commands.kinds import types_by_name
 from turtleact.commands.stderr import note
 from turtleact.commands.transcript import say
 from turtleact.errors import TurtleactError

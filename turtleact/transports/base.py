@@ -22,12 +22,14 @@ Source: ROS 2 ``rmw``; the QoS policies of the ROS 2 documentation.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
 import msgspec
 
-from turtleact.clock import Clock, check_timeout, within
 from turtleact.errors import InvalidMessage
+
+if TYPE_CHECKING:
+    from turtleact.clock import Clock
 
 __all__ = [
     "STATUS_QOS",
@@ -310,6 +312,8 @@ async def wait_until_served(
     Raises:
         InvalidOption: if ``timeout`` is not a number.
     """
+    from turtleact.clock import check_timeout, within  # who only knows names does without
+
     check_timeout(timeout)
     async with within(timeout, transport.clock):
         while find() is None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from turtleact.commands import VERBS
+from turtleact.commands.verbs import completing
 from turtleact.commands.verbs.arguments import (
     Config,
     Connect,
@@ -26,8 +27,20 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-_Name = Annotated[str, typer.Argument(metavar="NAME", help="The action, such as /patrol.")]
-_Type = Annotated[str, typer.Argument(metavar="TYPE", help="The type, pkg/action/Name.")]
+_Name = Annotated[
+    str,
+    typer.Argument(
+        metavar="NAME", help="The action, such as /patrol.", autocompletion=completing.actions
+    ),
+]
+_Type = Annotated[
+    str,
+    typer.Argument(
+        metavar="TYPE",
+        help="The type, pkg/action/Name.",
+        autocompletion=completing.types("action", of_name=False),
+    ),
+]
 _ShowTypes = Annotated[bool, typer.Option("--show-types", "-t", help="Show the types, too.")]
 _CountActions = Annotated[
     bool, typer.Option("--count-actions", "-c", help="Only print how many there are.")

@@ -355,4 +355,5 @@ def _take(
         return value.removeprefix(_TEXT)
     if isinstance(value, list | tuple) and value:
         return [str(each).removeprefix(_TEXT) for each in value]
-    return None if value is None and not is_required else process(ctx, value)
+    is_left_out = value is None and (ctx.resilient_parsing or not is_required)
+    return None if is_left_out else process(ctx, value)

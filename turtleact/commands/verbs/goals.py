@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from turtleact.commands import VERBS
+from turtleact.commands.verbs import completing
 from turtleact.commands.verbs.arguments import (
     Config,
     Connect,
@@ -33,12 +34,26 @@ _GOAL_ID = re.compile(r"[0-9a-f]{4,32}")
 _SECONDS = re.compile(r"(?P<whole>[0-9]{1,10})(?:\.(?P<part>[0-9]{0,9}))?")
 
 _Name = Annotated[
-    str | None, typer.Argument(metavar="NAME", help="The action; all of them if left out.")
+    str | None,
+    typer.Argument(
+        metavar="NAME",
+        help="The action; all of them if left out.",
+        autocompletion=completing.actions,
+    ),
 ]
-_Id = Annotated[str, typer.Argument(metavar="ID", help="The goal's id, or how it begins.")]
+_Id = Annotated[
+    str,
+    typer.Argument(
+        metavar="ID", help="The goal's id, or how it begins.", autocompletion=completing.goal_ids
+    ),
+]
 _Ids = Annotated[
     list[str] | None,
-    typer.Argument(metavar="ID...|NAME", help="The goals' ids; with --all or --before the action."),
+    typer.Argument(
+        metavar="ID...|NAME",
+        help="The goals' ids; with --all or --before the action.",
+        autocompletion=completing.goal_ids,
+    ),
 ]
 _Json = Annotated[bool, typer.Option("--json", help="Print one JSON object a line.")]
 _All = Annotated[bool, typer.Option("--all", help="All goals of an action, or of all actions.")]

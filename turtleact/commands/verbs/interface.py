@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from turtleact.commands.verbs import completing
 from turtleact.commands.verbs.arguments import Interfaces, Job, Verb, new_group, only_one
 
 if TYPE_CHECKING:
@@ -14,16 +15,28 @@ if TYPE_CHECKING:
 __all__ = ["app"]
 
 _Type = Annotated[
-    str, typer.Argument(metavar="TYPE", help="The interface, such as std_msgs/msg/String.")
+    str,
+    typer.Argument(
+        metavar="TYPE",
+        help="The interface, such as std_msgs/msg/String.",
+        autocompletion=completing.interfaces,
+    ),
 ]
 _ShownType = Annotated[
     str,
     typer.Argument(
-        metavar="TYPE", help="The interface, such as std_msgs/msg/String; - reads it from stdin."
+        metavar="TYPE",
+        help="The interface, such as std_msgs/msg/String; - reads it from stdin.",
+        autocompletion=completing.interfaces,
     ),
 ]
 _Package = Annotated[
-    str, typer.Argument(metavar="PACKAGE", help="The package, such as geometry_msgs.")
+    str,
+    typer.Argument(
+        metavar="PACKAGE",
+        help="The package, such as geometry_msgs.",
+        autocompletion=completing.packages,
+    ),
 ]
 _Messages = Annotated[bool, typer.Option("--only-msgs", "-m", help="Messages only.")]
 _Services = Annotated[bool, typer.Option("--only-srvs", "-s", help="Services only.")]

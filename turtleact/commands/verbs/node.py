@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from turtleact.commands.verbs import completing
 from turtleact.commands.verbs.arguments import (
     Config,
     Connect,
@@ -21,7 +22,12 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-_Name = Annotated[str, typer.Argument(metavar="NAME", help="The node, such as /turtlesim.")]
+_Name = Annotated[
+    str,
+    typer.Argument(
+        metavar="NAME", help="The node, such as /turtlesim.", autocompletion=completing.nodes
+    ),
+]
 _All = Annotated[bool, typer.Option("--all", "-a", help="Hidden nodes, too.")]
 _Count = Annotated[bool, typer.Option("--count-nodes", "-c", help="Only print how many there are.")]
 _Hidden = Annotated[

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from turtleact.commands.verbs import completing
 from turtleact.commands.verbs.arguments import (
     Config,
     Connect,
@@ -28,14 +29,32 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-_Node = Annotated[str, typer.Argument(metavar="NODE", help="The node, such as /turtlesim.")]
+_Node = Annotated[
+    str,
+    typer.Argument(
+        metavar="NODE", help="The node, such as /turtlesim.", autocompletion=completing.nodes
+    ),
+]
 _AnyNode = Annotated[
-    str | None, typer.Argument(metavar="NODE", help="The node; all of them if left out.")
+    str | None,
+    typer.Argument(
+        metavar="NODE", help="The node; all of them if left out.", autocompletion=completing.nodes
+    ),
 ]
 _Name = Annotated[
-    str, typer.Argument(metavar="PARAMETER", help="The parameter, such as background_r.")
+    str,
+    typer.Argument(
+        metavar="PARAMETER",
+        help="The parameter, such as background_r.",
+        autocompletion=completing.parameters,
+    ),
 ]
-_Names = Annotated[list[str], typer.Argument(metavar="PARAMETER...", help="The parameters.")]
+_Names = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="PARAMETER...", help="The parameters.", autocompletion=completing.parameters
+    ),
+]
 _Value = Annotated[
     str, typer.Argument(metavar="VALUE", help="A bool, a number, text, or a list, as YAML.")
 ]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from turtleact.commands import policies
+from turtleact.commands.verbs import completing
 from turtleact.commands.verbs.arguments import quoted, whole
 from turtleact.errors import UsageError
 
@@ -19,11 +20,21 @@ P = TypeVar("P")
 
 Reliability = Annotated[
     str | None,
-    typer.Option("--qos-reliability", metavar="POLICY", help="reliable or best_effort."),
+    typer.Option(
+        "--qos-reliability",
+        metavar="POLICY",
+        help="reliable or best_effort.",
+        autocompletion=completing.words("reliable", "best_effort"),
+    ),
 ]
 Durability = Annotated[
     str | None,
-    typer.Option("--qos-durability", metavar="POLICY", help="volatile or transient_local."),
+    typer.Option(
+        "--qos-durability",
+        metavar="POLICY",
+        help="volatile or transient_local.",
+        autocompletion=completing.words("volatile", "transient_local"),
+    ),
 ]
 Depth = Annotated[
     str | None, typer.Option("--qos-depth", metavar="N", help="How many messages are kept.")

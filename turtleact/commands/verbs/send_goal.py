@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from turtleact.commands import VERBS
+from turtleact.commands.verbs import completing
 from turtleact.commands.verbs.arguments import (
     Config,
     Connect,
@@ -37,13 +38,27 @@ Examples:
   turtleact send-goal go_to "{x: 2, y: 9}" --speed max --json
 """
 
-_Name = Annotated[str, typer.Argument(metavar="NAME", help="The action, such as /patrol.")]
+_Name = Annotated[
+    str,
+    typer.Argument(
+        metavar="NAME", help="The action, such as /patrol.", autocompletion=completing.actions
+    ),
+]
 _Type = Annotated[
     str | None,
-    typer.Argument(metavar="TYPE", help="Its type, pkg/action/Name; asked of the graph."),
+    typer.Argument(
+        metavar="TYPE",
+        help="Its type, pkg/action/Name; asked of the graph.",
+        autocompletion=completing.types("action"),
+    ),
 ]
 _Goal = Annotated[
-    str | None, typer.Argument(metavar="GOAL", help="The goal as YAML or JSON; {} if left out.")
+    str | None,
+    typer.Argument(
+        metavar="GOAL",
+        help="The goal as YAML or JSON; {} if left out.",
+        autocompletion=completing.messages,
+    ),
 ]
 _Feedback = Annotated[
     bool, typer.Option("--feedback", "-f", help="Print each feedback message, and let it stand.")
@@ -67,7 +82,11 @@ _Json = Annotated[
 _Plain = Annotated[bool, typer.Option("--plain", help="No live display, even on a terminal.")]
 _Speed = Annotated[
     str | None,
-    typer.Option(metavar="FACTOR", help="How fast time passes in the embedded world, or max."),
+    typer.Option(
+        metavar="FACTOR",
+        help="How fast time passes in the embedded world, or max.",
+        autocompletion=completing.words("max"),
+    ),
 ]
 _Seed = Annotated[
     str | None, typer.Option(metavar="NUMBER", help="What its random choices begin with.")

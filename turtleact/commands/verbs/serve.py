@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from turtleact.commands import VERBS
+from turtleact.commands.verbs import completing
 from turtleact.commands.verbs.arguments import (
     Config,
     Connect,
@@ -32,7 +33,11 @@ MOST_TURTLES = 10_000
 
 _Targets = Annotated[
     list[str] | None,
-    typer.Argument(metavar="TARGET", help="Your actions: module:object, or module for all in it."),
+    typer.Argument(
+        metavar="TARGET",
+        help="Your actions: module:object, or module for all in it.",
+        autocompletion=completing.targets,
+    ),
 ]
 _Listen = Annotated[
     str | None,

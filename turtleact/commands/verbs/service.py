@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from turtleact.commands.verbs import completing
 from turtleact.commands.verbs.arguments import (
     Config,
     Connect,
@@ -27,14 +28,35 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-_Name = Annotated[str, typer.Argument(metavar="NAME", help="The service, such as /spawn.")]
-_Type = Annotated[str, typer.Argument(metavar="TYPE", help="The type, pkg/srv/Name.")]
+_Name = Annotated[
+    str,
+    typer.Argument(
+        metavar="NAME", help="The service, such as /spawn.", autocompletion=completing.services
+    ),
+]
+_Type = Annotated[
+    str,
+    typer.Argument(
+        metavar="TYPE",
+        help="The type, pkg/srv/Name.",
+        autocompletion=completing.types("service", of_name=False),
+    ),
+]
 _CalledType = Annotated[
-    str | None, typer.Argument(metavar="TYPE", help="Its type, pkg/srv/Name; asked of the graph.")
+    str | None,
+    typer.Argument(
+        metavar="TYPE",
+        help="Its type, pkg/srv/Name; asked of the graph.",
+        autocompletion=completing.types("service"),
+    ),
 ]
 _Values = Annotated[
     str | None,
-    typer.Argument(metavar="VALUES", help="The request as YAML or JSON; {} if left out."),
+    typer.Argument(
+        metavar="VALUES",
+        help="The request as YAML or JSON; {} if left out.",
+        autocompletion=completing.messages,
+    ),
 ]
 _Stdin = Annotated[bool, typer.Option("--stdin", help="Read the request from stdin.")]
 _Rate = Annotated[

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from turtleact.commands.verbs import completing
 from turtleact.commands.verbs.arguments import (
     Config,
     Connect,
@@ -36,14 +37,35 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-_Name = Annotated[str, typer.Argument(metavar="NAME", help="The topic, such as /turtle1/pose.")]
-_Type = Annotated[str, typer.Argument(metavar="TYPE", help="The type, pkg/msg/Name.")]
+_Name = Annotated[
+    str,
+    typer.Argument(
+        metavar="NAME", help="The topic, such as /turtle1/pose.", autocompletion=completing.topics
+    ),
+]
+_Type = Annotated[
+    str,
+    typer.Argument(
+        metavar="TYPE",
+        help="The type, pkg/msg/Name.",
+        autocompletion=completing.types("topic", of_name=False),
+    ),
+]
 _AskedType = Annotated[
-    str | None, typer.Argument(metavar="TYPE", help="Its type, pkg/msg/Name; asked of the graph.")
+    str | None,
+    typer.Argument(
+        metavar="TYPE",
+        help="Its type, pkg/msg/Name; asked of the graph.",
+        autocompletion=completing.types("topic"),
+    ),
 ]
 _Values = Annotated[
     str | None,
-    typer.Argument(metavar="VALUES", help="The message as YAML or JSON; {} if left out."),
+    typer.Argument(
+        metavar="VALUES",
+        help="The message as YAML or JSON; {} if left out.",
+        autocompletion=completing.messages,
+    ),
 ]
 _ShowTypes = Annotated[bool, typer.Option("--show-types", "-t", help="Show the types, too.")]
 _Count = Annotated[

@@ -1,0 +1,50 @@
+"""What goes by a name on the graph: actions, services and topics, and what makes them exist."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from turtleact.transports.base import Endpoint, EndpointKind
+
+__all__ = ["Kind", "types_by_name"]
+
+Kind = Literal["action", "service", "topic"]
+
+SEND_GOAL = "/_action/send_goal"
+
+ENDPOINTS: dict[Kind, tuple[EndpointKind, ...]] = {
+    "action": ("service",),
+    "service": ("service",),
+    "topic": ("publisher", "subscription"),
+}
+"""What makes something of a kind exist."""
+
+
+def types_by_name(
+    endpoints: Iterable[Endpoint],
+    kind: Kind,
+    *kinds: EndpointKind,
+    hidden: bool = False,
+) -> dict[str, tuple[str, ...]]:
+    """The types of all that is of a kind, by name; both sorted.
+
+    Args:
+        endpoints: Of what is looked at: the graph, or a node.
+        kind: Of what kind.
+        *kinds: What it takes to exist; as `ENDPOINTS` says if left out.
+        hidden: Whether hidden names are wanted.
+    """
+    found: dict[str, set[str]] = {}
+    for endpoint in endpoints:
+        name, type_name = endpoint.name, endpoint.type_name
+        if endpoint.kind not in (kinds or ENDPOINTS[kind]):
+            continue
+        if kind == "action":
+            if not name.endswith(SEND_GOAL):
+                continue
+            name, type_name = name.removesuffix(SEND_GOAL), type_name.removesuffix("_SendGoal")
+        if hidden or "/_" not in name:
+            found.setdefault(name, set()).add(type_name)
+    return {name: tuple(sorted(types)) for name, types in sorted(found.items())}
