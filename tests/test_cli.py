@@ -172,7 +172,7 @@ def test_help_is_printed(arguments, capsys):
         "Commands:\n"
         "  send-goal  Send a goal, follow it to its end, print the result.\n"
         "  serve      Serve a world of turtles and your own actions, to this machine or beyond.\n"
-        "  run        Run a program of ROS 2 that has its like here: turtlesim turtlesim_node.\n"
+        "  run        Run a program of ROS 2 that has its like here, as turtlesim turtlesim_node.\n"
         "  goals      List the goals that servers hold.\n"
         "  cancel     Cancel goals, whoever has sent them.\n"
         "  watch      Print the feedback of a goal, then its result.\n"

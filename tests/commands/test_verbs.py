@@ -8,8 +8,9 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from turtleact.commands import VERBS, send_goal, verbs
+from turtleact.commands import VERBS, send_goal, serve, verbs
 from turtleact.commands.goal_text import GoalText
+from turtleact.commands.targets import find_actions
 from turtleact.commands.verbs.arguments import Reach, reach
 from turtleact.commands.verbs.goals import moment
 from turtleact.errors import UsageError
@@ -49,6 +50,16 @@ USAGE = [
     (["serve", "--turtles", "0"], "--turtles is a whole number, 1 to 10000"),
     (["serve", "--seed", "-1"], "--seed is a whole number"),
     (["run", "turtlesim", "mimic"], "'turtlesim mimic' is not there: turtleact runs"),
+    (
+        ["run", "turtlesim", "turtlesim_node", "--ros-args", "--remap", "__node:=my_turtle"],
+        "'--ros-args --remap __node:=my_turtle' is not taken: names stay as they are",
+    ),
+    (["run", "action_tutorials_py", "fibonacci_action_server", "-x"], "'-x' is not taken"),
+    (["bag", "record", "/turtle1/cmd_vel"], "'bag' is not part of turtleact: 'turtleact topic"),
+    (["launch", "turtlesim", "multisim.launch.py"], "'launch' is not part of turtleact: start"),
+    (["pkg", "executables", "turtlesim"], "'pkg' is not part of turtleact: 'turtleact interface"),
+    (["doctor"], "'doctor' is not part of turtleact: 'turtleact node list' tells"),
+    (["service", "echo", "--flow-style", "/x"], "'service echo' is not part of turtleact: its"),
     (["send-goal", "x", "--embedded", "--connect", "tcp/a:1"], "is given twice"),
     (["send-goal", "x", "--speed", "2", "--connect", "tcp/a:1"], "is given twice"),
     (["topic", "list", "--domain", "233"], "--domain is a whole number, 0 to 232, not '233'"),
@@ -210,6 +221,7 @@ def test_only_the_group_that_is_asked_for_is_imported(verb):
         "turtleact.commands.verbs",
         "turtleact.commands.verbs.arguments",
         "turtleact.commands.verbs.completing",
+        "turtleact.commands.verbs.outside",
         f"turtleact.commands.verbs.{home.replace('-', '_')}",
         "turtleact.errors",
     }
@@ -278,3 +290,44 @@ def test_a_domain_of_the_environment_that_makes_no_sense_is_named(monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", "many")
     with pytest.raises(UsageError, match="ROS_DOMAIN_ID is a whole number, 0 to 232, not 'many'"):
         reach(None, None)
+
+
+@pytest.mark.parametrize("what", ["status", "stop", "start"])
+def test_there_is_no_daemon_and_no_harm_in_that(turtleact, what):
+    assert turtleact("daemon", what) == (
+        0,
+        "The daemon is not running: each command asks the graph itself\n",
+        "",
+    )
+
+
+@pytest.mark.parametrize(
+    ("program", "targets", "has_world"),
+    [
+        (["turtlesim", "turtlesim_node"], (), True),
+        (
+            ["action_tutorials_py", "fibonacci_action_server"],
+            ("turtleact.actions.fibonacci",),
+            False,
+        ),
+        (
+            ["examples_rclpy_minimal_action_server", "server"],
+            ("turtleact.actions.fibonacci",),
+            False,
+        ),
+    ],
+)
+def test_programs_of_ros2_are_services_here(turtleact, monkeypatch, program, targets, has_world):
+    ran = []
+    monkeypatch.setattr(serve, "run", lambda service, _: ran.append(service) or 0)
+    assert turtleact("run", *program, "--domain", "3").status == 0
+    [service] = ran
+    assert (service.targets, service.has_world, service.domain) == (targets, has_world, 3)
+
+
+def test_the_fibonacci_server_serves_both_types():
+    declared = find_actions("turtleact.actions.fibonacci")
+    assert [each.action_type.type_name for each in declared] == [
+        "action_tutorials_interfaces/action/Fibonacci",
+        "example_interfaces/action/Fibonacci",
+    ]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from turtleact.body import action
 from turtleact.errors import Reject
 from turtleact.goal import GoalResponse
 from turtleact.interfaces.standard import ExampleFibonacci, Fibonacci
@@ -26,12 +27,6 @@ LARGEST: Final = 46
 """The largest order whose number fits an int32."""
 
 
-def serve(node: Node) -> None:
-    """Serve ``/fibonacci`` under both of the types that ROS 2 has for it."""
-    node.action_server(Fibonacci, "/fibonacci", fibonacci, goal_callback=check)
-    node.action_server(ExampleFibonacci, "/fibonacci", example_fibonacci, goal_callback=check)
-
-
 def check(goal: Fibonacci.Goal | ExampleFibonacci.Goal) -> GoalResponse:
     """Refuse an order whose numbers do not fit the result."""
     if goal.order > LARGEST:
@@ -39,6 +34,7 @@ def check(goal: Fibonacci.Goal | ExampleFibonacci.Goal) -> GoalResponse:
     return GoalResponse.ACCEPT
 
 
+@action(Fibonacci, "/fibonacci", goal_callback=check)
 async def fibonacci(
     goal: Fibonacci.Goal,
     handle: ServerGoalHandle[Fibonacci.Goal, Fibonacci.Result, Fibonacci.Feedback],
@@ -53,6 +49,7 @@ async def fibonacci(
     yield Fibonacci.Result(sequence=sequence)
 
 
+@action(ExampleFibonacci, "/fibonacci", goal_callback=check)
 async def example_fibonacci(
     goal: ExampleFibonacci.Goal,
     handle: ServerGoalHandle[
@@ -67,3 +64,9 @@ async def example_fibonacci(
         yield ExampleFibonacci.Feedback(sequence=sequence)
         await handle.node.clock.sleep(PACE)
     yield ExampleFibonacci.Result(sequence=sequence)
+
+
+def serve(node: Node) -> None:
+    """Serve ``/fibonacci`` under both of the types that ROS 2 has for it."""
+    node.serve(fibonacci)
+    node.serve(example_fibonacci)

@@ -17,6 +17,7 @@ from typer.main import get_command
 
 from turtleact.commands import VERBS
 from turtleact.commands.verbs.arguments import SETTINGS, ArgumentError, Verbs, explain
+from turtleact.commands.verbs.outside import NO_DAEMON, problem_of_outside
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
@@ -40,6 +41,10 @@ def parse(arguments: Sequence[str]) -> Job:
         UsageError: if it cannot be understood; the text names the mistake and where to get help.
     """
     verb = arguments[0]
+    if problem := problem_of_outside(arguments):
+        raise UsageError(problem)
+    if verb == "daemon":
+        return _tell_of_daemon
     command = get_command(assemble([verb] if verb in VERBS else VERBS))
     try:  # what `main` does besides is to have its own view of a reader that has gone
         with command.make_context("turtleact", list(arguments)) as context:
@@ -62,6 +67,11 @@ def assemble(verbs: Collection[str]) -> typer.Typer:
 
 def _root() -> None:
     """ROS 2 actions, without ROS."""
+
+
+def _tell_of_daemon(_: Interrupts) -> int:
+    typer.echo(NO_DAEMON)
+    return 0
 
 
 def _exit_status(status: int, _: Interrupts) -> int:

@@ -135,20 +135,54 @@ def serve(
     return job
 
 
-@app.command("run", cls=Verb, help=VERBS["run"])
+@app.command("run", cls=Verb, help=VERBS["run"], context_settings={"ignore_unknown_options": True})
 def run(
-    package: Annotated[str, typer.Argument(metavar="PACKAGE", help="turtlesim.")],
-    executable: Annotated[str, typer.Argument(metavar="EXECUTABLE", help="turtlesim_node.")],
+    package: Annotated[
+        str,
+        typer.Argument(
+            metavar="PACKAGE", help="turtlesim.", autocompletion=completing.words("turtlesim")
+        ),
+    ],
+    executable: Annotated[
+        str,
+        typer.Argument(
+            metavar="EXECUTABLE",
+            help="turtlesim_node.",
+            autocompletion=completing.words("turtlesim_node"),
+        ),
+    ],
+    more: Annotated[
+        list[str] | None, typer.Argument(metavar="ARGS", help="None are taken.")
+    ] = None,
     *,
     domain: Domain = None,
 ) -> Job:
     """``run``: the programs of ROS 2 that have their like here."""
-    if (package, executable) != ("turtlesim", "turtlesim_node"):
+    if (package, executable) in _FIBONACCI:
+        if not more:
+            return serve([_FIBONACCI_TARGET], no_sim=True, domain=domain)
+    elif (package, executable) != ("turtlesim", "turtlesim_node"):
         raise UsageError(
-            f"'{package} {executable}' is not there: turtleact runs 'turtlesim turtlesim_node'; "
+            f"'{package} {executable}' is not there: turtleact runs 'turtlesim turtlesim_node' and "
+            "'action_tutorials_py fibonacci_action_server'; "
             "your own actions are for 'turtleact serve module:object'"
         )
+    if more:
+        raise UsageError(
+            f"{quoted(' '.join(more))} is not taken: names stay as they are, and parameters are "
+            "for 'turtleact param set' and 'load', once it runs"
+        )
     return serve(domain=domain)
+
+
+_FIBONACCI_TARGET = "turtleact.actions.fibonacci"
+_FIBONACCI = {
+    ("action_tutorials_cpp", "fibonacci_action_server"),
+    ("action_tutorials_py", "fibonacci_action_server"),
+    ("examples_rclcpp_minimal_action_server", "action_server_member_functions"),
+    ("examples_rclpy_minimal_action_server", "server"),
+}
+"""The servers of the action tutorials."""
 
 
 def _host_and_port(text: str) -> tuple[str, int]:

@@ -1,0 +1,36 @@
+"""Verbs of ``ros2`` that have no like here: what is said to who tries them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+__all__ = ["NO_DAEMON", "problem_of_outside"]
+
+NO_DAEMON: Final = "The daemon is not running: each command asks the graph itself"
+"""What ``daemon`` says, whatever is asked of it."""
+
+_OUTSIDE: Final = {
+    ("bag",): "'turtleact topic echo NAME --csv' prints messages a line each, to keep in a file",
+    ("component",): "a node is a program, such as 'turtleact serve'",
+    ("control",): "there are no controllers",
+    ("doctor",): "'turtleact node list' tells whether there is a graph in reach",
+    ("extension_points",): "there are no plug-ins",
+    ("extensions",): "there are no plug-ins",
+    ("launch",): "start each program by itself, such as 'turtleact serve'",
+    ("lifecycle",): "there are no managed nodes",
+    ("multicast",): "nodes find each other through a router, such as 'turtleact serve'",
+    ("pkg",): "'turtleact interface packages' lists what has interfaces; nothing is built",
+    ("security",): "'turtleact serve --config FILE' says who may come in",
+    ("service", "echo"): "its nodes tell nobody of their calls; 'turtleact service call' makes one",
+    ("wtf",): "'turtleact node list' tells whether there is a graph in reach",
+}
+"""The verbs, and what there is instead."""
+
+
+def problem_of_outside(arguments: Sequence[str]) -> str:
+    """What a command line of ``ros2`` asks for that turtleact has not; empty if it has all."""
+    for verb, instead in _OUTSIDE.items():
+        if tuple(arguments[: len(verb)]) == verb:
+            return f"'{' '.join(verb)}' is not part of turtleact: {instead}"
+    return ""
