@@ -17,11 +17,11 @@ from turtleact.errors import TurtleactError
 from turtleact.interfaces import get_interface, type_hash
 from turtleact.testing import run
 from turtleact.transports import QoS
-from turtleact.transports.base import Endpoint
+from turtleact.transports.base import Endpoint, EndpointKind
 from turtleact.transports.rmw_zenoh.discovery import Graph
 from turtleact.transports.rmw_zenoh.keys import endpoint_token, node_token
 
-ON_THE_GRAPH = [
+ON_THE_GRAPH: list[tuple[EndpointKind, str, str]] = [
     ("publisher", "/turtle1/pose", "turtlesim/msg/Pose"),
     ("subscription", "/turtle1/cmd_vel", "geometry_msgs/msg/Twist"),
     ("service", "/spawn", "turtlesim/srv/Spawn"),

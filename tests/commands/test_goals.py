@@ -375,5 +375,5 @@ async def test_what_echoes_and_measures_ends_with_its_node(graphs):
         open_node("viewer", transport=transport) as viewer,
     ):
         beside.start_soon(verbs.echo, viewer, "/fibonacci")
-        beside.start_soon(rate.measure, viewer, "/fibonacci/_action/feedback", 5)
+        beside.start_soon(rate.measure, viewer, "/fibonacci/_action/feedback", rate.Rate(5))
         await anyio.wait_all_tasks_blocked()

@@ -319,7 +319,12 @@ def test_there_is_no_daemon_and_no_harm_in_that(turtleact, what):
 )
 def test_programs_of_ros2_are_services_here(turtleact, monkeypatch, program, targets, has_world):
     ran = []
-    monkeypatch.setattr(serve, "run", lambda service, _: ran.append(service) or 0)
+
+    def run(service, _):
+        ran.append(service)
+        return 0
+
+    monkeypatch.setattr(serve, "run", run)
     assert turtleact("run", *program, "--domain", "3").status == 0
     [service] = ran
     assert (service.targets, service.has_world, service.domain) == (targets, has_world, 3)

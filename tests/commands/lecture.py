@@ -1,0 +1,32 @@
+"""``turtleact`` as in the lecture, on a router of its own and with turtles that do not dawdle.
+
+The arguments begin with that router's port. Everything else is as on the command line: so a command
+of the lecture can stand as it is, on a machine where other graphs are.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from turtleact import cli
+from turtleact.commands import serve
+from turtleact.transports.rmw_zenoh import config
+
+SPEED = 3.0
+"""How fast time passes for the turtles."""
+
+run = serve.run
+
+
+def main() -> int:
+    """Run a command line."""
+    port = sys.argv.pop(1)
+    router = f"tcp/127.0.0.1:{port}"
+    serve.ROUTER = router
+    config.CONNECT = dict.fromkeys(("peer", "client"), (router,)) | {"router": ()}
+    serve.run = lambda service, interrupts: run(service._replace(speed=SPEED), interrupts)
+    return cli.main()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

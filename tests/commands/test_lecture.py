@@ -1,0 +1,139 @@
+"""The lecture of docs/tutorial.md in real shells: a terminal for each program, one graph.
+
+What stands in a block below ``<!-- not run: a terminal of its own -->`` goes on until the end; the
+commands below ``<!-- not run: beside them -->`` run one after another, in the order of the page.
+In the output ``...`` stands for anything.
+"""
+
+from __future__ import annotations
+
+import doctest
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+PAGE = Path(__file__).parents[2] / "docs" / "tutorial.md"
+PROGRAM = Path(__file__).with_name("lecture.py")
+BLOCK = re.compile(
+    r"^<!-- not run: (?P<kind>a terminal of its own|beside them) -->\n"
+    r"```console\n(?P<text>.*?)^```$",
+    re.MULTILINE | re.DOTALL,
+)
+OWN_SERVER = re.compile(r"^## 6\..*?^<!-- run -->\n```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+ALIAS = "shopt -s expand_aliases\nalias ros2=turtleact\n"
+SECONDS = 30
+
+
+class Step(NamedTuple):
+    """A command of the page, and what it shall print."""
+
+    goes_on: bool
+    line: str
+    output: str
+
+
+STEPS = [
+    Step(block["kind"] != "beside them", *part.split("\n", 1))
+    for block in BLOCK.finditer(PAGE.read_text("utf-8"))
+    for part in re.split(r"^\$ ", block["text"], flags=re.MULTILINE)[1:]
+]
+
+
+class Terminal:
+    """A bash with the lecture's alias, in which one command runs."""
+
+    def __init__(self, line, folder, environment):
+        self.process = subprocess.Popen(
+            ["bash", "--norc", "-c", f"{ALIAS}{line}\n"],
+            cwd=folder,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        assert self.process.stdout is not None
+        self.stdout = self.process.stdout
+        self.printed = ""
+
+    def wait_for(self, text):
+        while text not in self.printed:
+            line = self.stdout.readline()
+            assert line, f"{self.printed!r} ended without {text!r}"
+            self.printed += line
+
+    def rest(self):
+        """Wait for the end, and give all that was printed."""
+        self.printed += self.process.communicate(timeout=SECONDS)[0]
+        return self.printed
+
+    def end(self):
+        """End what still runs there, as Ctrl-C does, and give all that was printed."""
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGINT)
+        return self.rest()
+
+
+@pytest.fixture
+def port():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
+
+
+@pytest.fixture
+def open_terminal(tmp_path, port):
+    """Opens terminals, and closes all that are left."""
+    program = tmp_path / "turtleact"
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{PROGRAM}" {port} "$@"\n')
+    program.chmod(0o755)
+    (tmp_path / "lab.py").write_text(OWN_SERVER.search(PAGE.read_text("utf-8"))[1])  # type: ignore[index]
+    environment = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}", "ROS_DOMAIN_ID": "0"}
+    terminals = []
+
+    def open_(line):
+        terminals.append(Terminal(line, tmp_path, environment))
+        return terminals[-1]
+
+    yield open_
+    for terminal in terminals:
+        if terminal.process.poll() is None:
+            os.killpg(terminal.process.pid, signal.SIGKILL)
+        terminal.process.wait()
+        terminal.stdout.close()
+
+
+def is_as_shown(printed, step, port):
+    text = printed.replace(f":{port}", ":7447").rstrip() + "\n"
+    shown = step.output.rstrip() + "\n"
+    return doctest.OutputChecker().check_output(shown, text, doctest.ELLIPSIS)
+
+
+def test_the_page_has_the_lecture():
+    lines = [step.line for step in STEPS]
+    assert lines[0] == "ros2 run turtlesim turtlesim_node"
+    assert sum(line.startswith("ros2 ") for line in lines) >= 15
+    assert any("/my_patrol" in line for line in lines)
+
+
+def test_the_commands_of_the_lecture_print_what_the_page_shows(open_terminal, port):
+    beside = []
+    for step in STEPS:
+        terminal = open_terminal(step.line)
+        if not step.goes_on:
+            printed = terminal.rest()
+            assert is_as_shown(printed, step, port), f"$ {step.line}\n{printed}"
+            continue
+        beside.append((step, terminal))
+        if "ready" in step.output:
+            terminal.wait_for("ready")
+    for step, terminal in reversed(beside):
+        printed = terminal.end()
+        assert is_as_shown(printed, step, port), f"$ {step.line}\n{printed}"
