@@ -82,9 +82,18 @@ def test_in_dev_mode_a_bug_shows_its_traceback():
     assert outcome.stderr.splitlines()[-1] == "ZeroDivisionError: division by zero"
 
 
-def test_what_ends_python_ends_the_program(ends):
-    with pytest.raises(SystemExit):
-        ends(raises(SystemExit(3)))
+@pytest.mark.parametrize(
+    ("code", "status", "said"),
+    [(3, 3, "3"), (None, 0, ""), ("bye", 1, "'bye'"), (False, 0, "False"), (-1, 255, "-1")],
+)
+def test_sys_exit_is_a_line_and_its_status(ends, code, status, said):
+    text = f"turtleact: somebody's code has ended the program: sys.exit({said})\n"
+    assert ends(raises(SystemExit(code))) == (status, text)
+
+
+def test_what_ends_a_generator_is_no_error_of_ours(ends):
+    with pytest.raises(GeneratorExit):
+        ends(raises(GeneratorExit()))
 
 
 def test_ctrl_c_is_one_line(ends):

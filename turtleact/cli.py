@@ -8,7 +8,7 @@ alone takes five times as long as an empty Python program, so ``--help`` does wi
 ====== =================================================
 status meaning
 ====== =================================================
-0      SUCCEEDED, or nothing went wrong
+0      SUCCEEDED, or nothing went wrong; a signal ended ``serve``
 1      an error: nobody serves the action, a broken world
 2      usage, or a goal that does not fit its type
 3      the goal was rejected
@@ -17,6 +17,7 @@ status meaning
 124    timeout
 130    SIGINT (Ctrl-C); 143 SIGTERM; 129 SIGHUP
 141    whoever read the output has gone
+any    somebody's code has called `sys.exit`
 ====== =================================================
 """
 
@@ -123,11 +124,20 @@ def _report(error: BaseException) -> int:
         return USAGE if isinstance(error, UsageError | InvalidName | InvalidMessage) else FAILED
     if isinstance(error, OSError):
         return _report_broken_output(error)
+    if isinstance(error, SystemExit):
+        return _report_exit(error)
     if sys.flags.dev_mode or not isinstance(error, Exception):
         raise error
     name = type(error).__name__
     _note(f"a bug in turtleact: {name}: {error}; 'python -X dev -m turtleact …' shows where")
     return FAILED
+
+
+def _report_exit(error: SystemExit) -> int:
+    """Say that a body has ended the program, and give the exit status as Python would."""
+    code = error.code
+    _note(f"somebody's code has ended the program: sys.exit({'' if code is None else repr(code)})")
+    return 0 if code is None else code & 0xFF if isinstance(code, int) else FAILED
 
 
 def _leaf(error: BaseException) -> BaseException:

@@ -37,6 +37,18 @@ async def endless(goal):
     await anyio.sleep_forever()
 """
 
+LEAVING = """
+import sys
+import turtleact
+from turtleact.interfaces.standard import Fibonacci
+
+
+@turtleact.action(Fibonacci, "leaving")
+async def leaving(goal):
+    yield Fibonacci.Feedback(partial_sequence=[0])
+    sys.exit(goal.order)
+"""
+
 STUBBORN = """
 import anyio
 import turtleact
@@ -214,6 +226,17 @@ def test_a_server_that_is_ended_answers_all_who_wait(served, number):
     out, err = sender.communicate(timeout=PATIENCE)
     assert (sender.returncode, out.endswith("status: ABORTED\n")) == (4, True)
     assert "the goal was aborted: shutdown" in err
+
+
+def test_sys_exit_in_a_body_ends_the_server_with_a_line_and_its_status(tmp_path):
+    (tmp_path / "servedleaving.py").write_text(LEAVING)
+    with serving(tmp_path, "servedleaving", "--no-sim") as server:
+        assert server.run("send-goal", "leaving", "order: 7")[0] == 1
+        _, err = server.process.communicate(timeout=PATIENCE)
+    assert (server.process.returncode, err) == (
+        7,
+        "turtleact: somebody's code has ended the program: sys.exit(7)\n",
+    )
 
 
 def test_a_server_that_is_killed_is_told_at_once(served):

@@ -84,6 +84,7 @@ async def _serve(
 ) -> int:
     log = _Log()
     opened: list[tuple[ZenohTransport, str]] = []
+    asyncio.get_running_loop().set_exception_handler(_tell_of_error)
     with interrupts.listening(asyncio.get_running_loop()):
         async with AsyncExitStack() as stack:
             graph = partial(_open_graph, service, opened)
@@ -106,6 +107,12 @@ async def _serve(
         if len(asyncio.all_tasks()) > 1:  # a body that does not end, and has been left behind
             leave(0)
     return 0
+
+
+def _tell_of_error(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """As by default, but for `sys.exit` in a body: it ends the program, which tells of it."""
+    if not isinstance(context.get("exception"), SystemExit):
+        loop.default_exception_handler(context)
 
 
 @asynccontextmanager
