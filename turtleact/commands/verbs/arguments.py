@@ -52,6 +52,7 @@ __all__ = [
     "only_one",
     "quoted",
     "reach",
+    "speed_factor",
     "type_and_text",
     "whole",
 ]
@@ -300,6 +301,26 @@ def whole(option: str, text: str, *, least: int = 0, most: int | None = None) ->
     digits = f"{least} or more, of {MOST_DIGITS} digits at most"
     limits = digits if most is None else f"{least} to {most}"
     raise UsageError(f"{option} is a whole number, {limits}, not {quoted(text)}")
+
+
+def speed_factor(text: str, *, or_max: bool = False) -> float | str:
+    """How fast time passes: a factor, or ``"max"`` where that is allowed.
+
+    Raises:
+        UsageError: if it is neither, or out of range.
+    """
+    if text == "1" or (or_max and text == "max"):  # as is nearly always the case
+        return 1.0 if text == "1" else text
+    from turtleact.clock import FASTEST
+
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if 0 < value <= FASTEST:
+        return value
+    more = ", or max, as fast as it computes" if or_max else ""
+    raise UsageError(f"--speed is above 0 and {FASTEST:g} at most{more}, not {quoted(text)}")
 
 
 def quoted(text: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -18,8 +17,8 @@ from turtleact.commands.verbs.arguments import (
     Verb,
     number,
     only_one,
-    quoted,
     reach,
+    speed_factor,
     type_and_text,
     whole,
 )
@@ -126,7 +125,7 @@ def send_goal(
     type_name, goal = type_and_text(type_name, goal, "goal")
     view = _view(json=json, plain=plain)
     seconds = None if timeout is None else number("--timeout", timeout)
-    factor = speed if speed == "max" else _factor(speed or "1")
+    factor = speed_factor("1" if speed is None else speed, or_max=True)
     first = whole("--seed", seed or "0")
     is_embedded = embedded or speed is not None or seed is not None
     only_one("where to send it", embedded=is_embedded, connect=connect is not None)
@@ -150,19 +149,3 @@ def _view(*, json: bool, plain: bool) -> View:
     if json and plain:
         raise UsageError("give --json or --plain, not both")
     return "json" if json else "plain" if plain else "auto"
-
-
-def _factor(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value > 0):
-        raise UsageError(f"--speed is a number above zero, or max, not {quoted(text)}")
-    if value > 1:
-        from turtleact.clock import FASTEST
-
-        if value > FASTEST:
-            problem = f"is {FASTEST:g} at most, not {quoted(text)}; max is as fast as it computes"
-            raise UsageError(f"--speed {problem}")
-    return value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -19,6 +18,7 @@ from turtleact.commands.verbs.arguments import (
     endpoints,
     quoted,
     reach,
+    speed_factor,
     whole,
 )
 from turtleact.errors import UsageError
@@ -101,7 +101,7 @@ def serve(
     where = reach(connect, domain, config)
     at = endpoints("--listen", listen)
     page = None if web is None else _host_and_port(web)
-    factor = _factor(speed)
+    factor = float(speed_factor(speed))
     count, first = whole("--turtles", turtles, least=1, most=MOST_TURTLES), whole("--seed", seed)
 
     def job(interrupts: Interrupts) -> int:
@@ -189,15 +189,3 @@ def _host_and_port(text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
     return host or "127.0.0.1", whole("the port of --web", port, most=65535)
-
-
-def _factor(text: str) -> float:
-    from turtleact.clock import FASTEST
-
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 < value <= FASTEST:
-        raise UsageError(f"--speed is a number above 0, {FASTEST:g} at most, not {quoted(text)}")
-    return value
