@@ -26,6 +26,8 @@ GOLDEN = {
     for case in json.loads(Path(__file__).with_name("golden").joinpath("verbs.json").read_text())
 }
 interface: Callable[[str], Any] = get_interface
+START = 1_700_000_000
+"""When the graph's clock begins (s)."""
 
 
 def arguments_of(name):
@@ -514,6 +516,24 @@ def listening(topic, type_name, heard):
 def test_a_message_is_published_as_by_ros2(on_graph, graphs):
     ran = on_graph(graphs.turtlesim, *arguments_of("pub_once"))
     assert ran == (0, GOLDEN["pub_once"]["stdout"], "")
+
+
+@pytest.mark.parametrize(
+    "said", ["header: auto", "header: {stamp: now}", "{header: auto, pose: {position: {x: 1}}}"]
+)
+def test_the_time_in_a_header_may_be_that_of_publishing(on_graph, said):
+    heard: list[Any] = []
+    nodes = listening("/it", "geometry_msgs/msg/PoseStamped", heard)
+    on_graph(nodes, "topic", "pub", "-t", "2", "/it", "geometry_msgs/msg/PoseStamped", said)
+    stamps = [message.header.stamp for _, message in heard]
+    assert [(each.sec, each.nanosec) for each in stamps] == [(START, 0), (START + 1, 0)]
+
+
+def test_auto_is_text_where_no_time_is_meant(on_graph):
+    heard: list[Any] = []
+    nodes = listening("/it", "std_msgs/msg/String", heard)
+    on_graph(nodes, "topic", "pub", "--once", "/it", "std_msgs/msg/String", "data: now")
+    assert [message.data for _, message in heard] == ["now"]
 
 
 def test_a_type_that_nobody_reads_is_told_and_waited_for(on_graph, graphs):

@@ -12,7 +12,10 @@ from turtleact.commands.kinds import types_by_name
 from turtleact.commands.python_text import python_text
 from turtleact.commands.stderr import note
 from turtleact.commands.transcript import say
-from turtleact.interfaces import Message, from_text
+from turtleact.interfaces import Message, from_dict
+from turtleact.interfaces.stamps import stamp_of
+from turtleact.interfaces.text import Document, tree_of
+from turtleact.interfaces.types import fields, nested_classes
 from turtleact.names import resolve_name
 
 if TYPE_CHECKING:
@@ -58,7 +61,13 @@ async def publish(node: Node, order: Order) -> int:
     name = resolve_name(order.name)
     message_type = chosen_class(node, "topic", Message, name, order.type_name)
     text, source = order.text
-    message = from_text(message_type, text, root="message", source=source, allow_nonfinite=True)
+    tree = tree_of(Document(text, "message", source, allow_nonfinite=True))
+
+    def make() -> Message:
+        timed = _timed(tree, message_type, node.clock.now())
+        return from_dict(message_type, timed, root="message")  # type: ignore[arg-type]  # it checks that
+
+    make()  # a mistake is told before anybody is waited for
     type_name = message_type.type_name
     types = types_by_name(node.transport.endpoints(), "topic", hidden=True).get(name, ())
     if types and type_name not in types:
@@ -69,6 +78,7 @@ async def publish(node: Node, order: Order) -> int:
     start, count = node.clock.time(), 0
     while True:
         count += 1
+        message = make()
         if order.every and count % order.every == 0:
             say(f"publishing #{count}: {python_text(message)}\n\n")
         publisher.publish(message)
@@ -87,3 +97,21 @@ async def _wait_for_subscriptions(node: Node, name: str, type_name: str, least: 
         say(f"Waiting for at least {least} matching subscription(s)...\n")
     while count() < least:
         await node.transport.wait_for_change()
+
+
+def _timed(tree: object, message_type: type[Message], now: int) -> object:
+    """A plain message in which ``header: auto`` and a time ``now`` are the present (ns)."""
+    if not isinstance(tree, dict):
+        return tree
+    stamp = stamp_of(now)
+    present = {"sec": stamp.sec, "nanosec": stamp.nanosec}
+    timed = dict(tree)
+    for field, nested in zip(fields(message_type), nested_classes(message_type), strict=True):
+        said = (field.type.name, tree.get(field.name))
+        if said == ("std_msgs/msg/Header", "auto"):
+            timed[field.name] = {"stamp": present}
+        elif said == ("builtin_interfaces/msg/Time", "now"):
+            timed[field.name] = present
+        elif nested is not None and field.name in tree and not field.type.is_sequence:
+            timed[field.name] = _timed(tree[field.name], nested, now)
+    return timed
