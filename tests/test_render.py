@@ -57,6 +57,14 @@ def drawn(map_view, rows=6):
     return [line[1:-1] for line in render.world_map(map_view, rows).plain.splitlines()[1:-1]]
 
 
+def trail(*places, turtle="turtle1", colour="cyan", trails=None):
+    """The trail of a turtle that has been in these places, and others' before."""
+    trails = trails or render.Trails(SIDE)
+    for x, y in places:
+        trails.follow(turtle, x, y, colour)
+    return trails
+
+
 # --- braille --------------------------------------------------------------------------------
 
 
@@ -134,27 +142,27 @@ def test_a_turtle_points_where_it_looks(degrees, arrow):
 
 
 def test_targets_are_numbered_from_the_first_ahead():
-    shown = "".join(drawn(world(targets=[(1.0, 1.0), (9.0, 9.0)], first=3)))
+    shown = "".join(drawn(world(targets=[render.Target(1.0, 1.0, 3), render.Target(9.0, 9.0, 4)])))
     assert "3" in shown
     assert "4" in shown
 
 
 def test_a_number_of_two_digits_is_a_cross():
-    assert "×" in "".join(drawn(world(targets=[(1.0, 1.0)], first=10)))
+    assert "×" in "".join(drawn(world(targets=[render.Target(1.0, 1.0, 10)])))
 
 
 def test_a_turtle_hides_the_target_that_it_stands_on():
-    shown = "".join(drawn(world(targets=[(SIDE / 2, SIDE / 2)])))
+    shown = "".join(drawn(world(targets=[render.Target(SIDE / 2, SIDE / 2, 1)])))
     assert "1" not in shown
 
 
 def test_a_trail_is_a_line_of_dots():
-    shown = drawn(world(turtles=[], trails=[[(0.0, 0.0), (SIDE, 0.0)]]), rows=5)
+    shown = drawn(world(turtles=[], ink=trail((0.0, 0.0), (SIDE, 0.0))), rows=5)
     assert shown[-1] == "⣀" * 10
 
 
 def test_a_trail_of_one_place_is_nothing_yet():
-    assert set("".join(drawn(world(turtles=[], trails=[[(1.0, 1.0)]])))) == {BLANK}
+    assert set("".join(drawn(world(turtles=[], ink=trail((1.0, 1.0)))))) == {BLANK}
 
 
 # --- goal, progress, feedback ---------------------------------------------------------------
@@ -255,7 +263,7 @@ def frame(width, height, map_view=None, **changes):
 
 def test_the_map_stands_beside_the_feedback():
     lines = frame(79, 23, world(), feedback=Feedback(), fraction=0.5, progress="x")
-    assert lines[2].startswith("┌" + "─" * 32 + "┐")
+    assert lines[2].startswith("┌" + "─" * 34 + "┐")
     assert any(re.match(r"│.*│ +text", line) for line in lines)
 
 

@@ -33,6 +33,7 @@ async def open_world(
     turtles: int = 1,
     graph: OpenGraph | None = None,
     on_transition: Transition | None = None,
+    on_start: Callable[[Turtlesim], object] | None = None,
 ) -> AsyncIterator[Node]:
     """A world of turtles with the built-in actions, and a node to use them from.
 
@@ -43,6 +44,7 @@ async def open_world(
         seed: Chooses where all turtles but the first start.
         turtles: How many there are: ``turtle1``, ``turtle2``, …
         graph: Opens the graph that the world is on; one within the process if left out.
+        on_start: Given the turtles, before anything can be asked of them.
         on_transition: Told of each change of the world's goals; see `Node.on_transition`.
 
     Raises:
@@ -55,7 +57,9 @@ async def open_world(
         opened = _within_process(clock) if graph is None else graph(clock)
         transport = await stack.enter_async_context(opened)
         sim = await stack.enter_async_context(open_node("turtlesim", transport=transport))
-        await stack.enter_async_context(aclosing(Turtlesim(sim, world)))
+        turtlesim = await stack.enter_async_context(aclosing(Turtlesim(sim, world)))
+        if on_start is not None:
+            on_start(turtlesim)
         actions = await stack.enter_async_context(open_node("turtle_actions", transport=transport))
         if on_transition is not None:
             sim.on_transition(on_transition)

@@ -99,8 +99,11 @@ def test_an_age_is_told_in_two_units(seconds, text):
 STRANGER = bytes(range(16))
 
 
-def peer(*statuses, says=True, cancel_code=0, canceling=()):
-    """An action server of another make: its endpoints, and goals of these states."""
+def peer(*statuses, says=True, cancel_code=0, canceling=(), answers=True, leaves_after=None):
+    """An action server of another make: its endpoints, and goals of these states.
+
+    It may answer no request, and leave after so many seconds.
+    """
 
     @asynccontextmanager
     async def nodes(transport):
@@ -108,23 +111,37 @@ def peer(*statuses, says=True, cancel_code=0, canceling=()):
             send_goal = interface(f"{FIBONACCI}_SendGoal")
             get_result = interface(f"{FIBONACCI}_GetResult")
             node.service(send_goal, "/far/_action/send_goal", lambda _: send_goal.Response())
-            node.service(get_result, "/far/_action/get_result", lambda _: get_result.Response())
-            node.service(
-                CancelGoal,
-                "/far/_action/cancel_goal",
-                lambda _: CancelGoal.Response(
-                    cancel_code, [GoalInfo(UUID(goal_id)) for goal_id in canceling]
-                ),
-            )
+            result = get_result.Response()
+            canceled = [GoalInfo(UUID(goal_id)) for goal_id in canceling]
+            node.service(get_result, "/far/_action/get_result", answer(result, answers))
+            response = CancelGoal.Response(cancel_code, canceled)
+            node.service(CancelGoal, "/far/_action/cancel_goal", answer(response, answers))
             node.publisher(interface(f"{FIBONACCI}_FeedbackMessage"), "/far/_action/feedback")
             latched = QoS(depth=1, durability="transient_local")
             status = node.publisher(GoalStatusArray, "/far/_action/status", latched)
             if says:
                 info = GoalInfo(UUID(STRANGER), Time(1, 500))
                 status.publish(GoalStatusArray([GoalStatusMessage(info, s) for s in statuses]))
-            yield
+            async with anyio.create_task_group() as beside:
+                if leaves_after is not None:
+                    beside.start_soon(leave, node, leaves_after)
+                yield
 
     return nodes
+
+
+def answer(response, answers):
+    async def handle(_):
+        if not answers:
+            await anyio.sleep_forever()
+        return response
+
+    return handle
+
+
+async def leave(node, seconds):
+    await node.clock.sleep(seconds)
+    await node.aclose()
 
 
 def test_a_server_that_has_told_of_no_goal_is_not_waited_for_long(on_graph):
@@ -377,3 +394,64 @@ async def test_what_echoes_and_measures_ends_with_its_node(graphs):
         beside.start_soon(verbs.echo, viewer, "/fibonacci")
         beside.start_soon(rate.measure, viewer, "/fibonacci/_action/feedback", rate.Rate(5))
         await anyio.wait_all_tasks_blocked()
+
+
+# --- servers that are lost, or say nothing --------------------------------------------------
+
+
+def test_a_server_that_answers_nothing_is_named(on_graph):
+    ran = on_graph(peer(says=False, answers=False), "goals")
+    assert ran == (
+        1,
+        "",
+        "turtleact: server /peer of /far does not answer: what it holds is not known\n",
+    )
+
+
+def test_the_goals_of_servers_that_answer_are_listed_all_the_same(on_graph, graphs):
+    nodes = graphs.in_turn(graphs.goals, peer(says=False, answers=False))
+    ran = on_graph(nodes, "goals")
+    assert (ran.status, ran.out.count("\n")) == (1, TABLE.count("\n"))
+    assert "server /peer of /far does not answer" in ran.err
+
+
+@pytest.mark.parametrize("verb", ["watch", "result"])
+def test_a_goal_that_a_silent_server_may_hold_is_an_error_that_names_it(on_graph, verb):
+    ran = on_graph(peer(says=False, answers=False), verb, "abcd")
+    assert ran == (
+        1,
+        "",
+        "turtleact: the goal is not known to the server: no server in reach holds abcd; "
+        "server /peer of /far does not answer\n",
+    )
+
+
+def test_a_silent_server_cancels_nothing(on_graph):
+    nodes = peer(says=False, answers=False)
+    assert on_graph(nodes, "cancel", "abcd") == (
+        1,
+        "abcd: not canceled: no server in reach holds it; server /peer of /far does not answer\n",
+        "",
+    )
+    assert on_graph(nodes, "cancel", "--all") == (
+        1,
+        "",
+        "turtleact: server /peer of /far does not answer: its goals are not canceled\n",
+    )
+
+
+@pytest.mark.parametrize("which", [STRANGER.hex(), "--all"])
+def test_a_server_that_has_become_silent_is_not_waited_for_for_ever(on_graph, which):
+    ran = on_graph(peer(2, answers=False), "cancel", which)
+    assert ran == (
+        1,
+        f"{STRANGER.hex()} of /far: not canceled: the server does not answer\n",
+        "",
+    )
+
+
+@pytest.mark.parametrize(("verb", "arguments"), [("watch", []), ("result", []), ("cancel", [])])
+def test_a_server_that_goes_away_is_told_by_the_name_of_its_action(on_graph, verb, arguments):
+    ran = on_graph(peer(2, answers=False, leaves_after=1.0), verb, STRANGER.hex(), *arguments)
+    assert (ran.status, ran.out) == (1, "")
+    assert ran.err == "turtleact: action '/far': the server was closed\n"

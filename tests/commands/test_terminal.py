@@ -186,6 +186,7 @@ def test_a_program_that_lets_go_of_its_goal_gives_the_terminal_back():
 def test_a_program_that_is_continued_draws_again(screen):
     screen.process.send_signal(signal.SIGTSTP)
     screen.wait_until_stopped()
+    screen.rest()
     screen.written = b""
     screen.process.send_signal(signal.SIGCONT)
     screen.wait_for(b"EXECUTING")
@@ -194,6 +195,7 @@ def test_a_program_that_is_continued_draws_again(screen):
 
 def test_a_program_that_is_stopped_twice_gives_the_terminal_back_twice(screen):
     for _ in range(2):
+        screen.rest()
         screen.written = b""
         screen.process.send_signal(signal.SIGCONT)
         screen.wait_for(b"EXECUTING")

@@ -33,6 +33,12 @@ def read(main):
         return b""
 
 
+def filled(region):
+    """Write to a region that is held until its terminal takes nothing more; nobody waits for it."""
+    while region.is_ready():
+        region.say("x" * 4096 + "\n")
+
+
 class Screen:
     """A goal on the stage, sent from a terminal.
 

@@ -25,10 +25,11 @@ from turtleact.commands.held_goals import (
     goals_in,
     held_goals,
     served_actions,
+    silence,
 )
 from turtleact.commands.stderr import note
-from turtleact.commands.transcript import PlainTranscript, say
-from turtleact.errors import UnknownGoal
+from turtleact.commands.transcript import Followed, say
+from turtleact.errors import ServerUnavailable, ServiceTimeout, UnknownGoal
 from turtleact.goal import CancelCode, GoalStatus
 from turtleact.interfaces import Action, Implied, Message, implied, to_dict
 from turtleact.interfaces.stamps import SECOND, stamp_of
@@ -53,6 +54,11 @@ HEADINGS = ("id", "action", "state", "age", "client")
 NOBODY = bytes(16)
 """The id that names no goal."""
 
+PATIENCE = 10.0
+"""How long a server has to answer a request to cancel (s, by the clock of the graph)."""
+
+SILENT = "the server does not answer"
+
 
 # goals
 
@@ -68,16 +74,18 @@ async def print_goals(node: Node, name: str | None, *, as_json: bool) -> int:
     Raises:
         ServerUnavailable: if nobody serves an action of that name.
     """
-    goals = await held_goals(node, served_actions(node, name))
+    goals, silent = await held_goals(node, served_actions(node, name))
     now = node.clock.now()
     if as_json:
         say("".join(f"{_as_json(node, goal, now)}\n" for goal in goals))
     elif goals:
         rows = [HEADINGS, *(_row(node, goal, now) for goal in goals)]
         say_names("".join(f"{line}\n" for line in _aligned(rows)))
-    else:
+    elif not silent:
         note("no server in reach holds a goal")
-    return DONE
+    if silent:
+        note(f"{silence(silent)}: what it holds is not known")
+    return NOT_DONE if silent else DONE
 
 
 def _row(node: Node, goal: HeldGoal, now: int) -> tuple[str, ...]:
@@ -140,11 +148,12 @@ async def cancel(node: Node, wanted: Sequence[str]) -> int:
     Raises:
         UsageError: if several goals begin so; nothing was canceled.
     """
-    goals = await held_goals(node, served_actions(node, None))
+    goals, silent = await held_goals(node, served_actions(node, None))
     status = DONE
     for found, text in [(find_goals(goals, text), text) for text in wanted]:
         if found is None:
-            problem: str | None = "no server in reach holds it"
+            holds_not = "no server in reach holds it"
+            problem: str | None = f"{holds_not}; {silence(silent)}" if silent else holds_not
         elif found.status.is_terminal:
             problem = f"it has ended {found.status.name}"
         else:
@@ -165,26 +174,25 @@ async def cancel_many(node: Node, name: str | None, before: int) -> int:
     Raises:
         ServerUnavailable: if nobody serves an action of that name.
     """
-    actions = served_actions(node, name)
+    goals, silent = await held_goals(node, served_actions(node, name))
     meant = [
-        goal
-        for goal in await held_goals(node, actions)
-        if goal.status.is_active and (not before or goal.stamp <= before)
+        goal for goal in goals if goal.status.is_active and (not before or goal.stamp <= before)
     ]
     status = DONE
     for action in sorted({goal.action for goal in meant}):
         response = await _request(node, action, NOBODY, before)
-        canceling = {bytes(info.goal_id.uuid) for info in response.goals_canceling}
+        accepted = [] if response is None else response.goals_canceling
+        canceling = {bytes(info.goal_id.uuid) for info in accepted}
+        why = SILENT if response is None else "the server refuses, or it has ended"
         for goal in meant:
             if goal.action != action:
                 continue
             refused = goal.goal_id not in canceling and goal.status is not GoalStatus.CANCELING
-            _tell(
-                goal.goal_id.hex(),
-                action,
-                "the server refuses, or it has ended" if refused else None,
-            )
+            _tell(goal.goal_id.hex(), action, why if refused else None)
             status = NOT_DONE if refused else status
+    if silent:
+        note(f"{silence(silent)}: its goals are not canceled")
+        return NOT_DONE
     if not meant:
         note("there is no goal to cancel")
     return status
@@ -193,6 +201,8 @@ async def cancel_many(node: Node, name: str | None, before: int) -> int:
 async def _why_not_canceling(node: Node, goal: HeldGoal) -> str | None:
     """Ask for one goal to be canceled; why it is not, or None if it is."""
     response = await _request(node, goal.action, goal.goal_id, 0)
+    if response is None:
+        return SILENT
     reasons: dict[int, str] = {
         CancelCode.REJECTED: "the server refuses",
         CancelCode.UNKNOWN_GOAL_ID: "the server does not hold it any more",
@@ -201,13 +211,20 @@ async def _why_not_canceling(node: Node, goal: HeldGoal) -> str | None:
     return reasons.get(response.return_code)
 
 
-async def _request(node: Node, action: str, goal_id: bytes, stamp: int) -> CancelGoal.Response:
+async def _request(
+    node: Node, action: str, goal_id: bytes, stamp: int
+) -> CancelGoal.Response | None:
+    """What a server says to a request to cancel; None if it does not answer."""
     client = node.service_client(CancelGoal, action_names(action).cancel_goal)
     info = GoalInfo(UUID(goal_id), stamp_of(stamp))
+    response: CancelGoal.Response | None = None
     try:
-        return await client.call(CancelGoal.Request(info))
+        response = await _call(client, action, CancelGoal.Request(info), PATIENCE)
+    except ServiceTimeout:
+        pass
     finally:
         await client.aclose()
+    return response
 
 
 def _tell(goal_id: str, action: str, problem: str | None) -> None:
@@ -218,43 +235,89 @@ def _tell(goal_id: str, action: str, problem: str | None) -> None:
 # watch, result
 
 
-async def follow(node: Node, wanted: str, *, with_feedback: bool) -> int:
-    """Wait for the end of a goal, and print its result; the exit status says how it ended.
+async def follow(node: Node, wanted: str, transcript: Transcript, *, hears_feedback: bool) -> int:
+    """Wait for the end of a goal, and tell its result; the exit status says how it ended.
 
     Args:
         node: A node on the graph.
         wanted: The beginning of its id.
-        with_feedback: Whether to print the feedback that comes meanwhile.
+        transcript: Who tells the user.
+        hears_feedback: Whether it is told of the feedback that comes meanwhile, too.
 
     Raises:
         UsageError: if several goals begin so.
         UnknownGoal: if no server holds it.
+        ServerUnavailable: if its server goes away.
         TurtleactError: if the action's type is not known here.
     """
     goal = await find_goal(node, wanted)
     action_type = interface_class(Action, goal.type_name, f"action '{goal.action}'")
     kinds, names = implied(action_type), action_names(goal.action)
-    transcript = PlainTranscript(wants_feedback=with_feedback)
-    feedback = node.subscription(kinds.feedback_message, names.feedback, FEEDBACK_QOS)
     client: Any = node.service_client(kinds.get_result, names.get_result)
+    watched = _Watched(goal)
+    age = (node.clock.now() - goal.stamp) / SECOND
+    transcript.follows(Followed(node, goal.action, action_type.Goal, None, watched, age))
     async with anyio.create_task_group() as beside:
-        if with_feedback:
-            beside.start_soon(_tell_feedback, feedback, goal.goal_id, transcript)
-        response = await client.call(kinds.get_result.Request(goal_id=UUID(goal.goal_id)))
-        await feedback.aclose()  # what has come is told, and then the telling ends
-    status = GoalStatus(response.status)
-    if status is GoalStatus.UNKNOWN:
-        raise UnknownGoal(f"'{goal.action}' holds no goal {goal.goal_id.hex()} any more")
-    transcript.ended(Outcome(status, response.result))
+        beside.start_soon(transcript.animate)
+        async with anyio.create_task_group() as telling:
+            heard: list[Subscription[Any]] = []
+            if hears_feedback:
+                feedback = node.subscription(kinds.feedback_message, names.feedback, FEEDBACK_QOS)
+                statuses = node.subscription(GoalStatusArray, names.status, STATUS_QOS)
+                heard = [feedback, statuses]
+                telling.start_soon(watched.hear_feedback, feedback, transcript)
+                telling.start_soon(watched.hear_statuses, statuses, goal)
+            response = await _call(
+                client, goal.action, kinds.get_result.Request(UUID(goal.goal_id))
+            )
+            for each in heard:
+                await each.aclose()  # what has come is told, and then the telling ends
+        status = watched.status = GoalStatus(response.status)
+        if status is GoalStatus.UNKNOWN:
+            raise UnknownGoal(f"'{goal.action}' holds no goal {goal.goal_id.hex()} any more")
+        transcript.ended(Outcome(status, response.result))
+        await transcript.drained()
+        beside.cancel_scope.cancel()
     return {GoalStatus.ABORTED: ABORTED, GoalStatus.CANCELED: CANCELED}.get(status, DONE)
 
 
-async def _tell_feedback(
-    messages: Subscription[Any], goal_id: bytes, transcript: Transcript
-) -> None:
-    async for message in messages:
-        if message.goal_id.uuid == goal_id:
-            transcript.feedback(message.feedback)
+class _Watched:
+    """What is heard of a goal that somebody else has sent.
+
+    Attributes:
+        goal_id: Its 16 bytes.
+        status: Its state.
+        last_feedback: The newest feedback, if some has come.
+    """
+
+    def __init__(self, goal: HeldGoal) -> None:
+        self.goal_id = goal.goal_id
+        self.status = goal.status
+        self.last_feedback: Message | None = None
+
+    async def hear_feedback(self, messages: Subscription[Any], transcript: Transcript) -> None:
+        """Note each feedback message, and tell of it if that is wanted."""
+        async for message in messages:
+            if message.goal_id.uuid == self.goal_id:
+                self.last_feedback = message.feedback
+                if transcript.wants_feedback:
+                    transcript.feedback(message.feedback)
+                    await transcript.drained()
+
+    async def hear_statuses(self, messages: Subscription[GoalStatusArray], goal: HeldGoal) -> None:
+        """Note each state."""
+        async for message in messages:
+            for each in goals_in(message, goal.action, goal.type_name):
+                if each.goal_id == self.goal_id:
+                    self.status = each.status
+
+
+async def _call(client: Any, action: str, request: Message, timeout: float | None = None) -> Any:  # noqa: ANN401  # of whatever type
+    """The response of a service of an action; an error names the action."""
+    try:
+        return await client.call(request, timeout)
+    except ServerUnavailable as error:
+        raise ServerUnavailable(action, error.problem) from None
 
 
 # action echo

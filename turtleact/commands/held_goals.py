@@ -1,13 +1,15 @@
 """The goals that the servers on the graph hold, as their status topics tell.
 
 A server tells of its goals when one changes, and the last it has told is latched; one that never
-had a goal may tell nothing. So what is latched is waited for, but not for long.
+had a goal may tell nothing. So what is latched is waited for, but not for long; whoever has told
+nothing then is asked to cancel a goal that nobody has, and a server that works says so.
 
 Source: rcl_action ``action_server.c`` for what is told and when.
 """
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,22 +18,40 @@ import anyio
 from turtleact.clock import within
 from turtleact.commands.graph import names_like
 from turtleact.commands.kinds import types_by_name
-from turtleact.errors import ServerUnavailable, UnknownGoal, UsageError
+from turtleact.errors import (
+    ServerUnavailable,
+    ServiceTimeout,
+    TurtleactError,
+    UnknownGoal,
+    UsageError,
+)
 from turtleact.goal import GoalStatus, status_of
 from turtleact.interfaces.stamps import nanoseconds
-from turtleact.interfaces.standard import GoalStatusArray
+from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo, GoalStatusArray
 from turtleact.names import action_names, resolve_name
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:
     from turtleact.node import Node
 
-__all__ = ["STATUS_QOS", "HeldGoal", "find_goal", "find_goals", "held_goals", "served_actions"]
+__all__ = [
+    "STATUS_QOS",
+    "HeldGoal",
+    "find_goal",
+    "find_goals",
+    "held_goals",
+    "served_actions",
+    "silence",
+]
 
 STATUS_QOS = QoS(depth=100, durability="transient_local")
 
 PATIENCE = 0.5
 """How long is waited for what is latched (s, by the clock of the graph)."""
+
+
+ANSWER = 2.0
+"""How long is waited for the answer of a server that has told nothing (s, likewise)."""
 
 
 class HeldGoal(NamedTuple):
@@ -70,18 +90,37 @@ def served_actions(node: Node, name: str | None) -> dict[str, str]:
     return {full_name: served[full_name]}
 
 
-async def held_goals(node: Node, actions: dict[str, str]) -> list[HeldGoal]:
-    """The goals of some actions, in the order of their acceptance.
+async def held_goals(
+    node: Node, actions: dict[str, str]
+) -> tuple[list[HeldGoal], dict[str, list[str]]]:
+    """The goals of some actions, in the order of their acceptance; what does not answer.
 
     Args:
         node: A node on the graph.
         actions: The actions, with their types.
+
+    Returns:
+        The goals, and of each action whose server does not answer the nodes that serve it.
     """
     found: dict[tuple[str, bytes], HeldGoal] = {}
+    untold = set(actions)
     async with within(PATIENCE, node.clock), anyio.create_task_group() as listening:
         for name, type_name in actions.items():
-            listening.start_soon(_listen, node, name, type_name, found)
-    return sorted(found.values(), key=lambda goal: (goal.stamp, goal.action, goal.goal_id))
+            listening.start_soon(_listen, node, name, type_name, found, untold)
+    silent = set(untold)
+    async with anyio.create_task_group() as asking:
+        for name in untold:
+            asking.start_soon(_ask, node, name, silent)
+    goals = sorted(found.values(), key=lambda goal: (goal.stamp, goal.action, goal.goal_id))
+    return goals, {name: _servers(node, name) for name in sorted(silent)}
+
+
+def silence(silent: dict[str, list[str]]) -> str:
+    """What is said of servers that do not answer: which they are, and what they serve."""
+    nodes = sorted({each for nodes in silent.values() for each in nodes})
+    them = "server" if len(nodes) == 1 else "servers"
+    verb = "does" if len(nodes) == 1 else "do"
+    return f"{them} {', '.join(nodes)} of {', '.join(silent)} {verb} not answer"
 
 
 def goals_in(message: GoalStatusArray, action: str, type_name: str) -> Iterable[HeldGoal]:
@@ -112,18 +151,22 @@ async def find_goal(node: Node, wanted: str) -> HeldGoal:
         UsageError: if there are several.
         UnknownGoal: if there is none.
     """
-    found = find_goals(await held_goals(node, served_actions(node, None)), wanted)
+    goals, silent = await held_goals(node, served_actions(node, None))
+    found = find_goals(goals, wanted)
     if found is None:
-        raise UnknownGoal(
-            f"no server in reach holds {wanted}; 'turtleact goals' lists what is held"
-        )
+        hint = silence(silent) if silent else "'turtleact goals' lists what is held"
+        raise UnknownGoal(f"no server in reach holds {wanted}; {hint}")
     return found
 
 
 async def _listen(
-    node: Node, name: str, type_name: str, found: dict[tuple[str, bytes], HeldGoal]
+    node: Node,
+    name: str,
+    type_name: str,
+    found: dict[tuple[str, bytes], HeldGoal],
+    untold: set[str],
 ) -> None:
-    """Take the latched message of each server of an action."""
+    """Take the latched message of each server of an action; it is untold of no more then."""
     topic = action_names(name).status
     subscription = node.subscription(GoalStatusArray, topic, STATUS_QOS)
     left = node.count_publishers(topic)
@@ -133,5 +176,28 @@ async def _listen(
             left -= 1
             for goal in goals_in(message, name, type_name):
                 found[name, goal.goal_id] = goal
+        untold.discard(name)
     finally:
         await subscription.aclose()
+
+
+async def _ask(node: Node, name: str, silent: set[str]) -> None:
+    """Ask a server to cancel a goal that nobody has; whatever it answers, it is not silent."""
+    client = node.service_client(CancelGoal, action_names(name).cancel_goal)
+    try:
+        await client.call(CancelGoal.Request(GoalInfo(UUID(uuid.uuid4().bytes))), ANSWER)
+    except ServiceTimeout:
+        return
+    except TurtleactError:
+        pass  # it was closed meanwhile, or answers with an error
+    finally:
+        await client.aclose()
+    silent.discard(name)
+
+
+def _servers(node: Node, action: str) -> list[str]:
+    service = action_names(action).cancel_goal
+    endpoints = node.transport.endpoints()
+    return sorted(
+        {each.node for each in endpoints if each.kind == "service" and each.name == service}
+    )

@@ -9,21 +9,19 @@ Source: ros2cli ``ros2action/verb/send_goal.py`` for the order of things.
 from __future__ import annotations
 
 import asyncio
-import os
-import sys
 from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
-from typing import TYPE_CHECKING, Literal, NamedTuple, NoReturn, cast
+from typing import TYPE_CHECKING, NamedTuple, NoReturn, cast
 
 import anyio
 
 from turtleact.commands.interrupts import leave
 from turtleact.commands.transcript import (
     WAITING,
-    JsonTranscript,
-    PlainTranscript,
     Sent,
     Transcript,
+    View,
+    choose_transcript,
     say,
 )
 from turtleact.errors import (
@@ -49,9 +47,7 @@ if TYPE_CHECKING:
     from turtleact.interfaces import Message
     from turtleact.node import Node
 
-__all__ = ["Order", "View", "embedded_world", "run"]
-
-View = Literal["auto", "plain", "json"]
+__all__ = ["Order", "embedded_world", "run"]
 
 SUCCEEDED, REJECTED, ABORTED, CANCELED, TIMEOUT = 0, 3, 4, 5, 124
 """Exit statuses."""
@@ -105,7 +101,7 @@ def run(order: Order, interrupts: Interrupts) -> int:
         goal = _read_goal(_known_action_class(order.type_name), order.text)
     if order.view != "json":
         say(WAITING)
-    transcript = choose_transcript(order)
+    transcript = choose_transcript(order.view, wants_feedback=order.feedback)
     interrupts.restore = transcript.close
     try:
         return asyncio.run(_Sending(order, name, goal, transcript, interrupts).run())
@@ -118,17 +114,6 @@ def embedded_world(speed: float | str, seed: int) -> AbstractAsyncContextManager
     from turtleact.app import open_world
 
     return open_world(speed=speed, seed=seed)
-
-
-def choose_transcript(order: Order) -> Transcript:
-    """JSON if asked for, a live display on a terminal that can show it, else plain."""
-    if order.view == "json":
-        return JsonTranscript()
-    if order.view == "auto" and _can_move():
-        from turtleact.commands.live import LiveTranscript
-
-        return LiveTranscript(sys.stdout, wants_feedback=order.feedback)
-    return PlainTranscript(wants_feedback=order.feedback)
 
 
 class _Sending:
@@ -225,8 +210,10 @@ class _Sending:
             async for feedback in handle:
                 transcript.feedback(feedback)
                 transcript.status(handle.status)
+                await transcript.drained()
         outcome = await handle.outcome()
         transcript.ended(outcome)
+        await transcript.drained()
         if outcome.status is GoalStatus.ABORTED:
             transcript.note(f"the goal was aborted: {outcome.reason or 'no reason given'}")
         return self._exit_status(outcome)
@@ -325,14 +312,3 @@ def _action_class(type_name: str) -> type[Action]:
 
 def _read_goal(action_type: type[Action], text: GoalText) -> Message:
     return from_text(action_type.Goal, text.text, root="goal", source=text.source)
-
-
-def _can_move() -> bool:
-    """Whether stdout is a terminal that can move its cursor and show braille."""
-    stdout = sys.stdout
-    return (
-        stdout is not None
-        and stdout.isatty()
-        and os.environ.get("TERM", "") not in ("", "dumb", "unknown")
-        and stdout.encoding.lower().replace("-", "") == "utf8"
-    )

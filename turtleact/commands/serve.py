@@ -2,7 +2,7 @@
 
 Where nothing is said it is the router that the nodes of this machine look for, or, if there is one
 already, a peer that finds the others by it. One line on stdout says when goals can be sent; then
-there is a line for each change of a goal.
+there is a line for each change of a goal. A terminal shows the same as a dashboard.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import sys
 from collections.abc import AsyncIterator, Callable
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack, aclosing, asynccontextmanager
 from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,8 +18,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from turtleact.commands.interrupts import leave
 from turtleact.commands.stderr import abandon, note, printable
 from turtleact.commands.targets import find_actions
+from turtleact.commands.terminal import can_move
 from turtleact.errors import TurtleactError
 from turtleact.node import Node, open_node
+from turtleact.tasks import Background
 from turtleact.transports import open_zenoh
 
 if TYPE_CHECKING:
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 
     from turtleact.body import ActionDeclaration
     from turtleact.clock import Clock
+    from turtleact.commands.dashboard import Dashboard
     from turtleact.commands.interrupts import Interrupts
     from turtleact.goal import GoalStatus
     from turtleact.server import ServerGoalHandle
@@ -53,6 +56,7 @@ class Service(NamedTuple):
         config: Paths and values of Zenoh's configuration, such as those of its locks.
         web: The host and port of the page and of rosbridge; None for neither.
         token: What its clients must know; None means as `turtleact.web.open_web` says.
+        is_live: Whether a terminal shows a dashboard.
     """
 
     targets: tuple[str, ...]
@@ -66,6 +70,7 @@ class Service(NamedTuple):
     config: dict[str, object]
     web: tuple[str, int] | None
     token: str | None
+    is_live: bool
 
 
 def run(service: Service, interrupts: Interrupts) -> int:
@@ -76,17 +81,32 @@ def run(service: Service, interrupts: Interrupts) -> int:
         TurtleactError: if the graph cannot be opened.
     """
     declared = [each for target in service.targets for each in find_actions(target)]
-    return asyncio.run(_serve(service, declared, interrupts))
+    if not (service.is_live and can_move(sys.stdout)):
+        return asyncio.run(_serve(service, declared, _Log(None), interrupts))
+    from turtleact.commands.dashboard import Dashboard
+
+    board = Dashboard(sys.stdout)
+    interrupts.restore = board.close
+    try:
+        return asyncio.run(_serve(service, declared, _Log(board), interrupts))
+    finally:
+        board.close()
 
 
 async def _serve(
-    service: Service, declared: list[ActionDeclaration[..., object]], interrupts: Interrupts
+    service: Service,
+    declared: list[ActionDeclaration[..., object]],
+    log: _Log,
+    interrupts: Interrupts,
 ) -> int:
-    log = _Log()
     opened: list[tuple[ZenohTransport, str]] = []
     asyncio.get_running_loop().set_exception_handler(_tell_of_error)
     with interrupts.listening(asyncio.get_running_loop()):
         async with AsyncExitStack() as stack:
+            if log.board is not None:
+                stack.enter_context(log.board.listening())
+                drawing = Background(log.board.run(), "the dashboard")
+                await stack.enter_async_context(aclosing(drawing))
             graph = partial(_open_graph, service, opened)
             node = await stack.enter_async_context(_open_node(service, graph, log))
             for each in declared:
@@ -130,6 +150,7 @@ async def _open_node(
                 turtles=service.turtles,
                 graph=graph,
                 on_transition=log.tell,
+                on_start=None if log.board is None else log.board.begin,
             )
             node = await stack.enter_async_context(world)
         else:
@@ -184,18 +205,32 @@ async def _open_graph(
 
 
 class _Log:
-    """Lines on stdout."""
+    """Lines on stdout, or on a dashboard.
+
+    Args:
+        board: The dashboard, if there is one.
+    """
+
+    def __init__(self, board: Dashboard | None) -> None:
+        self.board = board
 
     def tell(
         self, goal: ServerGoalHandle[Any, Any, Any], _old: GoalStatus, new: GoalStatus
     ) -> None:
         """A line for a change of a goal."""
         reason = f": {printable(goal.reason)}" if goal.reason else ""
-        name = f"{goal.action_name} {goal.goal_id.hex()}"
-        self.say(f"{datetime.now():%H:%M:%S.%f} {name} {new.name}{reason}")
+        time = f"{datetime.now():%H:%M:%S.%f}"
+        line = f"{time} {goal.action_name} {goal.goal_id.hex()} {new.name}{reason}"
+        if self.board is not None:
+            self.board.tell(goal, new, line, time)
+        else:
+            self.say(line)
 
     def say(self, line: str) -> None:
         """A line that is there at once; where nobody reads any more, the server goes on without."""
+        if self.board is not None:
+            self.board.say(line)
+            return
         if sys.stdout is None:
             return
         try:

@@ -1,8 +1,11 @@
 """The part of a terminal that a live display draws on, and the terminal as it was found.
 
 `Region` alone moves the cursor and changes how the terminal works: while it is held, the cursor is
-hidden and what the user types is not shown. Both are undone however the process ends or stops, but
-by SIGKILL and SIGSTOP, which ask nobody.
+hidden, what the user types is not shown and, if keys are to be read, comes at once. All of it is
+undone however the process ends or stops, but by SIGKILL and SIGSTOP, which ask nobody.
+
+While it is held, nothing that is written waits for the terminal (`Outlet`): one that takes nothing,
+as its user has stopped it with Ctrl-S or its connection hangs, misses frames, and holds up nobody.
 
 Two things are left to the terminal. Lines that it wraps anew when its window gets narrower may push
 the first of them out of the window, where nothing can take them back. And what is typed is kept for
@@ -21,18 +24,80 @@ import termios
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final, TextIO
 
+import anyio
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from types import FrameType
 
-__all__ = ["Region"]
+__all__ = ["Region", "can_move"]
 
 LOCAL_MODES: Final = 3
-"""Where ``tcgetattr`` keeps the modes that ECHO is one of."""
+CONTROL_CHARACTERS: Final = 6
+"""Where ``tcgetattr`` keeps the modes that ECHO is one of, and where VMIN and VTIME."""
 
 GIVE_BACK: Final = "\r\x1b[K\x1b7\x1b[B\x1b[J\x1b8\x1b[?25h"
 """Takes the lines away and shows the cursor. Erasing the screen from its very top would make some
 terminals keep what stood there in their history, so the first line is erased by itself."""
+
+
+def can_move(stream: TextIO | None) -> bool:
+    """Whether a stream is a terminal that can move its cursor and show braille."""
+    return (
+        stream is not None
+        and stream.isatty()
+        and os.environ.get("TERM", "") not in ("", "dumb", "unknown")
+        and stream.encoding.lower().replace("-", "") == "utf8"
+    )
+
+
+class Outlet:
+    """The way to a terminal, on which nothing waits: what it does not take is kept.
+
+    The terminal is opened a second time: not to wait is a property of an opened file, and the one
+    that the process was given is the shell's, too. Where it cannot be opened, a frame is written
+    only if the terminal takes something, and may then wait.
+
+    Args:
+        stream: The terminal.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._kept = b""
+        self._descriptor = _opened_again(stream)
+
+    def write(self, text: str) -> None:
+        """Write what the terminal takes now, behind all that was kept."""
+        if self._descriptor is None:
+            self._stream.write(text)
+            self._stream.flush()
+        else:
+            self._kept += text.encode(errors="backslashreplace")
+            self.push()
+
+    def push(self) -> bool:
+        """Write what is kept; whether the terminal has taken all of it."""
+        if self._descriptor is None:
+            return bool(select.select([], [self._stream], [], 0)[1])
+        while self._kept:
+            try:
+                written = os.write(self._descriptor, self._kept)
+            except BlockingIOError:
+                return False
+            self._kept = self._kept[written:]
+        return True
+
+    async def drained(self) -> None:
+        """Wait until all of it is taken. Cancelling: safe."""
+        while self._descriptor is not None and not self.push():
+            await anyio.wait_writable(self._descriptor)
+
+    def close(self) -> None:
+        """Write nothing more; what is still kept is lost."""
+        descriptor, self._descriptor = self._descriptor, None
+        if descriptor is not None:
+            os.close(descriptor)
 
 
 class Region:
@@ -45,10 +110,13 @@ class Region:
 
     Args:
         stream: The terminal.
+        keyboard: Where keys are read from, if they are: each comes at once then.
     """
 
-    def __init__(self, stream: TextIO) -> None:
+    def __init__(self, stream: TextIO, keyboard: TextIO | None = None) -> None:
         self._stream = stream
+        self._keyboard = keyboard
+        self._outlet: Outlet | None = None  # while it is held
         self._is_drawn = False
         self._is_held = False
         self._modes: list[Any] | None = None  # as they were found, while there is no echo
@@ -61,12 +129,17 @@ class Region:
             columns, rows = 0, 0
         return columns or 80, rows or 24
 
-    def draw(self, lines: Sequence[str]) -> None:
-        """Put these lines where the last ones were; the window must have a line more.
+    def is_ready(self) -> bool:
+        """Whether a frame would be drawn now.
 
-        Nothing is drawn while the process runs in the background: the terminal is another's then.
+        None is while the process runs in the background, as the terminal is another's then, nor
+        while the terminal has yet to take what was written before.
         """
-        if not self._is_in_foreground():
+        return self.is_in_foreground() and (self._outlet is None or self._outlet.push())
+
+    def draw(self, lines: Sequence[str]) -> None:
+        """Put these lines where the last ones were, if it is ready; the window has a line more."""
+        if not self.is_ready():
             return
         if self._is_held and self._modes is None:
             self._silence()
@@ -86,6 +159,18 @@ class Region:
             self._write(GIVE_BACK)
             self._is_drawn = False
 
+    async def drained(self) -> None:
+        """Wait until the terminal has taken all that was written. Cancelling: safe."""
+        if self._outlet is not None:
+            await self._outlet.drained()
+
+    def is_in_foreground(self) -> bool:
+        """Whether the terminal is ours to draw on; one that controls no process is."""
+        try:
+            return os.tcgetpgrp(self._stream.fileno()) == os.getpgrp()
+        except OSError:
+            return True
+
     @contextmanager
     def held(self) -> Iterator[None]:
         """A block in which frames are drawn; behind it the terminal is as it was.
@@ -100,24 +185,32 @@ class Region:
         }
         taken = [each for each in handlers if signal.getsignal(each) is signal.SIG_DFL]
         self._is_held = True
+        self._outlet = outlet = Outlet(self._stream)
         try:
             for number in taken:
                 signal.signal(number, handlers[number])
+            if self._keyboard is not None and self.is_in_foreground():
+                self._silence()
             yield
         finally:
             self._is_held = False
             self.restore()
+            self._outlet = None
+            outlet.close()
             for number in taken:
                 signal.signal(number, signal.SIG_DFL)
 
     def restore(self) -> None:
         """Give the terminal back as it was found; never blocks, and may be called at any moment."""
-        if self._is_drawn and select.select([], [self._stream], [], 0)[1]:
-            os.write(self._stream.fileno(), GIVE_BACK.encode())
-        self._is_drawn = False
+        if self._is_drawn:
+            self._is_drawn = False
+            if self._outlet is not None:
+                self._outlet.write(GIVE_BACK)
+            elif select.select([], [self._stream], [], 0)[1]:
+                os.write(self._stream.fileno(), GIVE_BACK.encode())
         modes, self._modes = self._modes, None
-        if modes is not None and self._is_in_foreground():
-            termios.tcsetattr(self._stream, termios.TCSANOW, modes)
+        if modes is not None and self.is_in_foreground():
+            termios.tcsetattr(self._typed_at(), termios.TCSANOW, modes)
 
     def _follow(self, number: int, _: FrameType | None) -> None:
         """Do what a signal does by default; the process may be continued."""
@@ -129,24 +222,44 @@ class Region:
     def _forget(self, _: int, __: FrameType | None) -> None:
         """The screen has been somebody else's."""
         self._is_drawn = False
+        if self._keyboard is not None and self._modes is None and self.is_in_foreground():
+            self._silence()
 
     def _silence(self) -> None:
         """Let the terminal not show what is typed: it would tear the frame apart."""
+        typed_at = self._typed_at()
         try:
-            modes = termios.tcgetattr(self._stream)
+            modes = termios.tcgetattr(typed_at)
         except (OSError, termios.error):
             return  # not a terminal
         self._modes = [*modes]
         modes[LOCAL_MODES] &= ~termios.ECHO
-        termios.tcsetattr(self._stream, termios.TCSANOW, modes)
+        if self._keyboard is not None:
+            modes[LOCAL_MODES] &= ~termios.ICANON
+            modes[CONTROL_CHARACTERS] = [*modes[CONTROL_CHARACTERS]]  # those of before are kept
+            modes[CONTROL_CHARACTERS][termios.VMIN] = 1
+            modes[CONTROL_CHARACTERS][termios.VTIME] = 0
+        termios.tcsetattr(typed_at, termios.TCSANOW, modes)
 
-    def _is_in_foreground(self) -> bool:
-        """Whether the terminal is ours to draw on; one that controls no process is."""
-        try:
-            return os.tcgetpgrp(self._stream.fileno()) == os.getpgrp()
-        except OSError:
-            return True
+    def _typed_at(self) -> TextIO:
+        return self._keyboard or self._stream
 
     def _write(self, text: str) -> None:
+        if self._outlet is not None:
+            self._outlet.write(text)
+            return
         self._stream.write(text)
         self._stream.flush()
+
+
+def _opened_again(stream: TextIO) -> int | None:
+    """The terminal behind a stream, opened anew, so that writing to it never waits."""
+    try:
+        name = os.ttyname(stream.fileno())
+        descriptor = os.open(name, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
+    except OSError:  # no terminal, or one that was handed on by another user
+        return None
+    if os.fstat(descriptor).st_rdev != os.fstat(stream.fileno()).st_rdev:  # of another namespace
+        os.close(descriptor)
+        return None
+    return descriptor

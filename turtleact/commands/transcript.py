@@ -6,9 +6,10 @@ Each block is flushed as it is printed, so that a pipe sees it at once.
 from __future__ import annotations
 
 import json
+import sys
 import textwrap
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
 from turtleact.commands.stderr import note
 from turtleact.interfaces import to_json, to_yaml
@@ -19,7 +20,20 @@ if TYPE_CHECKING:
     from turtleact.interfaces import Message
     from turtleact.node import Node
 
-__all__ = ["WAITING", "JsonTranscript", "PlainTranscript", "Sent", "Transcript", "say"]
+__all__ = [
+    "WAITING",
+    "Followed",
+    "JsonTranscript",
+    "PlainTranscript",
+    "Sent",
+    "Transcript",
+    "View",
+    "choose_transcript",
+    "say",
+]
+
+View = Literal["auto", "plain", "json"]
+"""How a goal is shown; ``auto`` is live on a terminal."""
 
 WAITING = "Waiting for an action server to become available...\n"
 
@@ -40,8 +54,11 @@ class Transcript(Protocol):
     def accepted(self, sent: Sent) -> None:
         """The server took the goal."""
 
+    def follows(self, goal: Followed) -> None:
+        """A goal that somebody else has sent is looked at from now on."""
+
     async def animate(self) -> None:
-        """Runs from the acceptance to the end, and is then canceled."""
+        """Runs from then to the end, and is then canceled."""
 
     def feedback(self, feedback: Message) -> None:
         """A feedback message came."""
@@ -58,8 +75,47 @@ class Transcript(Protocol):
     def note(self, text: str) -> None:
         """Something that belongs to no goal happened."""
 
+    async def drained(self) -> None:
+        """Wait until all of it can be read. Cancelling: safe."""
+
     def close(self) -> None:
         """Nothing moves any more; what stands stays. Never blocks, and may be called anywhere."""
+
+
+class Held(Protocol):
+    """What a client holds of a goal."""
+
+    @property
+    def goal_id(self) -> bytes:
+        """Its 16 bytes."""
+
+    @property
+    def status(self) -> GoalStatus:
+        """Its state."""
+
+    @property
+    def last_feedback(self) -> Message | None:
+        """The newest feedback, if there is any."""
+
+
+class Followed(NamedTuple):
+    """A goal that is looked at.
+
+    Attributes:
+        node: Where it is looked at from.
+        name: The action.
+        goal_type: The type of what was sent.
+        goal: What was sent; None if somebody else has sent it.
+        handle: What is held of it.
+        age: Seconds since it was accepted.
+    """
+
+    node: Node
+    name: str
+    goal_type: type[Message]
+    goal: Message | None
+    handle: Held
+    age: float = 0.0
 
 
 class Sent(NamedTuple):
@@ -78,6 +134,33 @@ class Sent(NamedTuple):
     type_name: str
     goal: Message
     handle: ClientGoalHandle[Message, Message]
+
+    def followed(self) -> Followed:
+        """The same, as something that is looked at."""
+        return Followed(self.node, self.name, type(self.goal), self.goal, self.handle)
+
+
+def choose_transcript(
+    view: View, *, wants_feedback: bool, wants_feedback_live: bool | None = None
+) -> Transcript:
+    """JSON if asked for, a live display on a terminal that can show it, else plain.
+
+    Args:
+        view: What was asked for.
+        wants_feedback: Whether each feedback message is printed, and stays.
+        wants_feedback_live: Whether it does so beside a live display; the same if left out.
+    """
+    if view == "json":
+        return JsonTranscript()
+    if view == "auto":
+        from turtleact.commands.terminal import can_move
+
+        if can_move(sys.stdout):
+            from turtleact.commands.live import LiveTranscript
+
+            wanted = wants_feedback if wants_feedback_live is None else wants_feedback_live
+            return LiveTranscript(sys.stdout, wants_feedback=wanted)
+    return PlainTranscript(wants_feedback=wants_feedback)
 
 
 def say(text: str) -> None:
@@ -109,6 +192,9 @@ class PlainTranscript:
         """The server took the goal."""
         self._say(f"Goal accepted with ID: {sent.handle.goal_id.hex()}\n\n")
 
+    def follows(self, goal: Followed) -> None:
+        """Nothing is told of it yet."""
+
     async def animate(self) -> None:
         """Nothing moves here."""
 
@@ -131,6 +217,9 @@ class PlainTranscript:
     def note(self, text: str) -> None:
         """Something that belongs to no goal happened."""
         note(text)
+
+    async def drained(self) -> None:
+        """It has been printed."""
 
     def close(self) -> None:
         """Nothing has moved."""
@@ -163,6 +252,9 @@ class JsonTranscript:
             goal=to_json(sent.goal),
         )
 
+    def follows(self, goal: Followed) -> None:
+        """Nothing is told of it yet."""
+
     async def animate(self) -> None:
         """Nothing moves here."""
 
@@ -192,6 +284,9 @@ class JsonTranscript:
     def note(self, text: str) -> None:
         """Something that belongs to no goal happened."""
         note(text)
+
+    async def drained(self) -> None:
+        """It has been printed."""
 
     def close(self) -> None:
         """Nothing has moved."""

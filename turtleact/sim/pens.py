@@ -63,6 +63,10 @@ class Pens:
         if not is_off:
             holder.pen = Pen(colour, width or THINNEST)
 
+    def colour(self, turtle: str) -> Colour:
+        """What a turtle draws in, or would if its pen were on."""
+        return self._holders[turtle].pen.colour
+
     def take_stock(self) -> None:
         """Give new turtles a pen, and take it from those that are gone.
 

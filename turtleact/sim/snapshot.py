@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-__all__ = ["BACKGROUND", "Snapshot", "to_png", "to_svg"]
+__all__ = ["BACKGROUND", "Snapshot", "thumbnail", "to_png", "to_svg"]
 
 BACKGROUND: Final = Colour(69, 86, 255)
 """What turtlesim draws on, unless its parameters say otherwise."""
@@ -98,6 +98,28 @@ def to_png(snapshot: Snapshot) -> bytes:
     for turtle in snapshot.turtles:
         _paint(picture, _outline(turtle))
     return _png(picture.tobytes(), channels=3)
+
+
+def thumbnail(pixels: bytes, width: int, height: int) -> list[list[Colour | None]]:
+    """A drawing in fewer pixels, row by row from the top; None where nothing was drawn.
+
+    A pixel has a colour that was drawn in its place: of several the one with most blue.
+
+    Args:
+        pixels: The drawing, as `Drawing.pixels` gives it.
+        width: Columns, 1 to 500.
+        height: Rows, 1 to 500.
+    """
+    import numpy as np
+
+    packed = np.frombuffer(pixels, "<u4").reshape(SIZE, SIZE)
+    rows, columns = (np.arange(count) * SIZE // count for count in (height, width))
+    small = np.maximum.reduceat(np.maximum.reduceat(packed, rows, 0), columns, 1)
+    return [[_unpacked(pixel) for pixel in row] for row in small.tolist()]
+
+
+def _unpacked(pixel: int) -> Colour | None:
+    return Colour(pixel & 255, pixel >> 8 & 255, pixel >> 16 & 255) if pixel else None
 
 
 def _outline(turtle: Figure) -> list[complex]:

@@ -14,6 +14,7 @@ Source: turtlesim 1.8.2, ``turtle_frame.cpp``.
 from __future__ import annotations
 
 import logging
+from itertools import islice
 from typing import TYPE_CHECKING, Final
 
 import anyio
@@ -24,16 +25,16 @@ from turtleact.names import resolve_name
 from turtleact.sim.canvas import Colour
 from turtleact.sim.parameters import Parameters
 from turtleact.sim.pens import Pens
-from turtleact.sim.snapshot import BACKGROUND, Figure, Snapshot
+from turtleact.sim.snapshot import BACKGROUND, Figure, Snapshot, thumbnail
 from turtleact.sim.turtle import Turtle
 from turtleact.tasks import Background
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from turtleact.node import Node
     from turtleact.sim.kinematics import Hits
-    from turtleact.sim.world import World
+    from turtleact.sim.world import Pose, World
 
 __all__ = ["Turtlesim"]
 
@@ -84,6 +85,15 @@ class Turtlesim:
         return Snapshot(
             Colour(*colour), drawing.pixels(), drawing.base(), drawing.polylines(), figures
         )
+
+    def turtles(self, most: int) -> Iterator[tuple[str, Pose, Colour]]:
+        """The names of the first turtles, their poses, and the colours of their pens."""
+        for name in islice(self._turtles, most):
+            yield name, self._world.pose(name), self._pens.colour(name)
+
+    def thumbnail(self, width: int, height: int) -> list[list[Colour | None]]:
+        """The drawing in fewer pixels, as `turtleact.sim.snapshot.thumbnail` makes it."""
+        return thumbnail(self._pens.drawing.pixels(), width, height)
 
     async def aclose(self) -> None:
         """Stop ticking."""

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable
 
     from turtleact.commands.interrupts import Interrupts
+    from turtleact.commands.transcript import View
     from turtleact.node import Node
 
 __all__ = ["app", "moment"]
@@ -55,6 +56,7 @@ _Ids = Annotated[
         autocompletion=completing.goal_ids,
     ),
 ]
+_Plain = Annotated[bool, typer.Option("--plain", help="No live display, even on a terminal.")]
 _Json = Annotated[bool, typer.Option("--json", help="Print one JSON object a line.")]
 _All = Annotated[bool, typer.Option("--all", help="All goals of an action, or of all actions.")]
 _Before = Annotated[
@@ -142,9 +144,11 @@ def watch(
     domain: Domain = None,
     config: Config = None,
     interfaces: Interfaces = None,
+    plain: _Plain = False,
 ) -> Job:
     """``watch``."""
-    return _follow(goal_id, reach(connect, domain, config), interfaces, with_feedback=True)
+    view: View = "plain" if plain else "auto"
+    return _follow(goal_id, reach(connect, domain, config), interfaces, view, hears_feedback=True)
 
 
 @app.command("result", cls=Verb, help=VERBS["result"])
@@ -157,7 +161,8 @@ def result(
     interfaces: Interfaces = None,
 ) -> Job:
     """``result``."""
-    return _follow(goal_id, reach(connect, domain, config), interfaces, with_feedback=False)
+    where = reach(connect, domain, config)
+    return _follow(goal_id, where, interfaces, "plain", hears_feedback=False)
 
 
 def moment(text: str) -> int:
@@ -203,18 +208,27 @@ def _goal_id(text: str) -> str:
     return digits
 
 
-def _follow(goal_id: str, where: Reach, interfaces: str | None, *, with_feedback: bool) -> Job:
+def _follow(
+    goal_id: str, where: Reach, interfaces: str | None, view: View, *, hears_feedback: bool
+) -> Job:
     wanted = _goal_id(goal_id)
 
     def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import goals, graph
+        from turtleact.commands import goals, graph, transcript
         from turtleact.commands.interfaces import make_known
 
         make_known(interfaces)
-        return graph.run(
-            where,
-            lambda node: goals.follow(node, wanted, with_feedback=with_feedback),
-            interrupts,
+        telling = transcript.choose_transcript(
+            view, wants_feedback=hears_feedback, wants_feedback_live=False
         )
+        interrupts.restore = telling.close
+
+        def look(node: Node) -> Awaitable[int]:
+            return goals.follow(node, wanted, telling, hears_feedback=hears_feedback)
+
+        try:
+            return graph.run(where, look, interrupts)
+        finally:
+            telling.close()
 
     return job

@@ -26,7 +26,7 @@ from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
-    from turtleact.commands.send_goal import View
+    from turtleact.commands.transcript import View
 
 __all__ = ["EXAMPLES", "app", "send_goal"]
 

@@ -62,7 +62,10 @@ _Insecure = Annotated[
     bool, typer.Option("--insecure", help="Let in whoever can reach the endpoints of --listen.")
 ]
 _NoSim = Annotated[bool, typer.Option("--no-sim", help="No turtles and no built-in actions.")]
-_Headless = Annotated[bool, typer.Option("--headless", help="Lines only, as is the case anyway.")]
+_Headless = Annotated[
+    bool, typer.Option("--headless", help="Lines only, no dashboard; the same as --plain.")
+]
+_Plain = Annotated[bool, typer.Option("--plain", help="Lines only, even on a terminal.")]
 _Speed = Annotated[str, typer.Option(metavar="FACTOR", help="How fast time passes in the world.")]
 _Turtles = Annotated[str, typer.Option(metavar="N", help="How many turtles there are.")]
 _Seed = Annotated[str, typer.Option(metavar="NUMBER", help="What its random choices begin with.")]
@@ -91,13 +94,13 @@ def serve(
     insecure: _Insecure = False,
     no_sim: _NoSim = False,
     headless: _Headless = False,
+    plain: _Plain = False,
     speed: _Speed = "1",
     turtles: _Turtles = "1",
     seed: _Seed = "0",
     interfaces: Interfaces = None,
 ) -> Job:
     """``serve``."""
-    del headless  # there is no other display yet
     where = reach(connect, domain, config)
     at = endpoints("--listen", listen)
     page = None if web is None else _host_and_port(web)
@@ -129,6 +132,7 @@ def serve(
             locks.settings(),
             page,
             token,
+            not (headless or plain),
         )
         return run(service, interrupts)
 

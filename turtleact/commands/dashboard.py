@@ -1,0 +1,234 @@
+"""The live dashboard of ``serve``: the world, the goals and what has happened, on a terminal.
+
+It looks at the world and hears of the goals; neither knows of it, nor waits for it. What anybody
+prints in this process meanwhile is a line of its log. When it ends, its lines are left standing.
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TextIO
+
+import anyio
+
+from turtleact import render
+from turtleact.commands import frames
+from turtleact.commands.terminal import Region
+from turtleact.commands.tracks import POSES_A_FRAME, Course, sends_a_turtle
+from turtleact.interfaces.standard import TurtlePose
+from turtleact.sim.kinematics import SIDE
+from turtleact.transports import QoS
+
+if TYPE_CHECKING:
+    from turtleact.goal import GoalStatus
+    from turtleact.server import ServerGoalHandle
+    from turtleact.sim.turtlesim import Turtlesim
+    from turtleact.topics import Subscription
+
+__all__ = ["Dashboard"]
+
+MOST_LINES: Final = 200
+"""So many lines of the log are kept."""
+
+MOST_LEFT: Final = 20
+"""So many of them are left standing."""
+
+MOST_ENDED: Final = 50
+"""So many goals that have ended stay in the table."""
+
+MOST_TURTLES: Final = 50
+"""So many turtles are on the map: of more, nothing could be told."""
+
+Handle = Any
+"""A `ServerGoalHandle` of any action."""
+
+
+class Dashboard:
+    """What ``serve`` tells, on a terminal.
+
+    Args:
+        stream: The terminal.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._region = Region(stream)
+        self._heading: list[str] = []
+        self._log: deque[_Line] = deque(maxlen=MOST_LINES)
+        self._goals: dict[bytes, _Served] = {}
+        self._sim: Turtlesim | None = None
+        self._has_said = anyio.Event()
+
+    def begin(self, sim: Turtlesim) -> None:
+        """Show this world."""
+        self._sim = sim
+
+    def say(self, line: str) -> None:
+        """A line that is always there."""
+        self._heading.append(line)
+        self._has_said.set()
+
+    def tell(
+        self, goal: ServerGoalHandle[Any, Any, Any], new: GoalStatus, line: str, time: str
+    ) -> None:
+        """A change of a goal.
+
+        Args:
+            goal: The goal.
+            new: Its state now.
+            line: The change as the log tells it.
+            time: When it was, as the line says it.
+        """
+        goal_id = goal.goal_id
+        if goal_id not in self._goals:
+            self._goals[goal_id] = _Served(goal)
+        self._goals[goal_id].change(new)
+        short = line.replace(goal_id.hex(), goal_id.hex()[:8]).replace(time, time[:8])
+        self._log.append(_Line(short, line))
+        ended = [key for key, each in self._goals.items() if each.ended_at is not None]
+        for key in ended[:-MOST_ENDED]:
+            del self._goals[key]
+
+    def close(self) -> None:
+        """Give the terminal back; never blocks."""
+        self._region.restore()
+
+    @contextmanager
+    def listening(self) -> Iterator[None]:
+        """A block in which what is printed goes to the log; if that was never seen, to stderr."""
+        printed = _Printed(lambda line: self._log.append(_Line(line, line)))
+        try:
+            with redirect_stdout(printed), redirect_stderr(printed):
+                yield
+        finally:
+            if not self._has_said.is_set():
+                for line in self._log:
+                    print(line.full, file=sys.stderr)
+
+    async def run(self) -> None:
+        """Draw from the first line that is said until it is canceled; lines are left standing."""
+        await self._has_said.wait()
+        with self._region.held():
+            try:
+                await frames.keep_drawing(self._region, self._compose)
+            except OSError:  # the terminal has gone; the server goes on without
+                return
+            finally:
+                kept = [line.full for line in list(self._log)[-MOST_LEFT:]]
+                self._region.say("".join(f"{line}\n" for line in (*self._heading, *kept)))
+
+    def _compose(self, *, width: int, height: int) -> render.Picture:
+        turtles: list[render.Turtle] = []
+        targets: list[render.Target] = []
+        sim = self._sim
+        if sim is not None:
+            for name, pose, colour in sim.turtles(MOST_TURTLES):
+                style = _style(colour)
+                turtles.append(render.Turtle(pose.x, pose.y, pose.theta, name, style))
+        for goal in self._goals.values():
+            targets += goal.look()
+        world = None if sim is None else render.MapView(SIDE, turtles, _Drawn(sim), targets)
+        rows = [goal.row() for goal in self._in_order()]
+        log = [line.short for line in list(self._log)]
+        shown = render.Board(self._heading, world, rows, log=log)
+        return render.board(shown, width=width, height=height)
+
+    def _in_order(self) -> list[_Served]:
+        """The goals that run, then those that have ended, the newest of them first."""
+        goals = list(reversed(self._goals.values()))
+        return sorted(goals, key=lambda goal: goal.ended_at is not None)
+
+
+class _Line(NamedTuple):
+    """A line of the log, as it is shown and as it is left standing."""
+
+    short: str
+    full: str
+
+
+class _Served:
+    """A goal that is served.
+
+    Attributes:
+        ended_at: When it ended, by the clock of its node (s), if it has.
+    """
+
+    def __init__(self, goal: Handle) -> None:
+        self._goal = goal
+        self._name: str = goal.action_name
+        self._goal_id: str = goal.goal_id.hex()
+        self._clock = goal.node.clock
+        self._began = self._clock.time()
+        self._course = Course(goal.request)
+        self._poses: Subscription[TurtlePose] | None = None
+        self._status: GoalStatus = goal.status
+        self.ended_at: float | None = None
+        drives, leader = sends_a_turtle(self._name, goal.request)
+        if drives and self._course.stops:
+            self._poses = goal.node.subscription(TurtlePose, leader, QoS(depth=POSES_A_FRAME))
+
+    def change(self, status: GoalStatus) -> None:
+        """It has another state."""
+        self._status = status
+        if status.is_terminal:
+            self.ended_at = self._clock.time()
+            if self._poses is not None and self._poses.membership is not None:
+                self._poses.membership.close()
+
+    def look(self) -> list[render.Target]:
+        """Where its turtle has yet to go."""
+        if self._poses is None or self.ended_at is not None:
+            return []
+        for pose in self._poses.drain():
+            self._course.follow(pose.x, pose.y)
+        return self._course.ahead()
+
+    def row(self) -> render.GoalRow:
+        """Its row in the table."""
+        now = self._clock.time() if self.ended_at is None else self.ended_at
+        told = "" if self._poses is None else self._course.told()
+        return render.GoalRow(self._name, self._goal_id, self._status, now - self._began, told)
+
+
+class _Drawn:
+    """What the turtles of a world have drawn."""
+
+    def __init__(self, sim: Turtlesim) -> None:
+        self._sim = sim
+
+    def canvas(self, columns: int, rows: int) -> render.Braille:
+        """The drawing in dots."""
+        canvas = render.Braille(columns, rows)
+        top = canvas.height - 1
+        for row, pixels in enumerate(self._sim.thumbnail(canvas.width, canvas.height)):
+            for column, colour in enumerate(pixels):
+                if colour is not None:
+                    canvas.dot(column, top - row, _style(colour))
+        return canvas
+
+
+class _Printed(io.TextIOBase):
+    """What is printed, line by line.
+
+    Args:
+        take: Takes a line.
+    """
+
+    def __init__(self, take: Callable[[str], object]) -> None:
+        super().__init__()
+        self._take = take
+        self._begun = ""
+
+    def write(self, text: str) -> int:
+        """Take the lines that are whole."""
+        *whole, self._begun = (self._begun + text).split("\n")
+        for line in whole:
+            self._take(line)
+        return len(text)
+
+
+def _style(colour: tuple[int, int, int]) -> str:
+    return "#" + bytes(colour).hex()

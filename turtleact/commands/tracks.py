@@ -1,0 +1,172 @@
+"""Where turtles are and have been, as the graph tells it, and where a goal sends them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from turtleact.geometry import distance
+from turtleact.interfaces import get_interface, to_dict
+from turtleact.render import MapView, Target, Trails, Turtle
+from turtleact.sim.kinematics import SIDE
+from turtleact.transports import QoS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from turtleact.interfaces import Message
+    from turtleact.node import Node
+    from turtleact.topics import Subscription
+
+__all__ = ["POSES_A_FRAME", "Course", "Tracks", "places_in", "pose_topics", "sends_a_turtle"]
+
+NEAR: Final = 0.15
+"""A place that the turtle has come as near as this (m) is behind it."""
+
+COLOURS: Final = ("cyan", "magenta", "blue", "yellow", "red", "green")
+"""Of the turtles, in the order of their names."""
+
+MOST_TURTLES: Final = 32
+"""So many turtles are followed: of more, nothing could be told on a map."""
+
+POSES_A_FRAME: Final = 8192
+"""So many are kept from frame to frame: those of a second at the highest speed."""
+
+LOOKS: Final = 15
+"""The graph is searched for new turtles in each so-manieth look."""
+
+POSE_TYPES: Final = ("turtlesim/msg/Pose", "turtlesim_msgs/msg/Pose")
+POSE: Final = "/pose"
+
+
+class Tracks:
+    """The turtles of a graph, by the poses that they publish.
+
+    Args:
+        node: A node on the graph.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._poses: dict[str, Subscription[Any]] = {}
+        self._colours: dict[str, str] = {}
+        self._trails = Trails(SIDE)
+        self._looks = 0
+        self._search()
+
+    def look(self, course: Course | None = None, leader: str = "") -> MapView:
+        """Take in where the turtles have gone since the last look.
+
+        Args:
+            course: Where one of them is to go.
+            leader: Which one: the topic of its pose.
+        """
+        self._looks += 1
+        if self._looks % LOOKS == 0:
+            self._search()
+        turtles = []
+        for topic, poses in self._poses.items():
+            name, colour = topic.removesuffix(POSE).strip("/"), self._colours[topic]
+            for pose in poses.drain():
+                self._trails.follow(name, pose.x, pose.y, colour)
+                if course is not None and topic == leader:
+                    course.follow(pose.x, pose.y)
+            latest = poses.latest
+            if latest is not None:
+                turtles.append(Turtle(latest.x, latest.y, latest.theta, name, colour))
+        return MapView(SIDE, turtles, self._trails, () if course is None else course.ahead())
+
+    def _search(self) -> None:
+        """Follow the turtles that have come, and forget those that have gone."""
+        topics = pose_topics(self._node)
+        for gone in self._poses.keys() - topics.keys():
+            leaving = self._poses.pop(gone).membership
+            if leaving is not None:
+                leaving.close()
+        for topic, type_name in list(topics.items())[:MOST_TURTLES]:
+            if topic not in self._poses:
+                pose_type: Any = get_interface(type_name)
+                qos = QoS(depth=POSES_A_FRAME)
+                self._poses[topic] = self._node.subscription(pose_type, topic, qos)
+                self._colours.setdefault(topic, COLOURS[len(self._colours) % len(COLOURS)])
+
+
+class Course:
+    """The places that a goal leads to, and how many of them its turtle has come near to.
+
+    Args:
+        goal: The goal.
+
+    Attributes:
+        stops: How many places there are, over all rounds.
+        passed: How many of them the turtle has come near to, in order.
+    """
+
+    def __init__(self, goal: Message) -> None:
+        self._places = list(places_in(to_dict(goal)))
+        self.stops = len(self._places) * (1 + max(0, int(getattr(goal, "loops", 0))))
+        self.passed = 0
+        self._last: tuple[float, float] | None = None
+
+    def follow(self, x: float, y: float) -> None:
+        """Note where the turtle has come in a straight line (m)."""
+        here, self._last = self._last or (x, y), (x, y)
+        if self.passed < self.stops:
+            place = self._places[self.passed % len(self._places)]
+            self.passed += _offset(place, here, (x, y)) <= NEAR
+
+    def ahead(self) -> list[Target]:
+        """The places that are yet to come in this round, numbered as in the goal."""
+        if self.passed >= self.stops:
+            return []
+        first = self.passed % len(self._places)
+        return [Target(*place, i) for i, place in enumerate(self._places[first:], first + 1)]
+
+    def told(self) -> str:
+        """How far it is, in words; nothing if there are no places."""
+        return f"{self.passed} of {self.stops} places" if self.stops else ""
+
+
+def pose_topics(node: Node) -> dict[str, str]:
+    """The topics on which turtles tell where they are, in name order, with their types."""
+    return {
+        topic: known[0]
+        for topic, types in sorted(node.graph().topics.items())
+        if topic.endswith(POSE) and (known := [each for each in POSE_TYPES if each in types])
+    }
+
+
+def places_in(value: object) -> Iterator[tuple[float, float]]:
+    """Whatever has an x and a y in a message, as plain values, in order."""
+    if isinstance(value, dict):
+        if isinstance(value.get("x"), float) and isinstance(value.get("y"), float):
+            yield value["x"], value["y"]
+            return
+        value = list(value.values())
+    if isinstance(value, list):
+        for item in value:
+            yield from places_in(item)
+
+
+def sends_a_turtle(name: str, goal: Message) -> tuple[bool, str]:
+    """Whether a goal looks as if it drove a turtle, and the topic of that turtle's pose.
+
+    Args:
+        name: The action's name: ``/turtle1/rotate_absolute`` drives ``turtle1``.
+        goal: The goal; one that has places, but names no turtle, drives ``turtle1``.
+    """
+    named = str(getattr(goal, "turtle", "")) or name.rpartition("/")[0].strip("/")
+    has_places = any(True for _ in places_in(to_dict(goal)))
+    return bool(named) or has_places, f"/{(named or 'turtle1').strip('/')}{POSE}"
+
+
+def _offset(
+    place: tuple[float, float], start: tuple[float, float], end: tuple[float, float]
+) -> float:
+    """The distance of a place from a straight line (m)."""
+    length = distance(*start, *end)
+    if not length:
+        return distance(*place, *end)
+    way = ((end[0] - start[0]) / length, (end[1] - start[1]) / length)
+    along = (place[0] - start[0]) * way[0] + (place[1] - start[1]) * way[1]
+    along = min(max(along, 0.0), length)
+    return distance(*place, start[0] + along * way[0], start[1] + along * way[1])

@@ -1,0 +1,31 @@
+"""What a terminal shows of goals, feedback and turtles: values in, rich renderables out.
+
+No logic and no time: who decides what is shown, and how often, stands in `turtleact.commands`. The
+one door to rich.
+"""
+
+from turtleact.render.board import Board, GoalRow, board
+from turtleact.render.braille import Braille, Ink, Trails
+from turtleact.render.goal import GoalView, feedback_table, frame, goal_panel, progress_line
+from turtleact.render.lines import Picture, lines
+from turtleact.render.world import MapView, Target, Turtle, world_map
+
+__all__ = [
+    "Board",
+    "Braille",
+    "GoalRow",
+    "GoalView",
+    "Ink",
+    "MapView",
+    "Picture",
+    "Target",
+    "Trails",
+    "Turtle",
+    "board",
+    "feedback_table",
+    "frame",
+    "goal_panel",
+    "lines",
+    "progress_line",
+    "world_map",
+]

@@ -1,0 +1,81 @@
+"""Something rich can draw as lines of text, and plain values as text on one line."""
+
+from __future__ import annotations
+
+import re
+from io import StringIO
+from typing import Final, TypeAlias
+
+from rich.console import Console, RenderableType
+from rich.text import Text
+
+from turtleact.goal import GoalStatus
+
+__all__ = ["STYLES", "Picture", "cut", "inline", "lines", "printable", "shortened"]
+
+Picture: TypeAlias = RenderableType
+"""Whatever rich can draw."""
+
+STYLES: Final = {
+    GoalStatus.ACCEPTED: "blue",
+    GoalStatus.EXECUTING: "cyan",
+    GoalStatus.CANCELING: "yellow",
+    GoalStatus.SUCCEEDED: "green",
+    GoalStatus.CANCELED: "yellow",
+    GoalStatus.ABORTED: "red",
+}
+
+LONGEST_LIST: Final = 8
+"""So many elements of a list are shown, the first and the last."""
+
+LONGEST_TEXT: Final = 400
+"""So many characters of a text are looked at; the window shows fewer."""
+
+
+def lines(content: Picture, *, width: int, height: int) -> list[str]:
+    """Something rendered for this terminal: at most ``height`` lines of at most ``width`` columns.
+
+    None ends in blanks: a terminal that gets narrower would wrap them too. The environment says
+    which colors there are: TERM, COLORTERM, NO_COLOR.
+    """
+    console = Console(
+        file=StringIO(), width=width, height=height, force_terminal=True, highlight=False
+    )
+    with console.capture() as capture:
+        console.print(content, end="")
+    text = re.sub(r" +((?:\x1b\[[0-9;]*m)*)$", r"\1", capture.get(), flags=re.MULTILINE)
+    return text.rstrip("\n").split("\n")[:height]
+
+
+def cut(text: str, style: str = "") -> Text:
+    """A line that is cut at the window's edge."""
+    return Text(text, style, no_wrap=True, overflow="ellipsis")
+
+
+def shortened(text: str, columns: int) -> str:
+    """A text that is cut to so many columns."""
+    return text if len(text) <= columns else f"{text[: max(columns - 1, 0)]}…"
+
+
+def inline(value: object) -> str:
+    """A plain value on one line, long lists cut in the middle."""
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_braced(item)}" for name, item in value.items()) or "{}"
+    if isinstance(value, list | tuple | bytes):
+        items = [_braced(item) for item in value]
+        if len(items) > LONGEST_LIST:
+            half = LONGEST_LIST // 2
+            items[half:-half] = [f"… {len(items) - LONGEST_LIST} more …"]
+        return f"[{', '.join(items)}]"
+    if isinstance(value, float):
+        return f"{value:.3f}".rstrip("0").removesuffix(".") if abs(value) < 1e6 else f"{value:g}"
+    return printable(str(value))
+
+
+def printable(text: str) -> str:
+    """A text without control characters: they must not reach the terminal."""
+    return "".join(c if c.isprintable() else "·" for c in text[:LONGEST_TEXT])
+
+
+def _braced(value: object) -> str:
+    return f"({inline(value)})" if isinstance(value, dict) else inline(value)
