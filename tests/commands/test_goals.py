@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import json
+import re
 from collections.abc import Callable
 from contextlib import asynccontextmanager
 from typing import Any
@@ -12,9 +14,12 @@ import anyio
 import pytest
 
 from turtleact import QoS, open_node
+from turtleact.actions.patrol import Patrol
 from turtleact.clock import EPOCH
 from turtleact.commands import goals as verbs
-from turtleact.commands import rate
+from turtleact.commands import live, rate, transcript
+from turtleact.commands.held_goals import HeldGoal
+from turtleact.goal import GoalStatus
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.standard import (
     UUID,
@@ -22,7 +27,9 @@ from turtleact.interfaces.standard import (
     GoalInfo,
     GoalStatusArray,
     GoalStatusMessage,
+    Point,
     Time,
+    TurtlePose,
 )
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.transports import MemoryTransport
@@ -455,3 +462,83 @@ def test_a_server_that_goes_away_is_told_by_the_name_of_its_action(on_graph, ver
     ran = on_graph(peer(2, answers=False, leaves_after=1.0), verb, STRANGER.hex(), *arguments)
     assert (ran.status, ran.out) == (1, "")
     assert ran.err == "turtleact: action '/far': the server was closed\n"
+
+
+# --- watch on a terminal --------------------------------------------------------------------
+
+
+@pytest.fixture
+def terminal(monkeypatch):
+    """What is written to a terminal that shows a live display."""
+    written = io.StringIO()
+
+    def choose(view, *, wants_feedback, wants_feedback_live):
+        assert (view, wants_feedback, wants_feedback_live) == ("auto", True, False)
+        return live.LiveTranscript(written, wants_feedback=False)
+
+    monkeypatch.setattr(transcript, "choose_transcript", choose)
+    return written
+
+
+def last_frame(terminal):
+    frame = terminal.getvalue().rpartition("\x1b[?2026h")[2].partition("\x1b[J")[0]
+    return re.sub(r"\x1b(\[[0-9;?]*[A-Za-z]|[78])", "", frame)
+
+
+def test_a_goal_that_is_watched_is_displayed_and_its_result_stands(on_graph, graphs, terminal):
+    ran = on_graph(graphs.goals, "watch", "c53d")
+    assert ran == (0, "", "")
+    frame = last_frame(terminal)
+    assert re.match(r"\r● /count  SUCCEEDED \d+\.\d s +c53d3439\n  sent by somebody else\n", frame)
+    assert "sequence  [0, 1, " in frame
+    text = terminal.getvalue().rpartition("\x1b[?25h")[2]
+    assert text.startswith("Result:\n    sequence:\n    - 0\n")
+    assert text.endswith("\nGoal finished with status: SUCCEEDED\n")
+
+
+@asynccontextmanager
+async def patrol(transport):
+    """A turtle on its way to the second of its places, for somebody else."""
+    async with open_node("server", transport=transport) as node:
+        poses = node.publisher(TurtlePose, "/turtle1/pose")
+
+        async def drive(goal):
+            for i in range(4):
+                poses.publish(TurtlePose(x=1.0 + i, y=5.0))
+                target = Point(x=9.0, y=5.0)
+                yield Patrol.Feedback(index=1, target=target, distance_remaining=8.0 - i)
+                await node.clock.sleep(1.0)
+            yield Patrol.Result()
+
+        node.action_server(Patrol, "/patrol", drive)
+        client = node.action_client(Patrol, "/patrol")
+        goal = Patrol.Goal(targets=[Point(), Point(x=9.0, y=5.0)])
+        async with client.send_goal(goal, goal_id=STRANGER) as handle:
+            handle.detach()
+        yield
+
+
+def test_a_turtle_that_is_watched_is_on_a_map_with_its_trail_and_target(on_graph, terminal):
+    assert on_graph(patrol, "watch", STRANGER.hex()).status == 0
+    frame = last_frame(terminal)
+    [line] = [line for line in frame.split("\n") if "→" in line]
+    assert re.search(r"│⠀+[⠁-⣿]+→.*2⠀+│", line)
+    assert "distance_remaining 5.00" in frame
+
+
+async def test_the_states_of_a_goal_that_is_watched_are_heard(graphs):
+    transport = MemoryTransport()
+    async with (
+        peer(2)(transport),
+        open_node("viewer", transport=transport) as viewer,
+    ):
+        goal = HeldGoal(STRANGER, "/far", FIBONACCI, GoalStatus.EXECUTING, 0)
+        watched = verbs._Watched(goal)
+        statuses = viewer.subscription(GoalStatusArray, "/states")
+        publisher = viewer.publisher(GoalStatusArray, "/states")
+        others = GoalStatusMessage(GoalInfo(UUID(bytes(16))), 6)
+        ours = GoalStatusMessage(GoalInfo(UUID(STRANGER)), 3)
+        publisher.publish(GoalStatusArray([ours, others]))
+        await statuses.aclose()
+        await watched.hear_statuses(statuses, goal)
+        assert watched.status is GoalStatus.CANCELING

@@ -17,6 +17,7 @@ from turtleact import Node, open_node
 from turtleact.commands import calling, echo, goals, graph, listing, publishing
 from turtleact.commands.goal_text import GoalText
 from turtleact.commands.policies import Policies
+from turtleact.commands.transcript import PlainTranscript
 
 GRAPHS = Path(__file__).with_name("graphs.py")
 
@@ -81,7 +82,9 @@ LOOKS: dict[str, Callable[[Node], Awaitable[int]]] = {
     "goals": lambda node: goals.print_goals(node, None, as_json=False),
     "cancel": lambda node: goals.cancel(node, ["71a90636"]),
     "cancel --all": lambda node: goals.cancel_many(node, "/hold", 0),
-    "watch": lambda node: goals.follow(node, "c53d", with_feedback=True),
+    "watch": lambda node: goals.follow(
+        node, "c53d", PlainTranscript(wants_feedback=True), hears_feedback=True
+    ),
 }
 
 

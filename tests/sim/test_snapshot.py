@@ -16,7 +16,7 @@ import pytest
 from turtleact.sim import drawing as drawing_module
 from turtleact.sim.canvas import SIZE, Colour
 from turtleact.sim.drawing import Drawing, Pen
-from turtleact.sim.snapshot import BACKGROUND, SHELL, Figure, Snapshot, to_png, to_svg
+from turtleact.sim.snapshot import BACKGROUND, SHELL, Figure, Snapshot, thumbnail, to_png, to_svg
 
 RED = Pen(Colour(255, 0, 0), 5)
 MIDDLE = complex(250, 250) / 45.0
@@ -154,3 +154,22 @@ def test_an_svg_of_a_drawing_beyond_its_bound_has_the_rest_as_an_image(monkeypat
     assert pixels[45, 100].tolist() == [255, 0, 0, 255]
     assert pixels[9, 9].tolist() == [0, 0, 0, 0]
     assert len(list(root.iter(f"{SVG}polyline"))) == 1
+
+
+# --- fewer pixels ---------------------------------------------------------------------------
+
+
+def test_a_thumbnail_has_the_colours_that_were_drawn_in_their_places():
+    drawing = Drawing()
+    red, green = Pen(Colour(255, 0, 0)), Pen(Colour(0, 255, 0))
+    drawing.line(1, red, 1.2 + 1.2j, 2.2 + 1.2j)
+    drawing.line(2, green, 10.3 + 10.3j, 10.3 + 10.3j)
+    small = thumbnail(drawing.pixels(), 11, 11)
+    where = {(x, y): c for y, row in enumerate(small) for x, c in enumerate(row) if c is not None}
+    assert where == {(1, 1): red.colour, (2, 1): red.colour, (10, 10): green.colour}
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (3, 7), (500, 500)])
+def test_a_thumbnail_has_the_size_that_is_asked_for(width, height):
+    small = thumbnail(Drawing().pixels(), width, height)
+    assert [len(row) for row in small] == [width] * height

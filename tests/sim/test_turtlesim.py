@@ -425,6 +425,17 @@ async def test_requests_that_come_together_leave_each_turtle_with_its_endpoints_
 # What is drawn
 
 
+async def test_the_first_turtles_are_told_with_their_poses_and_pens():
+    async with stage(turtles=3) as here:
+        here.command(x=2.0)
+        await here.pass_ticks(20)
+        (name, pose, colour), (second, *_) = here.sim.turtles(2)
+        small = here.sim.thumbnail(11, 11)
+    assert (name, second, colour) == ("turtle1", "turtle2", (179, 184, 255))
+    assert pose.x == pytest.approx(5.5444 + 0.64, abs=1e-3)
+    assert [column for column, each in enumerate(small[5]) if each == colour] == [5, 6]
+
+
 async def test_a_snapshot_shows_the_drawing_the_turtles_and_the_background():
     async with stage(turtles=2) as here:
         here.command(x=2.0)

@@ -13,7 +13,8 @@ __all__ = ["VERBS"]
 VERBS: Final = {
     "send-goal": "Send a goal, follow it to its end, print the result.",
     "serve": "Serve a world of turtles and your own actions, to this machine or beyond.",
-    "run": "Run a program of ROS 2 that has its like here, as turtlesim turtlesim_node.",
+    "run": "Run a program of ROS 2 that has its like here, such as turtlesim turtlesim_node.",
+    "teleop": "Drive a turtle with the keys of turtle_teleop_key.",
     "goals": "List the goals that servers hold.",
     "cancel": "Cancel goals, whoever has sent them.",
     "watch": "Print the feedback of a goal, then its result.",

@@ -6,17 +6,16 @@ prints in this process meanwhile is a line of its log. When it ends, its lines a
 
 from __future__ import annotations
 
-import io
 import sys
-from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TextIO
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Final, TextIO
 
 import anyio
 
 from turtleact import render
 from turtleact.commands import frames
+from turtleact.commands.printed import Log
 from turtleact.commands.terminal import Region
 from turtleact.commands.tracks import POSES_A_FRAME, Course, sends_a_turtle
 from turtleact.interfaces.standard import TurtlePose
@@ -31,11 +30,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Dashboard"]
 
-MOST_LINES: Final = 200
-"""So many lines of the log are kept."""
-
 MOST_LEFT: Final = 20
-"""So many of them are left standing."""
+"""So many lines of the log are left standing."""
 
 MOST_ENDED: Final = 50
 """So many goals that have ended stay in the table."""
@@ -57,7 +53,7 @@ class Dashboard:
     def __init__(self, stream: TextIO) -> None:
         self._region = Region(stream)
         self._heading: list[str] = []
-        self._log: deque[_Line] = deque(maxlen=MOST_LINES)
+        self._log = Log()
         self._goals: dict[bytes, _Served] = {}
         self._sim: Turtlesim | None = None
         self._has_said = anyio.Event()
@@ -87,7 +83,7 @@ class Dashboard:
             self._goals[goal_id] = _Served(goal)
         self._goals[goal_id].change(new)
         short = line.replace(goal_id.hex(), goal_id.hex()[:8]).replace(time, time[:8])
-        self._log.append(_Line(short, line))
+        self._log.add(line, short)
         ended = [key for key, each in self._goals.items() if each.ended_at is not None]
         for key in ended[:-MOST_ENDED]:
             del self._goals[key]
@@ -99,25 +95,25 @@ class Dashboard:
     @contextmanager
     def listening(self) -> Iterator[None]:
         """A block in which what is printed goes to the log; if that was never seen, to stderr."""
-        printed = _Printed(lambda line: self._log.append(_Line(line, line)))
         try:
-            with redirect_stdout(printed), redirect_stderr(printed):
+            with self._log.listening():
                 yield
         finally:
             if not self._has_said.is_set():
-                for line in self._log:
+                for line in self._log.lines():
                     print(line.full, file=sys.stderr)
 
     async def run(self) -> None:
         """Draw from the first line that is said until it is canceled; lines are left standing."""
-        await self._has_said.wait()
+        if not self._has_said.is_set():
+            await self._has_said.wait()
         with self._region.held():
             try:
                 await frames.keep_drawing(self._region, self._compose)
             except OSError:  # the terminal has gone; the server goes on without
                 return
             finally:
-                kept = [line.full for line in list(self._log)[-MOST_LEFT:]]
+                kept = [line.full for line in self._log.lines()[-MOST_LEFT:]]
                 self._region.say("".join(f"{line}\n" for line in (*self._heading, *kept)))
 
     def _compose(self, *, width: int, height: int) -> render.Picture:
@@ -132,7 +128,7 @@ class Dashboard:
             targets += goal.look()
         world = None if sim is None else render.MapView(SIDE, turtles, _Drawn(sim), targets)
         rows = [goal.row() for goal in self._in_order()]
-        log = [line.short for line in list(self._log)]
+        log = [line.short for line in self._log.lines()]
         shown = render.Board(self._heading, world, rows, log=log)
         return render.board(shown, width=width, height=height)
 
@@ -140,13 +136,6 @@ class Dashboard:
         """The goals that run, then those that have ended, the newest of them first."""
         goals = list(reversed(self._goals.values()))
         return sorted(goals, key=lambda goal: goal.ended_at is not None)
-
-
-class _Line(NamedTuple):
-    """A line of the log, as it is shown and as it is left standing."""
-
-    short: str
-    full: str
 
 
 class _Served:
@@ -208,26 +197,6 @@ class _Drawn:
                 if colour is not None:
                     canvas.dot(column, top - row, _style(colour))
         return canvas
-
-
-class _Printed(io.TextIOBase):
-    """What is printed, line by line.
-
-    Args:
-        take: Takes a line.
-    """
-
-    def __init__(self, take: Callable[[str], object]) -> None:
-        super().__init__()
-        self._take = take
-        self._begun = ""
-
-    def write(self, text: str) -> int:
-        """Take the lines that are whole."""
-        *whole, self._begun = (self._begun + text).split("\n")
-        for line in whole:
-            self._take(line)
-        return len(text)
 
 
 def _style(colour: tuple[int, int, int]) -> str:

@@ -79,7 +79,7 @@ class Outlet:
     def push(self) -> bool:
         """Write what is kept; whether the terminal has taken all of it."""
         if self._descriptor is None:
-            return bool(select.select([], [self._stream], [], 0)[1])
+            return not self._stream.isatty() or bool(select.select([], [self._stream], [], 0)[1])
         while self._kept:
             try:
                 written = os.write(self._descriptor, self._kept)

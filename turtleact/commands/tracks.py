@@ -129,9 +129,9 @@ class Course:
 def pose_topics(node: Node) -> dict[str, str]:
     """The topics on which turtles tell where they are, in name order, with their types."""
     return {
-        topic: known[0]
-        for topic, types in sorted(node.graph().topics.items())
-        if topic.endswith(POSE) and (known := [each for each in POSE_TYPES if each in types])
+        each.name: each.type_name
+        for each in sorted(node.transport.endpoints(), key=lambda each: each.name)
+        if each.kind == "publisher" and each.name.endswith(POSE) and each.type_name in POSE_TYPES
     }
 
 

@@ -18,6 +18,7 @@ ARROWS: Final = "→↗↑↖←↙↓↘"
 WALL, TRAIL, TARGET, TURTLE = "dim", "cyan", "yellow", "green"
 
 LONGEST_NAME: Final = 12
+BLANK: Final = chr(0x2800)
 
 Marks: TypeAlias = dict[tuple[int, int], tuple[str, str]]
 """What stands in a cell, by row from the top and column: a character and its style."""
@@ -61,7 +62,7 @@ def world_map(view: MapView, rows: int) -> Text:
     """The world between its walls, ``rows`` high and twice as wide, border not counted.
 
     Of what falls into one cell, a turtle is shown before a target, a target before a name, and a
-    name before a trail. A name stands where there is room for it, or not at all.
+    name before a trail. A name stands where it hides least, or not at all if there is no room.
     """
     columns = 2 * rows
     canvas = Braille(columns, rows) if view.ink is None else view.ink.canvas(columns, rows)
@@ -74,7 +75,7 @@ def world_map(view: MapView, rows: int) -> Text:
     for turtle, cell in zip(view.turtles, cells, strict=True):
         marks[cell] = (ARROWS[round(turtle.theta / math.tau * 8) % 8], f"bold {turtle.colour}")
     for turtle, cell in zip(view.turtles, cells, strict=True):
-        _label(marks, turtle, cell, columns, rows)
+        _label(marks, turtle, cell, canvas.rows())
     return _bordered(canvas, marks)
 
 
@@ -84,22 +85,27 @@ def _cell(x: float, y: float, columns: int, rows: int) -> tuple[int, int]:
     return min(max(rows - 1 - round(y) // 4, 0), rows - 1), column
 
 
-def _label(marks: Marks, turtle: Turtle, cell: tuple[int, int], columns: int, rows: int) -> None:
-    """Put a turtle's name beside, above or below it."""
+def _label(marks: Marks, turtle: Turtle, cell: tuple[int, int], drawn: Sequence[str]) -> None:
+    """Put a turtle's name beside, above or below it, where it hides least of what was drawn."""
     name = shortened(printable(turtle.name), LONGEST_NAME)
     row, column = cell
-    middle = min(max(column - len(name) // 2, 0), columns - len(name))
+    last = len(drawn[0]) - len(name)
+    middle = min(max(column - len(name) // 2, 0), last)
     places = [
         (row, column + 2),
         (row, column - 1 - len(name)),
         (row - 1, middle),
         (row + 1, middle),
     ]
-    for at, start in places:
-        taken = {(at, start + i): (character, turtle.colour) for i, character in enumerate(name)}
-        if 0 <= at < rows and 0 <= start <= columns - len(name) and not taken.keys() & marks.keys():
-            marks.update(taken)
-            return
+    free = [
+        (sum(dots != BLANK for dots in drawn[at][start : start + len(name)]), order, cells)
+        for order, (at, start) in enumerate(places)
+        if 0 <= at < len(drawn) and 0 <= start <= last
+        if not marks.keys() & (cells := {(at, start + i): i for i in range(len(name))}).keys()
+    ]
+    if free:
+        _, _, cells = min(free, key=lambda place: place[:2])
+        marks.update({at: (name[i], turtle.colour) for at, i in cells.items()})
 
 
 def _bordered(canvas: Braille, marks: Marks) -> Text:

@@ -70,6 +70,25 @@ _Speed = Annotated[str, typer.Option(metavar="FACTOR", help="How fast time passe
 _Turtles = Annotated[str, typer.Option(metavar="N", help="How many turtles there are.")]
 _Seed = Annotated[str, typer.Option(metavar="NUMBER", help="What its random choices begin with.")]
 
+_RosArguments = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="--ros-args ...", help="Of turtle_teleop_key: -r FROM:=TO, -p NAME:=VALUE."
+    ),
+]
+
+_FIBONACCI = "turtleact.actions.fibonacci"
+
+_PROGRAMS = (
+    ("turtlesim", "turtlesim_node"),
+    ("turtlesim", "turtle_teleop_key"),
+    ("action_tutorials_py", "fibonacci_action_server"),
+    ("action_tutorials_cpp", "fibonacci_action_server"),
+    ("examples_rclpy_minimal_action_server", "server"),
+    ("examples_rclcpp_minimal_action_server", "action_server_member_functions"),
+)
+"""The programs of ROS 2 that have their like here; those of other packages serve Fibonacci."""
+
 _EXAMPLES = """\b
 Examples:
   turtleact serve
@@ -144,52 +163,39 @@ def run(
     package: Annotated[
         str,
         typer.Argument(
-            metavar="PACKAGE", help="turtlesim.", autocompletion=completing.words("turtlesim")
+            metavar="PACKAGE",
+            help="turtlesim or action_tutorials_py.",
+            autocompletion=completing.words(*dict.fromkeys(package for package, _ in _PROGRAMS)),
         ),
     ],
     executable: Annotated[
         str,
         typer.Argument(
             metavar="EXECUTABLE",
-            help="turtlesim_node.",
-            autocompletion=completing.words("turtlesim_node"),
+            help="turtlesim_node, turtle_teleop_key or fibonacci_action_server.",
+            autocompletion=completing.words(*(name for _, name in _PROGRAMS)),
         ),
     ],
-    more: Annotated[
-        list[str] | None, typer.Argument(metavar="ARGS", help="None are taken.")
-    ] = None,
+    arguments: _RosArguments = None,
     *,
     domain: Domain = None,
 ) -> Job:
     """``run``: the programs of ROS 2 that have their like here."""
-    if (package, executable) in _FIBONACCI:
-        if not more:
-            return serve([_FIBONACCI_TARGET], no_sim=True, domain=domain)
-    elif (package, executable) != ("turtlesim", "turtlesim_node"):
+    if (package, executable) not in _PROGRAMS:
+        known = ", ".join(f"'{package} {executable}'" for package, executable in _PROGRAMS)
         raise UsageError(
-            f"'{package} {executable}' is not there: turtleact runs 'turtlesim turtlesim_node' and "
-            "'action_tutorials_py fibonacci_action_server'; "
-            "your own actions are for 'turtleact serve module:object'"
+            f"'{package} {executable}' is not there: turtleact runs {known}; your own actions are "
+            "for 'turtleact serve module:object'"
         )
-    if more:
+    if executable == "turtle_teleop_key":
+        from turtleact.commands.verbs.teleop import turtle_teleop_key
+
+        return turtle_teleop_key(arguments or (), domain)
+    if arguments:
         raise UsageError(
-            f"{quoted(' '.join(more))} is not taken: names stay as they are, and parameters are "
-            "for 'turtleact param set' and 'load', once it runs"
+            f"{quoted(' '.join(arguments))} is not taken: names stay as they are, and parameters "
+            "are for 'turtleact param set' and 'load', once it runs"
         )
+    if package != "turtlesim":
+        return serve([_FIBONACCI], no_sim=True, domain=domain)
     return serve(domain=domain)
-
-
-_FIBONACCI_TARGET = "turtleact.actions.fibonacci"
-_FIBONACCI = {
-    ("action_tutorials_cpp", "fibonacci_action_server"),
-    ("action_tutorials_py", "fibonacci_action_server"),
-    ("examples_rclcpp_minimal_action_server", "action_server_member_functions"),
-    ("examples_rclpy_minimal_action_server", "server"),
-}
-"""The servers of the action tutorials."""
-
-
-def _host_and_port(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    host = host.removeprefix("[").removesuffix("]")
-    return host or "127.0.0.1", whole("the port of --web", port, most=65535)

@@ -1,0 +1,181 @@
+"""The dashboard of ``serve``: what is on it, and that nothing waits for it."""
+
+from __future__ import annotations
+
+import io
+import logging
+import re
+import sys
+from contextlib import asynccontextmanager
+
+import anyio
+import pytest
+
+from turtleact import render
+from turtleact.actions.patrol import Patrol
+from turtleact.app import open_world
+from turtleact.commands import dashboard, frames
+from turtleact.commands.dashboard import Dashboard
+from turtleact.commands.serve import _Log
+from turtleact.commands.terminal import GIVE_BACK
+from turtleact.interfaces.standard import Fibonacci, Point, RotateAbsolute, SetPen, Twist, Vector3
+
+ESCAPE = re.compile(r"\x1b(\[[0-9;?]*[A-Za-z]|[78])")
+READY = "ready at tcp/127.0.0.1:7447, domain 0: /patrol"
+
+
+@pytest.fixture
+def anyio_backend():
+    return "asyncio"
+
+
+@asynccontextmanager
+async def served(**options):
+    """A dashboard, and a node in the world that it shows."""
+    board = Dashboard(io.StringIO())
+    log = _Log(board)
+    log.say(READY)
+    world = open_world(speed="max", on_start=board.begin, on_transition=log.tell, **options)
+    async with world as node:
+        yield board, node
+
+
+def shown(board, width=99, height=37):
+    content = board._compose(width=width, height=height)
+    return [ESCAPE.sub("", line) for line in render.lines(content, width=width, height=height)]
+
+
+def world_of(lines):
+    """What is between the walls."""
+    return "".join(line[1 : line.index("│", 1)] for line in lines if line.startswith("│"))
+
+
+async def test_the_line_that_says_it_is_ready_is_always_there():
+    async with served() as (board, _):
+        assert shown(board)[0] == READY
+        assert shown(board, width=59, height=10)[0].startswith("ready at tcp/127.0.0.1:7447")
+
+
+async def test_all_turtles_are_on_the_map_with_their_names():
+    async with served(turtles=3) as (board, _):
+        world = world_of(shown(board))
+    assert all(f"turtle{number}" in world for number in (1, 2, 3))
+
+
+async def test_a_trail_has_the_colour_of_the_pen(monkeypatch):
+    monkeypatch.setenv("COLORTERM", "truecolor")
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    async with served() as (board, node):
+        pen = node.service_client(SetPen, "turtle1/set_pen")
+        await pen.call(SetPen.Request(r=200, g=100, b=50, width=3))
+        node.publisher(Twist, "turtle1/cmd_vel").publish(Twist(Vector3(x=2.0), Vector3()))
+        await node.clock.sleep(1.0)
+        content = render.lines(board._compose(width=99, height=37), width=99, height=37)
+    assert re.search(r"\x1b\[38;2;200;100;50m[⠁-⣿]+", "".join(content))
+
+
+async def test_a_drawing_is_where_the_turtle_has_been():
+    async with served() as (board, node):
+        node.publisher(Twist, "turtle1/cmd_vel").publish(Twist(Vector3(x=2.0), Vector3()))
+        await node.clock.sleep(1.1)
+        [line] = [line for line in shown(board) if "→" in line]
+    assert re.search(r"^│⠀+[⠁-⣿]{5,}→", line)
+
+
+async def test_a_goal_that_runs_is_told_with_its_state_age_and_progress():
+    async with served() as (board, node):
+        client = node.action_client(Patrol, "/patrol")
+        targets = [Point(x=6.0, y=5.5), Point(x=1.0, y=1.0)]
+        async with client.send_goal(Patrol.Goal(targets=targets)) as goal:
+            await node.clock.sleep(2.0)
+            lines = shown(board, width=140)
+            assert re.search(
+                rf"● /patrol +EXECUTING +2\.0 s  {goal.goal_id.hex()[:8]}  1 of 2 places",
+                "\n".join(lines),
+            )
+            assert "2" in world_of(lines).replace("turtle1", "")
+
+
+async def test_a_goal_that_has_ended_stays_below_those_that_run():
+    async with served() as (board, node):
+        turn = node.action_client(RotateAbsolute, "/turtle1/rotate_absolute")
+        async with turn.send_goal(RotateAbsolute.Goal(3.0)):
+            await node.action_client(Fibonacci, "/fibonacci").send_goal(Fibonacci.Goal(order=1))
+            told = re.findall(r"● (\S+) +(\w+)", "\n".join(shown(board)))
+    assert told == [("/turtle1/rotate_abs…", "EXECUTING"), ("/fibonacci", "SUCCEEDED")]
+
+
+async def test_the_places_of_a_goal_that_has_ended_are_gone():
+    async with served() as (board, node):
+        goal = Patrol.Goal(targets=[Point(x=6.0, y=5.5)])
+        await node.action_client(Patrol, "/patrol").send_goal(goal)
+        assert not re.search(r"\d", world_of(shown(board)).replace("turtle1", ""))
+
+
+async def test_each_change_of_a_goal_is_a_line_of_the_log():
+    async with served() as (board, node):
+        async with node.action_client(Fibonacci, "/fibonacci").send_goal(
+            Fibonacci.Goal(order=1)
+        ) as goal:
+            await goal.outcome()
+        changes = [line for line in shown(board) if re.match(r"\d\d:\d\d:\d\d ", line)]
+        assert [line.split()[1:] for line in changes] == [
+            ["/fibonacci", goal.goal_id.hex()[:8], state]
+            for state in ("ACCEPTED", "EXECUTING", "SUCCEEDED")
+        ]
+
+
+async def test_only_so_many_goals_that_have_ended_are_kept(monkeypatch):
+    monkeypatch.setattr(dashboard, "MOST_ENDED", 2)
+    async with served() as (board, node):
+        client = node.action_client(Fibonacci, "/fibonacci")
+        for _ in range(3):
+            await client.send_goal(Fibonacci.Goal(order=1))
+        assert len([line for line in shown(board) if "●" in line]) == 2
+
+
+async def test_what_is_printed_and_warned_of_is_in_the_log(monkeypatch):
+    logger = logging.getLogger("dashboard_test")
+    monkeypatch.setattr(logger, "propagate", False)  # to the handlers of pytest
+    async with served() as (board, _):
+        with board.listening():
+            print("from a body")
+            logger.warning("beware")
+            print("\x1b[2Jnasty", file=sys.stderr)
+        lines = shown(board)
+    assert "from a body" in lines
+    assert "beware" in lines
+    assert "·[2Jnasty" in lines
+
+
+def test_what_is_printed_before_there_is_a_dashboard_goes_to_stderr(capsys):
+    board = Dashboard(io.StringIO())
+    with board.listening():
+        print("too early")
+    assert capsys.readouterr() == ("", "too early\n")
+
+
+async def test_its_lines_are_left_standing():
+    async with served() as (board, node):
+        async with anyio.create_task_group() as beside:
+            beside.start_soon(board.run)
+            client = node.action_client(Fibonacci, "/fibonacci")
+            async with client.send_goal(Fibonacci.Goal(order=1)) as goal:
+                await goal.outcome()
+            beside.cancel_scope.cancel()
+        left = board._region._stream.getvalue().rpartition(GIVE_BACK)[2].splitlines()
+    assert left[0] == READY
+    assert [line.split()[1:] for line in left[1:]] == [
+        ["/fibonacci", goal.goal_id.hex(), state]
+        for state in ("ACCEPTED", "EXECUTING", "SUCCEEDED")
+    ]
+
+
+async def test_a_terminal_that_goes_away_ends_the_drawing_and_nothing_else(monkeypatch):
+    def draw(*_):
+        raise OSError(5, "gone")
+
+    async with served() as (board, _):
+        monkeypatch.setattr(frames, "draw", draw)
+        await board.run()

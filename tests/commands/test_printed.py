@@ -1,0 +1,44 @@
+"""What is printed beside a display is a line of its log."""
+
+from __future__ import annotations
+
+import sys
+
+from turtleact.commands import printed
+from turtleact.commands.printed import Log
+
+
+def full(log):
+    return [line.full for line in log.lines()]
+
+
+def test_what_is_printed_comes_line_by_line():
+    log = Log()
+    with log.listening():
+        print("one", end="")
+        print(" and", "two", file=sys.stderr)
+        print("three")
+    assert full(log) == ["one and two", "three"]
+
+
+def test_a_line_that_differs_from_the_last_in_numbers_replaces_it():
+    log = Log()
+    for x in ("11.1", "-0.5"):
+        log.write(f"hit the wall at x={x}\n")
+    log.write("other\n")
+    assert full(log) == ["hit the wall at x=-0.5", "other"]
+
+
+def test_a_line_that_is_added_replaces_none():
+    log = Log()
+    log.add("goal 1", "1")
+    log.add("goal 2", "2")
+    assert [line.short for line in log.lines()] == ["1", "2"]
+
+
+def test_the_newest_lines_are_kept():
+    log = Log()
+    for number in range(printed.MOST + 1):
+        log.add(f"{number}")
+    assert full(log)[0] == "1"
+    assert len(full(log)) == printed.MOST

@@ -1,0 +1,141 @@
+"""``serve`` on a terminal: its dashboard, and lines where that is not wanted or cannot be."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import termios
+from contextlib import contextmanager, suppress
+
+import pytest
+
+from .ttys import open_terminal, read
+
+PATIENCE = 30.0
+
+
+class Served:
+    """A server on a terminal, in a process group of its own."""
+
+    def __init__(self, *arguments, columns=100, rows=40, **environment):
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.at = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+        self.main, self.other = open_terminal(columns, rows)
+        settings = {"TERM": "xterm-256color", "PYTHONUTF8": "1", "ROS_DOMAIN_ID": "0"}
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "turtleact", "serve", "--listen", self.at, *arguments],
+            stdin=self.other,
+            stdout=self.other,
+            stderr=self.other,
+            process_group=0,
+            env=os.environ | settings | environment,
+        )
+        self.text = b""
+
+    def wait_for(self, text):
+        while text.encode() not in self.text:
+            self.text += read(self.main)
+
+    @property
+    def echoes(self):
+        return bool(termios.tcgetattr(self.main)[3] & termios.ECHO)
+
+    def send_goal(self):
+        """The exit status of a goal that is sent to it, and what is said of it."""
+        arguments = ["send-goal", "go_to", "{x: 7, y: 7}", "--plain", "--connect", self.at]
+        sent = subprocess.run(
+            [sys.executable, "-m", "turtleact", *arguments],
+            env=os.environ | {"ROS_DOMAIN_ID": "0"},
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+            check=False,
+        )
+        return sent.returncode, sent.stdout + sent.stderr
+
+    def end(self):
+        """End it, and give its exit status and all that it has written."""
+        self.process.terminate()
+        os.close(self.other)
+        while chunk := read(self.main):
+            self.text += chunk
+        return self.process.wait(PATIENCE), self.text.decode().replace("\r\n", "\n")
+
+
+def fill(terminal):
+    """Write until a terminal takes nothing more."""
+    descriptor = os.open(os.ttyname(terminal), os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
+    with suppress(BlockingIOError):
+        while os.write(descriptor, b"x" * 4096):
+            pass
+    os.close(descriptor)
+
+
+@contextmanager
+def serving(*arguments, **options):
+    served = Served(*arguments, **options)
+    try:
+        yield served
+    finally:
+        served.process.kill()
+        served.process.wait()
+        os.close(served.main)
+
+
+def test_a_terminal_shows_a_dashboard_and_is_given_back_with_what_has_happened():
+    with serving("--speed", "100") as served:
+        served.wait_for("no goals yet")
+        assert not served.echoes
+        assert served.send_goal()[0] == 0
+        served.wait_for("SUCCEEDED")
+        served.process.send_signal(signal.SIGTSTP)
+        assert os.WIFSTOPPED(os.waitpid(served.process.pid, os.WUNTRACED)[1])
+        assert served.echoes
+        served.process.send_signal(signal.SIGCONT)
+        status, text = served.end()
+    assert status == 0
+    assert "\x1b[?1049h" not in text
+    left = text[text.rindex("\x1b[?25h") :].splitlines()
+    assert left[0].startswith(f"\x1b[?25hready at {served.at}, domain 0: /command_turtle, ")
+    assert [line.split()[-1] for line in left[1:4]] == ["ACCEPTED", "EXECUTING", "SUCCEEDED"]
+    assert left[4] == "turtleact: no new goals are taken; those that run are ended"
+
+
+def test_a_terminal_that_takes_nothing_holds_up_neither_the_world_nor_its_end():
+    with serving("--speed", "100") as served:
+        served.wait_for("no goals yet")
+        fill(served.other)
+        status, said = served.send_goal()
+        assert (status, said.endswith("status: SUCCEEDED\n")) == (0, True)
+        served.process.terminate()
+        assert served.process.wait(PATIENCE) == 0
+        os.close(served.other)
+
+
+@pytest.mark.parametrize(
+    ("option", "environment"),
+    [(["--plain"], {}), (["--headless"], {}), ([], {"TERM": "dumb"})],
+)
+def test_lines_are_written_where_nothing_can_or_shall_move(option, environment):
+    with serving("--no-sim", *option, **environment) as served:
+        served.wait_for("ready at")
+        assert served.echoes
+        assert served.end() == (
+            0,
+            f"ready at {served.at}, domain 0: nothing\n"
+            "turtleact: no new goals are taken; those that run are ended\n",
+        )
+
+
+def test_without_a_world_there_is_no_map():
+    with serving("--no-sim", columns=60, rows=20, NO_COLOR="1") as served:
+        served.wait_for("no goals yet")
+        status, text = served.end()
+    assert status == 0
+    assert "┌" not in text
+    assert not re.search(r"\x1b\[[0-9;]*3[0-9]", text)

@@ -1,0 +1,353 @@
+"""``teleop``: drive a turtle with the keys of ``turtle_teleop_key``, and see where it goes.
+
+The turtle is one of the graph in reach; if there is none, of a world in this process. Keys are read
+by the event loop: no thread waits for them.
+
+Source: turtlesim 1.8.2, ``tutorials/teleop_turtle_key.cpp``, for the keys, speeds and words.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import os
+import sys
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager, nullcontext
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import anyio
+
+from turtleact.commands.keys import Keys
+from turtleact.commands.printed import Log
+from turtleact.commands.send_goal import embedded_world
+from turtleact.commands.stderr import note
+from turtleact.commands.terminal import Region, can_move
+from turtleact.commands.transcript import say
+from turtleact.errors import TurtleactError, UsageError
+from turtleact.goal import GoalStatus
+from turtleact.interfaces.standard import RotateAbsolute, Twist, Vector3
+from turtleact.node import Node, open_node
+from turtleact.transports import QoS
+
+if TYPE_CHECKING:
+    from turtleact import render
+    from turtleact.client import ClientGoalHandle
+    from turtleact.commands.interrupts import Interrupts
+    from turtleact.commands.verbs.arguments import Reach
+
+__all__ = ["Order", "run"]
+
+HELP: Final = """Reading from keyboard
+---------------------------
+Use arrow keys to move the turtle.
+Use G|B|V|C|D|E|R|T keys to rotate to absolute orientations. 'F' to cancel a rotation.
+'Q' to quit.
+"""
+
+DRIVES: Final = {"up": (1.0, 0.0), "down": (-1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0)}
+"""The shares of the linear and angular speed that a key asks for."""
+
+HEADINGS: Final = {
+    "g": 0.0,
+    "t": 0.7854,
+    "r": 1.5708,
+    "e": 2.3562,
+    "d": 3.1416,
+    "c": -2.3562,
+    "v": -1.5708,
+    "b": -0.7854,
+}
+"""The headings (rad) that a key asks for; the keys lie around F."""
+
+CANCEL, QUIT = "f", "q"
+
+SHOWN: Final = (
+    "←↑↓→  drive",
+    "E R T",
+    "D   G  rotate",
+    "C V B",
+    "F  cancel   Q  quit",
+)
+"""The keys, as a live display shows them."""
+
+COMMANDS, ROTATION = "cmd_vel", "rotate_absolute"
+
+BACKGROUND: Final = 0.2
+"""How often a process in the background looks whether it is in the foreground again (s)."""
+
+OK: Final = 0
+"""The exit status if the user quits."""
+
+GONE: Final = 2.0
+"""A turtle that is missing for so long has gone (wall seconds): a reset takes it away for less."""
+
+
+class Order(NamedTuple):
+    """What the user wants.
+
+    Attributes:
+        turtle: Which turtle; None for turtle1, or the only one.
+        remaps: Other names for ``turtle1/cmd_vel`` and ``turtle1/rotate_absolute``.
+        linear: The speed ahead (m/s).
+        angular: The turn rate (rad/s).
+        is_plain: Whether a terminal shows no map, too.
+        reach: Where to look for turtles; None means in the embedded world alone.
+    """
+
+    turtle: str | None
+    remaps: dict[str, str]
+    linear: float
+    angular: float
+    is_plain: bool
+    reach: Reach | None
+
+
+def run(order: Order, interrupts: Interrupts) -> int:
+    """Drive until Q, a signal or the end of the turtle, and give the exit status.
+
+    Raises:
+        UsageError: if stdin is no terminal.
+        TurtleactError: if no such turtle is in reach.
+    """
+    if sys.stdin is None or not sys.stdin.isatty():
+        raise UsageError("teleop reads keys, and stdin is no terminal: run it in one")
+    is_live = not order.is_plain and can_move(sys.stdout)
+    region = Region(sys.stdout if is_live else sys.stdin, sys.stdin)
+    interrupts.restore = region.restore
+    try:
+        return asyncio.run(_run(order, region, interrupts, is_live=is_live))
+    finally:
+        region.restore()
+
+
+async def _run(order: Order, region: Region, interrupts: Interrupts, *, is_live: bool) -> int:
+    status: int | None = None
+    with interrupts.listening(asyncio.get_running_loop()):
+        async with anyio.create_task_group() as beside:
+            beside.start_soon(_heed_interrupts, interrupts, beside.cancel_scope)
+            async with _find_node(order) as (node, turtle):
+                await _Driving(order, node, turtle, region, is_live=is_live).run()
+                status = OK
+            beside.cancel_scope.cancel()
+    return interrupts.status if status is None else status
+
+
+async def _heed_interrupts(interrupts: Interrupts, scope: anyio.CancelScope) -> None:
+    await interrupts.wait(1)
+    scope.cancel()
+
+
+@asynccontextmanager
+async def _find_node(order: Order) -> AsyncIterator[tuple[Node, str]]:
+    """A node, and the turtle on its graph that is meant; if need be in a world of its own."""
+    async with AsyncExitStack() as stack:
+        if order.reach is not None:
+            from turtleact.commands.graph import open_transport
+
+            try:
+                transport = await stack.enter_async_context(open_transport(order.reach))
+            except TurtleactError:
+                if order.reach.connect:
+                    raise
+            else:
+                node = await stack.enter_async_context(
+                    open_node("teleop_turtle", transport=transport)
+                )
+                turtle = _choose(order, node)
+                if turtle is not None:
+                    yield node, turtle
+                    return
+                await stack.aclose()
+        if _wanted(order) not in ("", "turtle1"):
+            raise TurtleactError(f"no turtle '{_wanted(order)}' is in reach, nor any other")
+        world = await stack.enter_async_context(embedded_world(1.0, 0))
+        node = await stack.enter_async_context(
+            open_node("teleop_turtle", transport=world.transport)
+        )
+        note("started an embedded world in this process")
+        yield node, "turtle1"
+
+
+def _choose(order: Order, node: Node) -> str | None:
+    """The turtle that is meant; None if there is none at all, and a world may be started.
+
+    Raises:
+        TurtleactError: if it is not there, or if it is not clear which one is meant.
+    """
+    wanted, turtles = _wanted(order), turtles_in_reach(node)
+    if not turtles:
+        if order.reach is not None and order.reach.connect:
+            where = ", ".join(order.reach.connect)
+            raise TurtleactError(f"no turtle is in reach at {where}: nobody reads a cmd_vel")
+        return None
+    if wanted in turtles:
+        return wanted
+    there_are = ", ".join(turtles)
+    if wanted:
+        raise TurtleactError(f"no turtle '{wanted}' is in reach (there are: {there_are})")
+    if "turtle1" in turtles:
+        return "turtle1"
+    if len(turtles) > 1:
+        raise TurtleactError(f"several turtles are in reach: say which with --turtle ({there_are})")
+    return turtles[0]
+
+
+def _wanted(order: Order) -> str:
+    """The turtle that was named; nothing if none was."""
+    remapped = order.remaps.get(f"turtle1/{COMMANDS}", "").removesuffix(f"/{COMMANDS}")
+    return (order.turtle or remapped).strip("/")
+
+
+def turtles_in_reach(node: Node) -> list[str]:
+    """Whatever reads a ``cmd_vel``, by its name, sorted."""
+    return sorted(
+        {
+            each.name.removesuffix(f"/{COMMANDS}").strip("/")
+            for each in node.transport.endpoints()
+            if each.kind == "subscription"
+            and each.name.endswith(f"/{COMMANDS}")
+            and each.type_name == Twist.type_name
+        }
+    )
+
+
+class _Driving:
+    """A turtle that is driven.
+
+    Args:
+        order: What the user wants.
+        node: Where it is driven from.
+        turtle: Its name.
+        region: The terminal.
+        is_live: Whether it shows a map.
+    """
+
+    def __init__(
+        self, order: Order, node: Node, turtle: str, region: Region, *, is_live: bool
+    ) -> None:
+        self._order = order
+        self._node = node
+        self._turtle = turtle
+        self._region = region
+        self._is_live = is_live
+        self._commands = node.publisher(Twist, self._name(COMMANDS), QoS(depth=1))
+        self._rotations = node.action_client(RotateAbsolute, self._name(ROTATION))
+        self._rotation: ClientGoalHandle[Any, Any] | None = None
+        self._tasks = anyio.create_task_group()
+        self._log = Log()
+        self._has_lost = False
+
+    async def run(self) -> None:
+        """Drive until the user quits.
+
+        Raises:
+            TurtleactError: if the turtle goes away.
+        """
+        with self._region.held():
+            say(HELP)
+            with self._log.listening() if self._is_live else nullcontext():
+                async with self._tasks:
+                    self._tasks.start_soon(self._watch)
+                    if self._is_live:
+                        self._tasks.start_soon(self._draw)
+                    await self._read()
+                    self._tasks.cancel_scope.cancel()
+        if self._has_lost:
+            topic = self._commands.topic
+            raise TurtleactError(f"turtle '{self._turtle}' has gone: nobody reads {topic} any more")
+
+    def _name(self, what: str) -> str:
+        """The topic or action of the turtle, unless it is to have another name."""
+        named = f"/{self._turtle}/{what}" if self._turtle else f"/{what}"
+        return self._order.remaps.get(f"turtle1/{what}", named)
+
+    # keys
+
+    async def _read(self) -> None:
+        """Do what keys ask for, until that is to quit."""
+        keys, typed_at = Keys(), sys.stdin.fileno()
+        while True:
+            await anyio.wait_readable(typed_at)
+            if not self._region.is_in_foreground():  # they are for somebody else
+                await anyio.sleep(BACKGROUND)
+                continue
+            try:
+                data = os.read(typed_at, 1024)
+            except OSError:  # the terminal has gone
+                data = b""
+            for key in keys.read(data):
+                self._press(key)
+                if key == QUIT:
+                    return
+            if not data:
+                return
+
+    def _press(self, key: str) -> None:
+        if key in DRIVES:
+            linear, angular = DRIVES[key]
+            speeds = self._order.linear * linear, self._order.angular * angular
+            self._commands.publish(Twist(Vector3(x=speeds[0]), Vector3(z=speeds[1])))
+        elif key in HEADINGS:
+            self._tasks.start_soon(self._rotate, HEADINGS[key])
+        elif key == CANCEL and self._rotation is not None:
+            self._rotation.cancel_nowait()
+
+    async def _rotate(self, theta: float) -> None:
+        """Turn the turtle to a heading (rad); how that ends is told only if it fails."""
+        try:
+            async with self._rotations.send_goal(RotateAbsolute.Goal(theta)) as handle:
+                handle.detach()  # it goes on when the user quits
+                self._rotation = handle
+                outcome = await handle.outcome()
+        except TurtleactError as error:
+            self._tell(str(error))
+            return
+        if outcome.status is GoalStatus.ABORTED:
+            self._tell(f"the rotation was aborted: {outcome.reason or 'no reason given'}")
+
+    # what is told
+
+    async def _watch(self) -> None:
+        """End it when the turtle has gone."""
+        while True:
+            with anyio.move_on_after(math.inf if self._is_there() else GONE) as missing:
+                await self._node.transport.wait_for_change()
+            if missing.cancelled_caught:
+                self._has_lost = True
+                self._tasks.cancel_scope.cancel()
+
+    def _is_there(self) -> bool:
+        topic = self._commands.topic
+        endpoints = self._node.transport.endpoints()
+        return any(each.kind == "subscription" and each.name == topic for each in endpoints)
+
+    def _tell(self, line: str) -> None:
+        if self._is_live:
+            self._log.add(line)
+        else:
+            note(line)
+
+    async def _draw(self) -> None:
+        from turtleact import render
+        from turtleact.commands import frames
+        from turtleact.commands.tracks import Tracks
+
+        tracks = Tracks(self._node)
+
+        def compose(*, width: int, height: int) -> render.Picture:
+            world = tracks.look()
+            heading = [f"driving {self._turtle}"]
+            poses = [each for each in world.turtles if each.name == self._turtle]
+            heading += [_place(pose) for pose in poses]
+            lines = [line.short for line in self._log.lines()]
+            shown = render.Board(
+                ["   ".join(heading)], world if world.turtles else None, keys=SHOWN, log=lines
+            )
+            return render.board(shown, width=width, height=height)
+
+        await frames.keep_drawing(self._region, compose)
+
+
+def _place(pose: render.Turtle) -> str:
+    return f"x {pose.x:.2f}  y {pose.y:.2f}  {math.degrees(pose.theta):.0f}°"
