@@ -84,7 +84,7 @@ async def print_goals(node: Node, name: str | None, *, as_json: bool) -> int:
     elif not silent:
         note("no server in reach holds a goal")
     if silent:
-        note(f"{silence(silent)}: what it holds is not known")
+        note(f"{silence(silent)}: goals may be missing")
     return NOT_DONE if silent else DONE
 
 
@@ -191,7 +191,7 @@ async def cancel_many(node: Node, name: str | None, before: int) -> int:
             _tell(goal.goal_id.hex(), action, why if refused else None)
             status = NOT_DONE if refused else status
     if silent:
-        note(f"{silence(silent)}: its goals are not canceled")
+        note(f"{silence(silent)}: some goals may not be canceled")
         return NOT_DONE
     if not meant:
         note("there is no goal to cancel")

@@ -1,8 +1,9 @@
 """The goals that the servers on the graph hold, as their status topics tell.
 
 A server tells of its goals when one changes, and the last it has told is latched; one that never
-had a goal may tell nothing. So what is latched is waited for, but not for long; whoever has told
-nothing then is asked to cancel a goal that nobody has, and a server that works says so.
+had a goal may tell nothing. So what is latched is waited for, but not for long. What is latched may
+also outlive a server that is stuck; so each is asked to cancel a goal that nobody has, which one
+that works answers.
 
 Source: rcl_action ``action_server.c`` for what is told and when.
 """
@@ -51,7 +52,7 @@ PATIENCE = 0.5
 
 
 ANSWER = 2.0
-"""How long is waited for the answer of a server that has told nothing (s, likewise)."""
+"""How long a server has to answer (s, likewise)."""
 
 
 class HeldGoal(NamedTuple):
@@ -90,37 +91,33 @@ def served_actions(node: Node, name: str | None) -> dict[str, str]:
     return {full_name: served[full_name]}
 
 
-async def held_goals(
-    node: Node, actions: dict[str, str]
-) -> tuple[list[HeldGoal], dict[str, list[str]]]:
-    """The goals of some actions, in the order of their acceptance; what does not answer.
+async def held_goals(node: Node, actions: dict[str, str]) -> tuple[list[HeldGoal], list[str]]:
+    """The goals of some actions, and which of their servers do not answer.
 
     Args:
         node: A node on the graph.
         actions: The actions, with their types.
 
     Returns:
-        The goals, and of each action whose server does not answer the nodes that serve it.
+        The goals in the order of their acceptance, and the nodes that do not answer.
     """
     found: dict[tuple[str, bytes], HeldGoal] = {}
-    untold = set(actions)
-    async with within(PATIENCE, node.clock), anyio.create_task_group() as listening:
-        for name, type_name in actions.items():
-            listening.start_soon(_listen, node, name, type_name, found, untold)
-    silent = set(untold)
+    silent: set[str] = set()
     async with anyio.create_task_group() as asking:
-        for name in untold:
-            asking.start_soon(_ask, node, name, silent)
+        for server, action in _servers(node, actions).items():
+            asking.start_soon(_ask, node, server, action, silent)
+        async with within(PATIENCE, node.clock), anyio.create_task_group() as listening:
+            for name, type_name in actions.items():
+                listening.start_soon(_listen, node, name, type_name, found)
     goals = sorted(found.values(), key=lambda goal: (goal.stamp, goal.action, goal.goal_id))
-    return goals, {name: _servers(node, name) for name in sorted(silent)}
+    return goals, sorted(silent)
 
 
-def silence(silent: dict[str, list[str]]) -> str:
-    """What is said of servers that do not answer: which they are, and what they serve."""
-    nodes = sorted({each for nodes in silent.values() for each in nodes})
-    them = "server" if len(nodes) == 1 else "servers"
-    verb = "does" if len(nodes) == 1 else "do"
-    return f"{them} {', '.join(nodes)} of {', '.join(silent)} {verb} not answer"
+def silence(silent: list[str]) -> str:
+    """What is said of nodes that do not answer."""
+    if len(silent) == 1:
+        return f"server {silent[0]} does not answer"
+    return f"servers {', '.join(silent)} do not answer"
 
 
 def goals_in(message: GoalStatusArray, action: str, type_name: str) -> Iterable[HeldGoal]:
@@ -160,13 +157,9 @@ async def find_goal(node: Node, wanted: str) -> HeldGoal:
 
 
 async def _listen(
-    node: Node,
-    name: str,
-    type_name: str,
-    found: dict[tuple[str, bytes], HeldGoal],
-    untold: set[str],
+    node: Node, name: str, type_name: str, found: dict[tuple[str, bytes], HeldGoal]
 ) -> None:
-    """Take the latched message of each server of an action; it is untold of no more then."""
+    """Take the latched message of each server of an action."""
     topic = action_names(name).status
     subscription = node.subscription(GoalStatusArray, topic, STATUS_QOS)
     left = node.count_publishers(topic)
@@ -176,28 +169,28 @@ async def _listen(
             left -= 1
             for goal in goals_in(message, name, type_name):
                 found[name, goal.goal_id] = goal
-        untold.discard(name)
     finally:
         await subscription.aclose()
 
 
-async def _ask(node: Node, name: str, silent: set[str]) -> None:
-    """Ask a server to cancel a goal that nobody has; whatever it answers, it is not silent."""
-    client = node.service_client(CancelGoal, action_names(name).cancel_goal)
+def _servers(node: Node, actions: dict[str, str]) -> dict[str, str]:
+    """The nodes that serve some actions, each with one of them."""
+    services = {action_names(name).cancel_goal: name for name in actions}
+    return {
+        each.node: services[each.name]
+        for each in node.transport.endpoints()
+        if each.kind == "service" and each.name in services
+    }
+
+
+async def _ask(node: Node, server: str, action: str, silent: set[str]) -> None:
+    """Ask a server to cancel a goal that nobody has: one that works answers, whatever it says."""
+    client = node.service_client(CancelGoal, action_names(action).cancel_goal)
     try:
         await client.call(CancelGoal.Request(GoalInfo(UUID(uuid.uuid4().bytes))), ANSWER)
     except ServiceTimeout:
-        return
+        silent.add(server)
     except TurtleactError:
         pass  # it was closed meanwhile, or answers with an error
     finally:
         await client.aclose()
-    silent.discard(name)
-
-
-def _servers(node: Node, action: str) -> list[str]:
-    service = action_names(action).cancel_goal
-    endpoints = node.transport.endpoints()
-    return sorted(
-        {each.node for each in endpoints if each.kind == "service" and each.name == service}
-    )

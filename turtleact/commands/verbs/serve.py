@@ -199,3 +199,9 @@ def run(
     if package != "turtlesim":
         return serve([_FIBONACCI], no_sim=True, domain=domain)
     return serve(domain=domain)
+
+
+def _host_and_port(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    host = host.removeprefix("[").removesuffix("]")
+    return host or "127.0.0.1", whole("the port of --web", port, most=65535)
