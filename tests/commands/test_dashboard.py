@@ -41,7 +41,7 @@ async def served(**options):
 
 
 def shown(board, width=99, height=37):
-    content = board._compose(width=width, height=height)
+    content = board.compose(width=width, height=height)
     return [ESCAPE.sub("", line) for line in render.lines(content, width=width, height=height)]
 
 
@@ -71,7 +71,7 @@ async def test_a_trail_has_the_colour_of_the_pen(monkeypatch):
         await pen.call(SetPen.Request(r=200, g=100, b=50, width=3))
         node.publisher(Twist, "turtle1/cmd_vel").publish(Twist(Vector3(x=2.0), Vector3()))
         await node.clock.sleep(1.0)
-        content = render.lines(board._compose(width=99, height=37), width=99, height=37)
+        content = render.lines(board.compose(width=99, height=37), width=99, height=37)
     assert re.search(r"\x1b\[38;2;200;100;50m[⠁-⣿]+", "".join(content))
 
 

@@ -109,14 +109,15 @@ class Dashboard:
             await self._has_said.wait()
         with self._region.held():
             try:
-                await frames.keep_drawing(self._region, self._compose)
+                await frames.keep_drawing(self._region, self.compose)
             except OSError:  # the terminal has gone; the server goes on without
                 return
             finally:
                 kept = [line.full for line in self._log.lines()[-MOST_LEFT:]]
                 self._region.say("".join(f"{line}\n" for line in (*self._heading, *kept)))
 
-    def _compose(self, *, width: int, height: int) -> render.Picture:
+    def compose(self, *, width: int, height: int) -> render.Picture:
+        """The picture as it is now."""
         turtles: list[render.Turtle] = []
         targets: list[render.Target] = []
         sim = self._sim
