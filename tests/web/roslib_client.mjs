@@ -1,7 +1,7 @@
 // What an unchanged roslib does against a bridge, and says on each line what it saw.
-// Its arguments are the address of roslib's module and the port of the bridge.
-const [library, port] = process.argv.slice(2);
-const { Action, Ros, Service, Topic } = await import(library);
+// Its arguments are the address of the folder of packages and the port of the bridge.
+const [packages, port] = process.argv.slice(2);
+const { Action, Ros, Service, Topic } = await import(`${packages}/roslib/dist/RosLib.js`);
 
 const tell = (name, value) => console.log(JSON.stringify([name, value]));
 const ros = new Ros({ url: `ws://127.0.0.1:${port}` });
@@ -10,7 +10,7 @@ await new Promise((resolve, reject) => { ros.on("connection", resolve); ros.on("
 // topics, in each compression; what is heard is published again, one up
 const up = new Topic({ ros, name: "/up", messageType: "geometry_msgs/Point" });
 up.advertise();
-for (const compression of ["none", "cbor", "cbor-raw"]) {
+for (const compression of ["none", "png", "cbor", "cbor-raw"]) {
   const down = new Topic({ ros, name: "/down", messageType: "geometry_msgs/Point", compression });
   tell(compression, await new Promise(resolve => down.subscribe(message => {
     down.unsubscribe();

@@ -100,7 +100,9 @@ SAID = {
 
 
 @ON_ONE
-async def test_roslibpy_does_all_that_it_can(caplog):
+@pytest.mark.parametrize("transport", ["twisted", "asyncio"])
+async def test_roslibpy_does_all_that_it_can(transport, monkeypatch, caplog):
+    monkeypatch.setenv("ROSLIBPY_TRANSPORT", transport)
     async with turtleact.open_node("lab") as node, open_web(node, port=0) as web:
         node.action_server(Count, "count", execute, goal_callback=decide)
         node.service(AddTwoInts, "add", lambda r: AddTwoInts.Response(sum=r.a + r.b))
