@@ -265,32 +265,65 @@ def checkout(tmp_path: Path):
     return make
 
 
-def run_ci(checkout: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [checkout / ".ci" / "run"], capture_output=True, text=True, check=False, timeout=30
-    )
+COMMANDS = [
+    *("awk", "bash", "cat", "dirname", "env", "git", "grep", "ls"),
+    *("mkdir", "mktemp", "rm", "tar", "timeout", "touch"),
+]
+
+
+@pytest.fixture
+def commands(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with all commands that .ci/run may find; there is a browser, so it installs none."""
+    folder = tmp_path_factory.mktemp("commands")
+    for command in COMMANDS:
+        (folder / command).symlink_to(shutil.which(command) or "/bin/false")
+    (folder / "chromium").symlink_to(folder / "bash")
+    return folder
+
+
+@pytest.fixture
+def run_ci(commands: Path):
+    """Runs a checkout's .ci/run."""
+
+    def run(checkout: Path) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [checkout / ".ci" / "run"],
+            env={**os.environ, "PATH": str(commands)},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=30,
+        )
+
+    return run
 
 
 def readme_with(command: str) -> str:
     return f"# t\n\n```sh\nfalse\n```\n\n<!-- test command -->\n```sh\n{command}\n```\n\nEnd.\n"
 
 
+def platform_release() -> str:
+    """What the system says of itself, each statement between line breaks."""
+    file = Path("/etc/os-release")
+    return f"\n{file.read_text('utf-8')}\n" if file.is_file() else ""
+
+
 needs_git = pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
 
 
 @needs_git
-def test_ci_runs_the_test_command_of_the_readme(checkout):
+def test_ci_runs_the_test_command_of_the_readme(checkout, run_ci):
     outcome = run_ci(checkout(readme_with("echo first && echo last")))
     assert outcome.stdout == "$ echo first && echo last\nfirst\nlast\n"
 
 
 @needs_git
-def test_ci_passes_the_exit_status_on(checkout):
+def test_ci_passes_the_exit_status_on(checkout, run_ci):
     assert run_ci(checkout(readme_with("exit 7"))).returncode == 7
 
 
 @needs_git
-def test_ci_runs_in_a_copy_of_the_checkout(checkout):
+def test_ci_runs_in_a_copy_of_the_checkout(checkout, run_ci):
     folder = checkout(readme_with("ls -A && touch left-behind"))
     outcome = run_ci(folder)
     assert outcome.stdout.splitlines()[1:] == [".ci", "README.md"]
@@ -298,7 +331,24 @@ def test_ci_runs_in_a_copy_of_the_checkout(checkout):
 
 
 @needs_git
-def test_ci_fails_in_one_line_if_the_readme_has_no_test_command(checkout):
+@pytest.mark.skipif(
+    "\nID=debian\n" not in platform_release(), reason="it installs a browser on Debian alone"
+)
+def test_ci_goes_on_where_no_browser_can_be_installed(checkout, commands, run_ci):
+    (commands / "chromium").unlink()
+    asked = commands / "asked"
+    (commands / "apt-get").write_text(f'#!/bin/sh\necho "$*" >>{asked}\ntest "$2" = update\n')
+    (commands / "apt-get").chmod(0o755)
+    (commands / "sudo").write_text('#!/bin/sh\nshift\nexec "$@"\n')
+    (commands / "sudo").chmod(0o755)
+    outcome = run_ci(checkout(readme_with("echo done")))
+    assert asked.read_text() == "-qq update\n-qqy install chromium\n"
+    assert (outcome.returncode, outcome.stdout) == (0, "$ echo done\ndone\n")
+    assert outcome.stderr == ".ci/run: no chromium could be installed\n"
+
+
+@needs_git
+def test_ci_fails_in_one_line_if_the_readme_has_no_test_command(checkout, run_ci):
     outcome = run_ci(checkout("# t\n\n```sh\ntrue\n```\n"))
     assert outcome.returncode == 2
     assert outcome.stderr == (
