@@ -13,7 +13,7 @@ import pytest
 import turtleact
 from turtleact import QoS, testing
 from turtleact.errors import ServerUnavailable, ServiceError
-from turtleact.interfaces import Message, Service, decode, int32, string, uint8
+from turtleact.interfaces import Message, Service, decode, get_interface, int32, string, uint8
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray, Point, Twist, Vector3
 from turtleact.web import Limits
 from turtleact.web.mailbox import MOST_KEPT
@@ -21,6 +21,7 @@ from turtleact.web.mailbox import MOST_KEPT
 from ..lab import Count, Gate, Running, count, goal, running, settle
 from .line import Line, bridged, line, websocket_scope
 
+Log: Any = get_interface("rcl_interfaces/msg/Log")
 LATCHED = QoS(depth=2, durability="transient_local")
 
 
@@ -73,6 +74,13 @@ async def test_a_topic_that_is_not_there_yet_is_read_once_it_is():
         await subscribe(client, "/here", type="geometry_msgs/msg/Point")
         node.publisher(Point, "here").publish(Point(x=1.0))
         assert (await client.hear())["msg"]["x"] == 1.0
+
+
+async def test_rosout_may_be_read_before_anybody_logs_without_saying_its_type():
+    async with bridged() as (node, bridge), line(bridge) as client:
+        await subscribe(client, "/rosout", compression="none")
+        node.publisher(Log, "/rosout").publish(Log(msg="hello"))
+        assert (await client.hear())["msg"]["msg"] == "hello"
 
 
 async def test_every_client_gets_every_message():

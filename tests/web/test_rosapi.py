@@ -129,7 +129,20 @@ async def test_topics_come_with_the_full_text_of_their_types(rosapi):
 async def test_a_text_that_is_not_known_is_a_comment(rosapi, monkeypatch):
     monkeypatch.setattr(rosapi, "_topics", lambda: {"topics": ["/t"], "types": ["a/msg/Nope"]})
     values = rosapi.call("/rosapi/topics_and_raw_types", {})
-    assert values["typedefs_full_text"] == ["# unknown interface 'a/msg/Nope'"]
+    assert values["typedefs_full_text"][0] == "# unknown interface 'a/msg/Nope'"
+
+
+async def test_by_the_topics_with_their_texts_a_client_sees_that_it_is_ros_2(rosapi):
+    values = rosapi.call("/rosapi/topics_and_raw_types", {})
+    assert (values["topics"][-1], values["types"][-1]) == ("/rosout", "rcl_interfaces/msg/Log")
+    assert "\nstring msg" in values["typedefs_full_text"][-1]
+    assert "/rosout" not in rosapi.call("/rosapi/topics", {})["topics"]
+
+
+async def test_rosout_is_told_of_once(rosapi, monkeypatch):
+    listed = {"topics": ["/rosout"], "types": ["rcl_interfaces/msg/Log"]}
+    monkeypatch.setattr(rosapi, "_topics", lambda: listed)
+    assert rosapi.call("/rosapi/topics_and_raw_types", {})["topics"] == ["/rosout"]
 
 
 @pytest.mark.parametrize("service", ["/add", "rosapi", "/rosapi/", "/other/topics"])

@@ -16,10 +16,13 @@ from turtleact.transports import Transport
 from turtleact.transports.base import Endpoint, EndpointKind
 from turtleact.web.spelling import message_class, service_class, type_name
 
-__all__ = ["Directory"]
+__all__ = ["ALWAYS", "Directory"]
 
 TOPIC_KINDS: tuple[EndpointKind, ...] = ("publisher", "subscription")
 SERVICE_KINDS: tuple[EndpointKind, ...] = ("service",)
+
+ALWAYS = {"/rosout": "rcl_interfaces/msg/Log"}
+"""Topics that every graph of ROS 2 has, as its nodes log there, and their types."""
 
 
 class Directory:
@@ -68,6 +71,8 @@ class Directory:
                 problem = f"topic '{topic}' is one of {', '.join(types)}, not of {wanted}"
                 raise InvalidOption("type", problem)
             return message_class(wanted)
+        if not types and topic in ALWAYS:
+            return message_class(ALWAYS[topic])
         if len(types) != 1:
             known = f"has the types {', '.join(types)}" if types else "is not on the graph"
             raise InvalidOption("type", f"topic '{topic}' {known}: say its type")

@@ -17,7 +17,7 @@ from turtleact.interfaces import known_interfaces
 from turtleact.interfaces.definition import did_you_mean
 from turtleact.node import Node
 from turtleact.transports.base import EndpointKind
-from turtleact.web.directory import SERVICE_KINDS, Directory
+from turtleact.web.directory import ALWAYS, SERVICE_KINDS, Directory
 from turtleact.web.spelling import (
     absolute,
     action_class,
@@ -114,7 +114,12 @@ class Rosapi:
         return {"topics": list(topics), "types": [types[0] for types in topics.values()]}
 
     def _topics_and_raw_types(self) -> Values:
+        """Foxglove and Lichtblick take a graph without ``/rosout`` for one of ROS 1."""
         listed = self._topics()
+        for topic, type in ALWAYS.items():
+            if topic not in listed["topics"]:
+                listed["topics"].append(topic)
+                listed["types"].append(type)
         return {**listed, "typedefs_full_text": [_definition(each) for each in listed["types"]]}
 
     def _topics_for_type(self, type: str) -> Values:
