@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final, TypeVar, cast
 
 import msgspec
 
 from turtleact.interfaces import Message
 from turtleact.node import Node
-from turtleact.services import ServiceClient
+from turtleact.services import ServiceClient, ServiceType
 from turtleact.tasks import current_tasks
 from turtleact.web.directory import Directory
 from turtleact.web.feeds import Feeds
 from turtleact.web.goals import Goals
 from turtleact.web.operations import CallService
+from turtleact.web.parameters import Parameters
 from turtleact.web.pool import Pool
 from turtleact.web.reading import read_message
 from turtleact.web.rosapi import Rosapi
@@ -21,6 +22,13 @@ from turtleact.web.spelling import absolute
 from turtleact.web.values import json_values
 
 __all__ = ["Hub", "Limits"]
+
+
+Req = TypeVar("Req", bound=Message)
+Res = TypeVar("Res", bound=Message)
+
+ANSWER: Final = 5.0
+"""So long a node has to tell of its parameters (s)."""
 
 
 class Limits(msgspec.Struct, frozen=True):
@@ -55,7 +63,7 @@ class Hub:
         self.directory = Directory(node.transport)
         self.feeds = Feeds(node, self.directory)
         self.goals = Goals(node, cancel_on_disconnect=cancel_on_disconnect)
-        self.rosapi = Rosapi(node, self.directory)
+        self.rosapi = Rosapi(node, self.directory, Parameters(node, self._ask))
         self._clients: Pool[tuple[str, Any], ServiceClient[Message, Message]] = Pool(
             lambda key: node.service_client(key[1], key[0])
         )
@@ -66,15 +74,28 @@ class Hub:
         Raises:
             TurtleactError: if there is no response.
         """
-        values = self.rosapi.call(said.service, said.args)
+        values = await self.rosapi.call(said.service, said.args)
         if values is not None:
             return values
         name = absolute(said.service)
         service_type = self.directory.service_class(name, said.type or "")
         request = await read_message(service_type.Request, said.args, root="args")
         timeout = said.timeout if said.timeout is not None and said.timeout > 0 else None
+        return json_values(
+            await self._ask(
+                name, cast("ServiceType[Message, Message]", service_type), request, timeout
+            )
+        )
+
+    async def _ask(
+        self,
+        name: str,
+        service_type: ServiceType[Req, Res],
+        request: Req,
+        timeout: float | None = ANSWER,
+    ) -> Res:
         async with self._clients.use((name, service_type)) as client:
-            return json_values(await client.call(request, timeout))
+            return cast("Res", await client.call(request, timeout))
 
     async def aclose(self) -> None:
         """Close all that was opened."""

@@ -1,15 +1,14 @@
 """rosapi: what clients ask of the graph, and of the interfaces in it.
 
 Its services are answered here, for clients of the web alone; they are not on the graph. The names
-of types are those of ROS 2 (``pkg/msg/Name``), the typedefs those of rosapi. As no node here has
-parameters, the parameters are the clients' own: the bridge keeps them as long as it runs.
+of types are those of ROS 2 (``pkg/msg/Name``), the typedefs those of rosapi.
 
 Source: rosapi ``rosapi_node.py``, ``proxy.py`` and ``rosapi_msgs``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import Any, Final, TypeAlias, cast
 
 from turtleact.errors import InvalidMessage, ServerUnavailable, TurtleactError
@@ -18,6 +17,7 @@ from turtleact.interfaces.definition import did_you_mean
 from turtleact.node import Node
 from turtleact.transports.base import EndpointKind
 from turtleact.web.directory import ALWAYS, SERVICE_KINDS, Directory
+from turtleact.web.parameters import Parameters
 from turtleact.web.spelling import (
     absolute,
     action_class,
@@ -30,12 +30,10 @@ from turtleact.web.typedefs import full_text, typedefs
 __all__ = ["Rosapi"]
 
 Values: TypeAlias = dict[str, Any]
+Answer: TypeAlias = Callable[..., Values | Awaitable[Values]]
 
 DISTRO: Final = "jazzy"
 """The distribution whose interfaces ship."""
-
-MOST_PARAMETERS: Final = 1000
-LONGEST_PARAMETER: Final = 2**16
 
 
 class Rosapi:
@@ -44,13 +42,13 @@ class Rosapi:
     Args:
         node: Its graph is what is told.
         directory: Knows its endpoints.
+        parameters: Gets and sets parameters.
     """
 
-    def __init__(self, node: Node, directory: Directory) -> None:
+    def __init__(self, node: Node, directory: Directory, parameters: Parameters) -> None:
         self._node = node
         self._directory = directory
-        self._parameters: dict[str, str] = {}
-        self._services: dict[str, tuple[tuple[str, ...], Callable[..., Values]]] = {
+        self._services: dict[str, tuple[tuple[str, ...], Answer]] = {
             "topics": ((), self._topics),
             "topics_and_raw_types": ((), self._topics_and_raw_types),
             "topics_for_type": (("type",), self._topics_for_type),
@@ -73,16 +71,16 @@ class Rosapi:
             "action_goal_details": (("type",), _action_goal_details),
             "action_result_details": (("type",), _action_result_details),
             "action_feedback_details": (("type",), _action_feedback_details),
-            "get_param": (("name", "default_value"), self._get_param),
-            "set_param": (("name", "value"), self._set_param),
-            "has_param": (("name",), self._has_param),
-            "delete_param": (("name",), self._delete_param),
-            "get_param_names": ((), self._get_param_names),
+            "get_param": (("name", "default_value"), parameters.get),
+            "set_param": (("name", "value"), parameters.set),
+            "has_param": (("name",), parameters.has),
+            "delete_param": (("name",), parameters.delete),
+            "get_param_names": ((), parameters.names),
             "get_time": ((), self._get_time),
             "get_ros_version": ((), _get_ros_version),
         }
 
-    def call(self, service: str, args: object) -> Values | None:
+    async def call(self, service: str, args: object) -> Values | None:
         """The values of a response; None if that is no service of rosapi.
 
         Args:
@@ -92,7 +90,7 @@ class Rosapi:
         Raises:
             ServerUnavailable: if rosapi has no such service.
             InvalidMessage: if an argument is no text.
-            TurtleactError: if a type is not known, or a name breaks the rules.
+            TurtleactError: if a type is not known, a name breaks the rules, or a node is silent.
         """
         prefix, _, name = service.removeprefix("/").partition("/")
         if prefix != "rosapi" or not name:
@@ -105,7 +103,8 @@ class Rosapi:
         if isinstance(args, list):
             args = dict(zip(names, args, strict=False))
         given = cast("Values", args or {})
-        return function(*(_text(each, given.get(each)) for each in names))
+        values = function(*(_text(each, given.get(each)) for each in names))
+        return values if isinstance(values, dict) else await values
 
     # topics
 
@@ -181,34 +180,6 @@ class Rosapi:
 
     def _interfaces(self) -> Values:
         return {"interfaces": list(known_interfaces())}
-
-    # parameters
-
-    def _get_param(self, name: str, default_value: str) -> Values:
-        value = self._parameters.get(name)
-        if value is None:
-            return {"value": default_value or "null", "successful": bool(default_value)}
-        return {"value": value, "successful": True}
-
-    def _set_param(self, name: str, value: str) -> Values:
-        is_new = name not in self._parameters
-        if is_new and len(self._parameters) >= MOST_PARAMETERS:
-            return {"successful": False, "reason": f"{MOST_PARAMETERS} parameters are set: delete"}
-        if len(name) + len(value) > LONGEST_PARAMETER:
-            reason = f"name and value are at most {LONGEST_PARAMETER} characters"
-            return {"successful": False, "reason": reason}
-        self._parameters[name] = value
-        return {"successful": True, "reason": ""}
-
-    def _has_param(self, name: str) -> Values:
-        return {"exists": name in self._parameters}
-
-    def _delete_param(self, name: str) -> Values:
-        deleted = self._parameters.pop(name, None) is not None
-        return {"successful": deleted, "reason": "" if deleted else "there is no such parameter"}
-
-    def _get_param_names(self) -> Values:
-        return {"names": sorted(self._parameters)}
 
     # the rest
 
