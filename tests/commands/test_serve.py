@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -292,6 +293,18 @@ def test_a_page_is_served_besides(lab):
         with urllib.request.urlopen(url, timeout=PATIENCE) as page:
             assert page.status == 200
         assert server.end(signal.SIGTERM)[0] == 0
+
+
+def test_names_and_origins_are_let_in_by_the_page(lab):
+    options = ["--allow-host", "Robot.local", "--allow-origin", "null,https://example.com/"]
+    with serving(lab, "servedlab", "--no-sim", "--web", "0", *options) as server:
+        url = server.ready.split()[-1]
+        for origin in ("https://example.com", "null"):
+            headers = {"Host": "robot.local:9090", "Origin": origin}
+            with urllib.request.urlopen(urllib.request.Request(url, None, headers)) as page:
+                assert page.status == 200
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(urllib.request.Request(url, None, {"Host": "evil.example"}))
 
 
 def test_a_module_that_is_not_there_is_one_line(tmp_path):

@@ -50,6 +50,11 @@ USAGE = [
     (["serve", "--speed", "max"], "--speed is above 0 and 100 at most, not 'max'"),
     (["serve", "--speed", "0"], "--speed is above 0 and 100 at most"),
     (["serve", "--web", "localhost"], "the port of --web is a whole number, 0 to 65535"),
+    (["serve", "--token", "x"], "--token, --allow-host and --allow-origin are for --web"),
+    (
+        ["serve", "--web", "0", "--allow-origin", "example.com"],
+        "--allow-origin is an origin such as https://example.com, not 'example.com'",
+    ),
     (["serve", "--turtles", "0"], "--turtles is a whole number, 1 to 10000"),
     (["serve", "--seed", "-1"], "--seed is a whole number"),
     (["run", "turtlesim", "mimic"], "'turtlesim mimic' is not there: turtleact runs"),

@@ -133,6 +133,16 @@ async def test_other_machines_need_a_token():
 
 
 @ON_ASYNCIO
+async def test_a_token_may_be_any_text():
+    async with (
+        turtleact.open_node("lab") as node,
+        open_web(node, port=0, token="ä b&c#+%") as web,
+        connect(address(web)) as client,
+    ):
+        assert await ask(client, "/rosapi/nodes") == {"nodes": ["/lab"]}
+
+
+@ON_ASYNCIO
 async def test_the_address_of_an_ipv6_host_is_in_brackets():
     if not socket.has_ipv6:
         pytest.skip("there is no IPv6 here")

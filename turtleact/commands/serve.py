@@ -57,6 +57,8 @@ class Service(NamedTuple):
         web: The host and port of the page and of rosbridge; None for neither.
         token: What its clients must know; None means as `turtleact.web.open_web` says.
         is_live: Whether a terminal shows a dashboard.
+        hosts: What its clients may call this machine.
+        origins: Whose pages may be its clients.
     """
 
     targets: tuple[str, ...]
@@ -71,6 +73,8 @@ class Service(NamedTuple):
     web: tuple[str, int] | None
     token: str | None
     is_live: bool
+    hosts: tuple[str, ...]
+    origins: tuple[str, ...]
 
 
 def run(service: Service, interrupts: Interrupts) -> int:
@@ -115,7 +119,13 @@ async def _serve(
                 from turtleact.web import open_web
 
                 web = await stack.enter_async_context(
-                    open_web(node, *service.web, token=service.token)
+                    open_web(
+                        node,
+                        *service.web,
+                        token=service.token,
+                        hosts=service.hosts,
+                        origins=service.origins,
+                    )
                 )
                 log.say(f"web page, and rosbridge, at {web.url}")
             (transport, where), *_ = opened

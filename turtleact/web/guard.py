@@ -43,9 +43,10 @@ class Guard(msgspec.Struct, frozen=True):
         """
         name = _name_of(f"//{host}")
         if not (_is_address(name) or is_loopback(name) or name in self.hosts):
-            return f"host '{host[:100]}' is not known here: allow it by 'hosts'"
+            return f"host '{host[:100]}' is not known here: allow it by 'hosts', or --allow-host"
         if origin is not None and not self._is_allowed(origin, host):
-            return f"pages of '{origin[:100]}' may not come in: allow them by 'origins'"
+            named = f"pages of '{origin[:100]}' may not come in"
+            return f"{named}: allow them by 'origins', or --allow-origin"
         if self.token and not hmac.compare_digest(token.encode(), self.token.encode()):
             return "the token is wrong: say it as ?token=… or as 'Authorization: Bearer …'"
         return ""

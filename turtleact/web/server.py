@@ -15,6 +15,7 @@ import socket
 from collections.abc import AsyncIterator, Collection, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from typing import Final, cast
+from urllib.parse import quote
 
 import anyio
 import msgspec
@@ -57,7 +58,8 @@ class Web(msgspec.Struct, frozen=True):
         """The address of the page; the same with ``ws:`` is that of rosbridge."""
         host = ANY.get(self.host, self.host)
         place = f"[{host}]" if ":" in host else host
-        return f"http://{place}:{self.port}/{f'?token={self.token}' if self.token else ''}"
+        query = f"?token={quote(self.token, safe='')}" if self.token else ""
+        return f"http://{place}:{self.port}/{query}"
 
 
 ANY: Final = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104  # told, not bound

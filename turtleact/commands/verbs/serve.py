@@ -58,6 +58,22 @@ _Web = Annotated[
 _Token = Annotated[
     str | None, typer.Option("--token", metavar="TEXT", help="What clients of --web must know.")
 ]
+_Hosts = Annotated[
+    str | None,
+    typer.Option(
+        "--allow-host",
+        metavar="NAME",
+        help="What clients of --web may call this machine, besides its addresses.",
+    ),
+]
+_Origins = Annotated[
+    str | None,
+    typer.Option(
+        "--allow-origin",
+        metavar="ORIGIN",
+        help="Whose pages may be clients of --web, such as https://example.com.",
+    ),
+]
 _Insecure = Annotated[
     bool, typer.Option("--insecure", help="Let in whoever can reach the endpoints of --listen.")
 ]
@@ -110,6 +126,8 @@ def serve(
     config: Config = None,
     web: _Web = None,
     token: _Token = None,
+    allow_host: _Hosts = None,
+    allow_origin: _Origins = None,
     insecure: _Insecure = False,
     no_sim: _NoSim = False,
     headless: _Headless = False,
@@ -122,7 +140,15 @@ def serve(
     """``serve``."""
     where = reach(connect, domain, config)
     at = endpoints("--listen", listen)
+    hosts, origins = _listed(allow_host), _listed(allow_origin)
     page = None if web is None else _host_and_port(web)
+    if page is None and (token is not None or hosts or origins):
+        raise UsageError("--token, --allow-host and --allow-origin are for --web: give that, too")
+    for origin in origins:
+        if "://" not in origin and origin != "null":
+            raise UsageError(
+                f"--allow-origin is an origin such as https://example.com, not {quoted(origin)}"
+            )
     factor = float(speed_factor(speed))
     count, first = whole("--turtles", turtles, least=1, most=MOST_TURTLES), whole("--seed", seed)
 
@@ -152,6 +178,8 @@ def serve(
             page,
             token,
             not (headless or plain),
+            hosts,
+            origins,
         )
         return run(service, interrupts)
 
@@ -205,3 +233,8 @@ def _host_and_port(text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
     return host or "127.0.0.1", whole("the port of --web", port, most=65535)
+
+
+def _listed(text: str | None) -> tuple[str, ...]:
+    """Names with commas between, as browsers write them."""
+    return () if text is None else tuple(each.lower().rstrip("/") for each in text.split(","))
