@@ -330,6 +330,7 @@ def test_what_was_closed_is_not_counted_any_more(cycle):
 # what a client is told
 
 MISTAKES = [
+    pytest.param("[" * 100_001, "more than 100000 objects and lists", id="too-many"),
     pytest.param("nonsense", "JSON is malformed", id="no-json"),
     pytest.param("", "Input data was truncated", id="empty"),
     pytest.param("[]", "Expected `object`, got `array`", id="no-object"),

@@ -7,6 +7,7 @@ import json
 import signal
 import socket
 import sys
+from contextlib import suppress
 
 import anyio
 import pytest
@@ -232,6 +233,78 @@ async def test_a_reader_that_never_reads_is_cut_off_and_slows_nobody(caplog, mon
                 publisher.publish(Text(data=text))
                 assert json.loads(await reader.recv())["msg"]["data"] == text
         assert "a web client was let go: it took nothing for 0.05 s" in caplog.text
+
+
+@ON_ASYNCIO
+@pytest.mark.parametrize("said", [b"", b"GET / HTTP/1.1\r\nHost: loc"])
+async def test_a_client_that_asks_for_nothing_is_let_go(said, monkeypatch):
+    monkeypatch.setattr("turtleact.web.sockets.REQUEST_WITHIN", 0.05)
+    async with (
+        turtleact.open_node("lab") as node,
+        open_web(node, port=0) as web,
+        connect(address(web)) as client,
+    ):
+        reader, writer = await asyncio.open_connection(web.host, web.port)
+        writer.write(said)
+        with suppress(ConnectionResetError):
+            assert await reader.read() == b""
+        writer.close()
+        assert await ask(client, "/rosapi/nodes") == {"nodes": ["/lab"]}
+
+
+@ON_ASYNCIO
+async def test_a_client_that_has_its_answer_is_let_go():
+    async with turtleact.open_node("lab") as node, open_web(node, port=0) as web:
+        reader, writer = await asyncio.open_connection(web.host, web.port)
+        writer.write(b"GET /favicon.ico HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert b"<svg" in await reader.read()
+        writer.close()
+
+
+@ON_ASYNCIO
+async def test_there_is_an_end_to_connections(monkeypatch):
+    monkeypatch.setattr("turtleact.web.server.ROOM", 1)
+    async with (
+        turtleact.open_node("lab") as node,
+        open_web(node, port=0, limits=Limits(connections=1)) as web,
+        connect(address(web)) as client,
+    ):
+        await ask(client, "/rosapi/nodes")
+        _, idle = await asyncio.open_connection(web.host, web.port)
+        reader, writer = await asyncio.open_connection(web.host, web.port)
+        with suppress(ConnectionResetError):
+            assert await reader.read() == b""
+        for each in (writer, idle):
+            each.close()
+        assert await ask(client, "/rosapi/nodes") == {"nodes": ["/lab"]}
+
+
+@ON_ASYNCIO
+async def test_a_text_that_is_none_is_a_line_in_the_log(caplog):
+    async with (
+        turtleact.open_node("lab") as node,
+        open_web(node, port=0) as web,
+        connect(address(web)) as client,
+    ):
+        for _ in range(2):
+            await client.send(b"\xff", text=True)
+        with pytest.raises(websockets.ConnectionClosed) as closed:
+            await client.recv()
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 1007
+    assert caplog.messages == ["a web client was let go: it sent a text that is not UTF-8"]
+
+
+@ON_ASYNCIO
+async def test_an_app_that_fails_is_logged_with_its_traceback(caplog, monkeypatch):
+    async def fail(*_: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("turtleact.web.bridge.Connection.run", fail)
+    async with turtleact.open_node("lab") as node, open_web(node, port=0) as web:
+        with pytest.raises(InvalidStatus, match="500"):
+            await connect(address(web))
+    assert "ZeroDivisionError" in caplog.text
 
 
 HANDSHAKE = (

@@ -42,6 +42,7 @@ HEADERS: Final = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-cache",
+    "Connection": "close",  # a client that says nothing more holds none
 }
 FILES: Final = {
     "/": ("page.html", "text/html"),
@@ -203,7 +204,7 @@ def _path(asked: HTTPConnection) -> str:
 
 
 def _text(status: int, text: str) -> Response:
-    return Response(f"{text}\n", status, media_type="text/plain")
+    return Response(f"{text}\n", status, HEADERS, media_type="text/plain")
 
 
 @cache

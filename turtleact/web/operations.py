@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from typing import Any, TypeAlias, cast
+from typing import Any, Final, TypeAlias, cast
 
 import msgspec
 
@@ -195,6 +195,9 @@ Operation: TypeAlias = (
     | ActionResult
 )
 
+MOST_NESTED: Final = 100_000
+"""So many objects and lists a frame may have; a million take seconds to read."""
+
 half_pattern = re.compile(r"[\ud800-\udfff]|\\u[dD][89a-fA-F]")
 """What may be half a surrogate pair, as it stands or escaped."""
 
@@ -221,6 +224,8 @@ def parse(frame: str | bytes) -> Operation | Malformed:
     """
     if isinstance(frame, bytes):
         return Malformed("a binary frame: say it as JSON in a text frame")
+    if frame.count("[") + frame.count("{") > MOST_NESTED:
+        return Malformed(f"more than {MOST_NESTED} objects and lists")
     if half_pattern.search(frame) and not _is_sound(frame):
         return Malformed("half a surrogate pair, which cannot be sent")
     try:

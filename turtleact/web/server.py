@@ -3,7 +3,7 @@
 uvicorn runs on asyncio, and so does this, uvloop included; on trio a bridge can be mounted into
 whatever serves ASGI there.
 
-Source: uvicorn ``server.py`` and ``websockets_sansio_impl.py``.
+Source: uvicorn ``server.py``.
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ import secrets
 import socket
 from collections.abc import AsyncIterator, Collection, Iterator
 from contextlib import asynccontextmanager, contextmanager
-from typing import Final, cast
+from typing import Final
 from urllib.parse import quote
 
 import anyio
 import msgspec
 import uvicorn
-from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from turtleact.errors import InvalidOption, TurtleactError
 from turtleact.node import Node
@@ -28,11 +27,15 @@ from turtleact.tasks import Background
 from turtleact.web.bridge import Bridge, open_bridge
 from turtleact.web.guard import is_loopback
 from turtleact.web.hub import Limits
+from turtleact.web.sockets import Http, Socket
 
 __all__ = ["PORT", "Web", "open_web"]
 
 PORT: Final = 9090
 """rosbridge's own port."""
+
+ROOM: Final = 50
+"""So many connections may ask for the page while all are taken that `Limits` allows."""
 
 LAST_ORDERS: Final = 2
 """So long uvicorn waits for requests that are still under way when it ends (s)."""
@@ -127,13 +130,14 @@ async def open_web(
 async def _serving(bridge: Bridge, listener: socket.socket, limits: Limits) -> AsyncIterator[None]:
     config = uvicorn.Config(
         bridge,
-        http="h11",
-        ws=_Socket,
+        http=Http,
+        ws=Socket,
         lifespan="off",
         log_config=None,
         access_log=False,
         proxy_headers=False,
         server_header=False,
+        limit_concurrency=limits.connections + ROOM,
         ws_max_size=limits.message_size,
         ws_per_message_deflate=False,
         timeout_graceful_shutdown=LAST_ORDERS,
@@ -178,16 +182,6 @@ class _Server(uvicorn.Server):
     def capture_signals(self) -> Iterator[None]:
         """Capture none."""
         yield
-
-
-class _Socket(WebSocketsSansIOProtocol):
-    """uvicorn's, which lets the app cut the line to a client that does not read."""
-
-    async def run_asgi(self) -> None:
-        """Serve the connection."""
-        extensions = cast("dict[str, object]", self.scope["extensions"])
-        extensions["turtleact.abort"] = self.transport.abort
-        await super().run_asgi()
 
 
 @contextmanager
