@@ -561,6 +561,27 @@ async def test_binary_frames_are_told_of():
         assert "a binary frame" in (await client.hear())["msg"]
 
 
+async def test_a_call_that_is_under_way_when_the_bridge_closes_is_answered_once():
+    asked, gate = anyio.Event(), anyio.Event()
+
+    async def wait(request: Add.Request) -> Add.Response:
+        asked.set()
+        with anyio.CancelScope(shield=True):
+            await gate.wait()
+        return add(request)
+
+    async with bridged() as (node, bridge), line(bridge) as client:
+        node.service(Add, "add", wait)
+        client.say("call_service", id="c", service="/add")
+        await asked.wait()
+        async with anyio.create_task_group() as group:
+            group.start_soon(bridge.aclose)
+            answer = await client.hear()
+            gate.set()
+        assert (answer["id"], answer["result"]) == ("c", False)
+        assert answer["values"] == "the server is closing"
+
+
 # readers that do not read
 
 

@@ -295,6 +295,19 @@ async def test_a_client_can_take_its_goals_along():
         assert gate.log == ["begun", "canceled", "over"]
 
 
+async def test_a_client_whose_bridge_is_closed_is_told_that_it_will_not_hear_of_its_goal():
+    gate = Gate()
+    async with bridged() as (node, bridge), line(bridge) as client:
+        node.action_server(Count, "count", gate.wait)
+        send(client, feedback=True)
+        await gate.started.wait()
+        await bridge.aclose()
+        problem = "The server is closing: there will be no word of this goal"
+        assert of(await client.hear()) == ("action_result", problem, 0, False)
+        gate.opened.set()
+        assert client.closed["code"] == 1001
+
+
 async def test_a_goal_goes_on_when_its_bridge_is_closed():
     gate = Gate()
     async with bridged() as (node, bridge):

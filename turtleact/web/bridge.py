@@ -102,9 +102,11 @@ class Bridge:
     async def aclose(self) -> None:
         """Take no more connections, and end those there are.
 
-        Each gets what must still arrive and a close frame, and has `FAREWELL` seconds for it.
+        Each gets what must still arrive and a close frame, and has `FAREWELL` seconds for it; that
+        of a goal or a call which is under way, that it will not hear of it.
         """
         self.is_open = False
+        self._hub.goals.leave()
         for connection in self._connections:
             connection.close()
         with anyio.CancelScope(shield=True):

@@ -73,7 +73,8 @@ class Connection:
         self._readers: dict[str, tuple[Throttle, Feed, Deliver]] = {}
         self._writers: dict[str, tuple[type[Message], Publisher[Message]]] = {}
         self._filled = hub.tasks.signal()
-        self._calls = 0
+        self._calls: dict[int, CallService] = {}
+        self._count = 0
         self._last_size = 0
         self._is_closing = False
         self._group: TaskGroup | None = None
@@ -96,6 +97,9 @@ class Connection:
     def close(self) -> None:
         """Send what must still arrive, then a close frame, and end."""
         self._is_closing = True
+        for said in self._calls.values():
+            self.keep(_response(said, "the server is closing", is_result=False))
+        self._calls.clear()
         self.mailbox.drop_all()
         self._filled.fire()
 
@@ -316,15 +320,16 @@ class Connection:
                     self._complain(problem, operation.id, level="warning")
 
     def _call(self, said: CallService) -> None:
-        if self._calls >= self._hub.limits.calls:
-            problem = f"{self._calls} calls are under way: wait for some"
+        if len(self._calls) >= self._hub.limits.calls:
+            problem = f"{len(self._calls)} calls are under way: wait for some"
             self.keep(_response(said, problem, is_result=False))
         else:
-            self._calls += 1
-            cast("TaskGroup", self._group).start_soon(self._answer, said)
+            self._count += 1
+            self._calls[self._count] = said
+            cast("TaskGroup", self._group).start_soon(self._answer, self._count, said)
 
-    async def _answer(self, said: CallService) -> None:
-        """Call a service, and tell the client what came of it."""
+    async def _answer(self, number: int, said: CallService) -> None:
+        """Call a service, and tell the client what came of it, unless it was told already."""
         try:
             frame = _response(said, await self._hub.call(said), is_result=True)
         except TurtleactError as error:
@@ -332,9 +337,8 @@ class Connection:
         except Exception as error:
             logger.exception("a call of %s for a web client failed", said.service)
             frame = _response(said, summary(error), is_result=False)
-        finally:
-            self._calls -= 1
-        self.keep(frame)
+        if self._calls.pop(number, None) is not None:
+            self.keep(frame)
 
 
 def _response(said: CallService, values: object, *, is_result: bool) -> str:

@@ -37,6 +37,7 @@ MOST: Final = 1024
 """So many goals are followed at once, those of disconnected clients among them."""
 
 NO_SERVER: Final = "No action server available"
+CLOSING: Final = "The server is closing: there will be no word of this goal"
 REJECTED: Final = "Action goal was rejected"
 
 
@@ -103,6 +104,12 @@ class Goals:
                 if self._cancel_on_disconnect:
                     sent.cancel()
 
+    def leave(self) -> None:
+        """Tell all who wait for a goal that they will not hear of its end."""
+        for sent in self._sent.values():
+            sent.fail(CLOSING)
+            sent.is_over = True
+
     async def aclose(self) -> None:
         """Follow no goal any more; they go on."""
         for sent in list(self._sent.values()):
@@ -156,6 +163,7 @@ class _Sent:
         teller: Its client; None once that has gone.
         goal_id: Its 16 bytes.
         following: The task that follows it.
+        is_over: Whether its client was told that there is nothing more to tell.
     """
 
     following: Background
@@ -165,6 +173,7 @@ class _Sent:
         self.said = said
         self.teller: Teller | None = teller
         self.goal_id = new_goal_id()
+        self.is_over = False
         self._handle: ClientGoalHandle[Message, Message] | None = None
         self._is_canceled = False
 
@@ -186,7 +195,7 @@ class _Sent:
 
     def tell(self, op: str, message: Message, **members: object) -> None:
         """Tell its client something, if that is still there."""
-        if self.teller is None:
+        if self.teller is None or self.is_over:
             return
         frame = reply(
             op,
@@ -203,7 +212,7 @@ class _Sent:
 
     def fail(self, problem: str) -> None:
         """Tell its client that there is no result."""
-        if self.teller is not None:
+        if self.teller is not None and not self.is_over:
             _tell_failure(self.said, self.teller, problem)
 
 
