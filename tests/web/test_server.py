@@ -19,7 +19,7 @@ import turtleact
 from turtleact.errors import InvalidOption, TurtleactError
 from turtleact.interfaces import Message, string
 from turtleact.web import Limits, open_web
-from turtleact.web.server import Web, _bound
+from turtleact.web.server import READ_AHEAD, Web, _bound
 
 from ..lab import ON_ASYNCIO, ON_TRIO, other_tasks
 
@@ -50,6 +50,13 @@ def test_small_frames_do_not_wait_for_one_another():
         accepted, _ = listener.accept()
         with accepted:
             assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+def test_a_client_that_says_much_is_not_read_far_ahead():
+    with _bound("127.0.0.1", 0) as listener, socket.create_connection(listener.getsockname()):
+        accepted, _ = listener.accept()
+        with accepted:
+            assert accepted.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) <= 2 * READ_AHEAD
 
 
 @ON_ASYNCIO

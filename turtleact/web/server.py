@@ -37,6 +37,9 @@ PORT: Final = 9090
 ROOM: Final = 50
 """So many connections may ask for the page while all are taken that `Limits` allows."""
 
+READ_AHEAD: Final = 2**15
+"""So much of what a client sends is read at once (bytes), and worked off before others are served."""
+
 LAST_ORDERS: Final = 2
 """So long uvicorn waits for requests that are still under way when it ends (s)."""
 
@@ -196,6 +199,7 @@ def _bound(host: str, port: int) -> Iterator[socket.socket]:
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         listener = socket.create_server((host, port), family=family, backlog=128)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, READ_AHEAD)
         listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # or small frames take 40 ms
     except (OSError, UnicodeError) as error:
         is_port = isinstance(error, OSError) and error.errno in PORT_ERRORS

@@ -1,0 +1,179 @@
+"""What others notice of clients of the web that do not read, and of those that talk nonsense.
+
+A world and its web server are a process of their own. 40 clients read a turtle's pose at 62.5 Hz;
+10 more ask for it, and for 100 kB at the same rate, and never read. Then one client sends 100,000
+frames that say nothing known, as fast as they are taken.
+
+Gap is the longest time between two poses at any of the 40; late is by how much a pose comes after
+its place in the schedule of 16 ms, inside the server.
+
+Run ``python -m benchmarks.bench_readers``; needs the extra ``web``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import multiprocessing
+import os
+import platform
+import socket
+import statistics
+import struct
+from contextlib import AsyncExitStack
+from importlib.metadata import version
+from itertools import pairwise
+from multiprocessing.connection import Connection
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from websockets.asyncio.client import ClientConnection, connect
+
+from turtleact.app import open_world
+from turtleact.interfaces import get_interface
+from turtleact.web import open_web
+
+READERS = 40
+DEAF = 10
+SECONDS = 10.0
+TICK = 0.016
+MALFORMED = 100_000
+
+Pose: Any = get_interface("turtlesim/msg/Pose")
+String: Any = get_interface("std_msgs/msg/String")
+NONSENSE = '{"op":"publish","topic":"/turtle1/cmd_vel","msg":{"linear":{"w":1}}}'
+HANDSHAKE = (
+    b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+)
+
+
+# the server's process
+
+
+def serve(line: Connection) -> None:
+    asyncio.run(_serve(line))
+
+
+async def _serve(line: Connection) -> None:
+    """Tells its port; at each word that comes, how late the poses were since the last."""
+    came: list[float] = []
+    loop = asyncio.get_running_loop()
+    over = asyncio.Event()
+
+    def answer() -> None:
+        if line.recv() == "end":
+            over.set()
+        places = [at - TICK * number for number, at in enumerate(came)]
+        line.send(([place - min(places) for place in places], _memory()))
+        came.clear()
+
+    async with open_world() as node, open_web(node, port=0) as web:
+        large = node.publisher(String, "/large")
+        loop.add_reader(line.fileno(), answer)
+        line.send(web.port)
+
+        async def watch() -> None:
+            async for _ in node.subscription(Pose, "/turtle1/pose"):
+                came.append(perf_counter())
+                large.publish(String(data="x" * 100_000))
+
+        watching = asyncio.create_task(watch())
+        await over.wait()
+        watching.cancel()
+
+
+def _memory() -> float:
+    """What the process holds (MB)."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+# the clients
+
+
+async def read(client: ClientConnection, came: list[float]) -> None:
+    async for _ in client:
+        came.append(perf_counter())
+
+
+def deafen(port: int) -> socket.socket:
+    """A client that asks for much and reads nothing."""
+    deaf = socket.create_connection(("127.0.0.1", port))
+    deaf.sendall(HANDSHAKE)
+    for topic in ("/turtle1/pose", "/large"):
+        said = json.dumps({"op": "subscribe", "topic": topic}).encode()
+        deaf.sendall(struct.pack(">BBI", 0x81, 0x80 | len(said), 0) + said)
+    return deaf
+
+
+async def measure(name: str, line: Connection, came: list[list[float]], seconds: float) -> None:
+    """Wait, and print what has happened meanwhile."""
+    line.send("begin")
+    await asyncio.to_thread(line.recv)
+    for each in came:
+        each.clear()
+    await asyncio.sleep(seconds)
+    line.send("so far")
+    late, memory = await asyncio.to_thread(line.recv)
+    tell(name, came, late, memory)
+
+
+def tell(name: str, came: list[list[float]], late: list[float], memory: float) -> None:
+    gap = max((b - a for each in came for a, b in pairwise(each)), default=0.0)
+    late_99 = statistics.quantiles(late, n=100)[-1] if len(late) > 1 else 0.0
+    print(
+        f"{name:36} {gap * 1e3:6.0f} ms {late_99 * 1e3:7.1f} ms {max(late) * 1e3:7.1f} ms"
+        f" {memory:6.0f} MB"
+    )
+
+
+async def main() -> None:
+    line, far = multiprocessing.Pipe()
+    process = multiprocessing.get_context("spawn").Process(target=serve, args=(far,))
+    process.start()
+    port = await asyncio.to_thread(line.recv)
+    load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
+    print(f"{os.cpu_count()} cores, {platform.machine()}, load {load}")
+    packages = ", ".join(f"{name} {version(name)}" for name in ("uvicorn", "websockets"))
+    print(f"Python {platform.python_version()}, {packages}")
+    print(f"{'':36} {'gap':>9} {'late 99 %':>10} {'latest':>10} {'memory':>9}")
+    async with AsyncExitStack() as stack:
+        came: list[list[float]] = []
+        tasks = []
+        for _ in range(READERS):
+            client = await stack.enter_async_context(connect(f"ws://127.0.0.1:{port}"))
+            await client.send(json.dumps({"op": "subscribe", "topic": "/turtle1/pose"}))
+            came.append([])
+            tasks.append(asyncio.create_task(read(client, came[-1])))
+        await measure(f"{READERS} readers", line, came, SECONDS)
+        deaf = [deafen(port) for _ in range(DEAF)]
+        await measure(f"{READERS} readers, {DEAF} that never read", line, came, SECONDS)
+        for each in deaf:
+            each.close()
+
+        talker = await stack.enter_async_context(connect(f"ws://127.0.0.1:{port}"))
+        line.send("begin")
+        await asyncio.to_thread(line.recv)
+        for times in came:
+            times.clear()
+        begun = perf_counter()
+        for _ in range(MALFORMED):
+            await talker.send(NONSENSE)
+        await talker.send(json.dumps({"op": "call_service", "service": "/rosapi/get_time"}))
+        await talker.recv()
+        took = perf_counter() - begun
+        line.send("so far")
+        late, memory = await asyncio.to_thread(line.recv)
+        tell(f"{READERS} readers, {MALFORMED:,} wrong frames", came, late, memory)
+        print(f"{MALFORMED / took:,.0f} wrong frames/s")
+        line.send("end")
+        await asyncio.to_thread(line.recv)
+        for task in tasks:
+            task.cancel()
+    process.join()
+
+
+if __name__ == "__main__":
+    asyncio.run(main())
