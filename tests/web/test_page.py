@@ -19,10 +19,13 @@ import anyio
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
 
+import turtleact
 from turtleact.actions.patrol import Patrol
 from turtleact.app import open_world
 from turtleact.interfaces.standard import Twist
 from turtleact.web import open_web
+
+from ..lab import Count, Gate, goal
 
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), ""
@@ -90,6 +93,13 @@ class Tab:
 
     async def press(self, key: str, kind: str) -> None:
         await self.do("Input.dispatchKeyEvent", type=kind, key=key, code=key)
+
+    async def hit(self, key: str) -> None:
+        """Press a key and let it go, with what the browser itself does about it."""
+        number, text = {"Tab": (9, ""), "Enter": (13, "\r"), " ": (32, " ")}[key]
+        pressed = {"key": key, "code": key, "windowsVirtualKeyCode": number}
+        await self.do("Input.dispatchKeyEvent", type="keyDown", text=text, **pressed)
+        await self.do("Input.dispatchKeyEvent", type="keyUp", **pressed)
 
 
 @asynccontextmanager
@@ -184,6 +194,57 @@ async def test_the_page_connects_again_by_itself_and_says_so(tmp_path):
             await page.until("$('line').textContent === 'connected'")
             await page.run("turtles.forEach(turtle => turtle.pose = null)")
             await page.until("turtles.get('turtle1')?.pose")
+
+
+@in_a_browser
+@on_asyncio
+async def test_a_patrol_is_sent_with_the_keyboard_alone(tmp_path):
+    async with (
+        open_world() as node,
+        open_web(node, port=0) as web,
+        tab(web.url, tmp_path) as page,
+    ):
+        await page.until("actions.has('/patrol')")
+        tabs = 0
+        while await page.run("document.activeElement.id") != "x":
+            await page.hit("Tab")
+            tabs += 1
+        assert tabs == 5  # the world, its three buttons, and here
+        for _ in range(3):
+            await page.hit("Enter")
+        await page.run("$('targets').querySelectorAll('button')[1].focus()")
+        await page.hit(" ")
+        assert await page.run("document.activeElement.ariaLabel") == "Remove target 2"
+        await page.hit("Enter")
+        assert await page.run("document.activeElement.ariaLabel") == "Remove target 1"
+        await page.hit("Tab")
+        assert await page.run("document.activeElement.id") == "send"
+        await page.hit("Enter")
+        await page.until("[...goals.values()].some(goal => goal.state === 2)")
+        assert page.complaints == []
+
+
+@in_a_browser
+@on_asyncio
+async def test_a_goal_that_the_page_has_lost_sight_of_is_unknown_until_it_is_seen_again(tmp_path):
+    gate = Gate()
+    async with turtleact.open_node("lab") as node, AsyncExitStack() as stack:
+        node.action_server(Count, "count", gate.wait)
+        async with open_web(node, port=0) as web:
+            page = await stack.enter_async_context(tab(web.url, tmp_path))
+            await page.until("actions.has('/count')")
+            handle = await stack.enter_async_context(
+                node.action_client(Count, "count").send_goal(goal())
+            )
+            await page.until("[...goals.values()].some(goal => goal.state === 2)")
+            await page.run("ros.wait = 1")
+        title = "document.querySelector('#goals strong').textContent"
+        await page.until(f"{title} === '/count unknown'")
+        assert await page.run("document.querySelector('#goals button').disabled")
+        async with open_web(node, port=web.port):
+            await page.until(f"{title} === '/count executing'")
+            await page.run("document.querySelector('#goals button').click()")
+            assert (await handle.outcome()).status.name == "CANCELED"
 
 
 class Names(HTMLParser):

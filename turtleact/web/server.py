@@ -38,7 +38,7 @@ ROOM: Final = 50
 """So many connections may ask for the page while all are taken that `Limits` allows."""
 
 READ_AHEAD: Final = 2**15
-"""So much of what a client sends is read at once (bytes), and worked off before others are served."""
+"""So much of what a client sends is read at once (bytes), and worked off before others go on."""
 
 LAST_ORDERS: Final = 2
 """So long uvicorn waits for requests that are still under way when it ends (s)."""
