@@ -8,6 +8,7 @@ import signal
 import socket
 import sys
 from contextlib import suppress
+from typing import Any
 
 import anyio
 import pytest
@@ -20,6 +21,7 @@ from turtleact.errors import InvalidOption, TurtleactError
 from turtleact.interfaces import Message, string
 from turtleact.web import Limits, open_web
 from turtleact.web.server import READ_AHEAD, Web, _bound
+from turtleact.web.sockets import Socket
 
 from ..lab import ON_ASYNCIO, ON_TRIO, other_tasks
 
@@ -312,6 +314,28 @@ async def test_an_app_that_fails_is_logged_with_its_traceback(caplog, monkeypatc
         with pytest.raises(InvalidStatus, match="500"):
             await connect(address(web))
     assert "ZeroDivisionError" in caplog.text
+
+
+class Impatient(Socket):
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.ping_interval, self.ping_timeout = 0.02, 0.3
+
+
+@ON_ASYNCIO
+async def test_a_client_that_answers_no_ping_stays_as_long_as_it_talks(monkeypatch):
+    monkeypatch.setattr("turtleact.web.server.Socket", Impatient)
+    async with turtleact.open_node("lab") as node, open_web(node, port=0) as web:
+        reader, writer = await asyncio.open_connection(web.host, web.port)
+        writer.write(HANDSHAKE)
+        await reader.readuntil(b"\r\n\r\n")
+        begun, heard = anyio.current_time(), b""
+        while anyio.current_time() < begun + 0.5:
+            writer.write(masked(b'{"op":"call_service","service":"/rosapi/get_time"}'))
+            heard += await reader.readuntil(b'"result":true}')
+        assert b"keepalive ping timeout" not in heard
+        assert b"keepalive ping timeout" in await reader.read()
+        writer.close()
 
 
 HANDSHAKE = (

@@ -2,7 +2,8 @@
 
 - A client that connects and says nothing, or half a request, is let go, and there is an end to
   connections: else it costs nothing to take all that the process may open.
-- A client that does not read can be cut off by the app.
+- A client that does not read can be cut off by the app. One that answers no ping is gone, but not
+  one that has much to say: its answer stands in line behind that.
 - A text that is none is the client's mistake: a line in the log, and no traceback.
 
 Source: uvicorn ``h11_impl.py`` and ``websockets_sansio_impl.py``; RFC 6455, section 8.1.
@@ -48,11 +49,26 @@ class Http(H11Protocol):
 class Socket(WebSocketsSansIOProtocol):
     """A WebSocket."""
 
+    _heard_at = 0.0
+
     async def run_asgi(self) -> None:
         """Serve the connection."""
         extensions = cast("dict[str, object]", self.scope["extensions"])
         extensions["turtleact.abort"] = self.transport.abort
         await super().run_asgi()
+
+    def data_received(self, data: bytes) -> None:
+        """Read on."""
+        self._heard_at = self.loop.time()
+        super().data_received(data)
+
+    def keepalive_timeout(self) -> None:
+        """End, unless the pong that is missed stands behind what the client says meanwhile."""
+        if self._heard_at > self.ping_sent_at:
+            self.pong_timer = None
+            self.schedule_ping()
+        else:
+            super().keepalive_timeout()
 
     def send_receive_event_to_app(self) -> None:
         """Hand a message to the app; a text that is none ends the connection."""
