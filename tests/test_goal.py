@@ -274,6 +274,15 @@ def test_a_result_is_kept_for_ten_seconds_from_the_end():
     assert [held(table, ID_1, 100 + after) for after in (0, 9.999, 10)] == [True, True, False]
 
 
+def test_goals_of_one_time_are_held_in_the_order_of_their_acceptance():
+    table = GoalTable()
+    goals = [make_goal(id=bytes([number]) * 16) for number in range(1, 30)]
+    for goal in goals:
+        table.add(goal)
+    table.end(goals[0], START)
+    assert table.held(START) == goals
+
+
 def test_a_goal_is_held_as_long_as_it_is_active():
     table = GoalTable()
     table.add(make_goal(id=ID_1))

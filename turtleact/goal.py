@@ -348,7 +348,7 @@ class GoalTable:
     def held(self, now: int) -> list[Goal]:
         """All goals held: the active ones, and those whose result is kept, by their acceptance."""
         self.expire(now)
-        return sorted({*self._active, *self._named.values()}, key=_by_stamp)
+        return sorted(dict.fromkeys([*self._named.values(), *self._active]), key=_by_stamp)
 
     def expire(self, now: int) -> None:
         """Forget the goals whose time is over and for which nobody waits."""
