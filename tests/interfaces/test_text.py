@@ -238,7 +238,8 @@ def test_aliases_that_blow_up_are_refused():
 
 
 def test_too_much_yaml_is_refused():
-    with pytest.raises(InvalidGoal, match=rf"of YAML are too many: at most {MOST_YAML}"):
+    limits = rf"at most {MOST_YAML}; as JSON it may have {MOST_JSON}"
+    with pytest.raises(InvalidGoal, match=rf"of YAML are too many: {limits}"):
         from_text(Sample, "x: 1 #" + " " * MOST_YAML)
 
 

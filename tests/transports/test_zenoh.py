@@ -1105,3 +1105,28 @@ async def test_a_change_of_the_graph_is_told_once_a_reader_is_reached(address):
         there.subscribe(subscription(), SPEECH, print)
         while not publication.has_readers:
             await here.wait_for_change()
+
+
+async def test_a_token_that_dies_while_it_is_told_of_is_not_in_the_graph(address, monkeypatch):
+    async with two(address) as (here, there, settle):
+        there.enter("/ghost")
+        await settle()
+        (ghost,) = here._graph._tokens
+
+        def tell_late(key):
+            here._link.inbox.push(lambda: here._gone(ghost))
+            return [ghost]
+
+        monkeypatch.setattr(here._link.session, "tokens", tell_late)
+        await here.explore()
+        assert here.nodes() == ()
+
+
+async def test_a_graph_that_cannot_be_asked_is_not_waited_for(address, monkeypatch, caplog):
+    def fail(key):
+        raise TurtleactError("Zenoh cannot")
+
+    async with two(address) as (here, *_):
+        monkeypatch.setattr(here._link.session, "tokens", fail)
+        await here.explore()
+    assert "Zenoh cannot" in caplog.text

@@ -99,7 +99,8 @@ def goals(where: Reach) -> dict[str, str]:
     found: dict[str, str] = {}
 
     async def look(node: Node) -> int:
-        for goal in reversed(await held_goals(node, served_actions(node, None))):
+        goals, _ = await held_goals(node, served_actions(node, None))
+        for goal in reversed(goals):
             found[goal.goal_id.hex()] = f"{goal.action} {goal.status.name}"
         return 0
 

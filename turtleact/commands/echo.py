@@ -9,6 +9,8 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, NamedTuple
 
+import anyio
+
 from turtleact.clock import within
 from turtleact.commands.graph import chosen_class
 from turtleact.commands.kinds import types_by_name
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
     from turtleact.node import Node
     from turtleact.topics import Subscription
 
-__all__ = ["Order", "echo", "yaml_lines"]
+__all__ = ["Order", "echo", "note_absence", "yaml_lines"]
 
 DEPTH = 1000
 """Messages that are kept while the output is stuck."""
@@ -98,6 +100,36 @@ async def echo(node: Node, order: Order) -> int:
     _check_path(message_type, order.path)
     qos = order.policies.qos(durability=_durability(node, name), depth=DEPTH)
     subscription = node.subscription(message_type, name, qos)
+    async with anyio.create_task_group() as beside:
+        beside.start_soon(note_absence, node, name)
+        status = await _print(node, subscription, message_type, order)
+        beside.cancel_scope.cancel()
+    return status
+
+
+async def note_absence(node: Node, name: str) -> None:
+    """Tell the user whenever the last publisher of a topic goes; ends when it is canceled."""
+    count = node.count_publishers(name)
+    while True:
+        await node.transport.wait_for_change()
+        before, count = count, node.count_publishers(name)
+        if before and not count:
+            note(f"nobody publishes topic '{name}' any more; waiting for somebody who does")
+
+
+def yaml_lines(value: object) -> list[str]:
+    """A plain value as the lines of block YAML; a single one as Python says it, as ros2 does."""
+    if isinstance(value, dict) and value:
+        return block(value)
+    if isinstance(value, list | bytes) and value:
+        return [line for item in value for line in listed(item)]
+    return [str(list(value) if isinstance(value, bytes) else value)]
+
+
+async def _print(
+    node: Node, subscription: Subscription[Message], message_type: type[Message], order: Order
+) -> int:
+    """Print what comes, for as long as the order says."""
     count = missed = 0
     async with within(order.timeout, node.clock):
         async for message in subscription:
@@ -110,18 +142,9 @@ async def echo(node: Node, order: Order) -> int:
             if order.once:
                 return DONE
     if not count:
-        _check_type(node, name, message_type)
-        note(f"no message on topic '{name}' within {order.timeout:g} s")
+        _check_type(node, subscription.topic, message_type)
+        note(f"no message on topic '{subscription.topic}' within {order.timeout:g} s")
     return DONE if count else TIMEOUT
-
-
-def yaml_lines(value: object) -> list[str]:
-    """A plain value as the lines of block YAML; a single one as Python says it, as ros2 does."""
-    if isinstance(value, dict) and value:
-        return block(value)
-    if isinstance(value, list | bytes) and value:
-        return [line for item in value for line in listed(item)]
-    return [str(list(value) if isinstance(value, bytes) else value)]
 
 
 def _is_terminal() -> bool:

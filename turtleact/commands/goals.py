@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import anyio
 
 from turtleact.client import Outcome
-from turtleact.commands.echo import yaml_lines
+from turtleact.commands.echo import note_absence, yaml_lines
 from turtleact.commands.graph import interface_class, say_names
 from turtleact.commands.held_goals import (
     STATUS_QOS,
@@ -334,11 +334,14 @@ async def echo(node: Node, name: str) -> int:
     action_type = interface_class(Action, type_name, f"action '{full_name}'")
     kinds: Implied = implied(action_type)
     names = action_names(full_name)
-    async with anyio.create_task_group() as telling:
-        statuses = node.subscription(GoalStatusArray, names.status, STATUS_QOS)
-        telling.start_soon(_echo_statuses, statuses, full_name, type_name)
-        feedback = node.subscription(kinds.feedback_message, names.feedback, FEEDBACK_QOS)
-        telling.start_soon(_echo_feedback, feedback)
+    async with anyio.create_task_group() as beside:
+        beside.start_soon(note_absence, node, names.feedback)
+        async with anyio.create_task_group() as telling:
+            statuses = node.subscription(GoalStatusArray, names.status, STATUS_QOS)
+            telling.start_soon(_echo_statuses, statuses, full_name, type_name)
+            feedback = node.subscription(kinds.feedback_message, names.feedback, FEEDBACK_QOS)
+            telling.start_soon(_echo_feedback, feedback)
+        beside.cancel_scope.cancel()
     return DONE
 
 

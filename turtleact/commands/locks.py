@@ -167,6 +167,9 @@ def _with_paths(locks: Locks, file: Path) -> Locks:
             tls.mutual,
         )
     if login is not None:
+        if bool(login.user) != bool(login.password):
+            given, left = ("user", "password") if login.user else ("password", "user")
+            raise UsageError(f"--config {file}: login.{left}: is not given, but login.{given} is")
         login = Login(login.user, login.password, resolve("login.users", login.users))
     return Locks(tls, login, locks.access)
 

@@ -176,7 +176,8 @@ def tree_of(document: Document) -> object:
             if len(text) > MOST_YAML:
                 refuse_json(document, error)
     if len(text) > MOST_YAML:
-        document.refuse(f"{len(text)} characters of YAML are too many: at most {MOST_YAML}")
+        problem = f"{len(text)} characters of YAML are too many: at most {MOST_YAML}"
+        document.refuse(f"{problem}; as JSON it may have {MOST_JSON}")
     node = compose(document)
     return {} if node is None else Expansion(document).value(node, 0)
 

@@ -69,6 +69,7 @@ class ZenohTransport:
         self._graph = Graph(session.zid)
         self._numbers: dict[str, int] = {}
         self._count = 0
+        self._gone_since: dict[anyio.Event, set[str]] = {}
         self._link.outbox.post(partial(self._watch, session))
 
     def advertise(
@@ -144,18 +145,26 @@ class ZenohTransport:
     async def explore(self) -> None:
         """Wait until those who are there are in the graph. Cancelling: safe."""
         link, found = self._link, anyio.Event()
+        gone = self._gone_since[found] = set()
 
         def ask() -> None:
-            tokens = link.session.tokens(all_tokens(link.domain))
-            link.inbox.push(partial(add, tokens))
+            tokens: list[str] = []
+            try:
+                tokens = link.session.tokens(all_tokens(link.domain))
+            finally:
+                link.inbox.push(partial(add, tokens))
 
         def add(tokens: list[str]) -> None:
             for token in tokens:
-                self._appeared(token)
+                if token not in gone:  # or it died after it was told of, and would stay for ever
+                    self._appeared(token)
             found.set()
 
         link.outbox.post(ask)
-        await found.wait()
+        try:
+            await found.wait()
+        finally:
+            del self._gone_since[found]
 
     async def aclose(self) -> None:
         """End the session: calls under way end, requests being handled are canceled.
@@ -221,6 +230,8 @@ class ZenohTransport:
             self._near.tell_change()
 
     def _gone(self, key: str) -> None:
+        for gone in self._gone_since.values():
+            gone.add(key)
         token = self._graph.remove(key)
         if token is None:
             return
