@@ -92,6 +92,7 @@ def test_a_name_is_resolved_in_its_namespace(name, namespace, node, absolute):
         ("pose", "/sim/", "", "it ends in a slash"),
         ("~/pose", "/", "", "there is no node here"),
         ("~/pose", "/", "a/b", "in a node's name"),
+        ("~/pose", "/", "a__b", "an underscore follows an underscore"),
     ],
 )
 def test_what_cannot_be_resolved_is_refused(name, namespace, node, problem):

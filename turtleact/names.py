@@ -103,7 +103,9 @@ def resolve_name(name: str, namespace: str = "/", node: str = "") -> str:
     if not node:
         raise InvalidName(name, "'~' stands for a node's name, and there is no node here", 0)
     validate_node_name(node)
-    return f"{namespace.rstrip('/')}/{node}{name[1:]}"
+    private = f"{namespace.rstrip('/')}/{node}{name[1:]}"
+    validate_name(private)  # a node's name may hold what a topic's may not
+    return private
 
 
 def action_names(name: str) -> ActionNames:

@@ -7,7 +7,7 @@ import io
 import json
 import re
 from collections.abc import Callable
-from contextlib import asynccontextmanager
+from contextlib import aclosing, asynccontextmanager
 from typing import Any
 
 import anyio
@@ -15,10 +15,10 @@ import pytest
 
 from turtleact import QoS, open_node
 from turtleact.actions.patrol import Patrol
-from turtleact.clock import EPOCH
+from turtleact.clock import EPOCH, VirtualClock
 from turtleact.commands import goals as verbs
 from turtleact.commands import live, rate, transcript
-from turtleact.commands.held_goals import HeldGoal
+from turtleact.commands.held_goals import HeldGoal, held_goals, served_actions
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.standard import (
@@ -32,6 +32,8 @@ from turtleact.interfaces.standard import (
     TurtlePose,
 )
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
+from turtleact.tasks import Background
+from turtleact.testing import FaultyTransport
 from turtleact.transports import MemoryTransport
 
 FIBONACCI = "example_interfaces/action/Fibonacci"
@@ -182,6 +184,22 @@ def test_a_goal_that_is_gone_when_its_result_is_asked_for_is_an_error(on_graph):
 def test_the_reason_why_a_goal_is_not_canceled_is_that_of_the_server(on_graph, code, reason):
     ran = on_graph(peer(2, cancel_code=code), "cancel", STRANGER.hex())
     assert ran == (1, f"{STRANGER.hex()} of /far: not canceled: {reason}\n", "")
+
+
+@pytest.mark.parametrize(("round_trip", "found"), [(0.0, 0), (0.4, 1)])
+async def test_goals_that_are_far_away_are_waited_for(graphs, round_trip, found):
+    transport = MemoryTransport(VirtualClock())
+    far = FaultyTransport(transport, delay=1.0)
+    far.round_trip = round_trip
+    async with (
+        aclosing(Background(transport.clock.run(), "the clock")),
+        far,
+        open_node("server", transport=transport) as server,
+        open_node("asks", transport=far) as asks,
+    ):
+        server.action_server(Fibonacci, "hold", graphs.hold)
+        async with server.action_client(Fibonacci, "hold").send_goal(Fibonacci.Goal()):
+            assert len(await held_goals(asks, served_actions(asks, None))) == found
 
 
 # --- cancel ---------------------------------------------------------------------------------

@@ -15,11 +15,14 @@ import anyio
 import pytest
 
 from turtleact import Message, QoS, open_node
+from turtleact.commands import publishing as publishing_verb
+from turtleact.commands.goal_text import GoalText
 from turtleact.commands.policies import Policies
 from turtleact.commands.python_text import python_text
 from turtleact.commands.rate import Bandwidth, Rate
 from turtleact.interfaces import array, float64, get_interface, int32, load_interface, string
 from turtleact.interfaces.standard import UUID, GoalInfo, GoalStatusArray, GoalStatusMessage, Twist
+from turtleact.transports import open_zenoh
 
 GOLDEN = {
     case["case"]: case
@@ -626,6 +629,24 @@ def test_a_message_may_come_from_stdin(on_graph, graphs, monkeypatch, stdin_of):
     stdin_of(b"linear: {x: 1}\n")
     out = on_graph(graphs.turtlesim, "topic", "pub", "-1", "--stdin", "/turtle1/cmd_vel").out
     assert "linear=geometry_msgs.msg.Vector3(x=1.0, y=0.0, z=0.0)" in out
+
+
+async def test_what_is_published_once_reaches_another_process(tmp_path):
+    address = f"unixsock-stream/{tmp_path / 'socket'}"
+    order = publishing_verb.Order(
+        "/it", "std_msgs/msg/String", GoalText("data: a", "message"), 1.0, 1, 0, 1, Policies()
+    )
+    async with (
+        open_zenoh([], listen=[address]) as far,
+        open_zenoh([address], mode="client") as near,
+        open_node("reader", transport=far) as reader,
+        open_node("writer", transport=near) as writer,
+    ):
+        subscription = reader.subscription(interface("std_msgs/msg/String"), "/it")
+        while not any(each.name == "/it" for each in near.endpoints()):
+            await near.wait_for_change()
+        assert await publishing_verb.publish(writer, order) == 0
+        assert await anext(subscription) == text("a")
 
 
 # --- call -----------------------------------------------------------------------------------

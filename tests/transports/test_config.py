@@ -40,7 +40,7 @@ def test_what_is_said_takes_the_place_of_the_default():
 def test_opening_does_not_wait_to_find_others_and_nobody_is_waited_for_long():
     made = settings()
     assert (made["scouting/delay"], made["connect/timeout_ms"]) == (0, 0)
-    assert made["transport/unicast/open_timeout"] == 2000
+    assert made["transport/unicast/open_timeout"] == 5000
     assert made["timestamping/enabled"]
 
 

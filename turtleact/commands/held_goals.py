@@ -50,6 +50,9 @@ STATUS_QOS = QoS(depth=100, durability="transient_local")
 PATIENCE = 0.5
 """How long is waited for what is latched (s, by the clock of the graph)."""
 
+ROUND_TRIPS = 5
+"""So many more: who keeps it is to be found, and asked, perhaps by a router in between."""
+
 
 ANSWER = 2.0
 """How long a server has to answer (s, likewise)."""
@@ -103,10 +106,11 @@ async def held_goals(node: Node, actions: dict[str, str]) -> tuple[list[HeldGoal
     """
     found: dict[tuple[str, bytes], HeldGoal] = {}
     silent: set[str] = set()
+    patience = PATIENCE + ROUND_TRIPS * node.transport.round_trip
     async with anyio.create_task_group() as asking:
         for server, action in _servers(node, actions).items():
             asking.start_soon(_ask, node, server, action, silent)
-        async with within(PATIENCE, node.clock), anyio.create_task_group() as listening:
+        async with within(patience, node.clock), anyio.create_task_group() as listening:
             for name, type_name in actions.items():
                 listening.start_soon(_listen, node, name, type_name, found)
     goals = sorted(found.values(), key=lambda goal: (goal.stamp, goal.action, goal.goal_id))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from turtleact.clock import within
 from turtleact.commands.graph import chosen_class
 from turtleact.commands.kinds import types_by_name
 from turtleact.commands.python_text import python_text
@@ -22,8 +23,12 @@ if TYPE_CHECKING:
     from turtleact.commands.goal_text import GoalText
     from turtleact.commands.policies import Policies
     from turtleact.node import Node
+    from turtleact.topics import Publisher
 
 __all__ = ["Order", "publish"]
+
+PATIENCE = 5.0
+"""So long a subscription has to be reached, of which the graph tells (s, by its clock)."""
 
 
 class Order(NamedTuple):
@@ -73,7 +78,7 @@ async def publish(node: Node, order: Order) -> int:
     if types and type_name not in types:
         note(f"topic '{name}' is of type {' and '.join(types)}: nobody there reads {type_name}")
     publisher = node.publisher(message_type, name, order.policies.qos())
-    await _wait_for_subscriptions(node, name, type_name, order.wait)
+    await _wait_for_subscriptions(node, publisher, type_name, order.wait)
     say("publisher: beginning loop\n")
     start, count = node.clock.time(), 0
     while True:
@@ -87,9 +92,11 @@ async def publish(node: Node, order: Order) -> int:
         await node.clock.sleep_until(start + count / order.rate)
 
 
-async def _wait_for_subscriptions(node: Node, name: str, type_name: str, least: int) -> None:
+async def _wait_for_subscriptions(
+    node: Node, publisher: Publisher[Message], type_name: str, least: int
+) -> None:
     def count() -> int:
-        wanted = ("subscription", name, type_name)
+        wanted = ("subscription", publisher.topic, type_name)
         endpoints = node.transport.endpoints()
         return sum((each.kind, each.name, each.type_name) == wanted for each in endpoints)
 
@@ -97,6 +104,9 @@ async def _wait_for_subscriptions(node: Node, name: str, type_name: str, least: 
         say(f"Waiting for at least {least} matching subscription(s)...\n")
     while count() < least:
         await node.transport.wait_for_change()
+    async with within(PATIENCE, node.clock):  # who is known to be there is reached a little later
+        while count() and not publisher.has_subscriptions:
+            await node.transport.wait_for_change()
 
 
 def _timed(tree: object, message_type: type[Message], now: int) -> object:

@@ -71,6 +71,7 @@ class FaultyTransport:
 
     Attributes:
         clock: The time of the wrapped transport.
+        round_trip: As of the wrapped transport.
         delay: The shortest and the longest delay (s); may be changed at any time.
         drop: The share that is lost; may be changed at any time.
         repeat: The share that arrives twice; may be changed at any time.
@@ -96,6 +97,7 @@ class FaultyTransport:
         if not 0 <= shortest <= longest < math.inf:
             raise SimError(f"delay is 0 or more seconds, or a pair of such in order, not {delay}")
         self.clock: Clock = transport.clock
+        self.round_trip = transport.round_trip
         self.delay = (shortest, longest)
         self.drop = drop
         self.repeat = repeat

@@ -256,9 +256,11 @@ class Transport(Protocol):
 
     Attributes:
         clock: The time of all nodes on it.
+        round_trip: How long others took to say who is there (s); 0 if nobody was asked.
     """
 
     clock: Clock
+    round_trip: float
 
     def advertise(
         self, endpoint: Endpoint, format: Format, source: Source | None = None

@@ -52,6 +52,7 @@ class MemoryTransport:
 
     def __init__(self, clock: Clock | None = None) -> None:
         self.clock: Clock = WallClock() if clock is None else clock
+        self.round_trip = 0.0
         self._topics: dict[Key, _Topic] = {}
         self._handlers: dict[Key, list[_Offer]] = {}
         self._endpoints: dict[int, Endpoint] = {}

@@ -52,8 +52,9 @@ DEFAULTS: dict[str, object] = {
 
 #: The same, for what Zenoh has other defaults for.
 TIGHTER: dict[str, object] = {
-    # Who says nothing is given up (ms).
-    "transport/unicast/open_timeout": 2000,
+    # Who says nothing is given up (ms): of a line that loses each tenth packet, one in two needs
+    # more than two seconds.
+    "transport/unicast/open_timeout": 5000,
     # A peer that takes nothing is cut off (us): until then it holds up those that do.
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,
 }

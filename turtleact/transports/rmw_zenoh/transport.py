@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from functools import partial
+from time import perf_counter
 from typing import TypeAlias
 
 import anyio
@@ -59,11 +60,13 @@ class ZenohTransport:
 
     Attributes:
         clock: The time of all nodes on it in this process.
+        round_trip: How long others took to say who is there (s), when `explore` asked them.
     """
 
     def __init__(self, session: Session, domain: int, clock: Clock | None = None) -> None:
         near = MemoryTransport(clock)
         self.clock: Clock = near.clock
+        self.round_trip = 0.0
         self._near = near
         self._link = Link(session, near, current_tasks(), domain)
         self._graph = Graph(session.zid)
@@ -146,6 +149,7 @@ class ZenohTransport:
         """Wait until those who are there are in the graph. Cancelling: safe."""
         link, found = self._link, anyio.Event()
         gone = self._gone_since[found] = set()
+        began = perf_counter()
 
         def ask() -> None:
             tokens: list[str] = []
@@ -163,6 +167,7 @@ class ZenohTransport:
         link.outbox.post(ask)
         try:
             await found.wait()
+            self.round_trip = perf_counter() - began
         finally:
             del self._gone_since[found]
 
