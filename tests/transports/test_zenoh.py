@@ -29,7 +29,7 @@ from turtleact.errors import (
     ServiceTimeout,
     TurtleactError,
 )
-from turtleact.interfaces import WireFormat, implied
+from turtleact.interfaces import WireFormat, cdr, implied
 from turtleact.interfaces.standard import UUID, GoalStatusArray
 from turtleact.transports import QoS, ZenohTransport, open_zenoh
 from turtleact.transports.base import Endpoint, Reply
@@ -1055,6 +1055,27 @@ async def test_an_action_of_a_node_is_used_from_another_process(address):
         (status,) = statuses.status_list
         assert status.goal_info.goal_id == goal_id
         assert user.graph().actions == {"/count": (Count.type_name,)}
+
+
+async def test_feedback_of_the_goals_of_others_is_not_read(address, monkeypatch):
+    read: list[type] = []
+    decode = cdr.decode
+    monkeypatch.setattr(cdr, "decode", lambda cls, data: read.append(cls) or decode(cls, data))
+    async with (
+        two(address) as peers,
+        turtleact.open_node("lab", transport=peers.there) as lab,
+        turtleact.open_node("idle", transport=peers.here) as idle,
+        turtleact.open_node("busy", transport=peers.here) as busy,
+    ):
+        lab.action_server(Count, "count", count)
+        clients = [node.action_client(Count, "count") for node in (idle, busy)]
+        for client in clients:  # each of them listens from its first goal on
+            assert await client.wait_for_server()
+            assert await client.send_goal(goal(0)) == result()
+        async with clients[1].send_goal(goal(3)) as handle:
+            assert len([each async for each in handle]) == 3
+        await peers.settle()
+        assert read.count(implied(Count).feedback_message) == 3
 
 
 async def test_a_goal_may_take_longer_than_zenoh_waits(address, monkeypatch):

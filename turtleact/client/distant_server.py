@@ -166,7 +166,7 @@ class DistantServer:
             goal_id = new_goal_id()
         if goal_id in self._followed:
             raise GoalRejected(f"the server still holds a goal of the id {goal_id.hex()}")
-        self._links.open(self._on_feedback)
+        self._links.open(self._on_feedback, self._followed)
         if on_feedback is not None:  # in the sender's context, not in that of the topic
             on_feedback = partial(copy_context().run, on_feedback)  # type: ignore[call-arg]
         goal = Goal(message, 0, id=goal_id, on_feedback=on_feedback, sender=sender)
@@ -246,6 +246,8 @@ class DistantServer:
     # topics
 
     def _on_feedback(self, message: Any) -> None:  # noqa: ANN401  # of the action's own class
+        if message is None:
+            return
         followed = self._followed.get(bytes(message.goal_id.uuid))
         if followed is not None:
             followed.take(message.feedback)
@@ -266,7 +268,7 @@ class DistantServer:
         followed = self._followed.get(goal_id)
         if followed is not None:
             return followed.goal
-        self._links.open(self._on_feedback)
+        self._links.open(self._on_feedback, self._followed)
         self._links.watch_status(self._on_status)
         with anyio.move_on_after(GRACE):
             while self._held is None:
@@ -305,7 +307,7 @@ class DistantServer:
         Raises:
             ServerUnavailable: if nobody answers.
         """
-        self._links.open(self._on_feedback)
+        self._links.open(self._on_feedback, self._followed)
         named = UUID() if goal_id is None else UUID(goal_id)
         request = CancelGoal.Request(GoalInfo(named, stamp_of(stamp)))
         try:

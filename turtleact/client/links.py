@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from typing import Any, cast
 
 from turtleact.body import ActionType
-from turtleact.interfaces import Action, Implied, WireFormat, implied
+from turtleact.interfaces import Action, Implied, Message, WireFormat, implied
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
 from turtleact.transports.base import (
     STATUS_QOS,
     Caller,
     Closeable,
+    Format,
     MakeEndpoint,
     QoS,
     Transport,
@@ -20,6 +21,9 @@ from turtleact.transports.base import (
 )
 
 __all__ = ["Links"]
+
+GOAL_ID = slice(4, 20)
+"""Where a feedback message has the id of its goal, in either byte order: behind CDR's header."""
 
 
 class Links:
@@ -77,8 +81,14 @@ class Links:
         """Wait for a server. Cancelling: safe."""
         await wait_until_served(self._transport, lambda: self.is_served or None, None)
 
-    def open(self, on_feedback: Callable[[Any], None]) -> None:
-        """Open the other services and the feedback topic; a second time does nothing."""
+    def open(self, on_feedback: Callable[[Any], None], followed: Container[bytes]) -> None:
+        """Open the other services and the feedback topic; a second time does nothing.
+
+        Args:
+            on_feedback: Gets each message of the topic.
+            followed: The ids of the goals whose feedback is wanted; of others it gets None, if
+                their messages come as bytes.
+        """
         if self._is_open:
             return
         self._is_open = True
@@ -86,7 +96,7 @@ class Links:
         self._subscribe(
             names.feedback,
             f"{action}_FeedbackMessage",
-            WireFormat(lambda: self.implied.feedback_message),
+            _FeedbackFormat(WireFormat(lambda: self.implied.feedback_message), followed),
             on_feedback,
         )
         self.get_result = self._join(
@@ -126,9 +136,32 @@ class Links:
         self,
         name: str,
         type_name: str,
-        format: WireFormat,
+        format: Format,
         deliver: Callable[[Any], None],
         qos: QoS | None = None,
     ) -> None:
         endpoint = self._endpoint("subscription", name, type_name, qos)
         self._opened.append(self._transport.subscribe(endpoint, format, deliver))
+
+
+class _FeedbackFormat:
+    """Reads the feedback of some goals alone: everybody gets that of all, in ROS 2.
+
+    Args:
+        format: Reads the messages.
+        followed: The ids of the goals.
+    """
+
+    def __init__(self, format: WireFormat, followed: Container[bytes]) -> None:
+        self.encode = format.encode
+        self._format = format
+        self._followed = followed
+
+    @property
+    def type_hash(self) -> str:
+        """The hash of the message."""
+        return self._format.type_hash
+
+    def decode(self, data: bytes) -> Message | None:
+        """A message; None if it is of another goal."""
+        return self._format.decode(data) if data[GOAL_ID] in self._followed else None
