@@ -1060,7 +1060,12 @@ async def test_an_action_of_a_node_is_used_from_another_process(address):
 async def test_feedback_of_the_goals_of_others_is_not_read(address, monkeypatch):
     read: list[type] = []
     decode = cdr.decode
-    monkeypatch.setattr(cdr, "decode", lambda cls, data: read.append(cls) or decode(cls, data))
+
+    def note(cls: Any, data: bytes) -> object:
+        read.append(cls)
+        return decode(cls, data)
+
+    monkeypatch.setattr(cdr, "decode", note)
     async with (
         two(address) as peers,
         turtleact.open_node("lab", transport=peers.there) as lab,
