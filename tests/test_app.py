@@ -13,7 +13,8 @@ from turtleact.app import open_world
 from turtleact.clock import ScaledClock, VirtualClock, WallClock
 from turtleact.errors import SimError
 from turtleact.goal import GoalStatus
-from turtleact.interfaces.standard import Point, TurtlePose
+from turtleact.interfaces.standard import Point, TurtlePose, Twist, Vector3
+from turtleact.tasks import wait_until_idle
 
 from .actions.arena import tasks_alive
 from .lab import ON_ASYNCIO, settle
@@ -52,6 +53,7 @@ async def test_a_world_has_one_turtle_and_the_built_in_actions():
         "/go_to": ("turtleact_interfaces/action/GoTo",),
         "/patrol": ("turtleact_interfaces/action/Patrol",),
         "/turtle1/rotate_absolute": ("turtlesim/action/RotateAbsolute",),
+        "/turtlesim/simulate_steps": ("simulation_interfaces/action/SimulateSteps",),
     }
 
 
@@ -105,6 +107,46 @@ async def test_at_speed_max_time_leaps():
         assert type(node.clock) is VirtualClock
         await node.clock.sleep(30.0)
         assert node.clock.time() == 30.0
+
+
+async def patrol(node, pauses=()):
+    """A patrol, bit by bit; the world is paused after so many of its poses."""
+    log = []
+    poses = node.subscription(TurtlePose, "turtle1/pose")
+    goal = Patrol.Goal(targets=TARGETS)
+    async with node.action_client(Patrol, "patrol").send_goal(goal) as handle:
+        while handle.status is not GoalStatus.SUCCEEDED:
+            log.append(await anext(poses))
+            if len(log) in pauses:
+                node.pause()
+                await wait_until_idle()
+                await node.step(3)
+                node.resume()
+        return log, (await handle.outcome()).result
+
+
+async def test_a_patrol_is_the_same_to_the_last_bit_whatever_pauses_there_are():
+    runs = []
+    for pauses in ((), (1, 50, 51, 300)):
+        async with open_world(speed="max") as node:
+            runs.append(await patrol(node, pauses))
+    assert runs[0] == runs[1]
+
+
+async def test_a_world_that_begins_paused_is_driven_in_lock_step():
+    async with open_world(speed="max", paused=True) as node:
+        poses = node.subscription(TurtlePose, "turtle1/pose")
+        twists = node.publisher(Twist, "turtle1/cmd_vel")
+        seen = []
+        for turn in (0.0, 1.0, -1.0):
+            twists.publish(Twist(Vector3(x=1.0), Vector3(z=turn)))
+            await node.step(2)
+            seen.append([round(pose.theta, 3) for pose in poses.drain()])
+        assert node.is_paused
+        node.resume()
+        assert not node.is_paused
+        await node.clock.sleep(1.0)
+    assert seen == [[0.0, 0.0], [0.016, 0.032], [0.016, 0.0]]
 
 
 @ON_ASYNCIO

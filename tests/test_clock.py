@@ -17,12 +17,10 @@ from turtleact.clock import (
     ScaledClock,
     VirtualClock,
     WallClock,
-    _queue,
     make_clock,
-    wait_until_idle,
 )
 from turtleact.errors import SimError
-from turtleact.tasks import Background
+from turtleact.tasks import Background, wait_until_idle
 
 from .lab import ON_ASYNCIO, running, settle
 
@@ -202,6 +200,108 @@ async def test_nothing_need_drive_wall_time():
         driver.scope.cancel()
 
 
+# --- a clock that stands ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 20.0])
+def test_a_clock_that_was_stopped_stands(wall, factor):
+    clock = ScaledClock(factor)
+    wall.seconds += 3
+    clock.stop_at(clock.time())
+    wall.seconds += 7
+    assert (clock.time(), clock.now()) == (3 * factor, 5_100 * SECOND + 3 * factor * SECOND)
+
+
+def test_a_clock_comes_as_far_as_it_may_and_no_further(wall):
+    clock = ScaledClock(2)
+    clock.stop_at(3)
+    wall.seconds += 1
+    assert clock.time() == 2
+    wall.seconds += 1
+    assert clock.time() == 3
+
+
+def test_a_clock_goes_on_from_where_it_stood(wall):
+    clock = ScaledClock(2)
+    clock.stop_at(3)
+    wall.seconds += 10
+    clock.stop_at(math.inf)
+    assert clock.time() == 3
+    wall.seconds += 1
+    assert clock.time() == 5
+
+
+def test_a_clock_is_not_put_back(wall):
+    clock = ScaledClock(2)
+    wall.seconds += 10
+    clock.stop_at(3)
+    assert clock.time() == 20
+
+
+def test_a_wall_clock_that_has_stood_is_behind_the_wall_by_as_much(wall, monkeypatch):
+    clock = WallClock()
+    wall.seconds += 2
+    clock.stop_at(clock.time())
+    wall.seconds += 5
+    assert clock.now() == 5_102 * SECOND
+    clock.stop_at(math.inf)
+    wall.seconds += 1
+    assert clock.now() == 5_103 * SECOND
+    monkeypatch.setattr(wall, "set_by", 3600)
+    assert clock.now() == 8_703 * SECOND
+
+
+@pytest.mark.parametrize("make", [WallClock, ScaledClock])
+async def test_whoever_sleeps_has_not_slept_while_the_clock_stood(wall, monkeypatch, make):
+    clock, sleeps = make(), HandSleep(monkeypatch)
+    async with running(lambda: clock.sleep(3)) as sleeper:
+        wall.seconds += 1
+        clock.stop_at(clock.time())
+        wall.seconds += 2
+        sleeps.ends[0].set()
+        await settle()
+        wall.seconds += 5
+        assert sleeps.asked == [3.0]
+        clock.stop_at(math.inf)
+        await settle()
+        assert sleeps.asked == [3.0, 2.0]
+        wall.seconds += 2
+        sleeps.ends[1].set()
+        await sleeper.done.wait()
+        assert clock.time() == 3
+
+
+@pytest.mark.parametrize("make", [WallClock, ScaledClock])
+async def test_whoever_lies_down_while_the_clock_stands_sleeps_once_it_goes_on(
+    wall, monkeypatch, make
+):
+    clock, sleeps = make(), HandSleep(monkeypatch)
+    clock.stop_at(clock.time())
+    async with running(lambda: clock.sleep_until(2)) as sleeper:
+        wall.seconds += 5
+        assert sleeps.asked == []
+        clock.stop_at(1)  # not yet
+        await settle()
+        assert sleeps.asked == []
+        clock.stop_at(math.inf)
+        await settle()
+        assert sleeps.asked == [2.0]
+        wall.seconds += 2
+        sleeps.ends[0].set()
+        await sleeper.done.wait()
+
+
+@pytest.mark.parametrize("make", [WallClock, ScaledClock])
+async def test_whoever_sleeps_until_the_clock_stops_wakes_then(wall, monkeypatch, make):
+    clock, sleeps = make(), HandSleep(monkeypatch)
+    clock.stop_at(0.1)
+    async with running(lambda: clock.sleep_until(0.1)) as sleeper:
+        wall.seconds += 5
+        sleeps.ends[0].set()
+        await sleeper.done.wait()
+        assert (clock.time(), sleeps.asked) == (0.1, [0.1])
+
+
 # --- choosing a clock -----------------------------------------------------------------------
 
 
@@ -276,6 +376,17 @@ async def test_virtual_time_stands_still_until_somebody_drives_it():
             await sleeper.done.wait()
             driver.scope.cancel()
         assert clock.time() == 1
+
+
+async def test_virtual_time_leaps_to_no_deadline_behind_the_moment_of_its_stop(clock):
+    clock.stop_at(1)
+    async with running(lambda: clock.sleep(1)) as one, running(lambda: clock.sleep(1.1)) as other:
+        await one.done.wait()
+        await wait_until_idle()
+        assert (other.done.is_set(), clock.time()) == (False, 1)
+        clock.stop_at(math.inf)
+        await other.done.wait()
+        assert clock.time() == 1.1
 
 
 async def test_virtual_time_stands_still_while_anything_can_run(clock):
@@ -552,58 +663,3 @@ async def test_a_minute_of_many_sleepers_takes_no_minute(clock):
             group.start_soon(tick)
     assert clock.time() == 60
     assert time.monotonic() - begun < 30
-
-
-# --- being idle -----------------------------------------------------------------------------
-
-
-async def test_one_is_idle_once_all_others_wait():
-    async def work() -> None:
-        for _ in range(100):
-            await anyio.lowlevel.checkpoint()
-
-    async with running(work) as worker:
-        assert not worker.done.is_set()
-        await wait_until_idle()
-        assert worker.done.is_set()
-
-
-async def test_all_who_wait_for_idleness_see_it():
-    seen: list[int] = []
-
-    async def watch(number: int) -> None:
-        await wait_until_idle()
-        seen.append(number)
-
-    async with anyio.create_task_group() as group:
-        for number in range(5):
-            group.start_soon(watch, number)
-    assert sorted(seen) == list(range(5))
-
-
-async def test_one_who_no_longer_waits_for_idleness_is_not_counted():
-    busy = anyio.Event()
-
-    async def work() -> None:
-        while not busy.is_set():
-            await anyio.lowlevel.checkpoint()
-
-    async with running(work) as worker:
-        async with running(wait_until_idle) as canceled, running(wait_until_idle) as watcher:
-            canceled.scope.cancel()
-            await canceled.done.wait()
-            for _ in range(20):
-                await anyio.lowlevel.checkpoint()
-            assert not watcher.done.is_set()
-            busy.set()
-            await watcher.done.wait()
-        assert worker.done.is_set()
-
-
-class Opaque:
-    """An event loop that does not show its queue."""
-
-
-def test_a_loop_that_does_not_show_its_queue_is_refused():
-    with pytest.raises(SimError, match=r"does not work on the event loop <.*Opaque"):
-        _queue(Opaque())  # type: ignore[arg-type]  # it has no more than is asked of it

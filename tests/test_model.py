@@ -31,7 +31,6 @@ from hypothesis import strategies as st
 
 import turtleact
 from turtleact import CancelResponse, GoalResponse
-from turtleact.clock import wait_until_idle
 from turtleact.errors import (
     Abort,
     Canceled,
@@ -44,7 +43,7 @@ from turtleact.errors import (
 )
 from turtleact.goal import TRANSITIONS, Goal, GoalStatus
 from turtleact.slot import Slot
-from turtleact.tasks import GRACE
+from turtleact.tasks import GRACE, wait_until_idle
 from turtleact.testing import virtual_backend
 from turtleact.transports import MemoryTransport
 

@@ -19,10 +19,48 @@ from turtleact.sim.world import World
 from turtleact.tasks import Background
 from turtleact.transports import MemoryTransport, Transport
 
-__all__ = ["OpenGraph", "open_world"]
+__all__ = ["OpenGraph", "WorldNode", "open_world"]
 
 OpenGraph: TypeAlias = Callable[[Clock], AbstractAsyncContextManager[Transport]]
 """Opens a graph whose nodes share a clock."""
+
+
+class WorldNode(Node):
+    """A node beside a world of this process, by which the world's time is ruled, too.
+
+    Made by `open_world`.
+
+    Attributes:
+        sim: The world.
+    """
+
+    def __init__(self, name: str, transport: Transport, sim: Turtlesim) -> None:
+        super().__init__(name, "/", transport)
+        self.sim = sim
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether time stands still, but for the ticks of `step`."""
+        return self.sim.is_paused
+
+    def pause(self) -> None:
+        """Let time stand still from now on, for all that waits by `clock`."""
+        self.sim.pause()
+
+    def resume(self) -> None:
+        """Let time pass again, from where it stood."""
+        self.sim.resume()
+
+    async def step(self, ticks: int = 1) -> None:
+        """Let some ticks of 16 ms pass in a pause, and wait for the last.
+
+        Cancelling: no tick is made any more.
+
+        Raises:
+            SimError: if the world is not paused, or is already being stepped, or ``ticks`` is
+                negative; if somebody pauses or resumes it before the last.
+        """
+        await self.sim.step(ticks)
 
 
 @asynccontextmanager
@@ -31,10 +69,11 @@ async def open_world(
     speed: float | str = 1.0,
     seed: int = 0,
     turtles: int = 1,
+    paused: bool = False,
     graph: OpenGraph | None = None,
     on_transition: Transition | None = None,
     on_start: Callable[[Turtlesim], object] | None = None,
-) -> AsyncIterator[Node]:
+) -> AsyncIterator[WorldNode]:
     """A world of turtles with the built-in actions, and a node to use them from.
 
     Args:
@@ -43,6 +82,7 @@ async def open_world(
             up makes time slower.
         seed: Chooses where all turtles but the first start.
         turtles: How many there are: ``turtle1``, ``turtle2``, …
+        paused: Whether time stands still until somebody steps or resumes the world.
         graph: Opens the graph that the world is on; one within the process if left out.
         on_start: Given the turtles, before anything can be asked of them.
         on_transition: Told of each change of the world's goals; see `Node.on_transition`.
@@ -56,16 +96,17 @@ async def open_world(
         await stack.enter_async_context(aclosing(Background(clock.run(), "the clock")))
         opened = _within_process(clock) if graph is None else graph(clock)
         transport = await stack.enter_async_context(opened)
-        sim = await stack.enter_async_context(open_node("turtlesim", transport=transport))
-        turtlesim = await stack.enter_async_context(aclosing(Turtlesim(sim, world)))
+        home = await stack.enter_async_context(open_node("turtlesim", transport=transport))
+        sim = Turtlesim(home, world, is_paused=paused)
+        await stack.enter_async_context(aclosing(sim))
         if on_start is not None:
-            on_start(turtlesim)
+            on_start(sim)
         actions = await stack.enter_async_context(open_node("turtle_actions", transport=transport))
         if on_transition is not None:
-            sim.on_transition(on_transition)
+            home.on_transition(on_transition)
             actions.on_transition(on_transition)
         serve_built_ins(actions, side=SIDE)
-        yield await stack.enter_async_context(open_node("turtleact", transport=transport))
+        yield await stack.enter_async_context(aclosing(WorldNode("turtleact", transport, sim)))
 
 
 @asynccontextmanager

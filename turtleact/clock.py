@@ -2,7 +2,7 @@
 
 Every wait of turtleact goes through a `Clock`. Virtual time stands still while anything can run,
 and leaps to the next deadline once every task waits; so a minute passes in milliseconds, and two
-runs of the same program pass through the same moments.
+runs of the same program pass through the same moments. Any of them can be made to stand still.
 
 `Clock.time` is for measuring (seconds, from an arbitrary start, never backwards); `Clock.now` is
 ROS time (nanoseconds since the epoch) and stamps what others see.
@@ -14,24 +14,21 @@ there: all of them, and `anyio.sleep`, then tell one time.
 from __future__ import annotations
 
 import asyncio
-import gc
 import heapq
 import itertools
 import math
 import sys
 import time
-from collections import deque
-from collections.abc import AsyncIterator, Callable, Sized
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 from numbers import Real
 from typing import Protocol, TypeVar, cast
 
 import anyio
-from anyio.lowlevel import RunVar
 
 from turtleact.errors import InvalidOption, SimError
-from turtleact.tasks import Background, Signal, Tasks, current_tasks
+from turtleact.tasks import Background, Signal, Tasks, current_tasks, wait_until_idle
 
 __all__ = [
     "EPOCH",
@@ -42,7 +39,6 @@ __all__ = [
     "WallClock",
     "check_timeout",
     "make_clock",
-    "wait_until_idle",
     "within",
 ]
 
@@ -56,6 +52,9 @@ FASTEST = 100.0
 
 LEEWAY = 0.05
 """How far a scaled clock runs ahead of a sleeper that is late (s)."""
+
+
+_LAST = sys.float_info.max
 
 
 class Clock(Protocol):
@@ -72,6 +71,12 @@ class Clock(Protocol):
 
     async def sleep_until(self, deadline: float) -> None:
         """Wait until `time` has reached ``deadline``."""
+
+    def stop_at(self, moment: float) -> None:
+        """Let `time` come no further than ``moment``, or than it is; `math.inf` lets it go on.
+
+        It goes on from where it stood: nobody has slept the time between.
+        """
 
     async def run(self) -> None:
         """Drive the clock for as long as it is needed; never returns by itself."""
@@ -106,13 +111,21 @@ class ScaledClock:
         self._ros_start = EPOCH + round(self._wall_start * 1e9) if leaping else time.time_ns()
         self._order = itertools.count()
         self._sleepers: list[tuple[float, int]] = []  # a heap
+        self._end = math.inf
+        self._stands = False
+        self._freed: Signal | None = None
 
     def time(self) -> float:
-        """Seconds since this clock was made, without those for which it was held up."""
+        """Seconds since this clock was made, without those for which it was held up or stood."""
+        if self._stands:
+            return self._end
         seconds = (self._wall() - self._wall_start) * self.factor
         if self._sleepers and seconds > (latest := self._sleepers[0][0] + LEEWAY):
             self._wall_start += (seconds - latest) / self.factor
-            return latest
+            seconds = latest
+        if seconds >= self._end:
+            self._stands = True
+            return self._end
         return seconds
 
     def now(self) -> int:
@@ -122,24 +135,46 @@ class ScaledClock:
     async def sleep(self, seconds: float) -> None:
         """Wait for some seconds of this clock; 0 or less is a checkpoint."""
         left = max(seconds, 0.0)
-        sleeper = (self.time() + left, next(self._order))
+        await self._sleep(self.time() + left, left)
+
+    async def sleep_until(self, deadline: float) -> None:
+        """Wait until `time` has reached ``deadline``."""
+        now = self.time()
+        await self._sleep(max(deadline, now), max(deadline - now, 0.0))
+
+    def stop_at(self, moment: float) -> None:
+        """Let `time` come no further than ``moment``, or than it is; `math.inf` lets it go on."""
+        now = self.time()
+        if self._stands:
+            self._wall_start = self._wall() - now / self.factor
+            self._stands = False
+        self._end = max(moment, now)
+        if self._freed is not None:
+            self._freed.fire()
+
+    async def _sleep(self, deadline: float, left: float) -> None:
+        sleeper = (deadline, next(self._order))
         heapq.heappush(self._sleepers, sleeper)
         try:
-            while True:
-                start = self._wall_start
-                await anyio.sleep(left / self.factor)
-                left = sleeper[0] - self.time()
-                if left <= 0 or self._wall_start == start:  # nothing has held the clock up
-                    break
+            await self._wait(deadline, left)
         except BaseException:
             _remove(self._sleepers, sleeper)
             raise
         # It holds the clock up until it waits again: what it does now takes wall time too.
         current_tasks().soon(partial(_remove, self._sleepers, sleeper))
 
-    async def sleep_until(self, deadline: float) -> None:
-        """Wait until `time` has reached ``deadline``."""
-        await self.sleep(deadline - self.time())
+    async def _wait(self, deadline: float, left: float) -> None:
+        while True:
+            while deadline > self._end:
+                if self._freed is None:
+                    self._freed = current_tasks().signal()
+                await self._freed.wait()
+                left = deadline - self.time()
+            start = self._wall_start
+            await anyio.sleep(left / self.factor)
+            left = deadline - self.time()
+            if left <= 0 or (self._wall_start == start and not self._stands):
+                return  # else something has held the clock up
 
     async def run(self) -> None:
         """Nothing drives wall time."""
@@ -151,12 +186,23 @@ class WallClock(ScaledClock):
 
     def __init__(self) -> None:
         super().__init__()
+        self._made = self._wall_start
         if self._wall is time.monotonic:
             self.now = time.time_ns  # type: ignore[method-assign]  # it follows a clock that is set
 
-    async def sleep(self, seconds: float) -> None:
-        """Wait for some seconds; 0 or less is a checkpoint."""
-        await anyio.sleep(max(seconds, 0.0))
+    def stop_at(self, moment: float) -> None:
+        """Let `time` come no further than ``moment``, or than it is; `math.inf` lets it go on."""
+        super().stop_at(moment)
+        if self._wall is time.monotonic:
+            self.now = self._behind  # type: ignore[method-assign]  # as above
+
+    def _behind(self) -> int:
+        """The wall's time without that for which this clock stood."""
+        stood = self._wall() - self._made - self.time()
+        return time.time_ns() - round(stood * 1e9)
+
+    async def _sleep(self, deadline: float, left: float) -> None:
+        await self._wait(deadline, left)
 
 
 class VirtualClock:
@@ -171,6 +217,7 @@ class VirtualClock:
         self._time = 0.0
         self._order = itertools.count()
         self._sleepers: list[tuple[float, int, Signal]] = []
+        self._end = _LAST
         self._wanted: Signal | None = None
         self._tasks: Tasks | None = None
 
@@ -205,12 +252,18 @@ class VirtualClock:
             _remove(self._sleepers, sleeper)
             raise
 
+    def stop_at(self, moment: float) -> None:
+        """Leap to no deadline behind ``moment``; `math.inf` lets time go on."""
+        self._end = min(moment, _LAST)
+        if self._wanted is not None:
+            self._wanted.fire()
+
     async def run(self) -> None:
         """Leap to the next deadline whenever every other task waits; never returns by itself."""
         wanted = self._wanted = current_tasks().signal()
         while True:
             await wait_until_idle()
-            if not self._sleepers or self._sleepers[0][0] == math.inf:
+            if not self._sleepers or self._sleepers[0][0] > self._end:
                 await wanted.wait()
                 continue
             self._time = max(self._time, self._sleepers[0][0])
@@ -256,69 +309,6 @@ def _leaping_time() -> Callable[[], float] | None:
     except RuntimeError:  # a clock may be made before the loop runs
         return None
     return loop.time if getattr(loop, "is_virtual", False) else None
-
-
-# being idle
-
-
-async def wait_until_idle() -> None:
-    """Wait until every other task waits for something that none of them brings about.
-
-    Several may wait so; all go on then. What waits for the network, a thread or wall time counts as
-    idle. Cancelling: safe, nothing is lost.
-    """
-    if anyio.get_cancelled_exc_class() is not asyncio.CancelledError:
-        await anyio.wait_all_tasks_blocked()  # trio's own
-        return
-    turns = _turns.get(None)
-    if turns is None:
-        turns = _Turns(asyncio.get_running_loop())
-        _turns.set(turns)
-    await turns.wait_until_idle()
-
-
-class _Turns:
-    """How often an asyncio loop has been idle, and who watches it.
-
-    A watcher takes turn after turn of the loop, so each has one call in the loop's queue; the loop
-    is idle when a watcher, in its own turn, finds nothing there but those of the others.
-    """
-
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        self._ready = _queue(loop)
-        self._watchers = 0
-        self._idle = 0
-
-    async def wait_until_idle(self) -> None:
-        """Take turns until the loop is idle; whoever sees it first has seen it for all."""
-        before = self._idle
-        self._watchers += 1
-        try:
-            await asyncio.sleep(0)
-            while self._idle == before and len(self._ready) >= self._watchers:
-                await asyncio.sleep(0)
-        finally:
-            self._watchers -= 1
-        if self._idle == before:
-            self._idle += 1
-
-
-_turns: RunVar[_Turns] = RunVar("turtleact_turns")
-
-
-def _queue(loop: asyncio.AbstractEventLoop) -> Sized:
-    """The calls that a loop will make in this or its next turn.
-
-    Raises:
-        SimError: if the loop does not show them.
-    """
-    ready = getattr(loop, "_ready", None)  # asyncio's own loops
-    if ready is None:  # uvloop hides it from Python, but not from the garbage collector
-        held = [each for each in gc.get_referents(loop) if isinstance(each, deque)]
-        if len(held) != 1:
-            raise SimError(f"virtual time does not work on the event loop {loop!r}")
-        ready = held[0]
-    return cast("Sized", ready)
 
 
 # timeouts

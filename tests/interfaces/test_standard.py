@@ -10,7 +10,7 @@ import pytest
 from turtleact.interfaces import get_interface, known_interfaces, standard
 from turtleact.interfaces.parse import parse
 from turtleact.interfaces.registry import REGISTRY
-from turtleact.interfaces.standard import parameters
+from turtleact.interfaces.standard import parameters, simulation
 from turtleact.interfaces.types import Action, Message, Service, definition
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -20,7 +20,11 @@ SHIPPED = sorted(
     for path in FOLDER.rglob("*")
     if path.suffix in {".msg", ".srv", ".action"}
 )
-CLASSES = [getattr(module, name) for module in (standard, parameters) for name in module.__all__]
+CLASSES = [
+    getattr(module, name)
+    for module in (standard, parameters, simulation)
+    for name in module.__all__
+]
 IDS = [cls.type_name for cls in CLASSES]
 
 
@@ -53,7 +57,7 @@ def test_every_file_is_known():
     assert set(SHIPPED) <= set(known_interfaces())
 
 
-@pytest.mark.parametrize("module", [standard, parameters])
+@pytest.mark.parametrize("module", [standard, parameters, simulation])
 def test_every_class_is_exported(module):
     made = {
         name

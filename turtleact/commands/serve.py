@@ -53,6 +53,7 @@ class Service(NamedTuple):
         speed: How fast time passes in the world.
         turtles: How many there are.
         seed: What its random choices begin with.
+        paused: Whether time stands still there at first.
         config: Paths and values of Zenoh's configuration, such as those of its locks.
         web: The host and port of the page and of rosbridge; None for neither.
         token: What its clients must know; None means as `turtleact.web.open_web` says.
@@ -69,6 +70,7 @@ class Service(NamedTuple):
     speed: float
     turtles: int
     seed: int
+    paused: bool
     config: dict[str, object]
     web: tuple[str, int] | None
     token: str | None
@@ -158,11 +160,12 @@ async def _open_node(
                 speed=service.speed,
                 seed=service.seed,
                 turtles=service.turtles,
+                paused=service.paused,
                 graph=graph,
                 on_transition=log.tell,
                 on_start=None if log.board is None else log.board.begin,
             )
-            node = await stack.enter_async_context(world)
+            node: Node = await stack.enter_async_context(world)
         else:
             from turtleact.clock import WallClock
 

@@ -51,7 +51,10 @@ KINDS = ("msg", "srv", "action")
 LAYOUTS = ("*", "share/*", "*/share/*")
 
 #: Packages whose classes stand in a module that few need: it is imported with the first of them.
-DECLARED = {"rcl_interfaces": "turtleact.interfaces.standard.parameters"}
+DECLARED = {
+    "rcl_interfaces": "turtleact.interfaces.standard.parameters",
+    "simulation_interfaces": "turtleact.interfaces.standard.simulation",
+}
 
 #: The former name of ``implied``.
 implied_types = implied

@@ -5,6 +5,6 @@ commands, `placing` says where they are put, `rotation` how one turns to a headi
 them over a `drawing`, which is kept as lines and on a `canvas`; `snapshot` makes pictures. None of
 these knows ROS or a clock.
 
-`turtlesim`, above them, is the world as a node, with `turtle` for each of its turtles and
-`parameters` for its own.
+`turtlesim`, above them, is the world as a node, with `turtle` for each of its turtles, `parameters`
+for its own, `ticking` for when it steps and `simulation` for those who rule that.
 """

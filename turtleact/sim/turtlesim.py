@@ -2,8 +2,8 @@
 
 For all turtles together there are the services ``spawn``, ``kill``, ``clear`` and ``reset``, and
 the parameters ``background_r``, ``background_g``, ``background_b`` and ``holonomic``; `turtle` says
-what each turtle has. Above `kinematics` and `world`, only these three modules know ROS, and only
-this one knows time.
+what each turtle has, `simulation` what there is for time. Above `kinematics` and `world`, only
+these modules know ROS, and only `ticking` and this one know time.
 
 Where turtlesim would end (a turtle that cannot be called so) or turn for ever (numbers that are not
 finite), this logs and goes on.
@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import logging
 from itertools import islice
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import anyio
 
@@ -25,7 +25,9 @@ from turtleact.names import resolve_name
 from turtleact.sim.canvas import Colour
 from turtleact.sim.parameters import Parameters
 from turtleact.sim.pens import Pens
+from turtleact.sim.simulation import Simulation
 from turtleact.sim.snapshot import BACKGROUND, Figure, Snapshot, thumbnail
+from turtleact.sim.ticking import Ticking
 from turtleact.sim.turtle import Turtle
 from turtleact.tasks import Background
 
@@ -40,21 +42,20 @@ __all__ = ["Turtlesim"]
 
 logger = logging.getLogger("turtleact.turtlesim")
 
-MOST_BEHIND: Final = 1.0
-"""A world that is further behind its clock than this (s) does not try to catch up."""
-
 
 class Turtlesim:
     """A world that lives on a node; it ticks from the moment it is made until it is closed.
 
     The ticks follow an absolute schedule of the node's clock, 16 ms apart, so they do not drift.
+    While the world is paused that clock stands, and with it all that waits by it.
 
     Args:
         node: Where its topics and services are opened, and whose clock it follows.
         world: The turtles.
+        is_paused: Whether it begins with a pause, after its first tick.
     """
 
-    def __init__(self, node: Node, world: World) -> None:
+    def __init__(self, node: Node, world: World, *, is_paused: bool = False) -> None:
         logger.info("Starting turtlesim with node name %s", node.fully_qualified_name)
         self._node = node
         self._world = world
@@ -62,9 +63,7 @@ class Turtlesim:
         self._roster = anyio.Lock()  # turtlesim, too, handles one request after the other
         self._parameters = _declare(node, self._parameters_changed, is_holonomic=world.holonomic)
         self._turtles: dict[str, Turtle] = {}
-        for name in world.names:
-            x, y, theta, *_ = world.pose(name)
-            self._welcome(name, x, y, theta)
+        self._welcome_all()
         node.service(Spawn, "spawn", self._spawn)
         node.service(Kill, "kill", self._kill)
         node.service(Empty, "clear", self._clear)
@@ -74,7 +73,32 @@ class Turtlesim:
         self._is_graph_new = True
         self._tick()  # here, so that the world is a tick old before anybody can send a goal
         self._watching = Background(self._watch(), "turtlesim's watch over the graph")
-        self._ticking = Background(self._run(node.clock.time()), "turtlesim")
+        self._ticking = Ticking(node.clock, self._tick, is_paused=is_paused)
+        Simulation(node, self._ticking, self._restart)
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether time stands still, but for the ticks of `step`."""
+        return self._ticking.is_paused
+
+    def pause(self) -> None:
+        """Let time stand still from now on; a second time does nothing."""
+        self._ticking.pause()
+
+    def resume(self) -> None:
+        """Let time pass again, from where it stood; where it passes, that does nothing."""
+        self._ticking.resume()
+
+    async def step(self, ticks: int = 1) -> None:
+        """Let some ticks pass in a pause, at the pace of the clock, and wait for the last.
+
+        Cancelling: no tick is made any more.
+
+        Raises:
+            SimError: if the world is not paused, or is already being stepped, or ``ticks`` is
+                negative; if somebody pauses or resumes it before the last.
+        """
+        await self._ticking.step(ticks)
 
     def snapshot(self) -> Snapshot:
         """The world as it looks now, for `to_png` and `to_svg` of `turtleact.sim.snapshot`."""
@@ -99,15 +123,6 @@ class Turtlesim:
         """Stop ticking."""
         await self._ticking.aclose()
         await self._watching.aclose()
-
-    async def _run(self, start: float) -> None:
-        clock, world = self._node.clock, self._world
-        while True:
-            due = start + world.time
-            if clock.time() - due > MOST_BEHIND:
-                start = clock.time() - world.time
-            await clock.sleep_until(due)
-            self._tick()
 
     async def _watch(self) -> None:
         """Note changes of the graph: to ask a thousand turtles who reads them takes a while."""
@@ -144,6 +159,11 @@ class Turtlesim:
             self._turtles[name].tell_colour(colour)
 
     # turtles that come and go
+
+    def _welcome_all(self) -> None:
+        for name in self._world.names:
+            x, y, theta, *_ = self._world.pose(name)
+            self._welcome(name, x, y, theta)
 
     def _welcome(self, name: str, x: float, y: float, theta: float) -> None:
         self._turtles[name] = Turtle(self._node, self._world, self._pens, name)
@@ -192,9 +212,18 @@ class Turtlesim:
             self._world.reset()
             self._pens.forget_all()
             await self._part_with(before)
-            x, y, theta, *_ = self._world.pose("turtle1")
-            self._welcome("turtle1", x, y, theta)
+            self._welcome_all()
         return Empty.Response()
+
+    async def _restart(self) -> None:
+        """As `_reset`, but to all the turtles that there were in the beginning."""
+        async with self._roster:
+            before = list(self._turtles.values())
+            self._turtles.clear()
+            self._world.restart()
+            self._pens.forget_all()
+            await self._part_with(before)
+            self._welcome_all()
 
     async def _part_with(self, turtles: list[Turtle]) -> None:
         """Close turtles side by side: each may wait for the clean-up of a goal."""

@@ -102,10 +102,11 @@ class World:
         if turtles < 1:
             raise SimError(f"a world of {turtles} turtles: give 1 or more")
         numbers = sorted(range(1, turtles + 1), key=str)
+        self._first = {f"turtle{number}": start(number, seed) for number in numbers}
         self.holonomic = holonomic
         self.on_jump: Callable[[str, complex, complex], None] | None = None
         self._rule = rule
-        self._settle([f"turtle{number}" for number in numbers], [start(n, seed) for n in numbers])
+        self._settle(list(self._first), list(self._first.values()))
         self._count = turtles
         self._tick = 0
         self._is_asked = False
@@ -242,11 +243,11 @@ class World:
 
     def reset(self) -> None:
         """Leave nothing but a ``turtle1`` at the start; names are counted anew, time goes on."""
-        self._fleet_command = None
-        self._commands.clear()
-        self._teleports.clear()
-        self._settle(["turtle1"], [MIDDLE])
-        self._count = 1
+        self._begin({"turtle1": MIDDLE})
+
+    def restart(self) -> None:
+        """Put the turtles there that there were at first, where they were; time goes on."""
+        self._begin(self._first)
 
     def take_up(self) -> None:
         """Do now what the next step would begin with; what is asked for later is taken up then."""
@@ -321,6 +322,13 @@ class World:
         raise SimError(
             f"there is no turtle {turtle!r}: give a name ({known}) or an index to {last}"
         )
+
+    def _begin(self, turtles: dict[str, Place]) -> None:
+        self._fleet_command = None
+        self._commands.clear()
+        self._teleports.clear()
+        self._settle(list(turtles), list(turtles.values()))
+        self._count = len(turtles)
 
     def _settle(self, names: list[str], places: list[Place]) -> None:
         self._names = tuple(names)

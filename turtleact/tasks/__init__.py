@@ -25,6 +25,7 @@ from turtleact.tasks.base import (
     is_cancellation,
 )
 from turtleact.tasks.current import current_tasks
+from turtleact.tasks.idle import wait_until_idle
 
 __all__ = [
     "DEEPEST",
@@ -35,4 +36,5 @@ __all__ = [
     "Tasks",
     "current_tasks",
     "is_cancellation",
+    "wait_until_idle",
 ]

@@ -4,7 +4,7 @@ It stands beside `turtleact.app` and knows nodes, clocks and transports, no worl
 ``turtleact.testing.plugin`` is the door to pytest, and the only module that imports it.
 """
 
-from turtleact.clock import wait_until_idle
+from turtleact.tasks import wait_until_idle
 from turtleact.testing.faults import Faults, FaultyTransport
 from turtleact.testing.goals import GoalRun, run_goal
 from turtleact.testing.time import run, virtual_backend

@@ -85,6 +85,9 @@ _Plain = Annotated[bool, typer.Option("--plain", help="Lines only, even on a ter
 _Speed = Annotated[str, typer.Option(metavar="FACTOR", help="How fast time passes in the world.")]
 _Turtles = Annotated[str, typer.Option(metavar="N", help="How many turtles there are.")]
 _Seed = Annotated[str, typer.Option(metavar="NUMBER", help="What its random choices begin with.")]
+_Paused = Annotated[
+    bool, typer.Option("--paused", help="Let time stand still until it is stepped or resumed.")
+]
 
 _RosArguments = Annotated[
     list[str] | None,
@@ -135,6 +138,7 @@ def serve(
     speed: _Speed = "1",
     turtles: _Turtles = "1",
     seed: _Seed = "0",
+    paused: _Paused = False,
     interfaces: Interfaces = None,
 ) -> Job:
     """``serve``."""
@@ -174,6 +178,7 @@ def serve(
             factor,
             count,
             first,
+            paused,
             locks.settings(),
             page,
             token,

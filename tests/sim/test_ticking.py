@@ -1,0 +1,240 @@
+"""The ticks of a world: their schedule, and pauses in it."""
+
+from __future__ import annotations
+
+import itertools
+from contextlib import aclosing, asynccontextmanager
+
+import anyio
+import pytest
+
+from turtleact.clock import VirtualClock, WallClock, make_clock
+from turtleact.errors import SimError
+from turtleact.sim.ticking import Ticking
+from turtleact.tasks import Background, current_tasks, wait_until_idle
+from turtleact.testing import virtual_backend
+
+from ..lab import running, settle
+
+TICK = 0.016
+
+LEAPING = pytest.mark.parametrize(
+    "anyio_backend",
+    [
+        pytest.param(virtual_backend("asyncio"), id="asyncio"),
+        pytest.param(virtual_backend("trio"), id="trio"),
+    ],
+)
+"""The wall's own time leaps, so that clocks which follow it need not be waited for."""
+
+SPEEDS = pytest.mark.parametrize("speed", [1.0, 0.5, 20.0, "max"])
+
+
+class Ticks:
+    """Ticks under way, and when they were made."""
+
+    def __init__(self, clock, *, is_paused=False):
+        self.clock = clock
+        self.log = []
+        self.ticking = Ticking(clock, self._tick, is_paused=is_paused)
+
+    def _tick(self):
+        self.log.append(self.clock.time())
+
+    async def pass_ticks(self, ticks):
+        await self.clock.sleep(ticks * TICK)
+
+
+@asynccontextmanager
+async def ticks(clock=None, *, is_paused=False):
+    clock = VirtualClock() if clock is None else clock
+    async with aclosing(Background(clock.run(), "the clock")):
+        made = Ticks(clock, is_paused=is_paused)
+        async with aclosing(made.ticking):
+            yield made
+
+
+@LEAPING
+@SPEEDS
+async def test_in_a_pause_there_are_no_ticks_and_the_clock_stands(speed):
+    async with ticks(make_clock(speed)) as here:
+        await here.pass_ticks(3.5)
+        here.ticking.pause()
+        before = here.clock.time()
+        await anyio.sleep(1000.0)
+        assert (len(here.log), here.clock.time()) == (3, before)
+
+
+@LEAPING
+@SPEEDS
+async def test_pauses_change_nothing_of_the_schedule(speed):
+    async with ticks(make_clock(speed)) as here:
+        for _ in range(4):
+            await here.pass_ticks(2.3)
+            here.ticking.pause()
+            await anyio.sleep(1000.0)
+            here.ticking.resume()
+        await here.pass_ticks(1.0)
+    assert here.log == pytest.approx([TICK * n for n in range(1, 11)], abs=1e-6)
+
+
+@LEAPING
+@SPEEDS
+async def test_a_step_makes_as_many_ticks_as_are_asked_for(speed):
+    async with ticks(make_clock(speed), is_paused=True) as here:
+        for number in (1, 5, 100):
+            here.log.clear()
+            await here.ticking.step(number)
+            await anyio.sleep(1000.0)
+            assert len(here.log) == number
+            assert here.clock.time() == pytest.approx(here.log[-1], abs=1e-9)
+
+
+@LEAPING
+@SPEEDS
+async def test_the_ticks_of_steps_are_as_far_apart_as_any(speed):
+    async with ticks(make_clock(speed), is_paused=True) as here:
+        for number in (1, 3, 2):
+            await here.ticking.step(number)
+            await anyio.sleep(1000.0)
+        here.ticking.resume()
+        await here.pass_ticks(2.5)
+    assert here.log == pytest.approx([TICK * n for n in range(1, 9)], abs=1e-6)
+
+
+async def test_whoever_sleeps_goes_on_between_the_ticks_of_a_step():
+    async with (
+        ticks(is_paused=True) as here,
+        running(lambda: here.clock.sleep(2.5 * TICK)) as sleeper,
+    ):
+        await here.ticking.step(2)
+        assert not sleeper.done.is_set()
+        await here.ticking.step()
+        assert sleeper.done.is_set()
+
+
+async def test_no_step_is_a_step_of_no_ticks():
+    async with ticks(is_paused=True) as here:
+        await here.ticking.step(0)
+        await wait_until_idle()
+        assert here.log == []
+
+
+async def test_after_each_tick_of_a_step_somebody_is_told():
+    told = []
+    async with ticks(is_paused=True) as here:
+        await here.ticking.step(3, lambda: told.append(len(here.log)))
+        await here.ticking.step(2)
+    assert told == [1, 2, 3]
+
+
+async def test_what_does_not_stand_still_cannot_be_stepped():
+    async with ticks() as here:
+        with pytest.raises(SimError, match="the world is not paused: pause it first"):
+            await here.ticking.step()
+
+
+async def test_there_are_no_steps_below_none():
+    async with ticks(is_paused=True) as here:
+        with pytest.raises(SimError, match="-1 steps: give 0 or more"):
+            await here.ticking.step(-1)
+
+
+async def test_steps_are_made_for_one_who_asks_at_a_time():
+    async with ticks(is_paused=True) as here:
+        async with running(lambda: here.ticking.step(1000)) as first:
+            assert here.ticking.is_stepping
+            with pytest.raises(SimError, match="steps are being made already"):
+                await here.ticking.step()
+            await first.done.wait()
+        assert (len(here.log), here.ticking.is_stepping) == (1000, False)
+
+
+def after(ticks, number, call):
+    """What is to be called after each tick of a step, to call something after one of them."""
+    count = itertools.count(1)
+    return lambda: call() if next(count) == number else None
+
+
+async def test_a_pause_ends_a_step():
+    async with ticks(is_paused=True) as here:
+        with pytest.raises(SimError, match="the world was paused after 3 of 10 steps: pause it,"):
+            await here.ticking.step(10, after(here, 3, here.ticking.pause))
+        await wait_until_idle()
+        assert (len(here.log), here.ticking.is_paused) == (3, True)
+
+
+async def test_going_on_ends_a_step_and_goes_on():
+    async with ticks(is_paused=True) as here:
+        with pytest.raises(SimError, match="the world was resumed after 3 of 10 steps"):
+            await here.ticking.step(10, after(here, 3, here.ticking.resume))
+        await here.clock.sleep_until(100.5 * TICK)
+        assert (len(here.log), here.ticking.is_paused) == (100, False)
+
+
+async def test_a_step_that_is_canceled_makes_no_more_ticks():
+    async with ticks(is_paused=True) as here:
+        with anyio.CancelScope() as scope:
+            await here.ticking.step(10, after(here, 3, scope.cancel))
+        await wait_until_idle()
+        made = len(here.log)
+        assert made < 10
+        await wait_until_idle()
+        assert len(here.log) == made
+        await here.ticking.step(2)
+        assert len(here.log) == made + 2
+
+
+async def test_closing_ends_a_step_and_lets_the_clock_go_on():
+    async with ticks(is_paused=True) as here:
+        async with running(lambda: here.ticking.step(10**9)) as step:
+            await here.ticking.aclose()
+            await step.done.wait()
+        assert "the world was closed after" in str(step.error)
+        await here.clock.sleep(1.0)
+
+
+class Late(WallClock):
+    """A clock that a test puts forward."""
+
+    def __init__(self):
+        super().__init__()
+        self._seconds = 0.0
+        self._wall_start, self._wall = 0.0, lambda: self._seconds
+        self._moved = current_tasks().signal()
+
+    def put_forward(self, seconds):
+        self._seconds += seconds
+        self._moved.fire()
+
+    async def _wait(self, deadline, left):
+        while self.time() < deadline:
+            await self._moved.wait()
+
+    def stop_at(self, moment):
+        super().stop_at(moment)
+        self._moved.fire()
+
+
+async def test_what_was_late_at_a_pause_is_not_made_up_for():
+    clock = Late()
+    async with ticks(clock) as here:
+        clock.put_forward(0.5)
+        here.ticking.pause()  # before a tick could be made
+        await settle()
+        assert here.log == []
+        clock.put_forward(5.0)
+        here.ticking.resume()
+        clock.put_forward(0.001)
+        await settle()
+        assert here.log == pytest.approx([0.501])
+
+
+async def test_steps_that_fall_far_behind_are_made_all_the_same():
+    clock = Late()
+    async with ticks(clock, is_paused=True) as here:
+        async with running(lambda: here.ticking.step(20)) as step:
+            while not step.done.is_set():
+                clock.put_forward(2.0)
+                await settle()
+        assert (step.error, len(here.log)) == (None, 20)
