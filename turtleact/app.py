@@ -69,6 +69,7 @@ async def open_world(
     speed: float | str = 1.0,
     seed: int = 0,
     turtles: int = 1,
+    placing: str = "random",
     paused: bool = False,
     graph: OpenGraph | None = None,
     on_transition: Transition | None = None,
@@ -80,17 +81,19 @@ async def open_world(
         speed: Simulated seconds a wall second, above zero and 100 at most, or ``"max"`` for virtual
             time: as fast as it computes, and the same run every time. A machine that cannot keep
             up makes time slower.
-        seed: Chooses where all turtles but the first start.
+        seed: Chooses where all turtles but the first start, if they are placed at random.
         turtles: How many there are: ``turtle1``, ``turtle2``, …
+        placing: How they are placed at first: ``"random"``, ``"grid"`` or ``"ring"``.
         paused: Whether time stands still until somebody steps or resumes the world.
         graph: Opens the graph that the world is on; one within the process if left out.
         on_start: Given the turtles, before anything can be asked of them.
         on_transition: Told of each change of the world's goals; see `Node.on_transition`.
 
     Raises:
-        SimError: if the speed or the number of turtles is out of range.
+        SimError: if the speed or the number of turtles is out of range, or there is no such
+            placing.
     """
-    world = World(turtles, seed)
+    world = World(turtles, seed, placing=placing)
     clock = make_clock(speed)
     async with AsyncExitStack() as stack:
         await stack.enter_async_context(aclosing(Background(clock.run(), "the clock")))

@@ -65,7 +65,7 @@ class Graph(msgspec.Struct, frozen=True):
     """What exists, as a node sees it now.
 
     Attributes:
-        nodes: The fully qualified names of the nodes, sorted.
+        nodes: The names of the nodes, sorted.
         topics: Topic name to the types used on it; the hidden ones of actions are left out.
         services: Service name to its types; likewise.
         actions: Action name to the types that are served under it.
@@ -83,11 +83,11 @@ class Node:
     Whatever opens something raises `TurtleactError` once the node is closed.
 
     Attributes:
-        name: Its name.
-        namespace: What its relative names begin with.
+        name, namespace: Its name, and what its relative names begin with.
         clock: The time of its graph: what a body that waits should wait by.
         transport: How it talks with others.
         is_open: Whether something can be opened on it.
+        on_demand: Whether what is opened from now on is so to others; see `Endpoint.on_demand`.
     """
 
     def __init__(self, name: str, namespace: str, transport: Transport) -> None:
@@ -96,7 +96,7 @@ class Node:
         self.namespace = resolve_name(namespace) if namespace != "/" else "/"
         self.clock: Clock = transport.clock
         self.transport = transport
-        self.is_open = True
+        self.is_open, self.on_demand = True, False
         self._tasks = current_tasks()
         self._count = 0
         self._opened: dict[int, _Closing] = {}
@@ -361,7 +361,8 @@ class Node:
     ) -> Endpoint:
         if not self.is_open:
             raise TurtleactError(f"node '{self.fully_qualified_name}' is closed: open another")
-        return Endpoint(kind, name, type_name, self.fully_qualified_name, qos or QoS())
+        own, qos = self.fully_qualified_name, qos or QoS()
+        return Endpoint(kind, name, type_name, own, qos, on_demand=self.on_demand)
 
 
 @asynccontextmanager

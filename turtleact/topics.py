@@ -8,6 +8,7 @@ Source: rclpy ``publisher.py`` and ``subscription.py`` for names and meaning.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import Generic, Self, TypeVar
 
 from turtleact.errors import TurtleactError
@@ -71,12 +72,14 @@ class Subscription(Generic[M]):
         topic: The fully qualified name of the topic.
         latest: The newest message, read or not; None before the first.
         missed: How many messages were dropped unread.
+        notify: Called when a message has come, besides waking those who wait.
     """
 
     def __init__(self, topic: str, depth: int, signal: Signal) -> None:
         self.topic = topic
         self.latest: M | None = None
         self.missed = 0
+        self.notify: Callable[[], object] | None = None
         self.membership: Closeable | None = None
         self._kept: deque[M] = deque(maxlen=depth)
         self._signal = signal
@@ -90,6 +93,8 @@ class Subscription(Generic[M]):
         kept.append(message)
         self.latest = message
         self._signal.fire()
+        if self.notify is not None:
+            self.notify()
 
     def drain(self) -> list[M]:
         """Take all that has come and was not read yet, without waiting."""

@@ -21,11 +21,13 @@ from turtleact.interfaces.standard.parameters import (
     SetParameters,
 )
 from turtleact.sim.drawing import Pen
+from turtleact.sim.poses import Poses
 from turtleact.sim.snapshot import to_png
+from turtleact.sim.turtle import Turtle
 
 from ..actions.arena import tasks_alive
 from ..lab import running
-from .stage import POSES, TICK, stage
+from .stage import ALL, POSES, TICK, stage
 
 
 class Jumping:
@@ -61,6 +63,7 @@ async def test_each_turtle_has_the_topics_of_the_real_one():
     async with stage(turtles=2) as here:
         topics = here.node.graph().topics
     assert topics.pop("/parameter_events") == ("rcl_interfaces/msg/ParameterEvent",)
+    assert topics.pop("/turtlesim/poses") == ("turtleact_interfaces/msg/Poses",)
     assert topics == {
         f"/turtle{number}/{name}": (type_name,)
         for number in (1, 2)
@@ -94,6 +97,58 @@ async def test_the_services_and_actions_are_those_of_the_real_one():
         "/turtlesim/set_parameters": "rcl_interfaces/srv/SetParameters",
         "/turtlesim/set_parameters_atomically": "rcl_interfaces/srv/SetParametersAtomically",
     }
+
+
+# All turtles at once
+
+
+@pytest.mark.parametrize("turtles", [1, 3, 40])
+async def test_all_poses_of_a_tick_are_one_message(turtles):
+    async with stage(turtles=turtles) as here:
+        poses = here.node.subscription(Poses, "turtlesim/poses", ALL)
+        here.command(x=2.0, turn=1.0)
+        await here.pass_ticks(3)
+        first, _, last = poses.drain()
+        assert tuple(last.names) == here.world.names
+        for index, name in enumerate(last.names):
+            there = last.x, last.y, last.theta, last.linear_velocity, last.angular_velocity
+            assert tuple(column[index] for column in there) == tuple(here.world.pose(name))
+        assert stamp_in_ns(last.stamp) - stamp_in_ns(first.stamp) == 2 * 16_000_000
+
+
+def stamp_in_ns(stamp):
+    return stamp.sec * 10**9 + stamp.nanosec
+
+
+async def test_all_poses_are_not_looked_for_while_nobody_reads_them(monkeypatch):
+    async with stage(turtles=3) as here:
+        asked: list[str] = []
+        monkeypatch.setattr(here.world, "pose", asked.append)
+        await here.pass_ticks(3)
+        assert asked == []
+
+
+async def test_a_tick_looks_only_at_the_turtles_that_were_told_something(monkeypatch):
+    taken: list[str] = []
+    async with stage(turtles=50) as here:
+        monkeypatch.setattr(Turtle, "take_up", lambda self, _twist: taken.append(self.name))
+        here.command(turtle="turtle7", x=1.0)
+        here.command(turtle="turtle50", x=1.0)
+        await here.pass_ticks(3)
+    assert taken == ["turtle7", "turtle50"]
+
+
+async def test_of_a_fleet_all_but_a_hundred_are_on_demand_to_others():
+    async with stage(turtles=102) as here:
+        on_demand = {each.name for each in here.node.transport.endpoints() if each.on_demand}
+        assert {name.split("/")[1] for name in on_demand} == {"turtle101", "turtle102"}
+        assert len(on_demand) == 2 * 11
+        assert await here.spawn(1.0, 1.0, 0.0) == "turtle103"
+        assert all(
+            not each.on_demand
+            for each in here.node.transport.endpoints()
+            if "turtle103" in each.name
+        )
 
 
 async def test_a_pose_is_published_after_each_tick():

@@ -150,6 +150,8 @@ def is_up_to_date(transport: ZenohTransport) -> bool:
     """Whether its endpoints have heard what Zenoh knows of their peers."""
     for each in transport._link.opened:
         endpoint: Any = each
+        if endpoint._presence.is_asleep:
+            continue
         if isinstance(each, WirePublication) and not each._is_latched:
             zenohs, ours = endpoint._publisher._publisher, each._is_read
         elif isinstance(each, WireCaller):
@@ -640,6 +642,89 @@ async def test_what_a_latched_source_publishes_itself_is_its_state_elsewhere(add
         publication.publish(feedback(4))
         await peers.settle()
         assert (near.numbers[-1], far.numbers[-1]) == (4, 5)
+
+
+# --- on demand --------------------------------------------------------------------------------
+
+
+def shy(endpoint):
+    return msgspec.structs.replace(endpoint, on_demand=True)
+
+
+async def test_what_is_on_demand_is_not_in_the_graph_of_others(address):
+    async with two(address) as peers:
+        peers.here.advertise(shy(publisher()), SPEECH)
+        peers.here.subscribe(shy(subscription()), SPEECH, Inbox().deliver)
+        peers.here.serve(shy(service()), SERVING, Adder())
+        await peers.settle()
+        assert len(peers.here.endpoints()) == 3
+        assert peers.there.endpoints() == ()
+
+
+@pytest.mark.parametrize("is_first", [False, True])
+async def test_a_topic_on_demand_is_there_for_those_who_read_it(address, is_first):
+    inbox = Inbox()
+    async with two(address) as peers:
+        if is_first:
+            peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
+            await peers.settle()
+        publication = peers.here.advertise(shy(publisher()), SPEECH)
+        if not is_first:
+            peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
+        await until_read(publication)
+        publication.publish(feedback(3))
+        await peers.settle()
+        assert inbox.numbers == [3]
+        assert "/chatter" in {each.name for each in peers.there.endpoints()}
+
+
+async def test_a_topic_on_demand_is_there_for_those_who_write_it(address):
+    async with two(address) as peers:
+        inbox = Inbox()
+        peers.here.subscribe(shy(subscription()), SPEECH, inbox.deliver)
+        publication = peers.there.advertise(publisher(), SPEECH)
+        await until_read(publication)
+        publication.publish(feedback(3))
+        await peers.settle()
+        assert inbox.numbers == [3]
+
+
+async def test_a_service_on_demand_is_there_for_those_who_ask(address):
+    async with two(address) as peers:
+        peers.here.serve(shy(service()), SERVING, Adder())
+        caller = peers.there.join(client(), ASKING)
+        await until(peers.there, lambda: caller.is_served)
+        response: Any = (await caller.call(numbers(2, 3))).message
+        assert response.total == 5
+
+
+async def test_a_latched_source_on_demand_tells_its_state_once_it_is_asked_for(address):
+    async with two(address) as peers:
+        source, far = Numbers(), Inbox()
+        source.number = 4
+        publication = peers.here.advertise(shy(publisher(qos=LATCHED)), SPEECH, source)
+        source.number = 5
+        publication.refresh()
+        await peers.settle()
+        peers.there.subscribe(subscription(qos=LATCHED), SPEECH, far.deliver)
+        await peers.settle()
+        await peers.settle()
+        assert far.numbers[-1] == 5
+
+
+async def test_what_is_on_demand_and_closed_leaves_nothing_behind(address):
+    async with two(address) as peers:
+        opened = [
+            peers.here.advertise(shy(publisher()), SPEECH),
+            peers.here.subscribe(shy(subscription()), SPEECH, Inbox().deliver),
+        ]
+        for each in opened:
+            each.close()
+        assert peers.here._link.asleep == {}
+        peers.there.subscribe(subscription(), SPEECH, Inbox().deliver).close()
+        await peers.settle()
+        assert peers.there.endpoints() == ()
+        assert not peers.here._link.sought
 
 
 # --- many, and slow ones ----------------------------------------------------------------------

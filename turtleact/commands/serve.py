@@ -40,6 +40,9 @@ __all__ = ["Service", "run"]
 ROUTER = "tcp/127.0.0.1:7447"
 """Where the nodes of a machine look for their router."""
 
+MOST_LISTED = 12
+"""So many actions are told of when it is ready."""
+
 
 class Service(NamedTuple):
     """What is to be served, and where.
@@ -52,6 +55,7 @@ class Service(NamedTuple):
         has_world: Whether there are turtles, and the built-in actions.
         speed: How fast time passes in the world.
         turtles: How many there are.
+        placing: How they are placed.
         seed: What its random choices begin with.
         paused: Whether time stands still there at first.
         config: Paths and values of Zenoh's configuration, such as those of its locks.
@@ -69,6 +73,7 @@ class Service(NamedTuple):
     has_world: bool
     speed: float
     turtles: int
+    placing: str
     seed: int
     paused: bool
     config: dict[str, object]
@@ -132,7 +137,7 @@ async def _serve(
                 log.say(f"web page, and rosbridge, at {web.url}")
             (transport, where), *_ = opened
             await transport.flush()
-            actions = ", ".join(node.graph().actions) or "nothing"
+            actions = _listed(list(node.graph().actions))
             log.say(f"ready at {where}, domain {service.domain}: {actions}")
             await interrupts.wait(1)
             note("no new goals are taken; those that run are ended")
@@ -160,6 +165,7 @@ async def _open_node(
                 speed=service.speed,
                 seed=service.seed,
                 turtles=service.turtles,
+                placing=service.placing,
                 paused=service.paused,
                 graph=graph,
                 on_transition=log.tell,
@@ -215,6 +221,13 @@ async def _open_graph(
             )
         opened.append((transport, where))
         yield transport
+
+
+def _listed(names: list[str]) -> str:
+    """Some names, in a line that is not too long."""
+    some = names if len(names) <= MOST_LISTED else names[: MOST_LISTED - 1]
+    more = [f"and {len(names) - len(some)} more"] if some is not names else []
+    return ", ".join([*some, *more]) or "nothing"
 
 
 class _Log:

@@ -1,7 +1,15 @@
 """Where turtles are put: at the start, by a spawn, by a teleport.
 
-Numbers that come from messages are rounded to float32, as turtlesim has them. Knows no ROS and no
-clock; chance is a seed.
+Turtles that a world begins with are put in one of `PLACINGS`:
+
+- ``random``: the first in the middle, looking along x, the others evenly spread over the square,
+  each in a place and heading that follow from its number and the seed alone;
+- ``grid``: in rows from the lower left, as many to a row as there are rows, all looking along x;
+- ``ring``: on a circle around the middle, counterclockwise from its right, each looking ahead along
+  it.
+
+All keep a metre from the walls. Numbers that come from messages are rounded to float32, as
+turtlesim has them. Knows no ROS and no clock; chance is a seed.
 
 Source: turtlesim 1.8.2, ``TurtleFrame::spawnTurtle`` and ``Turtle::update``.
 """
@@ -10,20 +18,24 @@ from __future__ import annotations
 
 import math
 from array import array
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
+from turtleact.errors import SimError
 from turtleact.sim.kinematics import SIDE, Place
 
 if TYPE_CHECKING:
     from turtleact.sim.kinematics import State
 
-__all__ = ["MIDDLE", "Absolute", "Relative", "Spawn", "Teleport", "start"]
+__all__ = ["MIDDLE", "PLACINGS", "Absolute", "Relative", "Spawn", "Teleport", "starts"]
 
 MIDDLE = Place(SIDE / 2.0, SIDE / 2.0, 0.0)
 """Where turtlesim puts its first turtle."""
 
+PLACINGS: Final = ("random", "grid", "ring")
+"""How the turtles of a new world can be placed."""
+
 _MARGIN = 1.0
-"""Turtles that are spread keep this far from the walls (m)."""
+"""Turtles that are placed keep this far from the walls (m)."""
 
 
 class Teleport(Protocol):
@@ -89,17 +101,44 @@ class Spawn(NamedTuple):
         return Place(self.x, depth, self.theta)
 
 
-def start(number: int, seed: int) -> Place:
-    """Where a turtle starts: the first in the middle, the others evenly spread.
+def starts(count: int, placing: str = "random", seed: int = 0) -> list[Place]:
+    """Where the turtles of a world start, by their numbers from 1 on.
 
     Args:
-        number: Counts from 1.
-        seed: Shifts all but the first.
+        count: How many there are; one alone stands in the middle, however it is placed.
+        placing: One of `PLACINGS`.
+        seed: Shifts all but the first of those that are spread at random.
+
+    Raises:
+        SimError: if there is no such placing.
+    """
+    if placing not in PLACINGS:
+        raise SimError(f"turtles cannot be placed as '{placing}': give {', '.join(PLACINGS)}")
+    if placing == "random" or count == 1:
+        return [MIDDLE, *(_spread(number, seed) for number in range(2, count + 1))]
+    place = _in_grid if placing == "grid" else _on_ring
+    return [place(index, count) for index in range(count)]
+
+
+def _in_grid(index: int, count: int) -> Place:
+    rows = math.isqrt(count - 1) + 1
+    up, right = divmod(index, rows)
+    cell = (SIDE - 2.0 * _MARGIN) / rows
+    return Spawn.of(_MARGIN + (right + 0.5) * cell, _MARGIN + (up + 0.5) * cell, 0.0).place
+
+
+def _on_ring(index: int, count: int) -> Place:
+    middle, angle = SIDE / 2.0, math.tau * index / count
+    radius = middle - _MARGIN
+    x, y = middle + radius * math.cos(angle), middle + radius * math.sin(angle)
+    return Spawn.of(x, y, math.remainder(angle + math.pi / 2.0, math.tau)).place
+
+
+def _spread(number: int, seed: int) -> Place:
+    """A place that any number of neighbours leave room for.
 
     Source: Roberts, The Unreasonable Effectiveness of Quasirandom Sequences, R3.
     """
-    if number == 1:
-        return MIDDLE
     u, v, w = (
         (number * step + seed * shift) % _WHOLE / _WHOLE
         for step, shift in zip(_SPREAD, _SHIFT, strict=True)

@@ -59,6 +59,7 @@ class Turtle:
         world: Where the turtle is.
         pens: What it draws with.
         name: Its name, by which the world knows it.
+        on_work: Called with it when there is something to take up at the next tick.
 
     Raises:
         InvalidName: if topics cannot be called so; then nothing is open.
@@ -71,13 +72,17 @@ class Turtle:
         turn: Its ``rotate_absolute`` goal that runs, if there is one.
     """
 
-    def __init__(self, node: Node, world: World, pens: Pens, name: str) -> None:
+    def __init__(
+        self, node: Node, world: World, pens: Pens, name: str, on_work: Callable[[Turtle], object]
+    ) -> None:
         self.name = name
         self.turn: _Turn | None = None
         self._gone = ""
         self._world = world
         self._pens = pens
         self.commands = node.subscription(Twist, f"{name}/cmd_vel", TOPIC_QOS)
+        self._on_work = on_work
+        self.commands.notify = lambda: on_work(self)
         self.poses = node.publisher(TurtlePose, f"{name}/pose", TOPIC_QOS)
         self.colours = node.publisher(Color, f"{name}/color_sensor", TOPIC_QOS)
         self._opened = (
@@ -98,6 +103,7 @@ class Turtle:
         To be called at once, when the world knows it no more; `aclose` may take a while.
         """
         self._gone = reason
+        self.commands.notify = None
         if self.turn is not None:
             self.turn.abort(reason)
             self.turn = None
@@ -176,6 +182,7 @@ class Turtle:
             )
             self.turn.abort("preempted by another goal")
         turn = self.turn = _Turn(Rotation(goal.theta, self._world.heading(self.name)), handle)
+        self._on_work(self)
         try:
             await turn.ended.wait()
         except anyio.get_cancelled_exc_class():

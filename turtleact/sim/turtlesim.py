@@ -15,20 +15,22 @@ from __future__ import annotations
 
 import logging
 from itertools import islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import anyio
 
 from turtleact.errors import InvalidName, SimError
+from turtleact.interfaces.stamps import stamp_of
 from turtleact.interfaces.standard import Empty, Kill, Spawn
 from turtleact.names import resolve_name
 from turtleact.sim.canvas import Colour
 from turtleact.sim.parameters import Parameters
 from turtleact.sim.pens import Pens
+from turtleact.sim.poses import Poses, poses_of
 from turtleact.sim.simulation import Simulation
 from turtleact.sim.snapshot import BACKGROUND, Figure, Snapshot, thumbnail
 from turtleact.sim.ticking import Ticking
-from turtleact.sim.turtle import Turtle
+from turtleact.sim.turtle import TOPIC_QOS, Turtle
 from turtleact.tasks import Background
 
 if TYPE_CHECKING:
@@ -41,6 +43,10 @@ if TYPE_CHECKING:
 __all__ = ["Turtlesim"]
 
 logger = logging.getLogger("turtleact.turtlesim")
+
+
+MOST_SHOWN: Final = 100
+"""Of a fleet, so many turtles are on the graph of other processes at once, the rest on demand."""
 
 
 class Turtlesim:
@@ -63,6 +69,8 @@ class Turtlesim:
         self._roster = anyio.Lock()  # turtlesim, too, handles one request after the other
         self._parameters = _declare(node, self._parameters_changed, is_holonomic=world.holonomic)
         self._turtles: dict[str, Turtle] = {}
+        self._busy: dict[Turtle, None] = {}  # that have something to take up
+        self._poses = node.publisher(Poses, "~/poses", TOPIC_QOS)
         self._welcome_all()
         node.service(Spawn, "spawn", self._spawn)
         node.service(Kill, "kill", self._kill)
@@ -138,16 +146,18 @@ class Turtlesim:
         self._sensed = [turtle.name for turtle in turtles if turtle.colours.has_subscriptions]
 
     def _tick(self) -> None:
-        turtles, world = self._turtles.values(), self._world
-        turning = []
-        for turtle in turtles:
+        world = self._world
+        busy = list(self._busy)
+        self._busy.clear()
+        for turtle in busy:
             for twist in turtle.commands.drain():
                 turtle.take_up(twist)
-            if turtle.turn is not None:
-                turning.append((turtle, turtle.turn))
         world.take_up()
-        for turtle, turn in turning:
-            turtle.rotate(turn)
+        for turtle in busy:
+            if turtle.turn is not None:
+                turtle.rotate(turtle.turn)
+            if turtle.turn is not None:
+                self._busy[turtle] = None
         hits = world.step()
         if hits:
             _warn(hits)
@@ -155,6 +165,8 @@ class Turtlesim:
             self._look_around()
         for turtle in self._told:
             turtle.tell_pose()
+        if self._poses.has_subscriptions:
+            self._poses.publish(poses_of(world, stamp_of(self._node.clock.now())))
         for name, colour in self._pens.follow(self._sensed).items():
             self._turtles[name].tell_colour(colour)
 
@@ -163,12 +175,17 @@ class Turtlesim:
     def _welcome_all(self) -> None:
         for name in self._world.names:
             x, y, theta, *_ = self._world.pose(name)
+            self._node.on_demand = int(name.removeprefix("turtle")) > MOST_SHOWN
             self._welcome(name, x, y, theta)
+        self._node.on_demand = False
 
     def _welcome(self, name: str, x: float, y: float, theta: float) -> None:
-        self._turtles[name] = Turtle(self._node, self._world, self._pens, name)
+        self._turtles[name] = Turtle(self._node, self._world, self._pens, name, self._call_on)
         self._is_graph_new = True
         logger.info("Spawning turtle [%s] at x=[%f], y=[%f], theta=[%f]", *(name, x, y, theta))
+
+    def _call_on(self, turtle: Turtle) -> None:
+        self._busy[turtle] = None
 
     async def _spawn(self, request: Spawn.Request) -> Spawn.Response:
         async with self._roster:
@@ -229,6 +246,7 @@ class Turtlesim:
         """Close turtles side by side: each may wait for the clean-up of a goal."""
         self._look_around()
         for turtle in turtles:
+            self._busy.pop(turtle, None)
             turtle.leave(f"turtle '{turtle.name}' was killed")
         with anyio.CancelScope(shield=True):
             async with anyio.create_task_group() as closing:

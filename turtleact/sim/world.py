@@ -27,7 +27,7 @@ from turtleact.sim.kinematics import (
     Place,
     StepRule,
 )
-from turtleact.sim.placing import MIDDLE, Absolute, Relative, Spawn, start
+from turtleact.sim.placing import MIDDLE, Absolute, Relative, Spawn, starts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -62,15 +62,15 @@ class World:
     """Turtles in a square, moved step by step.
 
     ``turtle1`` starts in the middle and looks along x, as in turtlesim. All others start spread
-    over the square, a metre or more from the walls, each in a place and direction that follow
-    from its number and the seed alone.
+    over the square, as the seed has it, unless they are placed otherwise (`placing`).
 
     Up to 16 turtles are stepped in plain floats, with turtlesim's own bits; more as arrays, where
     places on a curve may differ by 1e-13 m (`turtleact.sim.fleet`).
 
     Args:
         turtles: How many turtles there are, at least one: ``turtle1``, ``turtle2``, …
-        seed: Chooses where all but the first start.
+        seed: Chooses where all but the first start, if they are spread at random.
+        placing: ``"random"``, ``"grid"`` or ``"ring"``.
         holonomic: Whether turtles can move sideways; if not, ``vy`` is ignored, as in turtlesim.
         rule: How a step turns speeds into motion.
 
@@ -80,7 +80,7 @@ class World:
             each teleport that is made.
 
     Raises:
-        SimError: if there would be no turtle.
+        SimError: if there would be no turtle, or there is no such placing.
 
     Example:
         >>> world = World()
@@ -96,13 +96,15 @@ class World:
         turtles: int = 1,
         seed: int = 0,
         *,
+        placing: str = "random",
         holonomic: bool = False,
         rule: StepRule = StepRule.EULER,
     ) -> None:
         if turtles < 1:
             raise SimError(f"a world of {turtles} turtles: give 1 or more")
+        places = starts(turtles, placing, seed)
         numbers = sorted(range(1, turtles + 1), key=str)
-        self._first = {f"turtle{number}": start(number, seed) for number in numbers}
+        self._first = {f"turtle{number}": places[number - 1] for number in numbers}
         self.holonomic = holonomic
         self.on_jump: Callable[[str, complex, complex], None] | None = None
         self._rule = rule

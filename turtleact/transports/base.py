@@ -97,6 +97,8 @@ class Endpoint(msgspec.Struct, frozen=True):
         qos: Quality of service, for topics.
         type_hash: The hash of its type, where it is known from a wire.
         gid: The 16 bytes that name it on a wire, where it has such.
+        on_demand: Whether other processes are told of it only once one of them has an endpoint of
+            this name: for endpoints by the thousand, few of which are ever used.
     """
 
     kind: EndpointKind
@@ -106,6 +108,7 @@ class Endpoint(msgspec.Struct, frozen=True):
     qos: QoS = QoS()
     type_hash: str = ""
     gid: bytes = b""
+    on_demand: bool = False
 
 
 class Format(Protocol):

@@ -22,6 +22,7 @@ from turtleact.commands.verbs.arguments import (
     whole,
 )
 from turtleact.errors import UsageError
+from turtleact.sim.placing import PLACINGS
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
@@ -84,6 +85,9 @@ _Headless = Annotated[
 _Plain = Annotated[bool, typer.Option("--plain", help="Lines only, even on a terminal.")]
 _Speed = Annotated[str, typer.Option(metavar="FACTOR", help="How fast time passes in the world.")]
 _Turtles = Annotated[str, typer.Option(metavar="N", help="How many turtles there are.")]
+_Placing = Annotated[
+    str, typer.Option("--placing", metavar="HOW", help="How they stand: random, grid or ring.")
+]
 _Seed = Annotated[str, typer.Option(metavar="NUMBER", help="What its random choices begin with.")]
 _Paused = Annotated[
     bool, typer.Option("--paused", help="Let time stand still until it is stepped or resumed.")
@@ -137,6 +141,7 @@ def serve(
     plain: _Plain = False,
     speed: _Speed = "1",
     turtles: _Turtles = "1",
+    placing: _Placing = "random",
     seed: _Seed = "0",
     paused: _Paused = False,
     interfaces: Interfaces = None,
@@ -154,6 +159,8 @@ def serve(
                 f"--allow-origin is an origin such as https://example.com, not {quoted(origin)}"
             )
     factor = float(speed_factor(speed))
+    if placing not in PLACINGS:
+        raise UsageError(f"--placing is {', '.join(PLACINGS)}, not {quoted(placing)}")
     count, first = whole("--turtles", turtles, least=1, most=MOST_TURTLES), whole("--seed", seed)
 
     def job(interrupts: Interrupts) -> int:
@@ -177,6 +184,7 @@ def serve(
             not no_sim,
             factor,
             count,
+            placing,
             first,
             paused,
             locks.settings(),

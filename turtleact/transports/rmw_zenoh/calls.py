@@ -74,9 +74,8 @@ class WireService:
         self._under_way: set[tuple[bytes, int]] = set()
         self._declared: Declared | None = None
         self._near: Closeable = link.near.serve(named.endpoint, format, handler)
-        if self._replying is not None:
-            link.outbox.post(self._declare)
-        self._presence = Presence(link, named.token)
+        declare = None if self._replying is None else self._declare
+        self._presence = Presence(link, named.token, declare, on_demand=named.on_demand)
         link.opened.add(self)
 
     def close(self) -> None:

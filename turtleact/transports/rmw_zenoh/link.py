@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Coroutine
-from functools import partial
+from collections import Counter as Tally
+from collections.abc import Callable, Coroutine
 from time import time_ns
 from typing import TYPE_CHECKING
 
@@ -34,6 +34,11 @@ class Named(msgspec.Struct, frozen=True):
     key: str
     token: str
 
+    @property
+    def on_demand(self) -> str:
+        """Its name, if it is declared once others have an endpoint of that name; else empty."""
+        return self.endpoint.name if self.endpoint.on_demand else ""
+
 
 class Link:
     """What carries the messages of a transport.
@@ -48,6 +53,8 @@ class Link:
         domain: The ROS domain.
         opened: The nodes and endpoints that are open, whoever else holds them.
         latched: The gids of its own latched publishers: a history asks them too.
+        sought: How many endpoints of a name others have.
+        asleep: What is told of only once others have an endpoint of its name.
         is_open: Whether anything goes through.
     """
 
@@ -61,7 +68,21 @@ class Link:
         self.domain = domain
         self.opened: set[Closeable] = set()
         self.latched: set[bytes] = set()
+        self.sought: Tally[str] = Tally()
+        self.asleep: dict[str, dict[Presence, None]] = {}
         self.is_open = True
+
+    def seek(self, name: str) -> None:
+        """Note that others have an endpoint of this name."""
+        self.sought[name] += 1
+        for presence in self.asleep.pop(name, ()):
+            presence.wake()
+
+    def forgo(self, name: str) -> None:
+        """Note that they have one less."""
+        self.sought[name] -= 1
+        if not self.sought[name]:
+            del self.sought[name]
 
 
 class Crew:
@@ -110,19 +131,65 @@ class Counter:
 
 
 class Presence:
-    """A liveliness token: to be made after what it tells of is posted, and closed before."""
+    """What an endpoint or a node is on the wire: what it declares, then its liveliness token.
 
-    def __init__(self, link: Link, token: str) -> None:
+    Args:
+        link: Where.
+        token: The token; it is taken back before the rest.
+        declare: Declares the rest, in the outbox.
+        on_demand: The name of an endpoint that is declared once others have one of that name; if
+            it is empty, all is declared now.
+        on_wake: Called when it is, if not at once.
+
+    Attributes:
+        is_asleep: Whether nothing is declared yet.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        token: str,
+        declare: Callable[[], None] | None = None,
+        *,
+        on_demand: str = "",
+        on_wake: Callable[[], None] | None = None,
+    ) -> None:
+        self.is_asleep = True
         self._link = link
+        self._token = token
+        self._declare = declare
+        self._on_demand = on_demand
+        self._on_wake = on_wake
         self._declared: Declared | None = None
-        link.outbox.post(partial(self._declare, token))
+        if on_demand and not link.sought[on_demand]:
+            link.asleep.setdefault(on_demand, {})[self] = None
+        else:
+            self._appear()
+
+    def wake(self) -> None:
+        """Appear in the graph after all."""
+        self._appear()
+        if self._on_wake is not None:
+            self._on_wake()
+
+    def _appear(self) -> None:
+        self.is_asleep = False
+        if self._declare is not None:
+            self._link.outbox.post(self._declare)
+        self._link.outbox.post(self._declare_token)
 
     def close(self) -> None:
         """Leave the graph."""
-        self._link.outbox.post(self._undeclare)
+        if not self.is_asleep:
+            self._link.outbox.post(self._undeclare)
+            return
+        others = self._link.asleep.get(self._on_demand, {})
+        others.pop(self, None)
+        if not others:
+            self._link.asleep.pop(self._on_demand, None)
 
-    def _declare(self, token: str) -> None:
-        self._declared = self._link.session.declare_token(token)
+    def _declare_token(self) -> None:
+        self._declared = self._link.session.declare_token(self._token)
 
     def _undeclare(self) -> None:
         if self._declared is not None:

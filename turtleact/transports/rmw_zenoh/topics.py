@@ -68,8 +68,10 @@ class WirePublication:
         self._sent = link.tasks.signal()
         self._told_readers = False
         self._has_near_readers = False
-        link.outbox.post(self._declare)
-        self._presence = Presence(link, named.token)
+        wakes = "" if self._is_latched and source is None else named.on_demand  # a history is told
+        self._presence = Presence(
+            link, named.token, self._declare, on_demand=wakes, on_wake=self.refresh
+        )
         link.opened.add(self)
         relay = None if source is None else _Relay(source, self._near_readers_changed)
         self._near: Publication = link.near.advertise(endpoint, format, relay)
@@ -154,7 +156,7 @@ class WirePublication:
     # sending
 
     def _send(self, payload: bytes) -> None:
-        if not self._link.is_open:
+        if not self._link.is_open or self._presence.is_asleep:
             return
         if not self._unsent.put((payload, self._counter.next()), len(payload)):
             _note_loss(self._topic, self._qos, self._unsent, "published than can be sent")
@@ -246,8 +248,7 @@ class WireSubscription:
         self._unread: Lane[bytes] = _lane(endpoint.qos)
         self._declared: Declared | None = None
         self._near: Closeable = link.near.subscribe(endpoint, format, deliver)
-        link.outbox.post(self._declare)
-        self._presence = Presence(link, named.token)
+        self._presence = Presence(link, named.token, self._declare, on_demand=named.on_demand)
         link.opened.add(self)
 
     def close(self) -> None:

@@ -231,8 +231,12 @@ class ZenohTransport:
         )
 
     def _appeared(self, key: str) -> None:
-        if self._graph.add(key) is not None:
-            self._near.tell_change()
+        token = self._graph.add(key)
+        if token is None:
+            return
+        if token.endpoint is not None:
+            self._link.seek(token.endpoint.name)
+        self._near.tell_change()
 
     def _gone(self, key: str) -> None:
         for gone in self._gone_since.values():
@@ -240,6 +244,8 @@ class ZenohTransport:
         token = self._graph.remove(key)
         if token is None:
             return
+        if token.endpoint is not None:
+            self._link.forgo(token.endpoint.name)
         if token.endpoint is not None and token.endpoint.kind == "client":
             for handler in self._near.handlers(token.endpoint.name):
                 if isinstance(handler, CallerAware):
