@@ -52,7 +52,7 @@ LONGEST_LINE: Final = 2**12
 
 
 def make_known(folder: str | None) -> None:
-    """Make known the interfaces of our actions, of a folder, and of the installed ROS workspace.
+    """Make known the interfaces that are ours alone, those of a folder, and of the installed ROS workspace.
 
     Args:
         folder: As for `turtleact.interfaces.load_interfaces`; none if None.
@@ -60,7 +60,8 @@ def make_known(folder: str | None) -> None:
     Raises:
         InvalidInterface: if there is no such folder.
     """
-    import turtleact.actions  # noqa: F401  # for the classes that they declare
+    import turtleact.actions
+    import turtleact.sim.poses  # noqa: F401  # for the classes that they declare
 
     load_workspace(*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
     if folder is not None:
