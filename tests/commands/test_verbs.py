@@ -222,13 +222,16 @@ def test_only_the_group_that_is_asked_for_is_imported(verb):
     )
     home = verbs.HOMES.get(verb, verb)
     imported = subprocess.check_output([sys.executable, "-c", code], text=True).splitlines()[-1]
-    shared = {"turtleact.commands.policies", "turtleact.commands.verbs.policies"}
+    shared = {
+        "turtleact.commands.policies",
+        "turtleact.commands.verbs.completing",
+        "turtleact.commands.verbs.policies",
+    }
     assert {*imported.split()} - shared == {
         "turtleact.commands",
         "turtleact.commands.interrupts",
         "turtleact.commands.verbs",
         "turtleact.commands.verbs.arguments",
-        "turtleact.commands.verbs.completing",
         "turtleact.commands.verbs.outside",
         f"turtleact.commands.verbs.{home.replace('-', '_')}",
         "turtleact.errors",

@@ -52,7 +52,7 @@ LONGEST_LINE: Final = 2**12
 
 
 def make_known(folder: str | None) -> None:
-    """Make known the interfaces that are ours alone, those of a folder, and of the installed ROS workspace.
+    """Make known our own interfaces, those of a folder, and those of the installed ROS workspace.
 
     Args:
         folder: As for `turtleact.interfaces.load_interfaces`; none if None.

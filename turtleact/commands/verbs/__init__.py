@@ -28,7 +28,6 @@ __all__ = ["assemble", "parse"]
 
 HOMES: Final = {
     "send-goal": "send_goal",
-    "run": "serve",
     **dict.fromkeys(("cancel", "watch", "result"), "goals"),
 }
 """The modules of the verbs whose module has not the verb's own name."""

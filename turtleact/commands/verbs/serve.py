@@ -1,4 +1,4 @@
-"""``serve`` and ``run``, as Typer sees them."""
+"""``serve``, as Typer sees it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from turtleact.commands.verbs.arguments import (
     whole,
 )
 from turtleact.errors import UsageError
-from turtleact.sim.placing import PLACINGS
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
@@ -93,25 +92,6 @@ _Paused = Annotated[
     bool, typer.Option("--paused", help="Let time stand still until it is stepped or resumed.")
 ]
 
-_RosArguments = Annotated[
-    list[str] | None,
-    typer.Argument(
-        metavar="--ros-args ...", help="Of turtle_teleop_key: -r FROM:=TO, -p NAME:=VALUE."
-    ),
-]
-
-_FIBONACCI = "turtleact.actions.fibonacci"
-
-_PROGRAMS = (
-    ("turtlesim", "turtlesim_node"),
-    ("turtlesim", "turtle_teleop_key"),
-    ("action_tutorials_py", "fibonacci_action_server"),
-    ("action_tutorials_cpp", "fibonacci_action_server"),
-    ("examples_rclpy_minimal_action_server", "server"),
-    ("examples_rclcpp_minimal_action_server", "action_server_member_functions"),
-)
-"""The programs of ROS 2 that have their like here; those of other packages serve Fibonacci."""
-
 _EXAMPLES = """\b
 Examples:
   turtleact serve
@@ -149,33 +129,22 @@ def serve(
     """``serve``."""
     where = reach(connect, domain, config)
     at = endpoints("--listen", listen)
-    hosts, origins = _listed(allow_host), _listed(allow_origin)
     page = None if web is None else _host_and_port(web)
+    hosts, origins = _allowed(allow_host, allow_origin)
     if page is None and (token is not None or hosts or origins):
         raise UsageError("--token, --allow-host and --allow-origin are for --web: give that, too")
-    for origin in origins:
-        if "://" not in origin and origin != "null":
-            raise UsageError(
-                f"--allow-origin is an origin such as https://example.com, not {quoted(origin)}"
-            )
-    factor = float(speed_factor(speed))
-    if placing not in PLACINGS:
-        raise UsageError(f"--placing is {', '.join(PLACINGS)}, not {quoted(placing)}")
-    count, first = whole("--turtles", turtles, least=1, most=MOST_TURTLES), whole("--seed", seed)
+    factor, first = float(speed_factor(speed)), whole("--seed", seed)
+    count = whole("--turtles", turtles, least=1, most=MOST_TURTLES)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known
-        from turtleact.commands.locks import is_loopback
         from turtleact.commands.serve import Service, run
 
         make_known(interfaces)
         locks = where.locks()
-        open_ones = [each for each in at if not is_loopback(each)]
-        if open_ones and not insecure and not locks.keeps_strangers_out:
-            raise UsageError(
-                f"--listen {', '.join(open_ones)} lets in whoever can reach this machine: say in "
-                "a --config file who may, or give --insecure"
-            )
+        _check_placing(placing)
+        if not (insecure or locks.keeps_strangers_out):
+            _check_loopback(at)
         service = Service(
             tuple(targets or ()),
             at,
@@ -199,53 +168,38 @@ def serve(
     return job
 
 
-@app.command("run", cls=Verb, help=VERBS["run"], context_settings={"ignore_unknown_options": True})
-def run(
-    package: Annotated[
-        str,
-        typer.Argument(
-            metavar="PACKAGE",
-            help="turtlesim or action_tutorials_py.",
-            autocompletion=completing.words(*dict.fromkeys(package for package, _ in _PROGRAMS)),
-        ),
-    ],
-    executable: Annotated[
-        str,
-        typer.Argument(
-            metavar="EXECUTABLE",
-            help="turtlesim_node, turtle_teleop_key or fibonacci_action_server.",
-            autocompletion=completing.words(*(name for _, name in _PROGRAMS)),
-        ),
-    ],
-    arguments: _RosArguments = None,
-    *,
-    domain: Domain = None,
-) -> Job:
-    """``run``: the programs of ROS 2 that have their like here."""
-    if (package, executable) not in _PROGRAMS:
-        known = ", ".join(f"'{package} {executable}'" for package, executable in _PROGRAMS)
-        raise UsageError(
-            f"'{package} {executable}' is not there: turtleact runs {known}; your own actions are "
-            "for 'turtleact serve module:object'"
-        )
-    if executable == "turtle_teleop_key":
-        from turtleact.commands.verbs.teleop import turtle_teleop_key
+def _check_loopback(listen: tuple[str, ...]) -> None:
+    from turtleact.commands.locks import is_loopback
 
-        return turtle_teleop_key(arguments or (), domain)
-    if arguments:
+    open_ones = [each for each in listen if not is_loopback(each)]
+    if open_ones:
         raise UsageError(
-            f"{quoted(' '.join(arguments))} is not taken: names stay as they are, and parameters "
-            "are for 'turtleact param set' and 'load', once it runs"
+            f"--listen {', '.join(open_ones)} lets in whoever can reach this machine: say in "
+            "a --config file who may, or give --insecure"
         )
-    if package != "turtlesim":
-        return serve([_FIBONACCI], no_sim=True, domain=domain)
-    return serve(domain=domain)
+
+
+def _check_placing(placing: str) -> None:
+    from turtleact.sim.placing import PLACINGS
+
+    if placing not in PLACINGS:
+        raise UsageError(f"--placing is {', '.join(PLACINGS)}, not {quoted(placing)}")
 
 
 def _host_and_port(text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
     return host or "127.0.0.1", whole("the port of --web", port, most=65535)
+
+
+def _allowed(hosts: str | None, origins: str | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    allowed = _listed(origins)
+    for origin in allowed:
+        if "://" not in origin and origin != "null":
+            raise UsageError(
+                f"--allow-origin is an origin such as https://example.com, not {quoted(origin)}"
+            )
+    return _listed(hosts), allowed
 
 
 def _listed(text: str | None) -> tuple[str, ...]:
