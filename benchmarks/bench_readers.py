@@ -153,7 +153,8 @@ async def main() -> None:
         for each in deaf:
             each.close()
 
-        talker = await stack.enter_async_context(connect(f"ws://127.0.0.1:{port}"))
+        patient = connect(f"ws://127.0.0.1:{port}", ping_interval=None)  # a ping waits in line
+        talker = await stack.enter_async_context(patient)
         line.send("begin")
         await asyncio.to_thread(line.recv)
         for times in came:

@@ -61,9 +61,9 @@ class Service(NamedTuple):
         config: Paths and values of Zenoh's configuration, such as those of its locks.
         web: The host and port of the page and of rosbridge; None for neither.
         token: What its clients must know; None means as `turtleact.web.open_web` says.
-        is_live: Whether a terminal shows a dashboard.
         hosts: What its clients may call this machine.
         origins: Whose pages may be its clients.
+        is_live: Whether a terminal shows a dashboard.
     """
 
     targets: tuple[str, ...]
@@ -79,9 +79,9 @@ class Service(NamedTuple):
     config: dict[str, object]
     web: tuple[str, int] | None
     token: str | None
-    is_live: bool
     hosts: tuple[str, ...]
     origins: tuple[str, ...]
+    is_live: bool
 
 
 def run(service: Service, interrupts: Interrupts) -> int:

@@ -129,10 +129,7 @@ def serve(
     """``serve``."""
     where = reach(connect, domain, config)
     at = endpoints("--listen", listen)
-    page = None if web is None else _host_and_port(web)
-    hosts, origins = _allowed(allow_host, allow_origin)
-    if page is None and (token is not None or hosts or origins):
-        raise UsageError("--token, --allow-host and --allow-origin are for --web: give that, too")
+    page = _page(web, token, allow_host, allow_origin)
     factor, first = float(speed_factor(speed)), whole("--seed", seed)
     count = whole("--turtles", turtles, least=1, most=MOST_TURTLES)
 
@@ -157,11 +154,8 @@ def serve(
             first,
             paused,
             locks.settings(),
-            page,
-            token,
+            *page,
             not (headless or plain),
-            hosts,
-            origins,
         )
         return run(service, interrupts)
 
@@ -186,20 +180,25 @@ def _check_placing(placing: str) -> None:
         raise UsageError(f"--placing is {', '.join(PLACINGS)}, not {quoted(placing)}")
 
 
-def _host_and_port(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    host = host.removeprefix("[").removesuffix("]")
-    return host or "127.0.0.1", whole("the port of --web", port, most=65535)
-
-
-def _allowed(hosts: str | None, origins: str | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    allowed = _listed(origins)
-    for origin in allowed:
+def _page(
+    web: str | None, token: str | None, allow_host: str | None, allow_origin: str | None
+) -> tuple[tuple[str, int] | None, str | None, tuple[str, ...], tuple[str, ...]]:
+    """Where the page is, the token, and which hosts and origins are let in."""
+    hosts, origins = _listed(allow_host), _listed(allow_origin)
+    if web is None and (token is not None or hosts or origins):
+        raise UsageError("--token, --allow-host and --allow-origin are for --web: give that, too")
+    for origin in origins:
         if "://" not in origin and origin != "null":
             raise UsageError(
                 f"--allow-origin is an origin such as https://example.com, not {quoted(origin)}"
             )
-    return _listed(hosts), allowed
+    return None if web is None else _host_and_port(web), token, hosts, origins
+
+
+def _host_and_port(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    host = host.removeprefix("[").removesuffix("]")
+    return host or "127.0.0.1", whole("the port of --web", port, most=65535)
 
 
 def _listed(text: str | None) -> tuple[str, ...]:
