@@ -17,6 +17,10 @@ from typing import NamedTuple
 
 import pytest
 
+from turtleact.commands.interrupts import Interrupts
+from turtleact.commands.serve import Service, run
+from turtleact.errors import TurtleactError
+
 LAB = """
 import anyio
 import turtleact
@@ -305,6 +309,15 @@ def test_names_and_origins_are_let_in_by_the_page(lab):
                 assert page.status == 200
         with pytest.raises(urllib.error.HTTPError, match="403"):
             urllib.request.urlopen(urllib.request.Request(url, None, {"Host": "evil.example"}))
+
+
+def test_what_the_page_needs_is_named_with_its_cure(monkeypatch):
+    for name in [name for name in sys.modules if name.startswith("turtleact.web")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "cbor2", None)
+    service = Service((), (), (), 0, False, 1.0, 1, 0, {}, ("127.0.0.1", 0), None, (), ())
+    with pytest.raises(TurtleactError, match=r"web needs cbor2: pip install 'turtleact\[web\]'"):
+        run(service, Interrupts())
 
 
 def test_a_module_that_is_not_there_is_one_line(tmp_path):

@@ -8,6 +8,7 @@ there is a line for each change of a goal. A terminal shows the same as a dashbo
 from __future__ import annotations
 
 import asyncio
+import importlib
 import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, aclosing, asynccontextmanager
@@ -91,6 +92,8 @@ def run(service: Service, interrupts: Interrupts) -> int:
         UsageError: if a target means no action.
         TurtleactError: if the graph cannot be opened.
     """
+    if service.web is not None:
+        _check_for_web()
     declared = [each for target in service.targets for each in find_actions(target)]
     if not (service.is_live and can_move(sys.stdout)):
         return asyncio.run(_serve(service, declared, _Log(None), interrupts))
@@ -102,6 +105,14 @@ def run(service: Service, interrupts: Interrupts) -> int:
         return asyncio.run(_serve(service, declared, _Log(board), interrupts))
     finally:
         board.close()
+
+
+def _check_for_web() -> None:
+    """See that what ``--web`` needs is installed."""
+    try:
+        importlib.import_module("turtleact.web")
+    except ModuleNotFoundError as missing:
+        raise TurtleactError(f"{missing}") from None
 
 
 async def _serve(
