@@ -316,6 +316,20 @@ async def test_an_app_that_fails_is_logged_with_its_traceback(caplog, monkeypatc
     assert "ZeroDivisionError" in caplog.text
 
 
+@ON_ASYNCIO
+async def test_a_client_that_does_nothing_but_ping_is_let_go(caplog, monkeypatch):
+    monkeypatch.setattr("turtleact.web.sockets.MOST_PINGS", 3)
+    async with (
+        turtleact.open_node("lab") as node,
+        open_web(node, port=0) as web,
+        connect(address(web)) as client,
+    ):
+        for _ in range(4):
+            await client.ping()
+        await client.wait_closed()
+    assert caplog.messages == ["a web client was let go: it sent 4 pings in a second"]
+
+
 class Impatient(Socket):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)

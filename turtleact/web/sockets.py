@@ -26,6 +26,10 @@ REQUEST_WITHIN: Final = 10.0
 """So long a client has to say what it wants (s)."""
 
 
+MOST_PINGS: Final = 100
+"""So often a client may ask in a second whether the server is there."""
+
+
 class Http(H11Protocol):
     """A connection on which a client asks for something, once.
 
@@ -50,6 +54,8 @@ class Socket(WebSocketsSansIOProtocol):
     """A WebSocket."""
 
     _heard_at = 0.0
+    _pinged_at = 0.0
+    _pings = 0
 
     async def run_asgi(self) -> None:
         """Serve the connection."""
@@ -61,6 +67,18 @@ class Socket(WebSocketsSansIOProtocol):
         """Read on."""
         self._heard_at = self.loop.time()
         super().data_received(data)
+
+    def handle_ping(self) -> None:
+        """Answer a ping; the answers would pile up to a client that does nothing else."""
+        now = self.loop.time()
+        if now - self._pinged_at >= 1.0:
+            self._pinged_at, self._pings = now, 0
+        self._pings += 1
+        if self._pings <= MOST_PINGS:
+            super().handle_ping()
+        elif self._pings == MOST_PINGS + 1:
+            logger.warning("a web client was let go: it sent %d pings in a second", self._pings)
+            self.transport.abort()
 
     def keepalive_timeout(self) -> None:
         """End, unless the pong that is missed stands behind what the client says meanwhile."""
