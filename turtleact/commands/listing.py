@@ -18,7 +18,7 @@ from turtleact.commands.kinds import Kind, types_by_name
 from turtleact.commands.stderr import note
 from turtleact.errors import TurtleactError, UnknownInterface
 from turtleact.interfaces import get_interface, type_hash
-from turtleact.names import resolve_name
+from turtleact.names import action_names, resolve_name
 
 if TYPE_CHECKING:
     from turtleact.node import Node
@@ -94,10 +94,16 @@ def _nodes_of_action(
     node: Node, name: str, kind: EndpointKind
 ) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Each node on one side of an action, with the types; of two of one name, both."""
-    for who in sorted(node.transport.nodes()):
-        types = types_by_name(_endpoints_of(node, who), "action", kind, hidden=True).get(name)
-        if types:
-            yield who, types
+    for who in sorted(set(node.transport.nodes())):
+        own = _endpoints_of(node, who)
+        types = types_by_name(own, "action", kind, hidden=True).get(name, ())
+        ends = Counter(each.type_name for each in own if each.kind == kind and _is_of(each, name))
+        yield from ((who, types) for _ in range(max(ends.values(), default=0)))
+
+
+def _is_of(endpoint: Endpoint, action: str) -> bool:
+    """Whether an endpoint is that by which goals of an action are sent."""
+    return endpoint.name == action_names(action).send_goal
 
 
 # services
