@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from shutil import which
 
 import pytest
 
@@ -346,6 +347,20 @@ def test_bash_completes_by_the_script_an_alias_too(tmp_path):
         '<"{order: 0}">\n'
         "<hz>\n"
     )
+
+
+@pytest.mark.parametrize(
+    "shell",
+    [
+        pytest.param(each, marks=pytest.mark.skipif(not which(each), reason=f"{each} is not there"))
+        for each in shells.SCRIPTS
+    ],
+)
+def test_a_shell_can_read_its_script(shell):
+    ran = subprocess.run(
+        [shell, "-n"], input=shells.SCRIPTS[shell], capture_output=True, text=True, check=False
+    )
+    assert (ran.returncode, ran.stderr) == (0, "")
 
 
 @pytest.mark.parametrize("shell", [*shells.SCRIPTS, "/bin/zsh"])
