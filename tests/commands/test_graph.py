@@ -72,7 +72,21 @@ def test_ctrl_c_ends_a_verb_that_has_no_end(on_graph, graphs, arguments):
 
 
 MESSAGE = GoalText("{}", "message")
-POSE = ("/turtle1/pose", None, (), True, False, None, True, True, None, None, False, Policies())
+POSE = (
+    "/turtle1/pose",
+    None,
+    (),
+    True,
+    False,
+    False,
+    None,
+    True,
+    True,
+    None,
+    None,
+    False,
+    Policies(),
+)
 TWIST = ("/turtle1/cmd_vel", None, MESSAGE, 10.0, 3, 1, 1, Policies())
 LOOKS: dict[str, Callable[[Node], Awaitable[int]]] = {
     "list": lambda node: listing.print_list(node, "topic", types=True, count=False, hidden=True),

@@ -335,6 +335,7 @@ def test_policies_that_are_not_asked_for_are_the_verbs_to_choose(policies, expec
         (["--filter", "m.data > 'b'"], "data: c\n---\n"),
         (["--filter", "m == 'b'", "--field", "data"], "b\n---\n"),
         (["--filter", "False"], ""),
+        (["--flow-style", "--once"], "{data: a}\n---\n"),
         (["--raw", "--once"], r"b'\x00\x01\x00\x00\x02\x00\x00\x00a\x00'" + "\n---\n"),
     ],
 )

@@ -10,9 +10,11 @@ from typer.main import get_command
 
 from turtleact.commands import VERBS, send_goal, serve, verbs
 from turtleact.commands.goal_text import GoalText
+from turtleact.commands.policies import Policies
 from turtleact.commands.targets import find_actions
 from turtleact.commands.verbs.arguments import Reach, reach
 from turtleact.commands.verbs.goals import moment
+from turtleact.commands.verbs.policies import read_policies
 from turtleact.errors import UsageError
 
 USAGE = [
@@ -75,13 +77,14 @@ USAGE = [
     (["topic", "list", "--connect", "localhost"], "--connect is an endpoint .* not 'localhost'"),
     (["topic", "list", "--connect", "tcp/a:1,"], "--connect is an endpoint .* not ''"),
     (["topic", "echo", "x", "--field", "a..b"], r"--field is names with dots .* not 'a\.\.b'"),
-    (["topic", "echo", "x", "--raw", "--csv"], "give one of --raw and --csv"),
+    (["topic", "echo", "x", "--raw", "--csv"], "give one of --raw, --csv and --flow-style"),
     (["topic", "echo", "x", "--raw", "--field", "x"], "give one of --raw and --field"),
     (["topic", "echo", "x", "-l", "many"], "--truncate-length is a whole number, 0 or more"),
     (["topic", "echo", "x", "--timeout", "-1"], "--timeout is a number of seconds, 0 or more"),
     (["topic", "echo", "x", "--qos-depth", "0"], "--qos-depth is a whole number, 1 or more"),
     (["topic", "echo", "x", "--qos-durability", "no"], "is volatile or transient_local, not 'no'"),
     (["topic", "echo", "x", "--qos-reliability", "no"], "is reliable or best_effort, not 'no'"),
+    (["topic", "echo", "x", "--qos-profile", "no"], "--qos-profile is .* or sensor_data or .*'no'"),
     (["topic", "hz", "x", "--window", "0"], "--window is a whole number, 1 or more, .* not '0'"),
     (["topic", "pub", "x", "a/b", "{}", "-r", "0"], "--rate is .* a second, above zero, not '0'"),
     (["topic", "pub", "x", "a/b", "{}", "-1", "-t", "2"], "give one of --once and --times"),
@@ -347,3 +350,9 @@ def test_the_fibonacci_server_serves_both_types():
         "action_tutorials_interfaces/action/Fibonacci",
         "example_interfaces/action/Fibonacci",
     ]
+
+
+def test_single_policies_count_more_than_their_profile():
+    asked = read_policies("sensor_data", None, "transient_local", "7")
+    assert asked == Policies("best_effort", "transient_local", 7)
+    assert read_policies("sensor_data", None, None, None) == Policies("best_effort", "volatile", 5)

@@ -160,23 +160,13 @@ def prototype(type_name: str, folder: str | None) -> str:
     """
     from turtleact.commands.interfaces import first_message, make_known
     from turtleact.interfaces import get_interface, to_dict
+    from turtleact.interfaces.text import flow
 
     try:  # most are found without all that `make_known` imports
         get_interface(type_name)
     except UnknownInterface:
         make_known(folder)
-    return _flow(to_dict(first_message(type_name)))
-
-
-def _flow(value: object) -> str:
-    """A plain value as flow YAML."""
-    from turtleact.interfaces.text import inline
-
-    if isinstance(value, dict):
-        return f"{{{', '.join(f'{name}: {_flow(item)}' for name, item in value.items())}}}"
-    if isinstance(value, list | bytes):
-        return f"[{', '.join(map(_flow, value))}]"
-    return "'{}'".format(value.replace("'", "''")) if isinstance(value, str) else inline(value)
+    return flow(to_dict(first_message(type_name)))
 
 
 # modules

@@ -19,7 +19,7 @@ from turtleact.commands.transcript import say
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.interfaces import Message, encode, to_dict
 from turtleact.interfaces.definition import ArrayForm, did_you_mean
-from turtleact.interfaces.text import block, listed
+from turtleact.interfaces.text import block, flow, listed
 from turtleact.interfaces.types import fields, nested_classes
 from turtleact.names import resolve_name
 from turtleact.summaries import summary
@@ -63,6 +63,7 @@ class Order(NamedTuple):
         path: The field that is printed, from the outside in; the whole message if empty.
         once: Whether to leave after the first message.
         csv: Whether to print values with commas between, not YAML.
+        flow: Whether to print YAML on one line.
         longest: Lists and strings that are longer are cut; None cuts none.
         arrays: Whether lists are printed, or just what they are.
         strings: Whether strings are printed, or just how long they are.
@@ -77,6 +78,7 @@ class Order(NamedTuple):
     path: tuple[str, ...]
     once: bool
     csv: bool
+    flow: bool
     longest: int | None
     arrays: bool
     strings: bool
@@ -217,7 +219,8 @@ def _text(message: Message, order: Order) -> str:
         value = _cut(value, order.longest)
     if order.csv:
         return f"{_csv(value)}\n"
-    return "".join(f"{line}\n" for line in (*yaml_lines(value), "---"))
+    lines = [flow(value)] if order.flow else yaml_lines(value)
+    return "".join(f"{line}\n" for line in (*lines, "---"))
 
 
 def _described(cls: type[Message], values: dict[str, object], order: Order) -> dict[str, object]:

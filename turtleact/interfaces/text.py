@@ -332,6 +332,20 @@ def listed(item: object) -> Iterator[str]:
         yield f"  {line}" if index else f"- {line}"
 
 
+def flow(value: object) -> str:
+    """A plain value as flow YAML, on one line.
+
+    >>> flow({"at": {"x": 1.0}, "names": ["a", "b, c"]})
+    "{at: {x: 1.0}, names: [a, 'b, c']}"
+    """
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{name}: {flow(item)}' for name, item in value.items())}}}"
+    if isinstance(value, list | bytes):
+        return f"[{', '.join(map(flow, value))}]"
+    shown = inline(value)
+    return f"'{shown}'" if isinstance(value, str) and shown == value and "," in value else shown
+
+
 def inline(value: object) -> str:
     """A value on one line."""
     if isinstance(value, dict):

@@ -14,10 +14,21 @@ from turtleact.errors import UsageError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["Depth", "Durability", "Reliability", "read_policies"]
+__all__ = ["Depth", "Durability", "Profile", "Reliability", "read_policies"]
 
 P = TypeVar("P")
 
+Profile = Annotated[
+    str | None,
+    typer.Option(
+        "--qos-profile",
+        metavar="NAME",
+        help="A set of policies, such as sensor_data; single ones are said besides.",
+        autocompletion=completing.words(
+            "sensor_data", "services_default", "parameters", "action_status_default"
+        ),
+    ),
+]
 Reliability = Annotated[
     str | None,
     typer.Option(
@@ -48,20 +59,32 @@ _DURABILITIES: dict[str, policies.Durability] = {
     "volatile": "volatile",
     "transient_local": "transient_local",
 }
+_PROFILES: dict[str, policies.Policies] = {
+    "action_status_default": policies.Policies("reliable", "transient_local", 1),
+    "best_available": policies.Policies(),
+    "default": policies.Policies("reliable", "volatile", 10),
+    "parameter_events": policies.Policies("reliable", "volatile", 1000),
+    "parameters": policies.Policies("reliable", "volatile", 1000),
+    "sensor_data": policies.Policies("best_effort", "volatile", 5),
+    "services_default": policies.Policies("reliable", "volatile", 10),
+    "system_default": policies.Policies(),
+}
+"""Source: rmw ``qos_profiles.h``."""
 
 
 def read_policies(
-    reliability: str | None, durability: str | None, depth: str | None
+    profile: str | None, reliability: str | None, durability: str | None, depth: str | None
 ) -> policies.Policies:
-    """The policies that are asked for.
+    """The policies that are asked for; a single one counts more than the profile.
 
     Raises:
         UsageError: if one of them is none.
     """
+    known = _policy("--qos-profile", profile, _PROFILES) or policies.Policies()
     return policies.Policies(
-        _policy("--qos-reliability", reliability, _RELIABILITIES),
-        _policy("--qos-durability", durability, _DURABILITIES),
-        None if depth is None else whole("--qos-depth", depth, least=1),
+        _policy("--qos-reliability", reliability, _RELIABILITIES) or known.reliability,
+        _policy("--qos-durability", durability, _DURABILITIES) or known.durability,
+        known.depth if depth is None else whole("--qos-depth", depth, least=1),
     )
 
 

@@ -24,7 +24,7 @@ from turtleact.commands.verbs.arguments import (
     type_and_text,
     whole,
 )
-from turtleact.commands.verbs.policies import Depth, Durability, Reliability, read_policies
+from turtleact.commands.verbs.policies import Depth, Durability, Profile, Reliability, read_policies
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
@@ -79,6 +79,7 @@ _Field = Annotated[
     typer.Option("--field", metavar="FIELD", help="Only this field, such as linear.x."),
 ]
 _Csv = Annotated[bool, typer.Option("--csv", help="All values on one line, commas between.")]
+_Flow = Annotated[bool, typer.Option("--flow-style", help="A message a line, in braces.")]
 _FullLength = Annotated[
     bool, typer.Option("--full-length", "-f", help="Cut neither lists nor strings.")
 ]
@@ -222,6 +223,7 @@ def echo(
     once: _Once = False,
     field: _Field = None,
     csv: _Csv = False,
+    flow: _Flow = False,
     full_length: _FullLength = False,
     truncate_length: _Truncate = "128",
     no_arr: _NoArrays = False,
@@ -229,6 +231,7 @@ def echo(
     timeout: _Timeout = None,
     filter_: _Filter = None,
     raw: _Raw = False,
+    profile: Profile = None,
     reliability: Reliability = None,
     durability: Durability = None,
     depth: Depth = None,
@@ -241,11 +244,11 @@ def echo(
     where = reach(connect, domain, config)
     length = whole("--truncate-length", truncate_length)
     seconds = None if timeout is None else number("--timeout", timeout)
-    policies = read_policies(reliability, durability, depth)
+    policies = read_policies(profile, reliability, durability, depth)
     if field is not None and not all(field.split(".")):
         raise UsageError(f"--field is names with dots between, such as linear.x, not '{field}'")
 
-    only_one("how messages are printed", raw=raw, csv=csv)
+    only_one("how messages are printed", raw=raw, csv=csv, flow_style=flow)
     only_one("what is printed", raw=raw, field=field is not None)
     wanted = None if filter_ is None else _compiled(filter_)
 
@@ -260,6 +263,7 @@ def echo(
             () if field is None else tuple(field.split(".")),
             once=once,
             csv=csv,
+            flow=flow,
             longest=None if full_length else length,
             arrays=not no_arr,
             strings=not no_str,
@@ -336,6 +340,7 @@ def pub(
     print_each: _PrintEach = "1",
     wait: _Wait = None,
     stdin: _Stdin = False,
+    profile: Profile = None,
     reliability: Reliability = None,
     durability: Durability = None,
     depth: Depth = None,
@@ -353,7 +358,7 @@ def pub(
     count = 1 if once else 0 if times is None else whole("--times", times)
     least = int(count > 0) if wait is None else whole("--wait-matching-subscriptions", wait)
     every = whole("--print", print_each)
-    policies = read_policies(reliability, durability, depth)
+    policies = read_policies(profile, reliability, durability, depth)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph, publishing
