@@ -408,6 +408,17 @@ def test_completion_is_installed_once(turtleact, tmp_path, monkeypatch, shell, p
         assert str(tmp_path / place) in second or "fpath+=~/.zfunc" in second
 
 
+def test_a_place_that_cannot_be_written_is_told(turtleact, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / ".zshrc").mkdir()
+    assert turtleact("--install-completion", "zsh") == (
+        1,
+        "",
+        f"turtleact: {tmp_path / '.zshrc'} cannot be written: Is a directory; "
+        "--show-completion prints what is to stand there\n",
+    )
+
+
 def test_main_completes_before_anything_else(monkeypatch, capsys):
     def leave(status):
         raise SystemExit(status)

@@ -123,6 +123,7 @@ def test_the_page_has_the_lecture():
     assert any("/my_patrol" in line for line in lines)
 
 
+@pytest.mark.timeout(300)  # some twenty processes, on whatever machine
 def test_the_commands_of_the_lecture_print_what_the_page_shows(open_terminal, port):
     beside = []
     for step in STEPS:

@@ -12,7 +12,7 @@ import os
 from pathlib import Path
 from typing import Final
 
-from turtleact.errors import UsageError
+from turtleact.errors import TurtleactError, UsageError
 
 __all__ = ["SCRIPTS", "VARIABLE", "install", "script"]
 
@@ -85,9 +85,20 @@ def install(shell: str | None) -> str:
 
     Raises:
         UsageError: if it is no shell that we know.
-        OSError: if it cannot be written.
+        TurtleactError: if it cannot be written; the text says where.
     """
     name = _known(shell)
+    try:
+        return f"{name} completes turtleact as {_write(name)} says, from the next terminal on"
+    except OSError as error:
+        problem = f"{error.filename} cannot be written: {error.strerror}"
+        raise TurtleactError(
+            f"{problem}; --show-completion prints what is to stand there"
+        ) from None
+
+
+def _write(name: str) -> Path:
+    """Write the script of a shell, and see to it that it is read; gives its place."""
     home = Path.home()
     places = {
         "bash": home / ".bash_completions" / "turtleact.sh",
@@ -101,7 +112,7 @@ def install(shell: str | None) -> str:
         _add_line(home / ".bashrc", f"source '{place}'")
     if name == "zsh":
         _add_line(home / ".zshrc", "fpath+=~/.zfunc; autoload -Uz compinit; compinit")
-    return f"{name} completes turtleact as {place} says, from the next terminal on"
+    return place
 
 
 def _known(shell: str | None) -> str:
