@@ -89,6 +89,11 @@ def test_of_two_nodes_of_one_name_only_those_that_serve_are_counted(on_graph, gr
     assert ran.out.endswith("Action servers: 1\n    /fibonacci_action_server\n")
 
 
+def test_how_ros2_is_told_to_look_changes_nothing(on_graph, graphs):
+    looked = on_graph(graphs.fibonacci, "action", "list", "--no-daemon", "--spin-time", "2", "-c")
+    assert looked == (0, "1\n", "")
+
+
 # --- a graph of our own ---------------------------------------------------------------------
 
 

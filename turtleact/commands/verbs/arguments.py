@@ -27,6 +27,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from turtleact.commands.interrupts import Interrupts
+from turtleact.commands.verbs.outside import without_daemon
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
@@ -146,6 +147,8 @@ class Verb(TyperCommand):
         params = self.get_params(ctx)
         _keep_as_typed(params)
         known = {option for param in params for option in param.opts} | {"--"}
+        if "--connect" in known:
+            args = without_daemon(args)
         marked = [
             _TEXT + arg
             if arg[:1] == "-" and arg not in known and not _OPTION.fullmatch(arg)

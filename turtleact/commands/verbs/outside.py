@@ -1,11 +1,11 @@
-"""Verbs of ``ros2`` that have no like here: what is said to who tries them."""
+"""Verbs and options of ``ros2`` that have no like here: what is said of them, if anything."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Final
 
-__all__ = ["NO_DAEMON", "problem_of_outside"]
+__all__ = ["NO_DAEMON", "problem_of_outside", "without_daemon"]
 
 NO_DAEMON: Final = "The daemon is not running: each command asks the graph itself"
 """What ``daemon`` says, whatever is asked of it."""
@@ -34,3 +34,19 @@ def problem_of_outside(arguments: Sequence[str]) -> str:
         if tuple(arguments[: len(verb)]) == verb:
             return f"'{' '.join(verb)}' is not part of turtleact: {instead}"
     return ""
+
+
+def without_daemon(args: Sequence[str]) -> list[str]:
+    """Arguments without those by which ros2 is told how to look at the graph: it is always asked.
+
+    >>> without_daemon(["--no-daemon", "--spin-time", "2", "-t", "--spin-time=1"])
+    ['-t']
+    """
+    kept: list[str] = []
+    left = iter(args)
+    for arg in left:
+        if arg == "--spin-time":
+            next(left, None)
+        elif arg != "--no-daemon" and not arg.startswith("--spin-time="):
+            kept.append(arg)
+    return kept
