@@ -315,6 +315,24 @@ def test_a_graph_that_does_not_answer_is_not_waited_for():
     assert (ran.returncode, ran.stdout, ran.stderr) == (0, b"", b"")
 
 
+@pytest.mark.parametrize(
+    ("words", "needs"),
+    [
+        (["", "se"], []),
+        (["", "topic", "info", "--connect", "tcp/127.0.0.1:1", ""], ["typer", "zenoh"]),
+        (["", *SPAWN, ""], ["typer", "yaml"]),
+    ],
+)
+def test_a_tab_imports_no_more_than_it_needs(words, needs):
+    heavy = {"anyio", "asyncio", "numpy", "pydantic", "rich", "typer", "yaml", "zenoh"}
+    code = (
+        f"import sys; from turtleact.commands.completion import complete;"
+        f"complete('bash', {words}); print(*sorted({heavy} & {{*sys.modules}}))"
+    )
+    out = subprocess.check_output([sys.executable, "-c", code], text=True)
+    assert out.splitlines()[-1].split() == needs
+
+
 # --- scripts --------------------------------------------------------------------------------
 
 
