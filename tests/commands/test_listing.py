@@ -89,6 +89,16 @@ def test_of_two_nodes_of_one_name_only_those_that_serve_are_counted(on_graph, gr
     assert ran.out.endswith("Action servers: 1\n    /fibonacci_action_server\n")
 
 
+@pytest.mark.parametrize(
+    "line", ["topic info turtle1/pose", "service info spawn", "node info turtlesim"]
+)
+def test_the_first_slash_of_a_name_may_be_left_out(on_graph, graphs, line):
+    group, verb, name = line.split()
+    looked = on_graph(graphs.turtlesim, group, verb, name)
+    assert looked == on_graph(graphs.turtlesim, group, verb, f"/{name}")
+    assert looked.status == 0
+
+
 def test_how_ros2_is_told_to_look_changes_nothing(on_graph, graphs):
     looked = on_graph(graphs.fibonacci, "action", "list", "--no-daemon", "--spin-time", "2", "-c")
     assert looked == (0, "1\n", "")
@@ -195,10 +205,10 @@ def test_all_nodes_are_the_hidden_ones_too_and_the_one_that_looks(on_graph):
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        ("topic info chatter", "unknown topic 'chatter', did you mean '/chatter'?"),
+        ("topic info chater", "unknown topic '/chater', did you mean '/chatter'?"),
         ("topic info /zzz", "unknown topic '/zzz' (there are: /chatter)"),
         ("service info /triger", "unknown service '/triger', did you mean '/trigger'?"),
-        ("node info listener", "node 'listener': there is none of that name, did you mean '/list"),
+        ("node info listner", "node '/listner': there is none of that name, did you mean '/list"),
         ("node info /_hidden", "node '/_hidden': there is none of that name"),
     ],
 )

@@ -116,6 +116,7 @@ async def print_service_info(node: Node, name: str) -> int:
         TurtleactError: if there is no such service, with the nearest.
     """
     endpoints = node.transport.endpoints()
+    name = _full(name)
     types = _needed_types(endpoints, "service", name)
     counts = Counter(endpoint.kind for endpoint in endpoints if endpoint.name == name)
     say_names(f"Type: {_as_said(types)}\n")
@@ -148,6 +149,7 @@ async def print_topic_info(node: Node, name: str, *, verbose: bool) -> int:
         TurtleactError: if there is no such topic, with the nearest.
     """
     endpoints = node.transport.endpoints()
+    name = _full(name)
     types = _needed_types(endpoints, "topic", name)
     end = "\n\n" if verbose else "\n"
     say_names(f"Type: {_as_said(types)}{end}")
@@ -209,6 +211,7 @@ async def print_node_info(node: Node, name: str, *, hidden: bool) -> int:
         TurtleactError: if there is no such node, with the nearest.
     """
     names = [each for each in node.transport.nodes() if hidden or not _is_hidden_node(each)]
+    name = _full(name)
     if name not in names:
         raise TurtleactError(f"node '{name}': there is none of that name{names_like(name, names)}")
     if names.count(name) > 1:
@@ -235,6 +238,11 @@ def _is_hidden_node(name: str) -> bool:
 
 
 # what they share
+
+
+def _full(name: str) -> str:
+    """A name with the slash that may be left out."""
+    return name if name.startswith("/") else f"/{name}"
 
 
 def _endpoints_of(node: Node, name: str) -> list[Endpoint]:
