@@ -8,7 +8,7 @@ nobody who keeps to the speeds can do it faster. A hit is a tick in which a wall
 The peer is what a student writes: turn and drive in proportion to the error, without wrapping any
 limits but those of the speeds. Its bound is that of ``arc``.
 
-Run with ``--patrols 10000`` for the figures in ``docs/actions.md``.
+Run with ``--patrols 1000`` for the figures in ``docs/actions.md``.
 """
 
 from __future__ import annotations

@@ -133,6 +133,34 @@ def test_a_target_outside_the_area_is_driven_to(style):
     drive(steering, START, [(9.0, 9.0), (3.0, 3.0)])
 
 
+# Numbers beyond the first 200 have short legs that turn back.
+@pytest.mark.parametrize(
+    ("style", "others"),
+    [("arc", []), ("forward", [4539, 6643]), ("rotate_then_drive", [5170, 5444, 7926])],
+)
+def test_patrols_drawn_by_lot_take_a_quarter_more_than_their_bound_at_most(style, others):
+    steering = Steering(style)
+    longest = 0.0
+    for number in [*range(200), *others]:
+        uniform = random.Random(number).uniform
+        pose = (uniform(0.0, SIDE), uniform(0.0, SIDE), uniform(-math.pi, math.pi))
+        targets = [(uniform(0.0, SIDE), uniform(0.0, SIDE)) for _ in range(4)]
+        took = seconds(steering, pose, targets)
+        longest = max(longest, took / shortest_time(pose, targets, steering))
+    assert longest <= 1.25
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_two_targets_near_each_other_are_reached_together(style):
+    steering = Steering(style)
+    both = seconds(steering, (1.0, 5.0, 0.0), [(5.0, 4.92), (5.0, 5.08)])
+    assert both < seconds(steering, (1.0, 5.0, 0.0), [(5.0, 5.0)]) + 0.05
+
+
+def test_the_forward_style_turns_to_the_next_target_before_it_reaches_one():
+    assert Steering("forward").command((4.7, 5.0, 0.0), (5.0, 5.05), (3.0, 5.5)) == (2.0, 2.0)
+
+
 # Within limits
 
 

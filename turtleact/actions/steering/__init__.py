@@ -2,7 +2,7 @@
 
 A small library of its own, pure: it knows no topic, message, clock or simulator. In `limits` is
 what a turtle may do, in `law` how it is driven, in `easing` how speeds change where acceleration is
-limited, in `bounds` how long a tour takes at least and at most.
+limited, in `bounds` how long a tour takes at least and at most, in `turning` what turns take of it.
 """
 
 from __future__ import annotations

@@ -24,10 +24,12 @@ __all__ = [
     "late",
     "reach",
     "room",
+    "sweep",
     "turn_to",
 ]
 
 _CUT = 0.75  # Share of the tolerance by which an aim is moved to the inner side of a corner.
+_HIT = 0.9  # Share of the tolerance by which a turning circle may miss the target.
 _FACING = 0.5  # Cosine of the angle to the target within which an approach is shaped,
 _SWING = 1.0 / 3.0  # and over what share of the way at most.
 _MARGIN = 1e-3  # How far aims keep from the edge of the area (m), or a tenth of the tolerance.
@@ -133,6 +135,26 @@ def approach(
         return aim
     turned = frame.turned(saturate(cmath.phase(frame.see(corner)), limits.turn))
     return corner if is_clear(turned.see(aim) - limits.step, limits) else aim
+
+
+def sweep(frame: Frame, target: complex, after: complex, limits: Limits, *, area: Area) -> float:
+    """1 or -1 to turn to the next target now, left or right, where that leads through this one.
+
+    It does if the turning circle cuts the target's disc within a quarter turn, before it leads to
+    the next target. 0 if it does not, or if the next tick would leave the area.
+    """
+    turn = wrap_angle(cmath.phase((after - target) * frame.heading.conjugate()))
+    side = math.copysign(1.0, turn)
+    seen = frame.see(target)
+    begun = complex(seen.real, side * seen.imag) * cmath.rect(1.0, -limits.turn / 2)
+    out = complex(limits.radius - begun.imag, begun.real)  # from the centre of the circle
+    swept = cmath.phase(out)
+    if abs(abs(out) - limits.radius) > _HIT * limits.tolerance:
+        return 0.0
+    if not limits.turn < swept <= min(abs(turn), math.pi / 2):
+        return 0.0
+    turned = frame.turned(side * limits.turn)
+    return side if room(area, turned.at, limits.step * turned.heading, limits) == 1.0 else 0.0
 
 
 def _arm(way: complex, leg: complex, radius: float, sharpest: float) -> complex:

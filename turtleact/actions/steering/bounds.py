@@ -10,12 +10,13 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 
 from turtleact.actions.steering.aiming import late
 from turtleact.actions.steering.easing import ramp_time
 from turtleact.actions.steering.law import Steering
 from turtleact.actions.steering.limits import Limits, Point, Pose, Style
+from turtleact.actions.steering.turning import ROOM, Cell, Leg, least_loss
 from turtleact.geometry import distance, wrap_angle
 
 __all__ = ["shortest_time", "time_bound"]
@@ -24,6 +25,10 @@ __all__ = ["shortest_time", "time_bound"]
 _TURNING: dict[Style, float] = {"arc": 1.0, "forward": 1.5, "rotate_then_drive": 1.0}
 _SPARE = 4  # Ticks for one target lost to rounding up: the end of the turn, the landing.
 _ROUNDS = 6  # Of improving the points of a tour; more would not show in the bound.
+_ANGLES = 0.5, 0.2  # By which directions are turned (rad), while that proves more:
+_GAIN = 1e-3  # by more than this (s),
+_TUNED = 6  # and in tours of so many targets.
+_COARSE, _FINE = 8, 32  # Cells of headings at a corner: to turn directions, and to prove by them.
 
 
 def time_bound(
@@ -66,17 +71,17 @@ def shortest_time(
     """A time (s) below which no law of the style reaches the targets in order.
 
     It is that of the shortest line through the discs of all targets, and on top what a turtle
-    must lose by turning. Where it turns while it drives, that is F(e) over the turn rate for an
-    angle e to the line at the start, and twice F(e / 2) at a corner: F(e) is the integral of
-    1 - cos, so e - sin(e), and of 1 beyond a right angle. A turtle that also drives in reverse
-    counts the angle to the line either way. The two turns at the ends of a leg count within half
-    of its time each. Where it turns first and then drives, it is all of the turns.
+    must lose by turning: where it turns while it drives, the least sum over all headings that it
+    may have at the targets (`turtleact.actions.steering.turning`), where it turns first and then
+    drives, all of the turns.
 
     From rest it takes no less than the time to get up to speed; in a heading, no less than the
     turn to it.
 
     The line need not be exact: by duality any unit vectors prove the length that they measure along
-    the legs with each point at its worst in its disc.
+    the legs with each point at its worst in its disc. A vector of no length leaves its leg out: the
+    heading at its start then counts as that at its end. Where a leg is too short for its turns,
+    the vectors are turned until they prove no more, in tours of six targets at most.
 
     Args:
         pose: Where the turtle starts, at rest.
@@ -93,16 +98,13 @@ def shortest_time(
     start, centres = complex(pose[0], pose[1]), [complex(*target) for target in targets]
     stops = [start, *_tour(start, centres, limits.tolerance)]
     units = [_unit(b - a) for a, b in pairwise(stops)]
-    length = _proven_length(start, centres, units, limits.tolerance)
     if steering.style == "rotate_then_drive":
-        losses = _turns([start, *centres], pose[2], limits)
+        length = _proven_length(start, centres, units, limits.tolerance)
+        least = length / limits.max_linear + sum(_turns([start, *centres], pose[2], limits))
     else:
-        headings = [cmath.rect(1.0, pose[2]), *units]
-        losses = _turning_losses([start, *centres], headings, steering, theta)
-    driven = max(
-        length / limits.max_linear + sum(losses),
-        ramp_time(length, limits.max_linear, limits.max_acceleration),
-    )
+        tour = _Tour(pose, centres, steering, theta)
+        length, least = tour.prove(units)
+    driven = max(least, ramp_time(length, limits.max_linear, limits.max_acceleration))
     return driven if theta is None else max(driven, _turn_time(theta - pose[2], limits))
 
 
@@ -152,8 +154,8 @@ def _turns(stops: Sequence[complex], theta: float, limits: Limits) -> Iterator[f
     heading, off = cmath.rect(1.0, theta), 0.0
     for i, (stop, target) in enumerate(pairwise(stops)):
         leg, ends = target - stop, (2.0 if i else 1.0) * limits.tolerance
-        if abs(leg) <= ends:  # it may lead anywhere
-            off = math.pi
+        if abs(leg) <= ends:  # it may lead anywhere, on the way of the turn
+            off += late(limits)
             continue
         leaves = math.asin(ends / abs(leg))
         angle = abs(cmath.phase(leg * heading.conjugate()))
@@ -161,41 +163,78 @@ def _turns(stops: Sequence[complex], theta: float, limits: Limits) -> Iterator[f
         heading, off = leg, leaves
 
 
-def _turning_losses(
-    stops: Sequence[complex],
-    headings: Sequence[complex],
-    steering: Steering,
-    theta: float | None,
-) -> Iterator[float]:
-    """The time (s) lost at the start, at each corner and at the end; none in a leg of no length."""
-    limits, ends = steering.limits, steering.limits.tolerance
-    before = math.inf
-    for i, (stop, target) in enumerate(pairwise(stops)):
-        time = max(0.0, abs(target - stop) - ends) / limits.max_linear
-        half = time if theta is None and i + 2 == len(stops) else time / 2
-        legs = 2 if i else 1  # They share the turn of a corner; at the start there is but one.
-        turn = _turn(headings[i], headings[i + 1], steering)
-        yield legs * _loss(turn / legs, min(before, half), limits)
-        before, ends = half, 2.0 * limits.tolerance
-    if theta is not None:
-        turn = _turn(headings[-1], cmath.rect(1.0, theta), steering) - limits.heading_tolerance
-        yield _loss(max(0.0, turn), before, limits)
+class _Tour:
+    """What unit vectors along its legs prove of a tour on which the turtle turns as it drives."""
 
+    def __init__(
+        self, pose: Pose, centres: Sequence[complex], steering: Steering, theta: float | None
+    ) -> None:
+        self._start, self._heading = complex(pose[0], pose[1]), cmath.rect(1.0, pose[2])
+        self._centres = centres
+        self._limits = steering.limits
+        self._half = math.pi / 2 if steering.style == "arc" else math.pi
+        self._theta = theta
 
-def _turn(heading: complex, leaving: complex, steering: Steering) -> float:
-    """The angle (rad) by which a turtle must turn, but for what it turns in a tick."""
-    angle = abs(cmath.phase(heading * leaving.conjugate()))
-    if steering.style == "arc":
-        angle = min(angle, math.pi - angle)
-    return max(0.0, angle - steering.limits.turn)
+    def prove(self, units: Sequence[complex]) -> tuple[float, float]:
+        """The proven length (m) and time (s), by these directions or better ones."""
+        if len(units) > _TUNED:
+            return self._length(units), self._time(units, _COARSE, {})
+        if any(leg.least < ROOM for leg in self._legs(units)):
+            units = self._better(list(units))
+        return self._length(units), self._time(units, _FINE, {})
 
+    def _better(self, units: list[complex]) -> list[complex]:
+        """The directions turned, or left out, one by one for as long as they prove more."""
+        known: dict[tuple[Leg, ...], list[Cell]] = {}
+        best = self._time(units, _COARSE, known)
+        for angle in _ANGLES:
+            changes = cmath.rect(1.0, angle), cmath.rect(1.0, -angle), 0j
+            for i, change in product(range(len(units)), changes):
+                while True:
+                    tried = [*units[:i], units[i] * change, *units[i + 1 :]]
+                    time = self._time(tried, _COARSE, known)
+                    if time <= best + _GAIN:
+                        break
+                    best, units = time, tried
+        return units
 
-def _loss(angle: float, time: float, limits: Limits) -> float:
-    """What turning by an angle, in a time (s), takes from the time for progress."""
-    turned = min(angle, limits.max_angular * time)
-    return (_lost(angle) - _lost(angle - turned)) / limits.max_angular
+    def _length(self, units: Sequence[complex]) -> float:
+        return _proven_length(self._start, self._centres, units, self._limits.tolerance)
 
+    def _legs(self, units: Sequence[complex]) -> list[Leg]:
+        """The legs that have a direction."""
+        limits, off, legs = self._limits, self._limits.tolerance, []
+        for (stop, target), unit in zip(
+            pairwise([self._start, *self._centres]), units, strict=True
+        ):
+            along = ((target - stop) * unit.conjugate()).real
+            ends = off + limits.step
+            if unit:
+                least, most = (along - ends) / limits.radius, (along + ends) / limits.radius
+                legs.append(Leg(unit, least, most))
+            off = 2.0 * limits.tolerance
+        return legs
 
-def _lost(angle: float) -> float:
-    """The integral of what a heading takes from the progress along a line, from 0 to an angle."""
-    return angle - math.sin(min(angle, math.pi / 2))
+    def _time(
+        self, units: Sequence[complex], cells: int, known: dict[tuple[Leg, ...], list[Cell]]
+    ) -> float:
+        """The time (s) that the directions prove."""
+        limits, driven = self._limits, self._length(units) / self._limits.max_linear
+        legs, last, slack = self._legs(units), None, 2.0 * self._limits.heading_tolerance
+        if not legs:
+            return driven
+        if self._theta is not None:
+            angle = cmath.phase(cmath.rect(1.0, self._theta) * legs[-1].unit.conjugate())
+            error = abs(math.remainder(angle, 2.0 * self._half))
+            last = max(0.0, error - limits.heading_tolerance)
+        turned = least_loss(
+            self._heading,
+            legs,
+            half=self._half,
+            tick=limits.turn,
+            cells=cells,
+            known=known,
+            last=last,
+            slack=slack,
+        )
+        return driven + turned / limits.max_angular

@@ -11,7 +11,9 @@ call: a turtle that somebody else moves is driven on from where it is. The rules
   (Souères, Fourquet and Laumond 1994). Where reversing is not allowed, it turns on the spot.
 - **Look one target ahead.** A turn by an angle a costs a - sin(a) over the turn rate: made half
   before the target and half after, a quarter of that. So the approach swings wide, as long as the
-  target stays outside the turning circle, and cuts the inner side of its disc.
+  target stays outside the turning circle, and cuts the inner side of its disc. Driving forwards
+  only, it turns to the next target as soon as that arc leads through this one. Two targets whose
+  discs overlap are reached from between them.
 - **Land.** No tick turns beyond the aim or drives beyond the target. A step that would leave the
   area ends at its edge, and the turtle turns on there.
 - **Face last.** A heading that is wanted at the target is turned to there, on the spot.
@@ -53,6 +55,7 @@ from turtleact.actions.steering.aiming import (
     late,
     reach,
     room,
+    sweep,
     turn_to,
 )
 from turtleact.actions.steering.easing import ramp, stopping_speed
@@ -178,10 +181,16 @@ class Steering(msgspec.Struct, frozen=True):
         self, frame: Frame, goal: complex, after: complex | None, turning: float
     ) -> Speeds:
         """Both speeds, in the gear, where they may change at once."""
-        limits = self.limits
-        clear = is_clear(frame.see(goal), limits, slack=_MISS * limits.tolerance)
+        limits, miss = self.limits, _MISS * self.limits.tolerance
+        if after is not None and abs(after - goal) <= 2.0 * miss:
+            # Both are reached from between them.
+            miss -= abs(after - goal) / 2
+            goal, after = (goal + after) / 2, None
+        clear = is_clear(frame.see(goal), limits, slack=miss)
         area, aim = inside(goal, limits)
         if clear and after is not None and self.style in _CORNER:
+            if self.style == "forward" and (turn := sweep(frame, goal, after, limits, area=area)):
+                return limits.max_linear, turn * limits.max_angular
             sharpest = _CORNER[self.style] * math.pi
             shaped = approach(frame, goal, after, limits, area=area, sharpest=sharpest)
             aim = aim if shaped is None else shaped

@@ -1,0 +1,88 @@
+"""What turning takes at least, beside what finely cut headings make of it."""
+
+from __future__ import annotations
+
+import cmath
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from turtleact.actions.steering.turning import ROOM, Cell, Leg, least_loss
+
+angles = st.floats(-math.pi, math.pi)
+halves = st.sampled_from([math.pi, math.pi / 2])
+
+
+def lost(angle):
+    return angle - math.sin(min(angle, math.pi / 2))
+
+
+def leg(angle, least, most=math.inf):
+    return Leg(cmath.rect(1.0, angle), least, most)
+
+
+def loss(legs, *, half=math.pi, cells=32, **options):
+    return least_loss(1.0 + 0j, legs, half=half, tick=0.0, cells=cells, known={}, **options)
+
+
+def test_a_long_leg_straight_ahead_takes_no_turning():
+    assert loss([leg(0.0, 5.0)]) == 0.0
+
+
+@pytest.mark.parametrize("angle", [0.5, -0.5, 2.0, math.pi])
+def test_a_long_leg_takes_the_whole_turn_to_it(angle):
+    assert loss([leg(angle, 5.0)]) == pytest.approx(lost(abs(angle)))
+
+
+def test_a_turtle_that_may_reverse_turns_to_the_nearer_end_of_a_leg():
+    assert loss([leg(math.pi - 0.5, 5.0)], half=math.pi / 2) == pytest.approx(lost(0.5))
+
+
+def test_a_corner_between_long_legs_is_turned_half_before_and_half_after():
+    assert loss([leg(0.0, 5.0), leg(2.0, 5.0)]) == pytest.approx(2.0 * lost(1.0))
+
+
+def test_a_short_leg_takes_only_the_turn_that_its_way_needs():
+    turned = math.asin(1.0 - 0.5)  # from a right angle, half a radius is made down to here
+    expected = lost(math.pi / 2) - lost(turned)
+    assert loss([leg(math.pi / 2, 0.5)]) == pytest.approx(expected)
+
+
+def test_a_leg_that_asks_for_no_way_takes_no_turn():
+    assert loss([leg(math.pi, -0.1)]) == 0.0
+
+
+def test_turning_on_the_same_way_on_a_short_leg_takes_longer_than_turning_back():
+    begun = [leg(0.0, 5.0), leg(2.0, 0.1, 0.3)]
+    assert loss([*begun, leg(4.0, 5.0)]) > loss([*begun, leg(0.0, 5.0)]) + 0.5
+
+
+def test_a_heading_at_the_end_is_turned_to():
+    assert loss([leg(0.0, 5.0)], last=2.0) == pytest.approx(lost(2.0))
+
+
+@given(angles, angles, st.floats(-0.2, 3.0), halves)
+def test_finer_cells_prove_more(first, second, least, half):
+    legs = [leg(first, least, least + 0.4), leg(second, 1.0, 1.4), leg(0.0, 0.5, 0.9)]
+    coarse, fine = (loss(legs, half=half, cells=cells) for cells in (8, 32))
+    assert coarse <= fine + 1e-9
+
+
+@given(angles, st.floats(ROOM, 4.0), st.floats(ROOM, 4.0))
+def test_no_cell_proves_more_than_the_best_heading_there_is(angle, first, second):
+    legs = [leg(0.0, first), leg(angle, second)]
+    best = 2.0 * lost(abs(angle) / 2.0)
+    legs[1] = leg(angle, min(second, ROOM - 1e-9), second)
+    assert loss(legs) <= best + 1e-9
+
+
+def test_what_is_known_of_the_first_legs_is_used_again():
+    known: dict[tuple[Leg, ...], list[Cell]] = {}
+    legs = [leg(1.0, 1.0, 1.4), leg(2.0, 1.0, 1.4)]
+    once, twice = (
+        least_loss(1.0 + 0j, legs, half=math.pi, tick=0.0, cells=8, known=known) for _ in range(2)
+    )
+    assert once == twice
+    assert list(known) == [tuple(legs)]
