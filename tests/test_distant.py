@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -25,8 +26,8 @@ from turtleact.errors import (
     UnknownGoal,
 )
 from turtleact.goal import CancelCode
-from turtleact.interfaces import Action, Message, int32
-from turtleact.interfaces.standard import Time
+from turtleact.interfaces import Action, Message, implied, int32
+from turtleact.interfaces.standard import CancelGoal, Time
 from turtleact.transports import MemoryTransport
 
 from .lab import Count, Gate, Lab, count, feedback, goal, result, running, settle
@@ -640,3 +641,105 @@ async def test_two_actions_of_one_name_answer_for_each_other(order):
             assert [info.goal_id.uuid for info in response.goals_canceling] == [ID]
             assert (await handle.outcome()).status is GoalStatus.CANCELED
             assert (await handle.cancel()).return_code == CancelCode.GOAL_TERMINATED
+
+
+# --- a server of ROS 2, which keeps ten requests ------------------------------------------------
+
+
+class Stranger:
+    """The services of an action server that is not turtleact's: it answers when it is told to."""
+
+    def __init__(self, node: turtleact.Node) -> None:
+        self.sent: list[bytes] = []
+        self.canceled: list[bytes] = []
+        self.answered = anyio.Semaphore(0)
+        self._ended: dict[bytes, anyio.Event] = defaultdict(anyio.Event)
+        names, types = "count/_action", implied(Count)
+        node.service(types.send_goal, f"{names}/send_goal", self.take)
+        node.service(types.get_result, f"{names}/get_result", self.wait)
+        node.service(CancelGoal, f"{names}/cancel_goal", self.cancel)
+
+    async def take(self, request: Any) -> Any:
+        self.sent.append(request.goal_id.uuid)
+        await self.answered.acquire()
+        return implied(Count).send_goal.Response(accepted=True)
+
+    async def wait(self, request: Any) -> Any:
+        await self._ended[request.goal_id.uuid].wait()
+        return implied(Count).get_result.Response(status=GoalStatus.CANCELED, result=result())
+
+    async def cancel(self, request: Any) -> Any:
+        self.canceled.append(request.goal_info.goal_id.uuid)
+        await self.answered.acquire()
+        self._ended[request.goal_info.goal_id.uuid].set()
+        return CancelGoal.Response(goals_canceling=[request.goal_info])
+
+
+def awaitable(sent: Any) -> Any:
+    """What ``start_soon`` takes, of a goal that is about to be sent."""
+
+    async def wait() -> None:
+        await sent
+
+    return wait
+
+
+@asynccontextmanager
+async def strange() -> AsyncIterator[tuple[Stranger, turtleact.ActionClient[Any, Any, Any]]]:
+    """A stranger that serves `Count`, and the client of another node."""
+    transport = MemoryTransport()
+    near: Any = Apart(transport)
+    async with (
+        turtleact.open_node("far", transport=transport) as far,
+        turtleact.open_node("near", transport=near) as node,
+    ):
+        yield Stranger(far), node.action_client(Count, "count")
+
+
+async def test_to_a_server_of_ros_goals_are_sent_eight_at_a_time_and_in_their_order():
+    ids = [bytes([number] * 16) for number in range(1, 31)]
+    async with strange() as (server, client), anyio.create_task_group() as tasks:
+        handles = [client.send_goal(goal(), goal_id=each) for each in ids]
+        for handle in handles:
+            tasks.start_soon(awaitable(handle))
+            await settle()
+        for count_sent in range(8, len(ids) + 1):
+            assert server.sent == ids[:count_sent]
+            server.answered.release()
+            await settle()
+        for _ in range(2 * len(ids)):
+            server.answered.release()
+        tasks.cancel_scope.cancel()
+
+
+async def test_to_a_server_of_ros_cancels_are_sent_eight_at_a_time():
+    async with strange() as (server, client), anyio.create_task_group() as tasks:
+        for _ in range(30):
+            server.answered.release()
+            tasks.start_soon(awaitable(client.send_goal(goal())))
+        await settle()
+        assert len(server.sent) == 30
+        tasks.cancel_scope.cancel()
+        with anyio.CancelScope(shield=True):
+            await settle()
+            assert len(server.canceled) == 8
+            for _ in range(30):
+                server.answered.release()
+
+
+async def test_a_server_of_turtleact_is_sent_all_goals_at_once():
+    asked: list[Any] = []
+    answer = anyio.Event()
+
+    async def take(request):
+        asked.append(request)
+        if len(asked) > 1:
+            await answer.wait()
+        return GoalResponse.ACCEPT
+
+    async with apart(count, goal_callback=take) as served, anyio.create_task_group() as tasks:
+        for _ in range(30):
+            tasks.start_soon(awaitable(served.client.send_goal(goal())))
+        await settle()
+        assert len(asked) == 30
+        answer.set()

@@ -46,7 +46,8 @@ class Server:
         self.name = "/count"
         self.implied = IMPLIED
         self.is_served = True
-        self.send_goal = Calls(self, "send", is_near)
+        self._send_goal = Calls(self, "send", is_near)
+        self.send, self.ask = self._send_goal.call, self._send_goal.ask
         self.get_result = Calls(self, "result", is_near)
 
     async def wait_until_served(self) -> None:

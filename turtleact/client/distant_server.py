@@ -311,7 +311,7 @@ class DistantServer:
         named = UUID() if goal_id is None else UUID(goal_id)
         request = CancelGoal.Request(GoalInfo(named, stamp_of(stamp)))
         try:
-            reply = await self._links.cancel_goal.call(request)
+            reply = await self._links.cancel(request)
         except ServerUnavailable as error:
             raise self._unavailable(error.problem) from None
         response = cast("CancelGoal.Response", reply.message)

@@ -6,16 +6,19 @@ from collections.abc import Callable, Container
 from typing import Any, cast
 
 from turtleact.body import ActionType
+from turtleact.client.pace import Pace
 from turtleact.interfaces import Action, Implied, Message, WireFormat, implied
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
 from turtleact.transports.base import (
     STATUS_QOS,
+    Asked,
     Caller,
     Closeable,
     Format,
     MakeEndpoint,
     QoS,
+    Reply,
     Transport,
     wait_until_served,
 )
@@ -40,13 +43,11 @@ class Links:
 
     Attributes:
         name: The fully qualified name of the action.
-        send_goal: Asks for goals to be taken.
-        cancel_goal: Asks for goals to be canceled; there once `open` was called.
-        get_result: Asks for results; likewise.
+        get_result: Asks for results; there once `open` was called.
     """
 
-    cancel_goal: Caller
     get_result: Caller
+    _cancel_goal: Caller
 
     def __init__(
         self,
@@ -63,7 +64,8 @@ class Links:
         self._opened: list[Closeable] = []
         self._is_open = False
         self._watches_status = False
-        self.send_goal = self._join(
+        self._sends, self._cancels = Pace(), Pace()
+        self._send_goal = self._join(
             names.send_goal, "SendGoal", WireFormat(lambda: self.implied.send_goal, asks=True)
         )
 
@@ -75,11 +77,27 @@ class Links:
     @property
     def is_served(self) -> bool:
         """Whether there is a server to call."""
-        return self.send_goal.is_served
+        return self._send_goal.is_served
 
     async def wait_until_served(self) -> None:
         """Wait for a server. Cancelling: safe."""
         await wait_until_served(self._transport, lambda: self.is_served or None, None)
+
+    async def send(self, request: object) -> Reply:
+        """Ask for a goal to be taken."""
+        reply = await self._sends.call(self._send_goal, request)
+        if reply.note:
+            self._sends.free()
+            self._cancels.free()
+        return reply
+
+    async def cancel(self, request: object) -> Reply:
+        """Ask for goals to be canceled; once `open` was called."""
+        return await self._cancels.call(self._cancel_goal, request)
+
+    def ask(self, request: object) -> Asked | None:
+        """The same to a server of our kind, sent now; None if that takes waiting."""
+        return self._send_goal.ask(request)
 
     def open(self, on_feedback: Callable[[Any], None], followed: Container[bytes]) -> None:
         """Open the other services and the feedback topic; a second time does nothing.
@@ -102,11 +120,11 @@ class Links:
         self.get_result = self._join(
             names.get_result, "GetResult", WireFormat(lambda: self.implied.get_result, asks=True)
         )
-        self.cancel_goal = self._transport.join(
+        self._cancel_goal = self._transport.join(
             self._endpoint("client", names.cancel_goal, CancelGoal.type_name),
             WireFormat(CancelGoal, asks=True),
         )
-        self._opened.append(self.cancel_goal)
+        self._opened.append(self._cancel_goal)
 
     def watch_status(self, on_status: Callable[[Any], None]) -> None:
         """Open the status topic; a second time does nothing."""

@@ -110,11 +110,11 @@ class Requests:
         """Send a goal, and the request for its result too if the server is known to take both."""
         links = self._links
         if self._is_of_our_kind and not self._knows_late:
-            asked = links.send_goal.ask(request)
+            asked = links.ask(request)
             if asked is not None:
                 followed.asked = links.get_result.ask(self._question(followed))
                 return await asked.reply()
-        return await links.send_goal.call(request)
+        return await links.send(request)
 
     async def _end(self, followed: Followed) -> Reply:
         asked, followed.asked = followed.asked, None

@@ -50,6 +50,9 @@ logger = logging.getLogger("turtleact.server")
 NAMELESS = "zeros name no goal: nobody could ask for it"
 """Why a goal of the id zero is rejected."""
 
+TAKEN = GoalNote().write()
+"""What stands beside an acceptance: only that the server is one of turtleact's."""
+
 LATE_REQUEST = 0.5
 """A client elsewhere whose goal ends with its server may take so long to ask for the end (s)."""
 
@@ -190,7 +193,7 @@ class ActionEndpoints:
 
     def _acceptance(self, goal: Goal) -> Reply:
         response = self._implied.send_goal.Response
-        return Reply(response(accepted=True, stamp=stamp_of(goal.stamp)))
+        return Reply(response(accepted=True, stamp=stamp_of(goal.stamp)), TAKEN)
 
     def _rejection(self, reason: str) -> Reply:
         response = self._implied.send_goal.Response

@@ -255,8 +255,7 @@ class WireCaller:
         if call.error is not None:
             raise error_said(self._endpoint.name, *call.error)
         if call.answer is None:
-            gone = "server went away" if self._link.is_open else "Zenoh transport was closed"
-            raise self._unavailable(f"the {gone} before there was an answer")
+            raise self._unavailable(self._why_no_answer())
         payload, attachment = call.answer
         try:
             message = self._format.decode(payload)
@@ -291,6 +290,14 @@ class WireCaller:
             )
         types = ", ".join(sorted({each.type_name for each in servers}))
         return f"it is served as {types}, not as {ours.type_name}"
+
+    def _why_no_answer(self) -> str:
+        if not self._link.is_open:
+            return "the Zenoh transport was closed before there was an answer"
+        gone = "the server went away before there was an answer"
+        if any(map(self._fits, self._servers())):
+            return f"{gone}, or dropped the request: ROS 2 keeps 10 that wait"
+        return gone
 
     def _unavailable(self, problem: str) -> ServerUnavailable:
         return ServerUnavailable(self._endpoint.name, problem, kind="service")
