@@ -179,3 +179,28 @@ async def test_a_terminal_that_goes_away_ends_the_drawing_and_nothing_else(monke
     async with served() as (board, _):
         monkeypatch.setattr(frames, "draw", draw)
         await board.run()
+
+
+async def test_many_goals_are_counted(monkeypatch):
+    monkeypatch.setattr(dashboard, "MOST_GOALS", 2)
+    async with served() as (board, node):
+        client = node.action_client(Fibonacci, "/fibonacci")
+        for _ in range(4):
+            await client.send_goal(Fibonacci.Goal(order=1))
+        lines = shown(board)
+        assert len([line for line in lines if "●" in line]) == 2
+        assert any(line.endswith("… 2 more") for line in lines)
+
+
+async def test_only_so_many_turtles_are_followed_on_their_way(monkeypatch):
+    monkeypatch.setattr(dashboard, "MOST_TURTLES", 1)
+    async with served(turtles=2) as (board, node):
+        client = node.action_client(Patrol, "/patrol")
+        targets = [Point(x=6.0, y=5.5)]
+        for _ in range(2):
+            async with (
+                client.send_goal(Patrol.Goal(targets=targets)),
+                client.send_goal(Patrol.Goal(targets=targets, turtle="turtle2")),
+            ):
+                shown(board)
+                assert sum(each._poses is not None for each in board._in_order()[:2]) == 1

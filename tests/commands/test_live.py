@@ -11,6 +11,7 @@ import subprocess
 import sys
 from typing import Any
 
+import anyio
 import pytest
 
 from turtleact import render
@@ -289,3 +290,15 @@ def test_where_nothing_can_or_shall_move_no_escape_sequence_is_written(arguments
     text, status = on_terminal("fibonacci", "--speed", "max", *arguments, **environment)
     assert status == 0
     assert "\x1b" not in text
+
+
+async def test_a_warning_stands_above_the_display(transcript, stream, capsys):
+    async with open_node("stage") as node, anyio.create_task_group() as beside:
+        handle: Any = Handle()
+        transcript.accepted(Sent(node, "/x", "pkg/action/Name", Fibonacci.Goal(), handle))
+        beside.start_soon(transcript.animate)
+        await anyio.wait_all_tasks_blocked()
+        print("hit the wall", file=sys.stderr)
+        assert stream.getvalue().endswith(GIVE_BACK)
+        beside.cancel_scope.cancel()
+    assert capsys.readouterr().err == "hit the wall\n"

@@ -7,8 +7,10 @@ prints in this process meanwhile is a line of its log. When it ends, its lines a
 from __future__ import annotations
 
 import sys
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, TextIO
 
 import anyio
@@ -33,11 +35,14 @@ __all__ = ["Dashboard"]
 MOST_LEFT: Final = 20
 """So many lines of the log are left standing."""
 
+MOST_GOALS: Final = 100
+"""So many goals, the newest, are looked at for a frame."""
+
 MOST_ENDED: Final = 50
 """So many goals that have ended stay in the table."""
 
 MOST_TURTLES: Final = 50
-"""So many turtles are on the map: of more, nothing could be told."""
+"""So many turtles are on the map, and are followed on their way: of more, nothing could be told."""
 
 Handle = Any
 """A `ServerGoalHandle` of any action."""
@@ -55,6 +60,8 @@ class Dashboard:
         self._heading: list[str] = []
         self._log = Log()
         self._goals: dict[bytes, _Served] = {}
+        self._ended: deque[bytes] = deque()
+        self._followed = 0
         self._sim: Turtlesim | None = None
         self._has_said = anyio.Event()
 
@@ -80,13 +87,17 @@ class Dashboard:
         """
         goal_id = goal.goal_id
         if goal_id not in self._goals:
-            self._goals[goal_id] = _Served(goal)
-        self._goals[goal_id].change(new)
+            self._goals[goal_id] = _Served(goal, may_follow=self._followed < MOST_TURTLES)
+            self._followed += self._goals[goal_id].is_followed
+        served = self._goals[goal_id]
+        served.change(new)
+        if new.is_terminal:
+            self._followed -= served.is_followed
+            self._ended.append(goal_id)
         short = line.replace(goal_id.hex(), goal_id.hex()[:8]).replace(time, time[:8])
         self._log.add(line, short)
-        ended = [key for key, each in self._goals.items() if each.ended_at is not None]
-        for key in ended[:-MOST_ENDED]:
-            del self._goals[key]
+        while len(self._ended) > MOST_ENDED:
+            del self._goals[self._ended.popleft()]
 
     def close(self) -> None:
         """Give the terminal back; never blocks."""
@@ -125,28 +136,35 @@ class Dashboard:
             for name, pose, colour in sim.turtles(MOST_TURTLES):
                 style = _style(colour)
                 turtles.append(render.Turtle(pose.x, pose.y, pose.theta, name, style))
-        for goal in self._goals.values():
+        goals = self._in_order()
+        for goal in goals:
             targets += goal.look()
         world = None if sim is None else render.MapView(SIDE, turtles, _Drawn(sim), targets)
-        rows = [goal.row() for goal in self._in_order()]
+        rows = [goal.row() for goal in goals]
         log = [line.short for line in self._log.lines()]
-        shown = render.Board(self._heading, world, rows, log=log)
+        more = len(self._goals) - len(goals)
+        shown = render.Board(self._heading, world, rows, more, log=log)
         return render.board(shown, width=width, height=height)
 
     def _in_order(self) -> list[_Served]:
-        """The goals that run, then those that have ended, the newest of them first."""
-        goals = list(reversed(self._goals.values()))
-        return sorted(goals, key=lambda goal: goal.ended_at is not None)
+        """The goals that run, then those that have ended, the newest of them first; not all."""
+        newest = list(islice(reversed(self._goals.values()), MOST_GOALS))
+        return sorted(newest, key=lambda goal: goal.ended_at is not None)
 
 
 class _Served:
     """A goal that is served.
 
+    Args:
+        goal: The goal.
+        may_follow: Whether the turtle that it drives may be followed.
+
     Attributes:
+        is_followed: Whether it is.
         ended_at: When it ended, by the clock of its node (s), if it has.
     """
 
-    def __init__(self, goal: Handle) -> None:
+    def __init__(self, goal: Handle, *, may_follow: bool) -> None:
         self._goal = goal
         self._name: str = goal.action_name
         self._goal_id: str = goal.goal_id.hex()
@@ -157,7 +175,8 @@ class _Served:
         self._status: GoalStatus = goal.status
         self.ended_at: float | None = None
         drives, leader = sends_a_turtle(self._name, goal.request)
-        if drives and self._course.stops:
+        self.is_followed = may_follow and drives and self._course.stops > 0
+        if self.is_followed:
             self._poses = goal.node.subscription(TurtlePose, leader, QoS(depth=POSES_A_FRAME))
 
     def change(self, status: GoalStatus) -> None:

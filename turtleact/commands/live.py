@@ -6,6 +6,9 @@ nothing of it. What is to stay is printed above the region, as plain text.
 
 from __future__ import annotations
 
+import io
+import sys
+from contextlib import redirect_stderr
 from typing import TYPE_CHECKING, Any, TextIO
 
 from turtleact import render
@@ -59,7 +62,8 @@ class LiveTranscript:
 
     async def animate(self) -> None:
         """Draw a frame now and then."""
-        await frames.animate(self._region, self._picture.compose)
+        with redirect_stderr(_Above(self._region, sys.stderr)):
+            await frames.animate(self._region, self._picture.compose)
 
     def feedback(self, feedback: Message) -> None:
         """A feedback message came."""
@@ -89,6 +93,33 @@ class LiveTranscript:
     def close(self) -> None:
         """Take the display away, and give the terminal back."""
         self._region.restore()
+
+
+class _Above(io.TextIOBase):
+    """A stream that shares the terminal with a display, which gives way to what is written.
+
+    Args:
+        region: Where the display is.
+        stream: The stream.
+    """
+
+    def __init__(self, region: Region, stream: TextIO) -> None:
+        super().__init__()
+        self._region = region
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Write above the next frame."""
+        self._region.clear()
+        return self._stream.write(text)
+
+    def flush(self) -> None:
+        """Let it be seen."""
+        self._stream.flush()
+
+    def fileno(self) -> int:
+        """The descriptor of the stream."""
+        return self._stream.fileno()
 
 
 class _Picture:

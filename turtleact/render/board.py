@@ -21,7 +21,7 @@ __all__ = ["Board", "GoalRow", "board"]
 NARROWEST_TABLE: Final = 30
 """Columns that a map leaves for the goals beside it."""
 
-WIDE: Final = 56
+WIDE: Final = 72
 """Columns from which on a table tells of a goal's id and progress, too."""
 
 LEAST_LOG: Final = 3
@@ -53,6 +53,7 @@ class Board(NamedTuple):
         heading: Lines that are always there.
         world: The world, if there is one.
         goals: The goals, in the order in which they are shown; None if there are never any.
+        more: How many goals there are besides.
         keys: Lines that say which keys there are, beside the map.
         log: What has happened, the newest last.
     """
@@ -60,6 +61,7 @@ class Board(NamedTuple):
     heading: Sequence[str]
     world: MapView | None = None
     goals: Sequence[GoalRow] | None = None
+    more: int = 0
     keys: Sequence[str] = ()
     log: Sequence[str] = ()
 
@@ -97,13 +99,13 @@ def _table(view: Board, width: int, rows: int) -> list[Picture]:
     keys: list[Picture] = [cut(line) for line in view.keys]
     if view.goals is None:
         return keys[:rows]
-    left = rows - len(keys)
-    shown = view.goals[: left if len(view.goals) <= left else max(left - 1, 0)]
+    left, count = rows - len(keys), len(view.goals) + view.more
+    shown = view.goals[: left if count <= left else max(left - 1, 0)]
     table = keys + [_row(goal, width) for goal in shown]
     if not view.goals:
         table.append(cut("no goals yet", "dim"))
-    elif len(shown) < len(view.goals):
-        table.append(cut(f"… {len(view.goals) - len(shown)} more", "dim"))
+    elif len(shown) < count:
+        table.append(cut(f"… {count - len(shown)} more", "dim"))
     return table[:rows]
 
 
