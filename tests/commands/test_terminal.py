@@ -9,11 +9,12 @@ import re
 import signal
 import termios
 
+import anyio
 import pytest
 
 from turtleact.commands.terminal import GIVE_BACK, Region
 
-from .ttys import Screen, open_terminal
+from .ttys import Screen, filled, open_terminal
 
 HIDE, SHOW = b"\x1b[?25l", b"\x1b[?25h"
 
@@ -149,6 +150,93 @@ def test_in_the_background_the_terminal_is_left_alone(tty, monkeypatch):
         region.draw(["two"])
         assert not echoes(main)
     assert b"one" not in os.read(main, 1000)
+
+
+def test_keys_come_at_once_and_are_not_shown_while_they_are_read(tty):
+    main, stream = tty
+    before = termios.tcgetattr(main)
+    with os.fdopen(os.dup(stream.fileno()), "r") as keyboard, Region(stream, keyboard).held():
+        modes = termios.tcgetattr(main)
+        assert not modes[3] & (termios.ECHO | termios.ICANON)
+        assert modes[3] & termios.ISIG
+        os.write(main, b"q")
+        assert os.read(stream.fileno(), 10) == b"q"
+    assert termios.tcgetattr(main) == before
+
+
+# --- nothing waits for a terminal -----------------------------------------------------------
+
+
+def unread(main):
+    """All that can be read now."""
+    text = b""
+    os.set_blocking(main, False)
+    with contextlib.suppress(BlockingIOError):
+        while chunk := os.read(main, 65536):
+            text += chunk
+    os.set_blocking(main, True)
+    return text
+
+
+def test_what_the_terminal_does_not_take_is_kept_for_later(tty):
+    main, stream = tty
+    region = Region(stream)
+    with region.held():
+        filled(region)
+        region.say("the end")
+        assert not region.is_ready()
+        while not region.is_ready():
+            unread(main)
+        assert unread(main).endswith(b"the end")
+
+
+async def test_it_can_be_waited_for_without_blocking(tty):
+    main, stream = tty
+    region = Region(stream)
+    with region.held():
+        filled(region)
+        async with anyio.create_task_group() as beside:
+            beside.start_soon(region.drained)
+            await anyio.wait_all_tasks_blocked()
+            assert not region.is_ready()
+            while not region.is_ready():
+                unread(main)
+
+
+def test_a_terminal_that_takes_nothing_is_given_back_without_waiting(tty):
+    main, stream = tty
+    region = Region(stream)
+    with region.held():
+        region.draw(["one"])
+        filled(region)
+    assert echoes(main)
+
+
+def test_the_terminal_of_the_shell_goes_on_to_wait(tty):
+    _, stream = tty
+    with Region(stream).held():
+        assert os.get_blocking(stream.fileno())
+
+
+def test_a_full_terminal_that_cannot_be_opened_again_is_not_written_to(
+    tty, monkeypatch
+):
+    main, stream = tty
+    filling = Region(stream)
+    with filling.held():
+        filled(filling)
+
+    def refuse(*_):
+        raise PermissionError
+
+    monkeypatch.setattr(os, "open", refuse)
+    with (region := Region(stream)).held():
+        assert not region.is_ready()
+        region.draw(["one"])
+        while not region.is_ready():
+            unread(main)
+        region.draw(["two"])
+    assert b"two" in unread(main)
 
 
 # --- a program that stops or ends -----------------------------------------------------------
