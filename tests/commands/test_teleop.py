@@ -150,22 +150,26 @@ def test_that_world_has_no_turtle_of_another_name(on_graph, graphs, keyboard):
     assert ran == (1, "", "turtleact: no turtle 'bob' is in reach, nor any other\n")
 
 
-def test_the_end_of_the_turtle_is_told(on_graph, graphs, keyboard, monkeypatch):
-    monkeypatch.setattr(teleop, "GONE", 0.05)
-    robot = Robot()
+def leaving(robot, seconds):
+    """A robot that goes away after some seconds."""
 
     @asynccontextmanager
-    async def leaving(transport):
+    async def nodes(transport):
         async with robot(transport), anyio.create_task_group() as beside:
 
-            async def go():
-                await transport.clock.sleep(1.0)
+            async def leave():
+                await transport.clock.sleep(seconds)
                 await robot.node.aclose()
 
-            beside.start_soon(go)
+            beside.start_soon(leave)
             yield
 
-    ran = on_graph(leaving, "teleop", "--plain")
+    return nodes
+
+
+def test_the_end_of_the_turtle_is_told(on_graph, keyboard, monkeypatch):
+    monkeypatch.setattr(teleop, "GONE", 0.05)
+    ran = on_graph(leaving(Robot(), 1.0), "teleop", "--plain")
     assert (ran.status, ran.out) == (1, teleop.HELP)
     assert ran.err == (
         "turtleact: turtle 'turtle1' has gone: nobody reads /turtle1/cmd_vel any more\n"
@@ -231,6 +235,15 @@ def test_stdin_that_is_no_terminal_is_one_line(turtleact, stdin_of, monkeypatch)
     assert turtleact("teleop") == (2, "", error)
     monkeypatch.setattr(sys, "stdin", None)
     assert turtleact("teleop") == (2, "", error)
+
+
+@pytest.mark.parametrize("verb", [("teleop",), ("send-goal", "fibonacci")])
+def test_a_file_with_locks_that_cannot_be_read_starts_no_world(turtleact, keyboard, verb):
+    ran = turtleact(*verb, "--config", "nowhere.toml")
+    assert (ran.status, ran.err) == (
+        2,
+        "turtleact: --config nowhere.toml: No such file or directory\n",
+    )
 
 
 # --- run turtlesim turtle_teleop_key --------------------------------------------------------

@@ -212,15 +212,20 @@ def test_a_terminal_that_takes_nothing_is_given_back_without_waiting(tty):
     assert echoes(main)
 
 
+def test_a_terminal_that_has_gone_needs_nothing_back():
+    main, other = open_terminal()
+    with os.fdopen(other, "w") as stream, (region := Region(stream)).held():
+        region.draw(["one"])
+        os.close(main)
+
+
 def test_the_terminal_of_the_shell_goes_on_to_wait(tty):
     _, stream = tty
     with Region(stream).held():
         assert os.get_blocking(stream.fileno())
 
 
-def test_a_full_terminal_that_cannot_be_opened_again_is_not_written_to(
-    tty, monkeypatch
-):
+def test_a_full_terminal_that_cannot_be_opened_again_is_not_written_to(tty, monkeypatch):
     main, stream = tty
     filling = Region(stream)
     with filling.held():

@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, TextIO
 
@@ -118,11 +118,9 @@ class Dashboard:
         """Draw from the first line that is said until it is canceled; lines are left standing."""
         if not self._has_said.is_set():
             await self._has_said.wait()
-        with self._region.held():
+        with suppress(OSError), self._region.held():  # if it goes, the server goes on without
             try:
                 await frames.keep_drawing(self._region, self.compose)
-            except OSError:  # the terminal has gone; the server goes on without
-                return
             finally:
                 kept = [line.full for line in self._log.lines()[-MOST_LEFT:]]
                 self._region.say("".join(f"{line}\n" for line in (*self._heading, *kept)))

@@ -30,6 +30,7 @@ from turtleact.errors import (
     ServerUnavailable,
     TurtleactError,
     UnknownInterface,
+    UsageError,
 )
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import Action, from_text, get_interface
@@ -157,6 +158,8 @@ class _Sending:
 
                 try:
                     node = await stack.enter_async_context(open_graph(order.reach))
+                except UsageError:  # of the file with the locks
+                    raise
                 except TurtleactError:
                     if order.reach.connect:
                         raise

@@ -147,6 +147,8 @@ async def _find_node(order: Order) -> AsyncIterator[tuple[Node, str]]:
 
             try:
                 transport = await stack.enter_async_context(open_transport(order.reach))
+            except UsageError:  # of the file with the locks
+                raise
             except TurtleactError:
                 if order.reach.connect:
                     raise

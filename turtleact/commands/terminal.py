@@ -21,7 +21,7 @@ import os
 import select
 import signal
 import termios
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Final, TextIO
 
 import anyio
@@ -202,15 +202,15 @@ class Region:
 
     def restore(self) -> None:
         """Give the terminal back as it was found; never blocks, and may be called at any moment."""
-        if self._is_drawn:
-            self._is_drawn = False
-            if self._outlet is not None:
-                self._outlet.write(GIVE_BACK)
-            elif select.select([], [self._stream], [], 0)[1]:
-                os.write(self._stream.fileno(), GIVE_BACK.encode())
+        is_drawn, self._is_drawn = self._is_drawn, False
         modes, self._modes = self._modes, None
-        if modes is not None and self.is_in_foreground():
-            termios.tcsetattr(self._typed_at(), termios.TCSANOW, modes)
+        with suppress(OSError, termios.error):  # where it has gone, there is nothing to give back
+            if is_drawn and self._outlet is not None:
+                self._outlet.write(GIVE_BACK)
+            elif is_drawn and select.select([], [self._stream], [], 0)[1]:
+                os.write(self._stream.fileno(), GIVE_BACK.encode())
+            if modes is not None and self.is_in_foreground():
+                termios.tcsetattr(self._typed_at(), termios.TCSANOW, modes)
 
     def _follow(self, number: int, _: FrameType | None) -> None:
         """Do what a signal does by default; the process may be continued."""
