@@ -136,6 +136,7 @@ async def test_only_so_many_goals_that_have_ended_are_kept(monkeypatch):
 
 
 async def test_what_is_printed_and_warned_of_is_in_the_log(monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     logger = logging.getLogger("dashboard_test")
     monkeypatch.setattr(logger, "propagate", False)  # to the handlers of pytest
     async with served() as (board, _):

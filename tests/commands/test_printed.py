@@ -12,13 +12,21 @@ def full(log):
     return [line.full for line in log.lines()]
 
 
-def test_what_is_printed_comes_line_by_line():
+def test_what_is_printed_comes_line_by_line(monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     log = Log()
     with log.listening():
         print("one", end="")
         print(" and", "two", file=sys.stderr)
         print("three")
     assert full(log) == ["one and two", "three"]
+
+
+def test_what_stderr_takes_elsewhere_goes_there(capsys):
+    log = Log()
+    with log.listening():
+        print("for a file", file=sys.stderr)
+    assert (full(log), capsys.readouterr().err) == ([], "for a file\n")
 
 
 def test_a_line_that_differs_from_the_last_in_numbers_replaces_it():

@@ -64,7 +64,7 @@ class Served:
         os.close(self.other)
         while chunk := read(self.main):
             self.text += chunk
-        return self.process.wait(PATIENCE), self.text.decode().replace("\r\n", "\n")
+        return self.process.wait(PATIENCE), self.text.decode(errors="replace").replace("\r\n", "\n")
 
 
 def fill(terminal):

@@ -8,6 +8,7 @@ import os
 import re
 import signal
 import termios
+from typing import Any
 
 import anyio
 import pytest
@@ -16,6 +17,7 @@ from turtleact.commands.terminal import GIVE_BACK, Region
 
 from .ttys import Screen, filled, open_terminal
 
+FRAME = "\x1b[?2026h\x1b[?25l\r\x1b[2Kone\x1b[J\r\x1b[?2026l"
 HIDE, SHOW = b"\x1b[?25l", b"\x1b[?25h"
 
 # --- the region -----------------------------------------------------------------------------
@@ -210,6 +212,44 @@ def test_a_terminal_that_takes_nothing_is_given_back_without_waiting(tty):
         region.draw(["one"])
         filled(region)
     assert echoes(main)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTSTP, signal.SIGQUIT])
+def test_a_signal_in_the_middle_of_a_frame_is_followed_behind_it(tty, monkeypatch, number):
+    main, stream = tty
+    raised: list[object] = []
+    write = os.write
+
+    def interrupted(descriptor, data):
+        written = write(descriptor, data[:3])
+        if not raised:
+            raised.append("arrived")
+            handler: Any = signal.getsignal(number)
+            handler(number, None)
+        return written
+
+    monkeypatch.setattr(signal, "raise_signal", raised.append)
+    with (region := Region(stream)).held():
+        monkeypatch.setattr(os, "write", interrupted)
+        region.draw(["one"])
+        assert raised == ["arrived", number]
+    assert unread(main).startswith(f"{FRAME}{GIVE_BACK}".encode())
+
+
+def test_an_end_in_the_middle_of_a_frame_shows_the_cursor(tty, monkeypatch):
+    main, stream = tty
+    region, write = Region(stream), os.write
+
+    def ended(descriptor, data):
+        monkeypatch.setattr(os, "write", write)
+        written = write(descriptor, data[:3])
+        region.restore()
+        raise SystemExit(written)
+
+    with contextlib.suppress(SystemExit), region.held():
+        monkeypatch.setattr(os, "write", ended)
+        region.draw(["one"])
+    assert unread(main) == f"{FRAME[:3]}{GIVE_BACK}".encode()
 
 
 def test_a_terminal_that_has_gone_needs_nothing_back():

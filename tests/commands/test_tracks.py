@@ -63,11 +63,11 @@ def test_a_goal_without_places_leads_nowhere():
 
 
 @asynccontextmanager
-async def tracked(*names):
+async def tracked(*names, leader=""):
     """A look at turtles, and what publishes where they are."""
     async with open_node("stage") as node:
         publishers = {name: node.publisher(TurtlePose, f"/{name}/pose") for name in names}
-        yield Tracks(node), publishers, node
+        yield Tracks(node, leader), publishers, node
 
 
 async def test_turtles_have_a_place_a_name_and_a_colour_each():
@@ -109,7 +109,15 @@ async def test_of_many_turtles_only_some_are_followed(monkeypatch):
     async with tracked("a", "b", "c") as (looked_at, publishers, _):
         for each in publishers.values():
             each.publish(TurtlePose())
-        assert len(looked_at.look().turtles) == 2
+        assert [turtle.name for turtle in looked_at.look().turtles] == ["a", "b"]
+
+
+async def test_the_one_that_matters_is_followed_in_any_case(monkeypatch):
+    monkeypatch.setattr(tracks, "MOST_TURTLES", 2)
+    async with tracked("a", "b", "c", leader="/c/pose") as (looked_at, publishers, _):
+        for each in publishers.values():
+            each.publish(TurtlePose())
+        assert [turtle.name for turtle in looked_at.look().turtles] == ["c", "a"]
 
 
 async def test_turtles_of_newer_distributions_are_turtles_too():

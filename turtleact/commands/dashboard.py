@@ -35,6 +35,9 @@ __all__ = ["Dashboard"]
 MOST_LEFT: Final = 20
 """So many lines of the log are left standing."""
 
+PATIENCE: Final = 0.5
+"""So long a terminal has to take them (wall seconds)."""
+
 MOST_GOALS: Final = 100
 """So many goals, the newest, are looked at for a frame."""
 
@@ -124,6 +127,8 @@ class Dashboard:
             finally:
                 kept = [line.full for line in self._log.lines()[-MOST_LEFT:]]
                 self._region.say("".join(f"{line}\n" for line in (*self._heading, *kept)))
+                with anyio.move_on_after(PATIENCE, shield=True):
+                    await self._region.drained()
 
     def compose(self, *, width: int, height: int) -> render.Picture:
         """The picture as it is now."""

@@ -145,14 +145,14 @@ class _Picture:
             drives = self._leader in topics if shown.name.count("/") > 1 else drives
             drives = bool(topics) and (drives or hasattr(goal, "targets"))
         if drives:
-            self._tracks = Tracks(shown.node)
+            self._tracks = Tracks(shown.node, self._leader)
 
     def compose(self, *, width: int, height: int) -> render.Picture:
         """The picture as it is now."""
         handle = self._shown.handle
         world = None
         if self._tracks is not None:
-            world = self._tracks.look(self._course, self._leader)
+            world = self._tracks.look(self._course)
         now = self._clock.time()
         if handle.last_feedback is not self._feedback:
             self._feedback, self._heard = handle.last_feedback, now

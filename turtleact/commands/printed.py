@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import io
 import re
+import sys
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout
 from typing import Final, NamedTuple
 
 __all__ = ["Line", "Log"]
@@ -52,8 +53,9 @@ class Log(io.TextIOBase):
 
     @contextmanager
     def listening(self) -> Iterator[None]:
-        """A block in which what this process prints comes here."""
-        with redirect_stdout(self), redirect_stderr(self):
+        """A block in which what this process prints comes here, unless stderr goes elsewhere."""
+        is_shown = sys.stderr is None or sys.stderr.isatty()
+        with redirect_stdout(self), redirect_stderr(self) if is_shown else nullcontext():
             yield
 
 

@@ -335,7 +335,7 @@ class _Driving:
         from turtleact.commands import frames
         from turtleact.commands.tracks import Tracks
 
-        tracks = Tracks(self._node)
+        tracks = Tracks(self._node, f"/{self._turtle}/pose")
 
         def compose(*, width: int, height: int) -> render.Picture:
             world = tracks.look()

@@ -22,6 +22,7 @@ import select
 import signal
 import termios
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, TextIO
 
 import anyio
@@ -60,9 +61,16 @@ class Outlet:
 
     Args:
         stream: The terminal.
+
+    Attributes:
+        is_writing: Whether this very moment something is written: what a signal handler writes
+            then comes in its middle.
+        due: What is to be done as soon as nothing is.
     """
 
     def __init__(self, stream: TextIO) -> None:
+        self.is_writing = False
+        self.due: Callable[[], object] | None = None
         self._stream = stream
         self._kept = b""
         self._descriptor = _opened_again(stream)
@@ -80,13 +88,25 @@ class Outlet:
         """Write what is kept; whether the terminal has taken all of it."""
         if self._descriptor is None:
             return not self._stream.isatty() or bool(select.select([], [self._stream], [], 0)[1])
-        while self._kept:
-            try:
+        self.is_writing = True
+        try:
+            while self._kept:
                 written = os.write(self._descriptor, self._kept)
-            except BlockingIOError:
-                return False
-            self._kept = self._kept[written:]
-        return True
+                self._kept = self._kept[written:]
+        except BlockingIOError:
+            return False
+        finally:
+            self.is_writing = False
+            due, self.due = self.due, None
+            if due is not None:
+                due()
+        return not self._kept
+
+    def interject(self, text: str) -> None:
+        """Write at once and before all that was kept, if the terminal takes it."""
+        if self._descriptor is not None:
+            with suppress(BlockingIOError):
+                os.write(self._descriptor, text.encode())
 
     async def drained(self) -> None:
         """Wait until all of it is taken. Cancelling: safe."""
@@ -206,7 +226,10 @@ class Region:
         modes, self._modes = self._modes, None
         with suppress(OSError, termios.error):  # where it has gone, there is nothing to give back
             if is_drawn and self._outlet is not None:
-                self._outlet.write(GIVE_BACK)
+                if self._outlet.is_writing:  # and the process is about to end
+                    self._outlet.interject(GIVE_BACK)
+                else:
+                    self._outlet.write(GIVE_BACK)
             elif is_drawn and select.select([], [self._stream], [], 0)[1]:
                 os.write(self._stream.fileno(), GIVE_BACK.encode())
             if modes is not None and self.is_in_foreground():
@@ -214,6 +237,9 @@ class Region:
 
     def _follow(self, number: int, _: FrameType | None) -> None:
         """Do what a signal does by default; the process may be continued."""
+        if self._outlet is not None and self._outlet.is_writing:
+            self._outlet.due = partial(self._follow, number, None)
+            return
         self.restore()
         signal.signal(number, signal.SIG_DFL)
         signal.raise_signal(number)

@@ -43,22 +43,23 @@ class Tracks:
 
     Args:
         node: A node on the graph.
+        leader: The topic of the pose of the one that matters most, if one does.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, leader: str = "") -> None:
         self._node = node
+        self._leader = leader
         self._poses: dict[str, Subscription[Any]] = {}
         self._colours: dict[str, str] = {}
         self._trails = Trails(SIDE)
         self._looks = 0
         self._search()
 
-    def look(self, course: Course | None = None, leader: str = "") -> MapView:
+    def look(self, course: Course | None = None) -> MapView:
         """Take in where the turtles have gone since the last look.
 
         Args:
-            course: Where one of them is to go.
-            leader: Which one: the topic of its pose.
+            course: Where the leader is to go.
         """
         self._looks += 1
         if self._looks % LOOKS == 0:
@@ -68,7 +69,7 @@ class Tracks:
             name, colour = topic.removesuffix(POSE).strip("/"), self._colours[topic]
             for pose in poses.drain():
                 self._trails.follow(name, pose.x, pose.y, colour)
-                if course is not None and topic == leader:
+                if course is not None and topic == self._leader:
                     course.follow(pose.x, pose.y)
             latest = poses.latest
             if latest is not None:
@@ -82,9 +83,10 @@ class Tracks:
             leaving = self._poses.pop(gone).membership
             if leaving is not None:
                 leaving.close()
-        for topic, type_name in list(topics.items())[:MOST_TURTLES]:
+        leader_first = sorted(topics, key=lambda topic: topic != self._leader)
+        for topic in leader_first[:MOST_TURTLES]:
             if topic not in self._poses:
-                pose_type: Any = get_interface(type_name)
+                pose_type: Any = get_interface(topics[topic])
                 qos = QoS(depth=POSES_A_FRAME)
                 self._poses[topic] = self._node.subscription(pose_type, topic, qos)
                 self._colours.setdefault(topic, COLOURS[len(self._colours) % len(COLOURS)])
