@@ -1,8 +1,7 @@
-"""Values in, lines out: what stands where, what is cut, what is left out."""
+"""A goal in lines: what stands where, what is cut, what is left out."""
 
 from __future__ import annotations
 
-import math
 import re
 
 import pytest
@@ -16,7 +15,6 @@ from turtleact.interfaces import Message, float64, int32, string
 from turtleact.interfaces.standard import Fibonacci, PatrolCommandInterface, Point
 
 SIDE = 11.0
-BLANK = chr(0x2800)
 ESCAPE = re.compile(r"\x1b\[[0-9;]*m")
 
 
@@ -52,120 +50,7 @@ def world(**changes):
     return render.MapView(side=SIDE, turtles=[middle])._replace(**changes)
 
 
-def drawn(map_view, rows=6):
-    """A map's rows, without its walls."""
-    return [line[1:-1] for line in render.world_map(map_view, rows).plain.splitlines()[1:-1]]
-
-
-def trail(*places, turtle="turtle1", colour="cyan", trails=None):
-    """The trail of a turtle that has been in these places, and others' before."""
-    trails = trails or render.Trails(SIDE)
-    for x, y in places:
-        trails.follow(turtle, x, y, colour)
-    return trails
-
-
-# --- braille --------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("x", "y", "character"),
-    [(0, 0, "⡀"), (1, 0, "⢀"), (0, 1, "⠄"), (1, 1, "⠠"), (0, 2, "⠂"), (0, 3, "⠁"), (1, 3, "⠈")],
-)
-def test_each_dot_of_a_cell_has_its_bit(x, y, character):
-    canvas = render.Braille(1, 1)
-    canvas.dot(x, y)
-    assert canvas.rows() == [character]
-
-
-def test_the_first_row_is_the_highest():
-    canvas = render.Braille(1, 2)
-    canvas.dot(0, 7)
-    assert canvas.rows() == ["⠁", BLANK]
-
-
-@pytest.mark.parametrize(("x", "y"), [(-1, 0), (0, -1), (2, 0), (0, 4)])
-def test_a_dot_beyond_the_edge_is_left_out(x, y):
-    canvas = render.Braille(1, 1)
-    canvas.dot(x, y)
-    assert canvas.rows() == [BLANK]
-
-
-inside = st.integers(0, 7)
-
-
-@given(inside, inside, inside, inside)
-def test_a_line_sets_both_of_its_ends(x0, y0, x1, y1):
-    line, ends = render.Braille(4, 2), render.Braille(4, 2)
-    line.line(x0, y0, x1, y1)
-    ends.dot(x0, y0)
-    ends.dot(x1, y1)
-    pairs = zip("".join(line.rows()), "".join(ends.rows()), strict=True)
-    assert all(ord(some) & ord(few) == ord(few) for some, few in pairs)
-
-
-def test_a_line_from_a_dot_to_itself_is_that_dot():
-    canvas = render.Braille(1, 1)
-    canvas.line(0, 0, 0, 0)
-    assert canvas.rows() == ["⡀"]
-
-
-# --- the map --------------------------------------------------------------------------------
-
-
-def test_the_walls_are_the_border():
-    lines = render.world_map(world(turtles=[]), 5).plain.splitlines()
-    assert lines == ["┌──────────┐", *[f"│{BLANK * 10}│"] * 5, "└──────────┘"]
-
-
-@pytest.mark.parametrize(
-    ("x", "y", "row", "column"),
-    [
-        (0.0, 0.0, -1, 0),
-        (SIDE, 0.0, -1, -1),
-        (0.0, SIDE, 0, 0),
-        (SIDE, SIDE, 0, -1),
-        (99.0, -99.0, -1, -1),
-    ],
-)
-def test_a_turtle_stands_where_it_is(x, y, row, column):
-    assert drawn(world(turtles=[render.Turtle(x, y, 0.0)]))[row][column] == "→"
-
-
-@pytest.mark.parametrize(
-    ("degrees", "arrow"),
-    [(0, "→"), (45, "↗"), (90, "↑"), (135, "↖"), (180, "←"), (-180, "←"), (-90, "↓"), (-44, "↘")],
-)
-def test_a_turtle_points_where_it_looks(degrees, arrow):
-    turtle = render.Turtle(5.0, 5.0, math.radians(degrees))
-    assert arrow in "".join(drawn(world(turtles=[turtle])))
-
-
-def test_targets_are_numbered_from_the_first_ahead():
-    shown = "".join(drawn(world(targets=[render.Target(1.0, 1.0, 3), render.Target(9.0, 9.0, 4)])))
-    assert "3" in shown
-    assert "4" in shown
-
-
-def test_a_number_of_two_digits_is_a_cross():
-    assert "×" in "".join(drawn(world(targets=[render.Target(1.0, 1.0, 10)])))
-
-
-def test_a_turtle_hides_the_target_that_it_stands_on():
-    shown = "".join(drawn(world(targets=[render.Target(SIDE / 2, SIDE / 2, 1)])))
-    assert "1" not in shown
-
-
-def test_a_trail_is_a_line_of_dots():
-    shown = drawn(world(turtles=[], ink=trail((0.0, 0.0), (SIDE, 0.0))), rows=5)
-    assert shown[-1] == "⣀" * 10
-
-
-def test_a_trail_of_one_place_is_nothing_yet():
-    assert set("".join(drawn(world(turtles=[], ink=trail((1.0, 1.0)))))) == {BLANK}
-
-
-# --- goal, progress, feedback ---------------------------------------------------------------
+# --- goal, progress, feedback -------------------------------------------------------------------
 
 
 def test_the_goal_is_told_with_its_state_and_age():
@@ -253,7 +138,7 @@ def test_a_number_is_rounded(number, shown):
     assert table(Feedback(remaining=number))[-1].split() == ["remaining", shown]
 
 
-# --- the frame ------------------------------------------------------------------------------
+# --- the frame ----------------------------------------------------------------------------------
 
 
 def frame(width, height, map_view=None, **changes):
