@@ -184,6 +184,7 @@ def test_help_is_printed(arguments, capsys):
         "  run        Run a program of ROS 2 that has its like here, such as turtlesim "
         "turtlesim_node.\n"
         "  teleop     Drive a turtle with the keys of turtle_teleop_key.\n"
+        "  snapshot   Write a picture of the world in reach, as PNG or SVG.\n"
         "  goals      List the goals that servers hold.\n"
         "  cancel     Cancel goals, whoever has sent them.\n"
         "  watch      Print the feedback of a goal, then its result.\n"

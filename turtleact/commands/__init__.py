@@ -15,6 +15,7 @@ VERBS: Final = {
     "serve": "Serve a world of turtles and your own actions, to this machine or beyond.",
     "run": "Run a program of ROS 2 that has its like here, such as turtlesim turtlesim_node.",
     "teleop": "Drive a turtle with the keys of turtle_teleop_key.",
+    "snapshot": "Write a picture of the world in reach, as PNG or SVG.",
     "goals": "List the goals that servers hold.",
     "cancel": "Cancel goals, whoever has sent them.",
     "watch": "Print the feedback of a goal, then its result.",

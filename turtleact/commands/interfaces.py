@@ -61,6 +61,7 @@ def make_known(folder: str | None) -> None:
         InvalidInterface: if there is no such folder.
     """
     import turtleact.actions
+    import turtleact.sim.pictures
     import turtleact.sim.poses  # noqa: F401  # for the classes that they declare
 
     load_workspace(*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))

@@ -26,6 +26,7 @@ from turtleact.names import resolve_name
 from turtleact.sim.canvas import Colour
 from turtleact.sim.parameters import Parameters
 from turtleact.sim.pens import Pens
+from turtleact.sim.pictures import Pictures
 from turtleact.sim.poses import Poses, poses_of
 from turtleact.sim.simulation import Simulation
 from turtleact.sim.snapshot import BACKGROUND, Figure, Snapshot, thumbnail
@@ -83,6 +84,7 @@ class Turtlesim:
         self._watching = Background(self._watch(), "turtlesim's watch over the graph")
         self._ticking = Ticking(node.clock, self._tick, is_paused=is_paused)
         Simulation(node, self._ticking, self._restart)
+        Pictures(node, self.snapshot)
 
     @property
     def is_paused(self) -> bool:

@@ -130,8 +130,8 @@ def serve(
     where = reach(connect, domain, config)
     at = endpoints("--listen", listen)
     page = _page(web, token, allow_host, allow_origin)
-    factor, first = float(speed_factor(speed)), whole("--seed", seed)
-    count = whole("--turtles", turtles, least=1, most=MOST_TURTLES)
+    factor = float(speed_factor(speed))
+    fleet = _fleet(turtles, placing, seed)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known
@@ -139,7 +139,6 @@ def serve(
 
         make_known(interfaces)
         locks = where.locks()
-        _check_placing(placing)
         if not (insecure or locks.keeps_strangers_out):
             _check_loopback(at)
         service = Service(
@@ -149,9 +148,7 @@ def serve(
             where.domain,
             not no_sim,
             factor,
-            count,
-            placing,
-            first,
+            *fleet,
             paused,
             locks.settings(),
             *page,
@@ -171,13 +168,6 @@ def _check_loopback(listen: tuple[str, ...]) -> None:
             f"--listen {', '.join(open_ones)} lets in whoever can reach this machine: say in "
             "a --config file who may, or give --insecure"
         )
-
-
-def _check_placing(placing: str) -> None:
-    from turtleact.sim.placing import PLACINGS
-
-    if placing not in PLACINGS:
-        raise UsageError(f"--placing is {', '.join(PLACINGS)}, not {quoted(placing)}")
 
 
 def _page(
@@ -204,3 +194,12 @@ def _host_and_port(text: str) -> tuple[str, int]:
 def _listed(text: str | None) -> tuple[str, ...]:
     """Names with commas between, as browsers write them."""
     return () if text is None else tuple(each.lower().rstrip("/") for each in text.split(","))
+
+
+def _fleet(turtles: str, placing: str, seed: str) -> tuple[int, str, int]:
+    from turtleact.sim.placing import PLACINGS
+
+    if placing not in PLACINGS:
+        raise UsageError(f"--placing is {', '.join(PLACINGS)}, not {quoted(placing)}")
+    count = whole("--turtles", turtles, least=1, most=MOST_TURTLES)
+    return count, placing, whole("--seed", seed)

@@ -1,0 +1,47 @@
+"""``snapshot``: a picture of the world on the graph, in a file."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from turtleact.commands.graph import types_by_name
+from turtleact.commands.transcript import say
+from turtleact.errors import ServerUnavailable, TurtleactError
+from turtleact.sim.pictures import TakeSnapshot
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from turtleact.node import Node
+
+__all__ = ["take"]
+
+
+async def take(node: Node, path: Path) -> int:
+    """Ask the world for a picture, and write it.
+
+    Args:
+        node: A node on the graph.
+        path: The file; its suffix says what the picture shall be.
+
+    Raises:
+        ServerUnavailable: if there is no world on the graph.
+        TurtleactError: if there is no picture to be had, or the file cannot be written.
+    """
+    services = types_by_name(node.transport.endpoints(), "service")
+    names = [name for name, types in services.items() if TakeSnapshot.type_name in types]
+    if not names:
+        problem = "there is no world on this graph: 'turtleact serve' has one"
+        raise ServerUnavailable("/turtlesim/snapshot", problem, kind="service")
+    client = node.service_client(TakeSnapshot, names[0])
+    await client.wait_for_service()
+    answer = await client.call(TakeSnapshot.Request(path.suffix.lower().removeprefix(".")))
+    if answer.problem:
+        raise TurtleactError(answer.problem)
+    try:
+        path.write_bytes(answer.data)
+    except OSError as error:
+        problem = f"{path} cannot be written: {error.strerror or error}; name another file"
+        raise TurtleactError(problem) from None
+    say(f"{path}: {len(answer.data)} bytes\n")
+    return 0
