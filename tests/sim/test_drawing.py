@@ -116,6 +116,89 @@ def test_pixels_are_given_as_bytes_in_any_byte_order(monkeypatch):
         assert ours.pixels() == swapped.tobytes()
 
 
+# Of a fleet
+
+NUMBERS = np.arange(1, 61)
+
+
+def ways_of(turns, ticks, seed):
+    """Where a fleet is tick by tick, if each turtle turns in so many of ten ticks."""
+    generator = np.random.default_rng(seed)
+    places = generator.uniform(1.0, 10.0, (len(NUMBERS), 2)).view(np.complex128)[:, 0]
+    heading = generator.uniform(-3.0, 3.0, len(NUMBERS))
+    ways = [places]
+    for _ in range(ticks):
+        bends = generator.random(len(NUMBERS)) < turns
+        heading = heading + bends * generator.normal(0.0, 0.5, len(NUMBERS))
+        length = 0.03 * (generator.random(len(NUMBERS)) < 0.9)  # some stand still
+        places = places + length * np.exp(1j * heading)
+        ways.append(places)
+    return ways
+
+
+def draw_fleet(drawing, ways, pens):
+    for tick, (start, end) in enumerate(pairwise(ways)):
+        moved = start != end
+        drawing.lines(pens[tick % len(pens)], NUMBERS[moved], start[moved], end[moved])
+    return drawing
+
+
+def draw_one_by_one(drawing, ways, pens):
+    for tick, (start, end) in enumerate(pairwise(ways)):
+        for number, here, there in zip(NUMBERS, start.tolist(), end.tolist(), strict=True):
+            if here != there:
+                drawing.line(int(number), pens[tick % len(pens)], here, there)
+    return drawing
+
+
+@pytest.mark.parametrize("pens", [[RED], [RED, BLUE], [RED] * 20 + [BLUE]])
+@pytest.mark.parametrize("turns", [0.0, 0.1, 1.0])
+def test_the_pixels_of_a_fleet_are_those_of_every_line_in_its_order(pens, turns):
+    ways = ways_of(turns, ticks=60, seed=3)
+    fleet = draw_fleet(Drawing(), ways, pens)
+    assert fleet.pixels() == draw_one_by_one(Drawing(), ways, pens).pixels()
+
+
+@pytest.mark.parametrize("turns", [0.0, 0.1])
+def test_the_polylines_of_a_fleet_are_those_of_every_line(turns):
+    ways = ways_of(turns, ticks=60, seed=4)
+    fleet = draw_fleet(Drawing(), ways, [RED])
+    drawn = {place * METER for tick in ways for place in tick.tolist()}
+    for pen, points in fleet.polylines():
+        assert pen == RED
+        assert set(points) <= drawn
+    for places in zip(*ways, strict=True):
+        for point in places:
+            pairs = (pair for stroke in fleet.polylines() for pair in pairwise(stroke.points))
+            assert min(away(point * METER, *pair) for pair in pairs) <= TOLERANCE + 1e-6
+        break  # one of them: it takes long
+
+
+def test_straight_ways_of_a_fleet_are_one_line_each():
+    fleet = draw_fleet(Drawing(), ways_of(0.0, ticks=500, seed=5), [RED])
+    assert len(fleet._unread) == 0
+    fleet.pixels()
+    assert len(fleet.polylines()) == len(NUMBERS)
+
+
+def test_a_fleet_keeps_the_order_of_what_others_draw_between():
+    ways = ways_of(0.0, ticks=40, seed=6)
+    places = ways[20].tolist()
+    drawings = []
+    for draw_some in (draw_fleet, draw_one_by_one):
+        ours = draw_some(Drawing(), ways[:20], [RED])
+        for number, place in enumerate(places):
+            ours.line(100 + number, BLUE, place, place + 0.5)
+        drawings.append(draw_some(ours, ways[20:], [RED]).pixels())
+    assert drawings[0] == drawings[1]
+
+
+def test_a_fleet_that_was_cleared_draws_nothing_more():
+    fleet = draw_fleet(Drawing(), ways_of(0.0, ticks=5, seed=7), [RED])
+    fleet.clear()
+    assert (fleet.polylines(), any(fleet.pixels())) == ([], False)
+
+
 # As polylines
 
 

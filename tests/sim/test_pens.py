@@ -37,6 +37,28 @@ def world_of(turtles=1):
     return world, pens
 
 
+def picture(*, at_once, odd=""):
+    """What a fleet draws, at once or one turtle after the other; one may have an odd pen."""
+    world = World(MANY)
+    pens = Pens(world)
+    if not at_once:
+        pens._follow_fleet = lambda before, now: False  # type: ignore[method-assign]  # as named
+    for _ in range(3):
+        world.set_velocities(1.0, 0.0, [0.05 * index for index in range(MANY)])
+        run(world, pens, 40)
+        if odd:
+            pens.set("turtle7", RED, 5, is_off=odd == "off")
+        world.kill(world.names[3])
+        world.spawn(2.0, 2.0, 1.0)
+        pens.take_stock()
+    return pens.drawing.pixels()
+
+
+@pytest.mark.parametrize("odd", ["", "red", "off"])
+def test_a_fleet_draws_the_same_at_once_as_one_after_the_other(odd):
+    assert picture(at_once=True, odd=odd) == picture(at_once=False, odd=odd)
+
+
 @pytest.mark.parametrize("turtles", [1, FEW, MANY])
 def test_a_turtle_that_moves_draws_a_line_from_where_it_was(turtles):
     world, pens = world_of(turtles)

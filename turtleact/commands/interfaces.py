@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator, Sequence
+from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
 from turtleact.commands.transcript import say
@@ -60,9 +61,8 @@ def make_known(folder: str | None) -> None:
     Raises:
         InvalidInterface: if there is no such folder.
     """
-    import turtleact.actions
-    import turtleact.sim.pictures
-    import turtleact.sim.poses  # noqa: F401  # for the classes that they declare
+    for module in ("actions", "sim.pictures", "sim.poses"):  # for the classes that they declare
+        import_module(f"turtleact.{module}")
 
     load_workspace(*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
     if folder is not None:

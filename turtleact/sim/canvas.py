@@ -14,7 +14,7 @@ from array import array
 from math import ceil, inf
 from typing import Final, NamedTuple
 
-__all__ = ["METER", "SIZE", "Canvas", "Colour"]
+__all__ = ["FLAT", "METER", "MIDDLE", "SIZE", "Canvas", "Colour", "ink"]
 
 SIZE: Final = 500
 """Width and height (pixels)."""
@@ -34,9 +34,9 @@ class Colour(NamedTuple):
 CLEAR: Final = Colour(255, 255, 255)
 """What turtlesim reads where nothing was drawn: its canvas is cleared to a transparent white."""
 
-_MIDDLE: Final = complex(SIZE, SIZE) / 2.0
+MIDDLE: Final = complex(SIZE, SIZE) / 2.0
 _OPAQUE: Final = 255 << 24
-_FLAT: Final = 1e-9
+FLAT: Final = 1e-9
 """A line that rises by less, over its whole length, is level for every pixel."""
 
 _NOTHING: Final = array("I", [0]) * (SIZE * SIZE)
@@ -76,7 +76,7 @@ class Canvas:
             width: How wide it is (pixels), above zero.
             colour: What it is drawn in.
         """
-        if abs(start - _MIDDLE) > abs(end - _MIDDLE):  # counted from afar, pixels would be rounded
+        if abs(start - MIDDLE) > abs(end - MIDDLE):  # counted from afar, pixels would be rounded
             start, end = end, start
         length, half = abs(end - start), width / 2.0
         along = (end - start) / length if length else 1.0 + 0.0j
@@ -86,7 +86,7 @@ class Canvas:
         # The rectangle is where two strips cross: its two sides bound one, its two ends the other.
         side, side_low, side_high = _strip(-along.imag, along.real, -half, half)
         top, top_low, top_high = _strip(along.real, along.imag, -half, length + half)
-        ink = array("I", [_OPAQUE | colour.blue << 16 | colour.green << 8 | colour.red])
+        pixel = array("I", [ink(colour)])
         pixels, x = self.pixels, start.real
         for row in range(first, last):
             y = row + 0.5 - start.imag
@@ -95,7 +95,12 @@ class Canvas:
             begin, stop = _within(x + low, x + high)
             if begin < stop:
                 at = row * SIZE
-                pixels[at + begin : at + stop] = ink * (stop - begin)
+                pixels[at + begin : at + stop] = pixel * (stop - begin)
+
+
+def ink(colour: Colour) -> int:
+    """A pixel of this colour."""
+    return _OPAQUE | colour.blue << 16 | colour.green << 8 | colour.red
 
 
 def _within(low: float, high: float) -> tuple[int, int]:
@@ -111,7 +116,7 @@ def _strip(dx: float, dy: float, low: float, high: float) -> tuple[float, float,
 
     No bounds where that says nothing of x: the rows are chosen accordingly.
     """
-    if abs(dx) < _FLAT:
+    if abs(dx) < FLAT:
         return 0.0, -inf, inf
     one, other = low / dx, high / dx
     return -dy / dx, min(one, other), max(one, other)

@@ -1,9 +1,10 @@
 """What the turtles have drawn: line by line, as pixels and as polylines.
 
 Lines are noted as they come and worked out when somebody looks, so a drawing costs little while
-nobody does; of more than `UNREAD` the oldest are worked out then and there. It never grows beyond a
-bound: once its polylines hold `MOST_POINTS` points, all that was drawn so far is kept as pixels
-alone.
+nobody does; of more than `UNREAD` the oldest are worked out then and there. Those of a fleet come
+tick by tick as arrays: straight ways are put together as they come, and all is worked out at once.
+It never grows beyond a bound: once its polylines hold `MOST_POINTS` points, all that was drawn so
+far is kept as pixels alone.
 
 - As pixels every line counts, in its order: what is drawn later covers what is there.
 - As polylines, points that lie within `TOLERANCE` of the line without them are left out. A polyline
@@ -23,9 +24,12 @@ import math
 import sys
 from array import array
 from functools import lru_cache
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from turtleact.sim.canvas import METER, Canvas, Colour
+
+if TYPE_CHECKING:
+    from turtleact.sim.runs import Lines, Numbers, Places, Runs
 
 __all__ = ["MOST_POINTS", "TOLERANCE", "Drawing", "Pen", "Polyline"]
 
@@ -40,6 +44,9 @@ LONGEST: Final = 500
 
 UNREAD: Final = 4096
 """So many lines are noted before the oldest are worked out: 200 kB."""
+
+UNREAD_OF_FLEET: Final = 1024
+"""So many, if a fleet draws: all are worked out at once then, in some milliseconds."""
 
 _PORTION: Final = 64
 """So many are worked out at a time then: a millisecond."""
@@ -68,6 +75,7 @@ class Drawing:
     """Everything drawn since it was made or cleared."""
 
     def __init__(self) -> None:
+        self._fleet: Runs | None = None
         self.clear()
 
     def line(self, turtle: int, pen: Pen, start: complex, end: complex) -> None:
@@ -79,11 +87,26 @@ class Drawing:
             start: Where it begins (m).
             end: Where it ends (m); the same place makes a dot.
         """
-        (red, green, blue), width = pen
-        packed = red << 24 | green << 16 | blue << 8 | width
-        self._unread.extend((turtle, packed, start.real, start.imag, end.real, end.imag))
+        self._end_fleet()
+        self._unread.extend((turtle, _packed(pen), start.real, start.imag, end.real, end.imag))
         if len(self._unread) >= UNREAD * _FIELDS:
             self._read(_PORTION)
+
+    def lines(self, pen: Pen, who: Numbers, start: Places, end: Places) -> None:
+        """Draw straight lines of many turtles, in any order; as `line` otherwise.
+
+        Args:
+            pen: With what.
+            who: Who draws them, each turtle once.
+            start: Where each begins (m).
+            end: Where it ends.
+        """
+        from turtleact.sim.runs import Runs  # only a fleet waits for numpy
+
+        if self._fleet is None or self._fleet.pen != pen:
+            self._end_fleet()
+            self._fleet = Runs(pen, _STRAIGHT / METER)
+        self._note(pen, self._fleet.take(who, start, end))
 
     def lift(self, turtle: int) -> None:
         """Forget who drew: nothing more comes from this turtle."""
@@ -93,6 +116,7 @@ class Drawing:
     def clear(self) -> None:
         """Erase everything."""
         self._unread = array("d")
+        self._fleet = None
         self._canvas: Canvas | None = None  # a megabyte: made when it is needed
         self._base: bytes | None = None
         self._strokes: list[_Stroke] = []
@@ -131,7 +155,9 @@ class Drawing:
 
     def _read(self, most: int | None = None) -> None:
         """Work out what was noted: all of it, or the oldest lines."""
-        if not self._unread:
+        if most is None:
+            self._end_fleet()
+        if not self._unread and not self._runs:
             return
         end = len(self._unread) if most is None else most * _FIELDS
         numbers = iter(self._unread[:end])
@@ -150,6 +176,46 @@ class Drawing:
             self._extend(who, pen, start, stop)
         if most is None:
             self._draw_runs()
+
+    def _end_fleet(self) -> None:
+        """Note the lines of a fleet that might still go on."""
+        if self._fleet is not None:
+            self._note(self._fleet.pen, self._fleet.take_all())
+
+    def _note(self, pen: Pen, lines: Lines) -> None:
+        import numpy as np
+
+        who, start, end = lines
+        if not len(who):
+            return
+        noted = np.empty((len(who), _FIELDS))
+        noted[:, 0], noted[:, 1] = who, _packed(pen)
+        noted[:, 2], noted[:, 3] = start.real, start.imag
+        noted[:, 4], noted[:, 5] = end.real, end.imag
+        self._unread.frombytes(noted.tobytes())
+        if len(self._unread) >= UNREAD_OF_FLEET * _FIELDS:
+            self._read_fleet()
+
+    def _read_fleet(self) -> None:
+        """Work out all that was noted, as `_read` does, but at once what has one pen."""
+        import numpy as np
+
+        from turtleact.sim.strips import draw_lines
+
+        noted = np.frombuffer(self._unread).reshape(-1, _FIELDS).copy()
+        if (noted[:, 1] != noted[0, 1]).any():
+            self._read(len(noted))
+            return
+        self._unread = array("d")
+        self._draw_runs()
+        pen = _unpacked(noted[0, 1])
+        start = noted[:, 2:4].copy().view(np.complex128)[:, 0] * METER
+        end = noted[:, 4:6].copy().view(np.complex128)[:, 0] * METER
+        draw_lines(self._made_canvas(), start, end, pen.width, pen.colour)
+        for who, here, there in zip(
+            noted[:, 0].tolist(), start.tolist(), end.tolist(), strict=True
+        ):
+            self._extend(int(who), pen, here, there)
 
     def _draw_runs(self) -> None:
         for run in self._runs.values():
@@ -255,6 +321,11 @@ class _Stroke:
             self._axis, self._low, self._high = cmath.phase(way), -half, half
         self._reach = distance
         return True
+
+
+def _packed(pen: Pen) -> int:
+    (red, green, blue), width = pen
+    return red << 24 | green << 16 | blue << 8 | width
 
 
 @lru_cache(maxsize=64)

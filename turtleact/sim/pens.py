@@ -12,7 +12,7 @@ Source: turtlesim 1.8.2, ``Turtle::update`` and ``Turtle::setPenCallback``.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple, cast
 
 from turtleact.sim.canvas import Colour
 from turtleact.sim.drawing import Drawing, Pen
@@ -20,6 +20,7 @@ from turtleact.sim.drawing import Drawing, Pen
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
+    from turtleact.sim.runs import Numbers, Places
     from turtleact.sim.world import World
 
 __all__ = ["Pens"]
@@ -44,6 +45,7 @@ class Pens:
         self._count = 0
         self._holders: dict[str, _Holder] = {}
         self._jumps: dict[str, list[tuple[complex, complex]]] = {}
+        self._fleet: _Fleet | None = None
         self._names: tuple[str, ...] = ()
         self._places: Sequence[complex] = ()
         world.on_jump = self._jump
@@ -59,6 +61,7 @@ class Pens:
             is_off: Whether it stops drawing; the rest is then left as it was.
         """
         holder = self._holders[turtle]
+        self._fleet = None
         holder.is_on = not is_off
         if not is_off:
             holder.pen = Pen(colour, width or THINNEST)
@@ -81,6 +84,7 @@ class Pens:
                 self._count += 1
                 self._holders[name] = _Holder(self._count)
         self._names = names
+        self._fleet = None
         self._places = self._world.places()
 
     def forget_all(self) -> None:
@@ -101,6 +105,8 @@ class Pens:
         """
         before, now = self._places, self._world.places()
         self._places = now
+        if not sensed and not self._jumps and self._follow_fleet(before, now):
+            return {}
         moved = _indices_of_changes(before, now)
         if not sensed and not self._jumps:
             for index in moved:
@@ -121,6 +127,22 @@ class Pens:
                 self._draw(name, start, end)
         return colours
 
+    def _follow_fleet(self, before: Sequence[complex], now: Sequence[complex]) -> bool:
+        """Draw the lines of many turtles at once, if all have one pen, and it is on."""
+        if isinstance(now, list):
+            return False
+        if self._fleet is None:
+            self._fleet = _Fleet.of([self._holders[name] for name in self._names])
+        if self._fleet.pen is None:
+            return False
+        there = cast("Places", now)
+        here = cast("Places", before)
+        (moved,) = (there != here).nonzero()
+        if len(moved):
+            who = self._fleet.numbers[moved]
+            self.drawing.lines(self._fleet.pen, who, here[moved], there[moved])
+        return True
+
     def _draw(self, turtle: str, start: complex, end: complex) -> None:
         holder = self._holders[turtle]
         if holder.is_on:
@@ -139,6 +161,26 @@ class _Holder:
         self.number = number
         self.pen = Pen()
         self.is_on = True
+
+
+class _Fleet(NamedTuple):
+    """The pens of many turtles.
+
+    Attributes:
+        numbers: Who holds them, by the indices of the turtles.
+        pen: The one that all have, if it is so and all are on.
+    """
+
+    numbers: Numbers
+    pen: Pen | None
+
+    @classmethod
+    def of(cls, holders: Sequence[_Holder]) -> _Fleet:
+        import numpy as np
+
+        numbers = np.array([holder.number for holder in holders], np.intp)
+        pens = {holder.pen if holder.is_on else None for holder in holders}
+        return cls(numbers, pens.pop() if len(pens) == 1 else None)
 
 
 def _indices_of_changes(before: Sequence[complex], now: Sequence[complex]) -> list[int]:
