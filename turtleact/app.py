@@ -75,6 +75,7 @@ async def open_world(
     seed: int = 0,
     turtles: int = 1,
     placing: str = "random",
+    collide: bool = False,
     paused: bool = False,
     graph: OpenGraph | None = None,
     on_transition: Transition | None = None,
@@ -89,6 +90,7 @@ async def open_world(
         seed: Chooses where all turtles but the first start, if they are placed at random.
         turtles: How many there are: ``turtle1``, ``turtle2``, …
         placing: How they are placed at first: ``"random"``, ``"grid"`` or ``"ring"``.
+        collide: Whether turtles stop each other where they meet.
         paused: Whether time stands still until somebody steps or resumes the world.
         graph: Opens the graph that the world is on; one within the process if left out.
         on_start: Given the turtles, before anything can be asked of them.
@@ -98,7 +100,7 @@ async def open_world(
         SimError: if the speed or the number of turtles is out of range, or there is no such
             placing.
     """
-    world = World(turtles, seed, placing=placing)
+    world = World(turtles, seed, placing=placing, collide=collide)
     clock = make_clock(speed)
     async with AsyncExitStack() as stack:
         await stack.enter_async_context(aclosing(Background(clock.run(), "the clock")))

@@ -58,6 +58,7 @@ class Service(NamedTuple):
         turtles: How many there are.
         placing: How they are placed.
         seed: What its random choices begin with.
+        collide: Whether they stop each other.
         paused: Whether time stands still there at first.
         config: Paths and values of Zenoh's configuration, such as those of its locks.
         web: The host and port of the page and of rosbridge; None for neither.
@@ -76,6 +77,7 @@ class Service(NamedTuple):
     turtles: int
     placing: str
     seed: int
+    collide: bool
     paused: bool
     config: dict[str, object]
     web: tuple[str, int] | None
@@ -177,6 +179,7 @@ async def _open_node(
                 seed=service.seed,
                 turtles=service.turtles,
                 placing=service.placing,
+                collide=service.collide,
                 paused=service.paused,
                 graph=graph,
                 on_transition=log.tell,

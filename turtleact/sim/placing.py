@@ -26,7 +26,16 @@ from turtleact.sim.kinematics import SIDE, Place
 if TYPE_CHECKING:
     from turtleact.sim.kinematics import State
 
-__all__ = ["MIDDLE", "PLACINGS", "Absolute", "Relative", "Spawn", "Teleport", "starts"]
+__all__ = [
+    "MIDDLE",
+    "PLACINGS",
+    "Absolute",
+    "Relative",
+    "Spawn",
+    "Teleport",
+    "check_finite",
+    "starts",
+]
 
 MIDDLE = Place(SIDE / 2.0, SIDE / 2.0, 0.0)
 """Where turtlesim puts its first turtle."""
@@ -152,3 +161,10 @@ def _spread(number: int, seed: int) -> Place:
 _WHOLE = 2**64
 _SPREAD = tuple(int(1.2207440846057596**-power * _WHOLE) for power in (1, 2, 3))
 _SHIFT = (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
+
+
+def check_finite(turtle: str, **numbers: float) -> None:
+    """Raise what a user is to be told of a number that is none."""
+    for what, value in numbers.items():
+        if not math.isfinite(value):
+            raise SimError(f"{what} is {value}: give a finite number", turtle=turtle)

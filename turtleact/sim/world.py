@@ -27,7 +27,7 @@ from turtleact.sim.kinematics import (
     Place,
     StepRule,
 )
-from turtleact.sim.placing import MIDDLE, Absolute, Relative, Spawn, starts
+from turtleact.sim.placing import MIDDLE, Absolute, Relative, Spawn, check_finite, starts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -73,6 +73,7 @@ class World:
         placing: ``"random"``, ``"grid"`` or ``"ring"``.
         holonomic: Whether turtles can move sideways; if not, ``vy`` is ignored, as in turtlesim.
         rule: How a step turns speeds into motion.
+        collide: Whether turtles stop each other (`turtleact.sim.collisions`).
 
     Attributes:
         holonomic: The same; it may be changed at any time, and counts for later commands.
@@ -99,6 +100,7 @@ class World:
         placing: str = "random",
         holonomic: bool = False,
         rule: StepRule = StepRule.EULER,
+        collide: bool = False,
     ) -> None:
         if turtles < 1:
             raise SimError(f"a world of {turtles} turtles: give 1 or more")
@@ -108,6 +110,7 @@ class World:
         self.holonomic = holonomic
         self.on_jump: Callable[[str, complex, complex], None] | None = None
         self._rule = rule
+        self._collide = collide
         self._settle(list(self._first), list(self._first.values()))
         self._count = turtles
         self._tick = 0
@@ -148,7 +151,7 @@ class World:
             SimError: if there is no such turtle, or a speed is not finite.
         """
         index = self.index(turtle)
-        _check_finite(self._names[index], vx=vx, vy=vy, omega=omega)
+        check_finite(self._names[index], vx=vx, vy=vy, omega=omega)
         self._commands[index] = Command(vx, vy if self.holonomic else 0.0, omega)
         self._is_asked = True
 
@@ -175,7 +178,7 @@ class World:
             row[:] = given
         if not np.isfinite(speeds).all():
             index = int(np.isfinite(speeds).all(axis=0).argmin())
-            _check_finite(self._names[index], **Command(*speeds[:, index].tolist())._asdict())
+            check_finite(self._names[index], **Command(*speeds[:, index].tolist())._asdict())
         if not self.holonomic:
             speeds[1] = 0.0
         self._commands.clear()
@@ -225,7 +228,7 @@ class World:
             SimError: if there is a turtle of that name, or a number is not finite in float32.
         """
         where = Spawn.of(x, y, theta)
-        _check_finite(name or "a new turtle", **where._asdict())
+        check_finite(name or "a new turtle", **where._asdict())
         if name in self._index:
             raise SimError("there is a turtle of this name: give another", turtle=name)
         while not name or name in self._index:
@@ -264,8 +267,11 @@ class World:
         """
         if self._is_asked:
             self._take_up()
+        before = self._turtles.places() if self._collide else ()
         hits = self._turtles.step(self._tick)
         self._tick += 1
+        if self._collide:
+            self._keep_apart(before)
         return hits
 
     def pose(self, turtle: str | int) -> Pose:
@@ -351,9 +357,16 @@ class World:
         for tick, commands in running.items():
             self._turtles.drive(commands, tick)
 
+    def _keep_apart(self, before: Sequence[complex]) -> None:
+        from turtleact.sim.collisions import stopped
+
+        for index in stopped(before, self._turtles.places()):
+            theta = self._turtles.state(index).theta
+            self._turtles.place(index, Place(before[index].real, before[index].imag, theta))
+
     def _teleport(self, turtle: str | int, teleport: Teleport) -> None:
         index = self.index(turtle)
-        _check_finite(self._names[index], **teleport._asdict())
+        check_finite(self._names[index], **teleport._asdict())
         self._teleports.append((index, teleport))
         self._is_asked = True
 
@@ -373,12 +386,6 @@ class World:
                 here, there = complex(before.x, before.depth), complex(after.x, after.depth)
                 self.on_jump(self._names[index], here, there)
         self._teleports.clear()
-
-
-def _check_finite(turtle: str, **numbers: float) -> None:
-    for what, value in numbers.items():
-        if not math.isfinite(value):
-            raise SimError(f"{what} is {value}: give a finite number", turtle=turtle)
 
 
 def _turtles(places: list[Place], rule: StepRule) -> Turtles:

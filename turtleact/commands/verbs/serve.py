@@ -88,6 +88,7 @@ _Placing = Annotated[
     str, typer.Option("--placing", metavar="HOW", help="How they stand: random, grid or ring.")
 ]
 _Seed = Annotated[str, typer.Option(metavar="NUMBER", help="What its random choices begin with.")]
+_Collide = Annotated[bool, typer.Option("--collide", help="Turtles stop each other.")]
 _Paused = Annotated[
     bool, typer.Option("--paused", help="Let time stand still until it is stepped or resumed.")
 ]
@@ -123,6 +124,7 @@ def serve(
     turtles: _Turtles = "1",
     placing: _Placing = "random",
     seed: _Seed = "0",
+    collide: _Collide = False,
     paused: _Paused = False,
     interfaces: Interfaces = None,
 ) -> Job:
@@ -149,6 +151,7 @@ def serve(
             not no_sim,
             factor,
             *fleet,
+            collide,
             paused,
             locks.settings(),
             *page,
