@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from turtleact.commands.graph import types_by_name
+from turtleact.commands.kinds import types_by_name
 from turtleact.commands.transcript import say
 from turtleact.errors import ServerUnavailable, TurtleactError
 from turtleact.sim.pictures import TakeSnapshot

@@ -131,9 +131,9 @@ def serve(
     """``serve``."""
     where = reach(connect, domain, config)
     at = endpoints("--listen", listen)
-    page = _page(web, token, allow_host, allow_origin)
+    page, token, hosts, origins = _page(web, token, allow_host, allow_origin)
     factor = float(speed_factor(speed))
-    fleet = _fleet(turtles, placing, seed)
+    count, placing, first = _fleet(turtles, placing, seed)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known
@@ -150,11 +150,16 @@ def serve(
             where.domain,
             not no_sim,
             factor,
-            *fleet,
+            count,
+            placing,
+            first,
             collide,
             paused,
             locks.settings(),
-            *page,
+            page,
+            token,
+            hosts,
+            origins,
             not (headless or plain),
         )
         return run(service, interrupts)
