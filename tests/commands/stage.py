@@ -1,9 +1,9 @@
 """A world for tests: actions that do each one thing. As a program: the command line in that world.
 
 ``/now`` succeeds, ``/fail`` aborts, ``/reject`` rejects, ``/hold`` ends when it is canceled and
-``/stubborn`` not even then, ``/refuse`` refuses to be canceled, ``/quit`` cancels itself,
-``/consider`` takes for ever to accept, ``/crash`` raises, ``/strange`` says strange things,
-``/flood`` says more than anybody reads.
+``/stubborn`` not even then, ``/refuse`` refuses to be canceled, ``/deaf`` never answers that,
+``/quit`` cancels itself, ``/consider`` takes for ever to accept, ``/crash`` raises, ``/strange``
+says strange things, ``/flood`` says more than anybody reads.
 """
 
 from __future__ import annotations
@@ -84,6 +84,10 @@ async def consider(goal):
     await anyio.sleep_forever()
 
 
+async def ponder(handle):
+    await anyio.sleep_forever()
+
+
 async def quit_(goal, handle):
     yield Fibonacci.Feedback(sequence=[0])
     await handle.node.action_client(Fibonacci, "/quit").cancel_all()
@@ -99,6 +103,7 @@ async def world(speed, seed):
         node.action_server(Strange, "/strange", strange)
         node.action_server(Fibonacci, "/reject", now, goal_callback=reject)
         node.action_server(Fibonacci, "/consider", now, goal_callback=consider)
+        node.action_server(Fibonacci, "/deaf", hold, cancel_callback=ponder)
         node.action_server(
             Fibonacci, "/refuse", hold, cancel_callback=lambda handle: CancelResponse.REJECT
         )

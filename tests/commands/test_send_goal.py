@@ -18,6 +18,7 @@ import pytest
 
 from turtleact.commands import send_goal
 from turtleact.commands.transcript import JsonTranscript
+from turtleact.errors import ServerUnavailable
 from turtleact.goal import GoalStatus
 
 STAGE = Path(__file__).with_name("stage.py")
@@ -244,7 +245,7 @@ def test_a_goal_that_ends_in_time_is_not_canceled(on_stage):
     assert on_stage("send-goal", "now", "-t", "30").status == 0
 
 
-@pytest.mark.parametrize("name", ["stubborn", "refuse"])
+@pytest.mark.parametrize("name", ["stubborn", "refuse", "deaf"])
 def test_a_goal_that_does_not_end_after_its_timeout_is_left(start, name):
     ran = start("send-goal", name, "-t", "0.01").end()
     assert ran.status == 124
@@ -260,6 +261,15 @@ async def test_a_goal_that_ended_in_the_moment_of_its_timeout_has_not_timed_out(
     sending = send_goal._Sending(order, "/now", None, JsonTranscript(), interrupts)
     await sending._time_out(sent, 0.0)
     assert capsys.readouterr().err == ""
+
+
+async def test_a_server_that_is_gone_is_told_of_by_the_end_of_the_goal(interrupts):
+    async def cancel():
+        raise ServerUnavailable("/now", "it is gone")
+
+    sent: Any = SimpleNamespace(handle=SimpleNamespace(status=GoalStatus.EXECUTING, cancel=cancel))
+    sending = send_goal._Sending(sent, "/now", None, JsonTranscript(), interrupts)
+    assert not await sending._cancel(sent, 130)
 
 
 # --- signals --------------------------------------------------------------------------------
@@ -279,7 +289,9 @@ def test_a_signal_cancels_the_goal_and_its_result_is_printed(start, number, stat
     assert ran.err == "turtleact: started an embedded world in this process\n"
 
 
-@pytest.mark.parametrize(("name", "lines"), [("stubborn", []), ("refuse", ["goes on"])])
+@pytest.mark.parametrize(
+    ("name", "lines"), [("stubborn", []), ("refuse", ["goes on"]), ("deaf", [])]
+)
 def test_a_second_signal_lets_go_of_the_goal(start, name, lines):
     program = start("send-goal", name)
     program.wait_for("Goal accepted")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
-from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager, suppress
 from typing import TYPE_CHECKING, NamedTuple, NoReturn, cast
 
 import anyio
@@ -180,7 +180,7 @@ class _Sending:
         )
         status = None
         async with anyio.create_task_group() as beside:
-            beside.start_soon(self._heed_interrupts, beside.cancel_scope)
+            beside.start_soon(self._heed_interrupts, beside)
             try:
                 await client.wait_for_server(PATIENCE)
                 async with client.send_goal(goal) as handle:
@@ -228,31 +228,36 @@ class _Sending:
 
     # what comes in between
 
-    async def _heed_interrupts(self, scope: anyio.CancelScope) -> None:
+    async def _heed_interrupts(self, beside: TaskGroup) -> None:
         """The first signal cancels the goal, or the sending of it; the second lets go of it."""
         await self._interrupts.wait(1)
         if self._sent is None:
-            scope.cancel()
+            beside.cancel_scope.cancel()
             return
-        if not await self._cancel(self._sent, self._interrupts.status):
-            self._transcript.note("the server goes on with the goal; Ctrl-C again lets go of it")
-        await self._interrupts.wait(2)
+        beside.start_soon(self._obey, self._sent, self._interrupts.status)
+        await self._interrupts.wait(2)  # though the server may not answer
         self._let_go(self._sent, self._interrupts.status)
+
+    async def _obey(self, sent: Sent, status: int) -> None:
+        if not await self._cancel(sent, status):
+            self._transcript.note("the server goes on with the goal; Ctrl-C again lets go of it")
 
     async def _time_out(self, sent: Sent, seconds: float) -> None:
         await anyio.sleep(seconds)
         if sent.handle.status.is_terminal:  # in the same moment
             return
         self._transcript.note(f"no result after {seconds:g} s")
-        if await self._cancel(sent, TIMEOUT):
-            await anyio.sleep(PATIENCE)
+        with anyio.move_on_after(PATIENCE):  # the server may not answer
+            if await self._cancel(sent, TIMEOUT):
+                await anyio.sleep_forever()
         self._let_go(sent, TIMEOUT)
 
     async def _cancel(self, sent: Sent, reason: int) -> bool:
-        """Ask for the goal to be canceled; False if the server refuses."""
+        """Ask for the goal to be canceled; False if the server refuses, or is out of reach."""
         self._canceled_by = reason
         self._transcript.canceling()
-        await sent.handle.cancel()
+        with suppress(ServerUnavailable):  # if it has gone, the goal's own end says so
+            await sent.handle.cancel()
         status = sent.handle.status
         self._transcript.status(status)
         return status is GoalStatus.CANCELING or status.is_terminal
