@@ -37,7 +37,7 @@ PORT: Final = 9090
 ROOM: Final = 50
 """So many connections may ask for the page while all are taken that `Limits` allows."""
 
-READ_AHEAD: Final = 2**15
+READ_AHEAD: Final = 2**14
 """So much of what a client sends is read at once (bytes), and worked off before others go on."""
 
 LAST_ORDERS: Final = 2
