@@ -63,7 +63,7 @@ class Ros:
             text=True,
             timeout=RUNNING,
             check=False,
-            env=os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+            env=os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"},  # nobody else is to be seen
         )
         if done.returncode == NO_PEER:
             FOUND["missing"] = "rclpy does not find its own endpoints on this machine"
