@@ -284,10 +284,7 @@ class Node:
             InvalidName: if the topic's name breaks ROS 2's rules.
         """
         name = resolve_name(topic, self.namespace, self.name)
-        return sum(
-            endpoint.kind == "publisher" and endpoint.name == name
-            for endpoint in self.transport.endpoints()
-        )
+        return sum(endpoint.kind == "publisher" for endpoint in self.transport.endpoints(name))
 
     def graph(self) -> Graph:
         """What exists on the graph now."""

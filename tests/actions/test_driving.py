@@ -53,7 +53,7 @@ class Yard(NamedTuple):
     def drive(self, robot="robot"):
         return self.turtles.drive(robot, Steering())
 
-    def endpoints(self):
+    def endpoints(self, name=""):
         """The topics that are open on the driving node."""
         node = self.node.fully_qualified_name
         return [each.name for each in self.node.transport.endpoints() if each.node == node]

@@ -16,9 +16,9 @@ from turtleact.interfaces.standard import Time
 if TYPE_CHECKING:
     from turtleact.sim.world import World
 
-__all__ = ["Poses", "poses_of"]
+__all__ = ["FEW", "Poses", "poses_of"]
 
-_FEW = 16
+FEW = 16
 """Up to so many turtles are told without numpy, which takes 0.1 s to load."""
 
 
@@ -47,7 +47,7 @@ class Poses(Message, type_name="turtleact_interfaces/msg/Poses"):
 def poses_of(world: World, stamp: Time) -> Poses:
     """The poses of a world."""
     names = list(world.names)
-    if len(names) > _FEW:
+    if len(names) > FEW:
         columns = world.poses().T.tolist()
     else:
         columns = [list(column) for column in zip(*map(world.pose, names), strict=True)]

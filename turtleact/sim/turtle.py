@@ -35,7 +35,7 @@ from turtleact.sim.rotation import Rotation
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from turtleact.node import Node
     from turtleact.server import ServerGoalHandle
@@ -135,10 +135,10 @@ class Turtle:
             self.turn = None
         self._world.set_velocity(self.name, 0.0, 0.0, omega or 0.0)
 
-    def tell_pose(self) -> None:
+    def tell_pose(self, pose: Iterable[float]) -> None:
         """Publish the pose after a tick, unless its readers have just gone."""
         if self.poses.has_subscriptions:
-            self.poses.publish(TurtlePose(*self._world.pose(self.name)))
+            self.poses.publish(TurtlePose(*pose))
 
     def tell_colour(self, colour: Colour) -> None:
         """Publish the colour under it, unless its readers have just gone."""

@@ -27,7 +27,7 @@ from turtleact.sim.canvas import Colour
 from turtleact.sim.parameters import Parameters
 from turtleact.sim.pens import Pens
 from turtleact.sim.pictures import Pictures
-from turtleact.sim.poses import Poses, poses_of
+from turtleact.sim.poses import FEW, Poses, poses_of
 from turtleact.sim.simulation import Simulation
 from turtleact.sim.snapshot import BACKGROUND, Figure, Snapshot, thumbnail
 from turtleact.sim.ticking import Ticking
@@ -165,8 +165,13 @@ class Turtlesim:
             _warn(hits)
         if self._is_graph_new:
             self._look_around()
-        for turtle in self._told:
-            turtle.tell_pose()
+        if len(self._told) > FEW:
+            poses = world.poses().tolist()
+            for turtle in self._told:
+                turtle.tell_pose(poses[world.index(turtle.name)])
+        else:
+            for turtle in self._told:
+                turtle.tell_pose(world.pose(turtle.name))
         if self._poses.has_subscriptions:
             self._poses.publish(poses_of(world, stamp_of(self._node.clock.now())))
         for name, colour in self._pens.follow(self._sensed).items():

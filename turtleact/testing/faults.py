@@ -165,9 +165,9 @@ class FaultyTransport:
         """Appear in the graph as a node."""
         return self._transport.enter(node)
 
-    def endpoints(self) -> tuple[Endpoint, ...]:
-        """All endpoints of the graph."""
-        return self._transport.endpoints()
+    def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
+        """All endpoints of the graph, or those of a name."""
+        return self._transport.endpoints(name)
 
     def nodes(self) -> tuple[str, ...]:
         """The names of all nodes."""

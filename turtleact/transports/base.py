@@ -294,8 +294,8 @@ class Transport(Protocol):
     def enter(self, node: str) -> Closeable:
         """Appear in the graph as a node of this fully qualified name."""
 
-    def endpoints(self) -> tuple[Endpoint, ...]:
-        """All endpoints of the graph, in the order of their opening."""
+    def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
+        """All endpoints of the graph, or those of a name, in the order of their opening."""
 
     def nodes(self) -> tuple[str, ...]:
         """The names of all nodes, in the order of their coming; a name may be there twice."""

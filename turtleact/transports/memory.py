@@ -56,6 +56,7 @@ class MemoryTransport:
         self._topics: dict[Key, _Topic] = {}
         self._handlers: dict[Key, list[_Offer]] = {}
         self._endpoints: dict[int, Endpoint] = {}
+        self._by_name: dict[str, dict[int, Endpoint]] = {}  # the same
         self._nodes: dict[int, str] = {}
         self._opened = 0
         self._changed: Signal | None = None
@@ -71,7 +72,7 @@ class MemoryTransport:
         publication = _Publication(topic, endpoint.qos, source)
         topic.publications.append(publication)
         leave = partial(self._leave, topic, topic.publications, publication)
-        publication.on_close = self._appear(self._endpoints, endpoint, leave)
+        publication.on_close = self._appear_as(endpoint, leave)
         if source is not None and topic.readers:
             source.readers_changed(has_readers=True)
         return publication
@@ -92,7 +93,7 @@ class MemoryTransport:
         if len(topic.readers) == 1:
             topic.tell_sources()
         leave = partial(self._leave, topic, topic.readers, reader)
-        reader.on_close = self._appear(self._endpoints, endpoint, leave)
+        reader.on_close = self._appear_as(endpoint, leave)
         return reader
 
     def serve(
@@ -104,7 +105,7 @@ class MemoryTransport:
         """Offer ``handler`` as a server; of several, the one that came first is found."""
         key, offer = _key(endpoint), _Offer(handler)
         self._handlers.setdefault(key, []).append(offer)
-        return _Opened(self._appear(self._endpoints, endpoint, partial(self._revoke, key, offer)))
+        return _Opened(self._appear_as(endpoint, partial(self._revoke, key, offer)))
 
     def join(
         self,
@@ -114,7 +115,7 @@ class MemoryTransport:
         """Appear in the graph as a client of a service, and be able to call it."""
         caller = _Caller(self, endpoint, endpoint.gid or self._opened.to_bytes(16))
         leave = partial(self._lose, caller)
-        caller.on_close = self._appear(self._endpoints, endpoint, leave)
+        caller.on_close = self._appear_as(endpoint, leave)
         return caller
 
     def local(self, name: str, type_name: str) -> object | None:
@@ -139,9 +140,10 @@ class MemoryTransport:
         """Appear in the graph as a node."""
         return _Opened(self._appear(self._nodes, node, _nothing))
 
-    def endpoints(self) -> tuple[Endpoint, ...]:
-        """All endpoints of the graph, in the order of their opening."""
-        return tuple(self._endpoints.values())
+    def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
+        """All endpoints of the graph, or those of a name, in the order of their opening."""
+        found = self._by_name.get(name, {}) if name else self._endpoints
+        return tuple(found.values())
 
     def nodes(self) -> tuple[str, ...]:
         """The names of all nodes, in the order of their coming; a name may be there twice."""
@@ -174,6 +176,20 @@ class MemoryTransport:
         offers.remove(offer)
         if not offers:
             del self._handlers[key]
+
+    def _appear_as(self, endpoint: Endpoint, leave: Callable[[], None]) -> Leave:
+        """Show an endpoint in the graph until what is given back is called."""
+        number, name = self._opened + 1, endpoint.name
+        self._by_name.setdefault(name, {})[number] = endpoint
+
+        def disappear() -> None:
+            namesakes = self._by_name[name]
+            del namesakes[number]
+            if not namesakes:
+                del self._by_name[name]
+            leave()
+
+        return self._appear(self._endpoints, endpoint, disappear)
 
     def _appear(self, table: dict[int, T], entry: T, leave: Callable[[], None]) -> Leave:
         """Show something in the graph until what is given back is called."""

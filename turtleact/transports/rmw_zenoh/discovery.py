@@ -31,10 +31,10 @@ class Graph:
         """Forget a token; answers what it said, if it was known."""
         return self._tokens.pop(key, None)
 
-    def endpoints(self) -> tuple[Endpoint, ...]:
-        """The endpoints."""
-        tokens = self._tokens.values()
-        return tuple(token.endpoint for token in tokens if token.endpoint is not None)
+    def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
+        """The endpoints, or those of a name."""
+        found = (token.endpoint for token in self._tokens.values() if token.endpoint is not None)
+        return tuple(endpoint for endpoint in found if name in ("", endpoint.name))
 
     def nodes(self) -> tuple[str, ...]:
         """The fully qualified names of the nodes."""

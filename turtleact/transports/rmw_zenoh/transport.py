@@ -127,9 +127,9 @@ class ZenohTransport:
         token = node_token(self._link.domain, self._link.session.zid, number, node)
         return _Entered(self._link, self._near.enter(node), token)
 
-    def endpoints(self) -> tuple[Endpoint, ...]:
-        """All endpoints of the graph: our own, then those of others, as they came."""
-        return (*self._near.endpoints(), *self._graph.endpoints())
+    def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
+        """All endpoints of the graph, or those of a name: our own, then those of others."""
+        return (*self._near.endpoints(name), *self._graph.endpoints(name))
 
     def nodes(self) -> tuple[str, ...]:
         """The names of all nodes, in the same order; a name may be there twice."""
@@ -218,8 +218,7 @@ class ZenohTransport:
 
     def _servers(self, name: str) -> list[Endpoint]:
         """What serves a service of that name elsewhere."""
-        found = self._graph.endpoints()
-        return [each for each in found if each.kind == "service" and each.name == name]
+        return [each for each in self._graph.endpoints(name) if each.kind == "service"]
 
     def _watch(self, session: Session) -> None:
         """In the outbox: be told of the tokens of others."""
