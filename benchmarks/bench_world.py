@@ -46,7 +46,7 @@ def quantiles(values: list[float]) -> str:
 async def watch_ticks(seconds: float) -> None:
     async with open_world() as node:
         start, came = node.clock.time(), []
-        poses = node.subscription(Poses, "/turtlesim/poses")
+        poses = node.subscription(Poses, "/world/poses")
         async for _ in poses:
             came.append(node.clock.time())
             if came[-1] - start > seconds:
@@ -84,7 +84,7 @@ async def drive_a_fleet() -> None:
         async with asyncio.TaskGroup() as group:
             tasks = [group.create_task(drive(index)) for index in range(DRIVEN)]
             await asyncio.sleep(1.0)
-            ticks = node.subscription(Poses, "/turtlesim/poses")
+            ticks = node.subscription(Poses, "/world/poses")
             wall, cpu, made = time.perf_counter(), time.process_time(), 0
             async for _ in ticks:
                 made += 1
@@ -118,7 +118,7 @@ async def open_fleet(count: int) -> str:
         begun = time.perf_counter()
         await node.step(50)
         at_rest = (time.perf_counter() - begun) / 50
-        poses = node.subscription(Poses, "/turtlesim/poses")
+        poses = node.subscription(Poses, "/world/poses")
         begun = time.perf_counter()
         await node.step(50)
         watched = (time.perf_counter() - begun) / 50

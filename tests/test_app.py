@@ -53,7 +53,7 @@ async def test_a_world_has_one_turtle_and_the_built_in_actions():
         "/go_to": ("turtleact_interfaces/action/GoTo",),
         "/patrol": ("turtleact_interfaces/action/Patrol",),
         "/turtle1/rotate_absolute": ("turtlesim/action/RotateAbsolute",),
-        "/turtlesim/simulate_steps": ("simulation_interfaces/action/SimulateSteps",),
+        "/world/simulate_steps": ("simulation_interfaces/action/SimulateSteps",),
     }
 
 
@@ -61,7 +61,7 @@ async def test_its_nodes_are_the_simulator_the_actions_and_the_users():
     async with open_world(speed="max") as node:
         node.publisher(TurtlePose, "my_pose")
         assert node.name == "turtleact"
-        assert node.graph().nodes == ("/turtle_actions", "/turtleact", "/turtlesim")
+        assert node.graph().nodes == ("/turtle_actions", "/turtleact", "/turtlesim", "/world")
 
 
 async def test_turtle1_starts_in_the_middle_whatever_the_seed():

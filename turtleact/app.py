@@ -107,7 +107,8 @@ async def open_world(
         opened = _within_process(clock) if graph is None else graph(clock)
         transport = await stack.enter_async_context(opened)
         home = await stack.enter_async_context(open_node("turtlesim", transport=transport))
-        sim = Turtlesim(home, world, is_paused=paused)
+        beside = await stack.enter_async_context(open_node("world", transport=transport))
+        sim = Turtlesim(home, world, beside=beside, is_paused=paused)
         await stack.enter_async_context(aclosing(sim))
         if on_start is not None:
             on_start(sim)

@@ -96,7 +96,7 @@ def test_an_unknown_action_is_an_error_that_names_those_there_are(turtleact):
     assert ran.err.splitlines()[-1] == (
         "turtleact: action '/fibonaci': nobody serves it, did you mean '/fibonacci'? "
         "(there are: /command_turtle, /fibonacci, /go_to, /patrol, /turtle1/rotate_absolute, "
-        "/turtlesim/simulate_steps)"
+        "/world/simulate_steps)"
     )
 
 

@@ -51,7 +51,7 @@ def test_a_graph_without_a_world_has_no_picture(on_graph, graphs):
     ran = on_graph(graphs.fibonacci, "snapshot", "a.png")
     assert (ran.status, ran.out) == (1, "")
     assert ran.err == (
-        "turtleact: service '/turtlesim/snapshot': there is no world on this graph: "
+        "turtleact: service '/world/snapshot': there is no world on this graph: "
         "'turtleact serve' has one\n"
     )
 

@@ -97,7 +97,8 @@ async def stage(
     async with (
         aclosing(Background(transport.clock.run(), "the clock")),
         open_node("turtlesim", transport=transport) as node,
-        aclosing(Turtlesim(node, world)) as sim,
+        open_node("world", transport=transport) as beside,
+        aclosing(Turtlesim(node, world, beside=beside)) as sim,
         open_node("test", transport=transport) as other,
     ):
         yield Stage(other, world, sim)

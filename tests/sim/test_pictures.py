@@ -18,13 +18,13 @@ async def test_a_picture_is_that_of_the_world_as_it_looks_now(format, make):
         here.command(x=2.0, turn=1.0)
         await here.pass_ticks(30)
         here.sim.pause()
-        answer = await here.call(TakeSnapshot, "turtlesim/snapshot", format)
+        answer = await here.call(TakeSnapshot, "world/snapshot", format)
         assert (answer.data, answer.problem) == (make(here.sim.snapshot()), "")
 
 
 async def test_a_picture_of_another_kind_is_refused():
     async with stage() as here:
-        answer = await here.call(TakeSnapshot, "turtlesim/snapshot", "bmp")
+        answer = await here.call(TakeSnapshot, "world/snapshot", "bmp")
     assert answer == TakeSnapshot.Response(
         problem="there is no picture as 'bmp': ask for png or svg"
     )

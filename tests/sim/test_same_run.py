@@ -30,7 +30,7 @@ async def run(turtles: int, seed: int) -> str:
     """A hash of all poses of all turtles, and of the drawing, over two seconds full of things."""
     chance, digest = random.Random(seed), hashlib.sha256()
     async with open_world(speed="max", turtles=turtles, seed=seed, paused=True) as node:
-        poses = node.subscription(Poses, "/turtlesim/poses", QoS(depth=1000))
+        poses = node.subscription(Poses, "/world/poses", QoS(depth=1000))
         names = [f"turtle{number}" for number in range(1, turtles + 1)]
         twists = [node.publisher(Twist, f"{name}/cmd_vel") for name in names[1:]]
         teleport = node.service_client(TeleportAbsolute, f"{names[-1]}/teleport_absolute")

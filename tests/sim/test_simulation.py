@@ -36,31 +36,31 @@ PAUSED = SimulationState.STATE_PAUSED
 
 async def set_state(here, state):
     request = SimulationState(state)
-    return (await here.call(SetSimulationState, "turtlesim/set_simulation_state", request)).result
+    return (await here.call(SetSimulationState, "world/set_simulation_state", request)).result
 
 
 async def state_of(here):
-    answer = await here.call(GetSimulationState, "turtlesim/get_simulation_state")
+    answer = await here.call(GetSimulationState, "world/get_simulation_state")
     assert answer.result.result == OK
     return answer.state.state
 
 
 async def step(here, steps=1):
-    return (await here.call(StepSimulation, "turtlesim/step_simulation", steps)).result
+    return (await here.call(StepSimulation, "world/step_simulation", steps)).result
 
 
 async def reset(here, scope=0):
-    return (await here.call(ResetSimulation, "turtlesim/reset_simulation", scope)).result
+    return (await here.call(ResetSimulation, "world/reset_simulation", scope)).result
 
 
 def simulate(here, steps):
-    client = here.node.action_client(SimulateSteps, "turtlesim/simulate_steps")
+    client = here.node.action_client(SimulateSteps, "world/simulate_steps")
     return client.send_goal(SimulateSteps.Goal(steps))
 
 
 async def test_it_says_what_it_can_do():
     async with stage() as here:
-        answer = await here.call(GetSimulatorFeatures, "turtlesim/get_simulator_features")
+        answer = await here.call(GetSimulatorFeatures, "world/get_simulator_features")
     known = {value: name for name, value in vars(SimulatorFeatures).items() if name.isupper()}
     assert [known[feature] for feature in answer.features.features] == [
         "SIMULATION_RESET",
@@ -173,7 +173,7 @@ async def test_a_step_is_one_tick_unless_more_are_asked_for():
     async with stage() as here:
         await set_state(here, PAUSED)
         before = here.world.tick
-        assert (await here.call(StepSimulation, "turtlesim/step_simulation")).result.result == OK
+        assert (await here.call(StepSimulation, "world/step_simulation")).result.result == OK
         assert here.world.tick == before + 1
         assert (await step(here, 41)).result == OK
         assert here.world.tick == before + 42

@@ -63,7 +63,7 @@ async def test_each_turtle_has_the_topics_of_the_real_one():
     async with stage(turtles=2) as here:
         topics = here.node.graph().topics
     assert topics.pop("/parameter_events") == ("rcl_interfaces/msg/ParameterEvent",)
-    assert topics.pop("/turtlesim/poses") == ("turtleact_interfaces/msg/Poses",)
+    assert topics.pop("/world/poses") == ("turtleact_interfaces/msg/Poses",)
     assert topics == {
         f"/turtle{number}/{name}": (type_name,)
         for number in (1, 2)
@@ -107,7 +107,7 @@ async def test_the_services_and_actions_are_those_of_the_real_one():
 @pytest.mark.parametrize("turtles", [1, 3, 40])
 async def test_all_poses_of_a_tick_are_one_message(turtles):
     async with stage(turtles=turtles) as here:
-        poses = here.node.subscription(Poses, "turtlesim/poses", ALL)
+        poses = here.node.subscription(Poses, "world/poses", ALL)
         here.command(x=2.0, turn=1.0)
         await here.pass_ticks(3)
         first, _, last = poses.drain()

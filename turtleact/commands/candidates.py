@@ -42,7 +42,7 @@ EMBEDDED: Final = {
     "/go_to": ("turtleact_interfaces/action/GoTo",),
     "/patrol": ("turtleact_interfaces/action/Patrol",),
     "/turtle1/rotate_absolute": ("turtlesim/action/RotateAbsolute",),
-    "/turtlesim/simulate_steps": ("simulation_interfaces/action/SimulateSteps",),
+    "/world/simulate_steps": ("simulation_interfaces/action/SimulateSteps",),
 }
 """The actions of the world that ``send-goal`` starts if it finds no graph, with their types."""
 

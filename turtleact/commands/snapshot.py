@@ -32,7 +32,7 @@ async def take(node: Node, path: Path) -> int:
     names = [name for name, types in services.items() if TakeSnapshot.type_name in types]
     if not names:
         problem = "there is no world on this graph: 'turtleact serve' has one"
-        raise ServerUnavailable("/turtlesim/snapshot", problem, kind="service")
+        raise ServerUnavailable("/world/snapshot", problem, kind="service")
     client = node.service_client(TakeSnapshot, names[0])
     await client.wait_for_service()
     answer = await client.call(TakeSnapshot.Request(path.suffix.lower().removeprefix(".")))

@@ -59,10 +59,15 @@ class Turtlesim:
     Args:
         node: Where its topics and services are opened, and whose clock it follows.
         world: The turtles.
+        beside: Where that is opened which the real turtlesim has not: time, all poses in one
+            message, pictures. If left out, ``node``.
         is_paused: Whether it begins with a pause, after its first tick.
     """
 
-    def __init__(self, node: Node, world: World, *, is_paused: bool = False) -> None:
+    def __init__(
+        self, node: Node, world: World, *, beside: Node | None = None, is_paused: bool = False
+    ) -> None:
+        beside = node if beside is None else beside
         logger.info("Starting turtlesim with node name %s", node.fully_qualified_name)
         self._node = node
         self._world = world
@@ -71,7 +76,7 @@ class Turtlesim:
         self._parameters = _declare(node, self._parameters_changed, is_holonomic=world.holonomic)
         self._turtles: dict[str, Turtle] = {}
         self._busy: dict[Turtle, None] = {}  # that have something to take up
-        self._poses = node.publisher(Poses, "~/poses", TOPIC_QOS)
+        self._poses = beside.publisher(Poses, "~/poses", TOPIC_QOS)
         self._welcome_all()
         node.service(Spawn, "spawn", self._spawn)
         node.service(Kill, "kill", self._kill)
@@ -83,8 +88,8 @@ class Turtlesim:
         self._tick()  # here, so that the world is a tick old before anybody can send a goal
         self._watching = Background(self._watch(), "turtlesim's watch over the graph")
         self._ticking = Ticking(node.clock, self._tick, is_paused=is_paused)
-        Simulation(node, self._ticking, self._restart)
-        Pictures(node, self.snapshot)
+        Simulation(beside, self._ticking, self._restart)
+        Pictures(beside, self.snapshot)
 
     @property
     def is_paused(self) -> bool:
