@@ -170,13 +170,9 @@ class Turtlesim:
             _warn(hits)
         if self._is_graph_new:
             self._look_around()
-        if len(self._told) > FEW:
-            poses = world.poses().tolist()
-            for turtle in self._told:
-                turtle.tell_pose(poses[world.index(turtle.name)])
-        else:
-            for turtle in self._told:
-                turtle.tell_pose(world.pose(turtle.name))
+        poses = world.poses().tolist() if len(self._told) > FEW else None
+        for turtle in self._told:
+            turtle.tell_pose(poses)
         if self._poses.has_subscriptions:
             self._poses.publish(poses_of(world, stamp_of(self._node.clock.now())))
         for name, colour in self._pens.follow(self._sensed).items():
