@@ -18,7 +18,7 @@ from typing import NamedTuple
 import pytest
 
 from turtleact.commands.interrupts import Interrupts
-from turtleact.commands.serve import Service, run
+from turtleact.commands.serve import Service, _listed, run
 from turtleact.errors import TurtleactError
 
 LAB = """
@@ -278,6 +278,40 @@ def serving_beside(served: Served, lab: Path) -> Iterator[str]:
     finally:
         other.kill()
         other.communicate()
+
+
+def test_what_is_said_of_the_world_reaches_it(turtleact, monkeypatch):
+    asked: dict[str, object] = {}
+
+    def open_world(**options: object) -> None:
+        asked.update(options)
+        raise TurtleactError("enough")
+
+    monkeypatch.setattr("turtleact.app.open_world", open_world)
+    said = "--speed 2 --turtles 3 --placing ring --seed 5 --collide --paused"
+    assert turtleact("serve", *said.split()).err == "turtleact: enough\n"
+    del asked["graph"], asked["on_transition"]
+    assert asked == {
+        "speed": 2.0,
+        "turtles": 3,
+        "placing": "ring",
+        "seed": 5,
+        "collide": True,
+        "paused": True,
+    }
+
+
+@pytest.mark.parametrize(
+    ("count", "said"),
+    [
+        (0, "nothing"),
+        (2, "/0, /1"),
+        (12, "/0, /1, /2, /3, /4, /5, /6, /7, /8, /9, /10, /11"),
+        (13, "/0, /1, /2, /3, /4, /5, /6, /7, /8, /9, /10, and 2 more"),
+    ],
+)
+def test_a_server_tells_of_a_few_of_many_actions(count, said):
+    assert _listed([f"/{number}" for number in range(count)]) == said
 
 
 def test_the_world_is_served_with_its_actions(tmp_path):

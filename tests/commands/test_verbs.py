@@ -57,6 +57,7 @@ USAGE = [
         ["serve", "--web", "0", "--allow-origin", "example.com"],
         "--allow-origin is an origin such as https://example.com, not 'example.com'",
     ),
+    (["serve", "--placing", "row"], "--placing is random, grid, ring, not 'row'"),
     (["serve", "--turtles", "0"], "--turtles is a whole number, 1 to 10000"),
     (["serve", "--seed", "-1"], "--seed is a whole number"),
     (["run", "turtlesim", "mimic"], "'turtlesim mimic' is not there: turtleact runs"),
