@@ -36,7 +36,10 @@ class Peer(Protocol):
         """Send a goal, and wait until it has been answered."""
 
     async def tell(self, label: str, word: str, *numbers: int) -> None:
-        """Let the body of a goal go on: feedback, succeed, abort, canceled, nothing, raise."""
+        """Let the body of a goal go on: feedback, succeed, abort, canceled, raise, or return.
+
+        ``nothing`` returns without a word on how the goal has ended, ``none`` without a result too.
+        """
 
     async def cancel(self, label: str | None = None, before: str | None = None) -> None:
         """Send a cancel request: of a goal, of all accepted a moment before another, or of all."""
@@ -113,6 +116,13 @@ async def a_goal_is_aborted(peer: Peer) -> None:
 async def a_body_says_nothing_of_the_end(peer: Peer) -> None:
     await peer.send("a")
     await peer.tell("a", "nothing")
+    await peer.status(a="ABORTED")
+    await peer.result("a")
+
+
+async def a_body_returns_none(peer: Peer) -> None:
+    await peer.send("a")
+    await peer.tell("a", "none")
     await peer.status(a="ABORTED")
     await peer.result("a")
 
@@ -303,6 +313,7 @@ SCENARIOS: dict[str, Scenario] = {
         a_goal_succeeds,
         a_goal_is_aborted,
         a_body_says_nothing_of_the_end,
+        a_body_returns_none,
         a_body_raises,
         a_goal_is_rejected,
         an_id_twice,

@@ -40,6 +40,7 @@ PATIENCE = 5.0
 """How long a scenario may take (real s)."""
 
 MEANT = {
+    "a_body_returns_none": (["result of a: no answer"], ["result of a: ABORTED []"]),
     "a_second_cancel": (["cancel a: 3", "cancel all: 0"], ["cancel a: 0 a", "cancel all: 0 a"]),
     "a_goal_that_is_not_let_go": (["cancel a: 0"], ["cancel a: 1"]),
     "some_goals_are_not_let_go": (["cancel all: 0 b c"], ["cancel all: 0 c"]),
