@@ -80,4 +80,5 @@ def forget_classes() -> None:
                 each.cache_clear()
 
 
-main()
+if __name__ == "__main__":
+    main()
