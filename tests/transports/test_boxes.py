@@ -144,10 +144,13 @@ async def test_a_job_that_fails_is_logged_and_the_next_is_done(caplog):
 @pytest.mark.parametrize("anyio_backend", ["asyncio"])
 async def test_a_job_that_hangs_is_left_behind(caplog, monkeypatch):
     monkeypatch.setattr(boxes, "GRACE", 0.01)
-    outbox, gate = Outbox("a thread"), threading.Event()
-    outbox.post(gate.wait)
+    outbox, gate, seen = Outbox("a thread"), threading.Event(), []
+    outbox.post(lambda: gate.wait() and 1 / 0)
+    outbox.post(lambda: seen.append("done"))
     await outbox.aclose()
     gate.set()
+    outbox._thread.join()
+    assert seen == []
     assert caplog.messages == [
         "a peer takes nothing: the Zenoh transport leaves unsent what is left"
     ]

@@ -137,6 +137,7 @@ class Outbox:
 
     def __init__(self, name: str) -> None:
         self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
+        self._is_left = False
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
         self._thread.start()
 
@@ -149,11 +150,13 @@ class Outbox:
         self._jobs.put(None)
         await anyio.to_thread.run_sync(self._thread.join, GRACE)
         if self._thread.is_alive():
+            self._is_left = True
             logger.error("a peer takes nothing: the Zenoh transport leaves unsent what is left")
 
     def _work(self) -> None:
-        while (job := self._jobs.get()) is not None:
+        while (job := self._jobs.get()) is not None and not self._is_left:
             try:
                 job()
             except Exception:
-                logger.exception("the Zenoh transport failed on what it was to send")
+                if not self._is_left:  # else the session was closed under it
+                    logger.exception("the Zenoh transport failed on what it was to send")
