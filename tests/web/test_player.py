@@ -9,7 +9,7 @@ from typing import Any
 import anyio
 
 import turtleact
-from turtleact.interfaces import get_interface, known_interfaces, to_dict
+from turtleact.interfaces import get_interface, standard, to_dict
 from turtleact.interfaces.standard import Point
 from turtleact.web import open_web
 
@@ -20,10 +20,11 @@ LEFT_OUT = [
     "rcl_interfaces/msg/Log",  # it has to be there by itself
     "rcl_interfaces/msg/ParameterType",  # a message of constants alone is none to their parser
 ]
+SHIPPED = Path(standard.__file__).parent
 MESSAGES: dict[str, Any] = {
     f"/{name.replace('/msg/', '/').lower()}": get_interface(name)
-    for name in known_interfaces()
-    if "/msg/" in name and name not in LEFT_OUT
+    for name in (f"{file.parts[-3]}/msg/{file.stem}" for file in sorted(SHIPPED.rglob("*.msg")))
+    if name not in LEFT_OUT
 }
 
 

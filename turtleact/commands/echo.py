@@ -54,6 +54,10 @@ DONE, TIMEOUT = 0, 124
 """Exit statuses."""
 
 
+ABSENCE = 1.0
+"""A topic that nobody publishes for so long is told of (s, by the clock of the graph)."""
+
+
 class Order(NamedTuple):
     """What the user wants.
 
@@ -110,13 +114,20 @@ async def echo(node: Node, order: Order) -> int:
 
 
 async def note_absence(node: Node, name: str) -> None:
-    """Tell the user whenever the last publisher of a topic goes; ends when it is canceled."""
-    count = node.count_publishers(name)
+    """Tell the user whenever the last publisher of a topic has gone; ends when it is canceled."""
     while True:
+        await _wait_for_publishers(node, name)
+        while node.count_publishers(name):
+            await node.transport.wait_for_change()
+        async with within(ABSENCE, node.clock):  # as of one after the other, for a message each
+            await _wait_for_publishers(node, name)
+            continue
+        note(f"nobody publishes topic '{name}' any more; waiting for somebody who does")
+
+
+async def _wait_for_publishers(node: Node, name: str) -> None:
+    while not node.count_publishers(name):
         await node.transport.wait_for_change()
-        before, count = count, node.count_publishers(name)
-        if before and not count:
-            note(f"nobody publishes topic '{name}' any more; waiting for somebody who does")
 
 
 def yaml_lines(value: object) -> list[str]:
