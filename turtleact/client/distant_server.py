@@ -30,14 +30,14 @@ from turtleact.errors import (
 )
 from turtleact.goal import Goal, GoalStatus, OnFeedback, failure, status_of
 from turtleact.goal_id import new_goal_id
+from turtleact.goal_states import State
 from turtleact.interfaces import Message, snapshotter
-from turtleact.interfaces.stamps import nanoseconds, stamp_of
+from turtleact.interfaces.stamps import SECOND, stamp_of
 from turtleact.interfaces.standard import (
     UUID,
     CancelGoal,
     GoalInfo,
     GoalStatusArray,
-    GoalStatusMessage,
 )
 from turtleact.summaries import summary
 from turtleact.tasks import GRACE, Signal, Tasks
@@ -75,8 +75,8 @@ class DistantServer:
         self._now = now
         self._followed: dict[bytes, Followed] = {}
         self._status = tasks.signal()
-        self._last_told: dict[bytes, GoalStatusMessage] = {}
-        self._held: dict[bytes, GoalStatusMessage] | None = None  # the last status, if one has come
+        self._last_told: dict[bytes, State] = {}
+        self._held: dict[bytes, State] | None = None  # the last status, if one has come
 
     @property
     def is_open(self) -> bool:
@@ -253,8 +253,9 @@ class DistantServer:
             followed.take(message.feedback)
             self.signal(followed.goal).fire()
 
-    def _on_status(self, array: GoalStatusArray) -> None:
-        told = {bytes(each.goal_info.goal_id.uuid): each for each in array.status_list}
+    def _on_status(self, told: GoalStatusArray | dict[bytes, State]) -> None:
+        if isinstance(told, GoalStatusArray):
+            told = _states(told)
         self._held, self._last_told = {**self._last_told, **told}, told  # two may share the name
         for goal_id, followed in self._followed.items():
             if goal_id in self._held:
@@ -348,9 +349,21 @@ class DistantServer:
         self._links.close()
 
 
-def _update(goal: Goal, told: GoalStatusMessage) -> None:
+def _states(array: GoalStatusArray) -> dict[bytes, State]:
+    return {
+        bytes(each.goal_info.goal_id.uuid): (
+            each.goal_info.stamp.sec,
+            each.goal_info.stamp.nanosec,
+            each.status,
+        )
+        for each in array.status_list
+    }
+
+
+def _update(goal: Goal, told: State) -> None:
     """Take over what the status says of a goal; its end comes with the result."""
-    goal.stamp = nanoseconds(told.goal_info.stamp)
-    status = status_of(told.status)
+    seconds, rest, number = told
+    goal.stamp = seconds * SECOND + rest
+    status = status_of(number)
     if not status.is_terminal:
         move(goal, status)

@@ -7,6 +7,7 @@ from typing import Any, cast
 
 from turtleact.body import ActionType
 from turtleact.client.pace import Pace
+from turtleact.goal_states import read_states
 from turtleact.interfaces import Action, Implied, Message, WireFormat, implied
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
@@ -127,13 +128,18 @@ class Links:
         self._opened.append(self._cancel_goal)
 
     def watch_status(self, on_status: Callable[[Any], None]) -> None:
-        """Open the status topic; a second time does nothing."""
+        """Open the status topic; a second time does nothing.
+
+        Args:
+            on_status: Gets each message of the topic: a ``GoalStatusArray``, or what `read_states`
+                makes of one that comes as bytes.
+        """
         if not self._watches_status:
             self._watches_status = True
             self._subscribe(
                 self._names.status,
                 GoalStatusArray.type_name,
-                WireFormat(GoalStatusArray),
+                _StatusFormat(),
                 on_status,
                 STATUS_QOS,
             )
@@ -183,3 +189,15 @@ class _FeedbackFormat:
     def decode(self, data: bytes) -> Message | None:
         """A message; None if it is of another goal."""
         return self._format.decode(data) if data[GOAL_ID] in self._followed else None
+
+
+class _StatusFormat(WireFormat):
+    """Reads the status of all goals as what is needed of it."""
+
+    def __init__(self) -> None:
+        super().__init__(GoalStatusArray)
+
+    def decode(self, data: bytes) -> Any:  # noqa: ANN401  # see `Links.watch_status`
+        """The states; the message if they are written in an uncommon way."""
+        states = read_states(data)
+        return super().decode(data) if states is None else states

@@ -1,33 +1,21 @@
 """The status of all goals that a server holds, as messages and as the bytes of one.
 
-For other processes each goal is kept as the bytes it takes in the array: a server that has ended
-thousands within its ``result_timeout`` tells of all of them at each change.
-
-Source: action_msgs/msg/GoalStatusArray; rcl_action ``rcl_action_get_goal_status_array``.
+Source: rcl_action ``rcl_action_get_goal_status_array``.
 """
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from turtleact.goal import GoalStatus
+from turtleact.goal_states import pack_state, write_states
 from turtleact.interfaces.standard import GoalStatusArray, GoalStatusMessage, Time
 from turtleact.server.action_server import ActionServer
 from turtleact.server.goal_handle import ServerGoalHandle
 from turtleact.transports.base import Publication
 
 __all__ = ["StatusSource"]
-
-HEAD = struct.Struct("<4sI")
-"""The header of little-endian CDR, and the count of goals."""
-
-ENTRY = struct.Struct("<16s3xiIb")
-"""A goal's id, the stamp of its acceptance (s, ns) and its state, as they lie behind another."""
-
-UNPADDED = struct.Struct("<16siIb")
-"""The same of the first goal, which needs no padding."""
 
 
 class StatusSource:
@@ -56,10 +44,7 @@ class StatusSource:
         """The same as bytes."""
         held = self._server.held_ids()
         entries = self._entries = {key: each for key, each in self._entries.items() if key in held}
-        parts = [HEAD.pack(b"\0\1\0\0", len(entries)), *entries.values()]
-        if entries:
-            parts[1] = UNPADDED.pack(*ENTRY.unpack(parts[1]))
-        return (b"".join(parts),)
+        return (write_states(entries.values()),)
 
     def readers_changed(self, *, has_readers: bool) -> None:
         """Publish while somebody reads."""
@@ -80,4 +65,4 @@ class StatusSource:
         self.publication.refresh()
 
     def _note(self, goal_id: bytes, stamp: Time, status: GoalStatus) -> None:
-        self._entries[goal_id] = ENTRY.pack(goal_id, stamp.sec, stamp.nanosec, status)
+        self._entries[goal_id] = pack_state(goal_id, (stamp.sec, stamp.nanosec, status))

@@ -1,0 +1,61 @@
+"""The states of goals as bytes, beside what the messages themselves are written as."""
+
+from __future__ import annotations
+
+import pytest
+
+from turtleact.goal_states import pack_state, read_states, write_states
+from turtleact.interfaces import encode
+from turtleact.interfaces.standard import (
+    UUID,
+    GoalInfo,
+    GoalStatusArray,
+    GoalStatusMessage,
+    Time,
+)
+
+STATES = {bytes([number]) * 16: (number, 999_999_999 - number, number % 7) for number in range(5)}
+
+
+def message(count: int) -> bytes:
+    """The first goals as CDR writes them."""
+    return encode(
+        GoalStatusArray(
+            [
+                GoalStatusMessage(GoalInfo(UUID(goal_id), Time(seconds, rest)), number)
+                for goal_id, (seconds, rest, number) in list(STATES.items())[:count]
+            ]
+        )
+    )
+
+
+@pytest.mark.parametrize("count", range(5))
+def test_goals_are_written_as_cdr_writes_them(count):
+    packed = [pack_state(*item) for item in list(STATES.items())[:count]]
+    assert write_states(packed) == message(count)
+
+
+@pytest.mark.parametrize("behind", [b"", b"garbage"])
+@pytest.mark.parametrize("count", range(5))
+def test_goals_are_read_whatever_stands_behind_them(count, behind):
+    assert read_states(message(count) + behind) == dict(list(STATES.items())[:count])
+
+
+def test_garbage_in_the_padding_changes_nothing():
+    data = bytearray(message(2))
+    begin = 8 + 25 + 16  # the header, the first goal, the id of the second
+    data[begin : begin + 3] = b"xyz"
+    assert read_states(bytes(data)) == read_states(message(2))
+
+
+@pytest.mark.parametrize("length", [0, 3, 7, 8, 32, 33, 60])
+def test_what_is_cut_off_is_not_read(length):
+    assert read_states(message(2)[:length]) is None
+
+
+def test_a_count_that_cannot_be_is_not_read():
+    assert read_states(b"\0\1\0\0\xff\xff\xff\xff" + message(2)[8:]) is None
+
+
+def test_big_endian_bytes_are_left_to_the_general_reader():
+    assert read_states(b"\0\0\0\0" + message(1)[4:]) is None
