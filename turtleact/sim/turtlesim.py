@@ -230,22 +230,19 @@ class Turtlesim:
         return Empty.Response()
 
     async def _reset(self, _request: Empty.Request) -> Empty.Response:
+        await self._begin_anew(self._world.reset)
+        return Empty.Response()
+
+    async def _restart(self) -> None:
+        await self._begin_anew(self._world.restart)
+
+    async def _begin_anew(self, begin: Callable[[], None]) -> None:
+        """Part with all turtles, have the world make others, and welcome those."""
         async with self._roster:
             logger.info("Resetting turtlesim.")
             before = list(self._turtles.values())
             self._turtles.clear()
-            self._world.reset()
-            self._pens.forget_all()
-            await self._part_with(before)
-            self._welcome_all()
-        return Empty.Response()
-
-    async def _restart(self) -> None:
-        """As `_reset`, but to all the turtles that there were in the beginning."""
-        async with self._roster:
-            before = list(self._turtles.values())
-            self._turtles.clear()
-            self._world.restart()
+            begin()
             self._pens.forget_all()
             await self._part_with(before)
             self._welcome_all()
