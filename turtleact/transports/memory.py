@@ -138,7 +138,7 @@ class MemoryTransport:
 
     def enter(self, node: str) -> Closeable:
         """Appear in the graph as a node."""
-        return _Opened(self._appear(self._nodes, node, _nothing))
+        return _Opened(self._appear(node, _nothing, self._nodes))
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """All endpoints of the graph, or those of a name, in the order of their opening."""
@@ -179,27 +179,28 @@ class MemoryTransport:
 
     def _appear_as(self, endpoint: Endpoint, leave: Callable[[], None]) -> Leave:
         """Show an endpoint in the graph until what is given back is called."""
-        number, name = self._opened + 1, endpoint.name
-        self._by_name.setdefault(name, {})[number] = endpoint
+        name = endpoint.name
+        namesakes = self._by_name.setdefault(name, {})
 
         def disappear() -> None:
-            namesakes = self._by_name[name]
-            del namesakes[number]
             if not namesakes:
                 del self._by_name[name]
             leave()
 
-        return self._appear(self._endpoints, endpoint, disappear)
+        return self._appear(endpoint, disappear, self._endpoints, namesakes)
 
-    def _appear(self, table: dict[int, T], entry: T, leave: Callable[[], None]) -> Leave:
-        """Show something in the graph until what is given back is called."""
+    def _appear(self, entry: T, leave: Callable[[], None], *tables: dict[int, T]) -> Leave:
+        """Show something in some tables of the graph until what is given back is called."""
         self._opened += 1
         number = self._opened
-        table[number] = entry
+        for table in tables:
+            table[number] = entry
         self.tell_change()
 
         def disappear() -> None:
-            if table.pop(number, None) is not None:
+            if number in tables[0]:
+                for table in tables:
+                    del table[number]
                 leave()
                 self.tell_change()
 
