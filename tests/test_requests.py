@@ -63,7 +63,7 @@ class Calls:
         self.is_near = is_near
 
     async def call(self, request: object) -> Reply:
-        return await self._sent(f"{self.name}").reply()
+        return await self._sent(self.name).reply()
 
     def ask(self, request: object) -> Asked | None:
         return None if self.is_near else self._sent(f"{self.name} early")

@@ -160,18 +160,17 @@ def test_the_pixels_of_a_fleet_are_those_of_every_line_in_its_order(pens, turns)
 
 
 @pytest.mark.parametrize("turns", [0.0, 0.1])
-def test_the_polylines_of_a_fleet_are_those_of_every_line(turns):
-    ways = ways_of(turns, ticks=60, seed=4)
+def test_no_place_of_a_fleet_lies_far_from_its_polylines(turns):
+    ways = ways_of(turns, ticks=30, seed=4)
     fleet = draw_fleet(Drawing(), ways, [RED])
     drawn = {place * METER for tick in ways for place in tick.tolist()}
-    for pen, points in fleet.polylines():
+    strokes = fleet.polylines()
+    for pen, points in strokes:
         assert pen == RED
         assert set(points) <= drawn
-    for places in zip(*ways, strict=True):
-        for point in places:
-            pairs = (pair for stroke in fleet.polylines() for pair in pairwise(stroke.points))
-            assert min(away(point * METER, *pair) for pair in pairs) <= TOLERANCE + 1e-6
-        break  # one of them: it takes long
+    pairs = [pair for stroke in strokes for pair in pairwise(stroke.points)]
+    for point in drawn:
+        assert any(away(point, *pair) <= TOLERANCE + 1e-6 for pair in pairs)
 
 
 def test_straight_ways_of_a_fleet_are_one_line_each():

@@ -148,7 +148,7 @@ async def test_a_goal_can_be_canceled_in_a_pause():
 
 
 async def run(pauses):
-    """Heading by heading, with or without pauses."""
+    """Pose by pose, with or without pauses; and when it is over."""
     log = []
     async with stage() as here:
         here.command(x=1.0, turn=0.7)

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
-from pathlib import Path
-
 import anyio.to_thread
 import pytest
 
@@ -14,14 +10,6 @@ from turtleact.errors import TurtleactError
 from turtleact.interfaces.standard import Twist
 from turtleact.transports import open_zenoh
 from turtleact.transports.rmw_zenoh.census import census
-
-
-@pytest.fixture
-def address():
-    """Where two sessions of this machine meet; short, as the path of a socket must be."""
-    folder = tempfile.mkdtemp(prefix="zenoh")
-    yield f"unixsock-stream/{Path(folder) / 'socket'}"
-    shutil.rmtree(folder)
 
 
 async def test_all_that_is_there_is_told_and_nobody_sees_who_asks(address):

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import re
-import shutil
 import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import threading
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import anyio
@@ -59,15 +56,6 @@ from .conformance import (
     service,
     subscription,
 )
-
-
-@pytest.fixture
-def address():
-    """Where two sessions of this machine meet; short, as the path of a socket must be."""
-    folder = tempfile.mkdtemp(prefix="zenoh")
-    yield f"unixsock-stream/{Path(folder) / 'socket'}"
-    shutil.rmtree(folder)
-
 
 ROUNDS = 3
 """How often two sessions greet each other: what one learns may be answered by the other."""
