@@ -6,5 +6,6 @@ stands in whose way. `pens` follows them over a `drawing`, which is kept as line
 (`runs` and `strips`: of a fleet); `snapshot` makes pictures. None of these knows ROS or a clock.
 
 `turtlesim`, above them, is the world as a node, with `turtle` for each of its turtles, `parameters`
-for its own, `ticking` for when it steps and `simulation` for those who rule that.
+for its own, `ticking` for when it steps, `simulation` for those who rule that, `poses` and
+`pictures` for those who look on.
 """

@@ -12,14 +12,12 @@ from msgspec import field
 
 from turtleact.interfaces import Message, float32, string
 from turtleact.interfaces.standard import Time
+from turtleact.sim.world import FEW
 
 if TYPE_CHECKING:
     from turtleact.sim.world import World
 
-__all__ = ["FEW", "Poses", "poses_of"]
-
-FEW = 16
-"""Up to so many turtles are told without numpy, which takes 0.1 s to load."""
+__all__ = ["Poses", "poses_of"]
 
 
 class Poses(Message, type_name="turtleact_interfaces/msg/Poses"):

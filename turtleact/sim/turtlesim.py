@@ -2,8 +2,8 @@
 
 For all turtles together there are the services ``spawn``, ``kill``, ``clear`` and ``reset``, and
 the parameters ``background_r``, ``background_g``, ``background_b`` and ``holonomic``; `turtle` says
-what each turtle has, `simulation` what there is for time. Above `kinematics` and `world`, only
-these modules know ROS, and only `ticking` and this one know time.
+what each turtle has, `simulation` what there is for time, `poses` and `pictures` for those who look
+on. Only these modules, this one and `parameters` know ROS, and only `ticking` and this one a clock.
 
 Where turtlesim would end (a turtle that cannot be called so) or turn for ever (numbers that are not
 finite), this logs and goes on.
@@ -27,11 +27,12 @@ from turtleact.sim.canvas import Colour
 from turtleact.sim.parameters import Parameters
 from turtleact.sim.pens import Pens
 from turtleact.sim.pictures import Pictures
-from turtleact.sim.poses import FEW, Poses, poses_of
+from turtleact.sim.poses import Poses, poses_of
 from turtleact.sim.simulation import Simulation
 from turtleact.sim.snapshot import BACKGROUND, Figure, Snapshot, thumbnail
 from turtleact.sim.ticking import Ticking
 from turtleact.sim.turtle import TOPIC_QOS, Turtle
+from turtleact.sim.world import FEW
 from turtleact.tasks import Background
 
 if TYPE_CHECKING:
@@ -44,7 +45,6 @@ if TYPE_CHECKING:
 __all__ = ["Turtlesim"]
 
 logger = logging.getLogger("turtleact.turtlesim")
-
 
 MOST_SHOWN: Final = 100
 """Of a fleet, so many turtles are on the graph of other processes at once, the rest on demand."""

@@ -38,10 +38,10 @@ if TYPE_CHECKING:
     from turtleact.sim.kinematics import Hits, Turtles
     from turtleact.sim.placing import Teleport
 
-__all__ = ["Pose", "World"]
+__all__ = ["FEW", "Pose", "World"]
 
-_FEW = 16
-"""Up to so many turtles plain floats are faster than arrays."""
+FEW = 16
+"""Up to so many turtles plain floats are faster than arrays, and numpy is not loaded (0.1 s)."""
 
 
 class Pose(NamedTuple):
@@ -389,7 +389,7 @@ class World:
 
 
 def _turtles(places: list[Place], rule: StepRule) -> Turtles:
-    if len(places) <= _FEW:
+    if len(places) <= FEW:
         return Handful(places, rule)
     from turtleact.sim.fleet import Fleet  # numpy costs 0.1 s: only a fleet waits for it
 
