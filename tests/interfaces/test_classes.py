@@ -11,11 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from turtleact.errors import InvalidInterface, UnknownInterface
-from turtleact.interfaces import from_dict, from_text, snapshot, to_dict, to_yaml
+from turtleact.interfaces import from_dict, from_text, implied, snapshot, to_dict, to_yaml
 from turtleact.interfaces.classes import (
     class_of,
     get_interface,
-    implied_types,
     interface_source,
     interface_text,
     known_interfaces,
@@ -120,11 +119,11 @@ def test_an_action_implies_services(name):
 
 
 def test_implied_types_are_built_on_the_actions_own():
-    assert nested_classes(implied_types(Fibonacci).send_goal.Request) == (UUID, Fibonacci.Goal)
+    assert nested_classes(implied(Fibonacci).send_goal.Request) == (UUID, Fibonacci.Goal)
 
 
 def test_implied_types_are_made_once():
-    assert implied_types(Fibonacci) is implied_types(Fibonacci)
+    assert implied(Fibonacci) is implied(Fibonacci)
 
 
 def test_a_service_implies_its_parts():

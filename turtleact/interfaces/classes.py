@@ -21,7 +21,7 @@ from turtleact.interfaces.definition import (
     nearest,
     type_name_pattern,
 )
-from turtleact.interfaces.implying import implied, owner_and_part, part_of
+from turtleact.interfaces.implying import owner_and_part, part_of
 from turtleact.interfaces.making import make_action, make_message, make_service
 from turtleact.interfaces.parse import parse
 from turtleact.interfaces.registry import REGISTRY
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 __all__ = [
     "class_of",
     "get_interface",
-    "implied_types",
     "interface_source",
     "interface_text",
     "known_interfaces",
@@ -55,9 +54,6 @@ DECLARED = {
     "rcl_interfaces": "turtleact.interfaces.standard.parameters",
     "simulation_interfaces": "turtleact.interfaces.standard.simulation",
 }
-
-#: The former name of ``implied``.
-implied_types = implied
 
 
 def get_interface(type_name: str) -> Interface:
