@@ -93,8 +93,8 @@ async def open_world(
         collide: Whether turtles stop each other where they meet.
         paused: Whether time stands still until somebody steps or resumes the world.
         graph: Opens the graph that the world is on; one within the process if left out.
-        on_start: Given the turtles, before anything can be asked of them.
         on_transition: Told of each change of the world's goals; see `Node.on_transition`.
+        on_start: Given the turtles, before anything can be asked of them.
 
     Raises:
         SimError: if the speed or the number of turtles is out of range, or there is no such

@@ -65,7 +65,7 @@ class Graph(msgspec.Struct, frozen=True):
     """What exists, as a node sees it now.
 
     Attributes:
-        nodes: The names of the nodes, sorted.
+        nodes: The fully qualified names of the nodes, sorted.
         topics: Topic name to the types used on it; the hidden ones of actions are left out.
         services: Service name to its types; likewise.
         actions: Action name to the types that are served under it.
@@ -83,7 +83,8 @@ class Node:
     Whatever opens something raises `TurtleactError` once the node is closed.
 
     Attributes:
-        name, namespace: Its name, and what its relative names begin with.
+        name: Its name.
+        namespace: What its relative names begin with.
         clock: The time of its graph: what a body that waits should wait by.
         transport: How it talks with others.
         is_open: Whether something can be opened on it.
@@ -96,7 +97,8 @@ class Node:
         self.namespace = resolve_name(namespace) if namespace != "/" else "/"
         self.clock: Clock = transport.clock
         self.transport = transport
-        self.is_open, self.on_demand = True, False
+        self.is_open = True
+        self.on_demand = False
         self._tasks = current_tasks()
         self._count = 0
         self._opened: dict[int, _Closing] = {}

@@ -97,7 +97,7 @@ class Links:
         return await self._cancels.call(self._cancel_goal, request)
 
     def ask(self, request: object) -> Asked | None:
-        """The same to a server of our kind, sent now; None if that takes waiting."""
+        """Send what `send` does, now, to a server of our kind; None if that takes waiting."""
         return self._send_goal.ask(request)
 
     def open(self, on_feedback: Callable[[Any], None], followed: Container[bytes]) -> None:

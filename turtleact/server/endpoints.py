@@ -30,11 +30,7 @@ from turtleact.goal import CancelCode, Goal, GoalStatus
 from turtleact.goal_note import GoalNote
 from turtleact.interfaces import Action, Implied, Message, WireFormat, implied
 from turtleact.interfaces.stamps import nanoseconds, stamp_of
-from turtleact.interfaces.standard import (
-    UUID,
-    CancelGoal,
-    GoalStatusArray,
-)
+from turtleact.interfaces.standard import UUID, CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
 from turtleact.server.action_server import SHUTDOWN, ActionServer
 from turtleact.server.status import StatusSource
@@ -45,7 +41,6 @@ from turtleact.transports.base import STATUS_QOS, MakeEndpoint, Publication, Rep
 __all__ = ["ActionEndpoints"]
 
 logger = logging.getLogger("turtleact.server")
-
 
 NAMELESS = "zeros name no goal: nobody could ask for it"
 """Why a goal of the id zero is rejected."""

@@ -30,7 +30,10 @@ BODY: Final = 0.3
 """The radius of a turtle (m): of what a picture shows, without head and tail."""
 
 _COLUMNS: Final = 1 << 20
+"""By so much the number of a cell grows from row to row: more than there are columns."""
+
 _AROUND: Final = [row * _COLUMNS + column for row in (-1, 0, 1) for column in (-1, 0, 1)]
+"""From the number of a cell to those of its neighbours, and its own."""
 
 
 def stopped(before: Sequence[complex], after: Sequence[complex], radius: float = BODY) -> list[int]:
@@ -39,10 +42,10 @@ def stopped(before: Sequence[complex], after: Sequence[complex], radius: float =
     Args:
         before: Where the turtles were before the step.
         after: Where it would bring them.
-        radius: Of each.
+        radius: Of each (m).
 
     Returns:
-        Their indices.
+        Their indices, in order.
     """
     here, there = np.asarray(before), np.asarray(after)
     moves = here != there
@@ -59,7 +62,7 @@ def stopped(before: Sequence[complex], after: Sequence[complex], radius: float =
 
 
 def _near(places: _Places, some: _Indices, distance: float) -> tuple[_Indices, _Indices]:
-    """The pairs that are nearer than a distance, of some turtles with any."""
+    """The pairs that are nearer than a distance (m), of some turtles with any."""
     cells = np.floor(places.imag / distance).astype(np.int64) * _COLUMNS
     cells += np.floor(places.real / distance).astype(np.int64)
     order = np.argsort(cells, kind="stable")

@@ -164,7 +164,11 @@ _SHIFT = (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 
 
 def check_finite(turtle: str, **numbers: float) -> None:
-    """Raise what a user is to be told of a number that is none."""
+    """Check numbers that a user gives for a turtle, each under its name.
+
+    Raises:
+        SimError: for the first that is not finite.
+    """
     for what, value in numbers.items():
         if not math.isfinite(value):
             raise SimError(f"{what} is {value}: give a finite number", turtle=turtle)

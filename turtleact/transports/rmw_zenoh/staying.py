@@ -13,7 +13,6 @@ import threading
 
 __all__ = ["stay"]
 
-
 _here = threading.local()
 
 

@@ -68,7 +68,8 @@ class WirePublication:
         self._sent = link.tasks.signal()
         self._told_readers = False
         self._has_near_readers = False
-        wakes = "" if self._is_latched and source is None else named.on_demand  # a history is told
+        # What a latched topic has told is kept by what is declared, so that is done at once.
+        wakes = "" if self._is_latched and source is None else named.on_demand
         self._presence = Presence(
             link, named.token, self._declare, on_demand=wakes, on_wake=self.refresh
         )
