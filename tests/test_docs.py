@@ -262,6 +262,14 @@ def test_the_layers_are_those_of_the_import_contract():
     assert shown == re.sub(r"[()]", "", rows).splitlines()
 
 
+def test_every_module_of_the_way_to_other_processes_is_described():
+    page = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+    section = page.partition("## To other processes\n")[2].partition("\n## ")[0]
+    rows = [line.split("|")[1] for line in section.splitlines() if line.startswith("| `")]
+    modules = (ROOT / "turtleact" / "transports" / "rmw_zenoh").glob("[!_]*.py")
+    assert sorted(re.findall(r"\w+", "".join(rows))) == sorted(path.stem for path in modules)
+
+
 def test_the_picture_of_the_patrol_is_what_its_script_draws():
     outcome = run([sys.executable, "scripts/record_patrol.py"], ROOT)
     assert outcome.stdout == (ROOT / "docs" / "patrol.svg").read_text("utf-8")
