@@ -1,9 +1,9 @@
 """What does a fleet cost on one router, and what of it grows faster than the fleet?
 
 Robots are nodes with an action server each, in ten processes at most, as a process costs more
-memory than a node; their clients are nodes in ten others. "pairs" have a client for each server,
-"shared" is one server for all clients. Peers talk with each other directly, once the router has
-made them acquainted; clients talk through it alone. A goal gives ten feedback messages of ten ints;
+memory than a node; their clients are nodes in ten others. There is a client for each server, or
+one server for all clients. Peers talk with each other directly, once the router has made them
+acquainted; clients talk through it alone. A goal gives ten feedback messages of ten ints;
 it is entered, so that its client follows the status topic too.
 
 In each row all declare what they have at once, and it is timed until each client can reach its
