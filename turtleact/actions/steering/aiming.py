@@ -16,6 +16,7 @@ from turtleact.actions.steering.limits import Area, Limits
 from turtleact.geometry import saturate, wrap_angle
 
 __all__ = [
+    "MISS",
     "Frame",
     "approach",
     "inside",
@@ -28,8 +29,10 @@ __all__ = [
     "turn_to",
 ]
 
+MISS = 0.9
+"""Share of the tolerance by which a turning circle may miss the target."""
+
 _CUT = 0.75  # Share of the tolerance by which an aim is moved to the inner side of a corner.
-_HIT = 0.9  # Share of the tolerance by which a turning circle may miss the target.
 _FACING = 0.5  # Cosine of the angle to the target within which an approach is shaped,
 _SWING = 1.0 / 3.0  # and over what share of the way at most.
 _MARGIN = 1e-3  # How far aims keep from the edge of the area (m), or a tenth of the tolerance.
@@ -149,7 +152,7 @@ def sweep(frame: Frame, target: complex, after: complex, limits: Limits, *, area
     begun = complex(seen.real, side * seen.imag) * cmath.rect(1.0, -limits.turn / 2)
     out = complex(limits.radius - begun.imag, begun.real)  # from the centre of the circle
     swept = cmath.phase(out)
-    if abs(abs(out) - limits.radius) > _HIT * limits.tolerance:
+    if abs(abs(out) - limits.radius) > MISS * limits.tolerance:
         return 0.0
     if not limits.turn < swept <= min(abs(turn), math.pi / 2):
         return 0.0

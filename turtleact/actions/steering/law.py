@@ -47,6 +47,7 @@ from typing import TYPE_CHECKING, get_args
 import msgspec
 
 from turtleact.actions.steering.aiming import (
+    MISS,
     Frame,
     approach,
     inside,
@@ -68,7 +69,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Steering"]
 
-_MISS = 0.9  # By what share of the tolerance a turning circle may miss the target.
 # In half turns: the sharpest corner that a style takes without changing gear.
 _CORNER: dict[Style, float] = {"arc": 0.5, "forward": 1.0}
 _SHARE = 0.5  # Of the highest speed that a turn allows: what an eased turtle makes of it.
@@ -181,7 +181,7 @@ class Steering(msgspec.Struct, frozen=True):
         self, frame: Frame, goal: complex, after: complex | None, turning: float
     ) -> Speeds:
         """Both speeds, in the gear, where they may change at once."""
-        limits, miss = self.limits, _MISS * self.limits.tolerance
+        limits, miss = self.limits, MISS * self.limits.tolerance
         if after is not None and abs(after - goal) <= 2.0 * miss:
             # Both are reached from between them.
             miss -= abs(after - goal) / 2
