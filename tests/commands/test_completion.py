@@ -54,6 +54,12 @@ def there(monkeypatch):
 
 
 @pytest.fixture
+def patient(monkeypatch):
+    """A completion that may take its time; its deadline would end the tests, and with success."""
+    monkeypatch.setattr(completion, "PATIENCE", 60.0)
+
+
+@pytest.fixture
 def nowhere(monkeypatch):
     """No graph in reach."""
 
@@ -299,7 +305,7 @@ def test_bash_is_told_what_it_would_expand_in_quotes():
         ["x", "param", "get", "--config", "no_such_file", "/n", ""],
     ],
 )
-@pytest.mark.usefixtures("nowhere")
+@pytest.mark.usefixtures("nowhere", "patient")
 def test_what_cannot_be_completed_is_silent(capsys, words):
     assert complete("bash", words) == 0
     assert capsys.readouterr() == ("", "")
@@ -326,8 +332,8 @@ def test_a_graph_that_does_not_answer_is_not_waited_for():
 def test_a_tab_imports_no_more_than_it_needs(words, needs):
     heavy = {"anyio", "asyncio", "numpy", "pydantic", "rich", "typer", "yaml", "zenoh"}
     code = (
-        f"import sys; from turtleact.commands.completion import complete;"
-        f"complete('bash', {words}); print(*sorted({heavy} & {{*sys.modules}}))"
+        f"import sys; from turtleact.commands import completion; completion.PATIENCE = 60.0;"
+        f"completion.complete('bash', {words}); print(*sorted({heavy} & {{*sys.modules}}))"
     )
     out = subprocess.check_output([sys.executable, "-c", code], text=True)
     assert out.splitlines()[-1].split() == needs
@@ -437,6 +443,7 @@ def test_a_place_that_cannot_be_written_is_told(turtleact, tmp_path, monkeypatch
     )
 
 
+@pytest.mark.usefixtures("patient")
 def test_main_completes_before_anything_else(monkeypatch, capsys):
     def leave(status):
         raise SystemExit(status)

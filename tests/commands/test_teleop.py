@@ -220,12 +220,23 @@ def test_a_keyboard_that_goes_away_is_the_end(on_graph, keyboard, monkeypatch):
 
 
 def test_keys_that_are_typed_for_another_program_are_left_to_it(on_graph, keyboard, monkeypatch):
-    looks = iter([True, False])
-    robot = Robot()
-    monkeypatch.setattr(Region, "is_in_foreground", lambda _: next(looks, True))
+    looks, seen, seen_at_the_reading = iter([True, False]), [], []
+    robot, read = Robot(), os.read
+
+    def look(_):
+        seen.append(next(looks, True))
+        return seen[-1]
+
+    def note_and_read(*arguments):
+        seen_at_the_reading.append(tuple(seen))
+        return read(*arguments)
+
+    monkeypatch.setattr(Region, "is_in_foreground", look)
+    monkeypatch.setattr(os, "read", note_and_read)
     monkeypatch.setattr(teleop, "BACKGROUND", 0.01)
     typed(keyboard, "up", "q")
     assert on_graph(robot, "teleop", "--plain").status == 0
+    assert seen_at_the_reading == [(True, False, True)]
     assert robot.twists == [(2.0, 0.0)]
 
 
