@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from turtleact.commands.kinds import Kind, types_by_name
+from turtleact.commands.kinds import is_hidden_node, types_by_name
 from turtleact.errors import TurtleactError, UnknownInterface
 
 if TYPE_CHECKING:
@@ -83,8 +83,7 @@ def nodes(where: Reach) -> list[str]:
     Raises:
         TurtleactError: if there is no such graph in reach.
     """
-    names = _census(where).nodes()
-    return sorted({name for name in names if not name.rpartition("/")[2].startswith("_")})
+    return sorted({name for name in _census(where).nodes() if not is_hidden_node(name)})
 
 
 def goals(where: Reach) -> dict[str, str]:

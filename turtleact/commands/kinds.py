@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from turtleact.transports.base import Endpoint, EndpointKind
 
-__all__ = ["Kind", "types_by_name"]
+__all__ = ["Kind", "is_hidden_node", "types_by_name"]
 
 Kind = Literal["action", "service", "topic"]
 
@@ -48,3 +48,12 @@ def types_by_name(
         if hidden or "/_" not in name:
             found.setdefault(name, set()).add(type_name)
     return {name: tuple(sorted(types)) for name, types in sorted(found.items())}
+
+
+def is_hidden_node(name: str) -> bool:
+    """Whether a node is hidden: its own name begins with an underscore.
+
+    >>> is_hidden_node("/_ros2cli"), is_hidden_node("/_lab/turtlesim")
+    (True, False)
+    """
+    return name.rpartition("/")[2].startswith("_")

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from turtleact.commands.graph import names_like, say_names
-from turtleact.commands.kinds import Kind, types_by_name
+from turtleact.commands.kinds import Kind, is_hidden_node, types_by_name
 from turtleact.commands.stderr import note
 from turtleact.errors import TurtleactError, UnknownInterface
 from turtleact.interfaces import get_interface, type_hash
@@ -196,7 +196,7 @@ def _hash_of(type_name: str) -> str:
 
 async def print_nodes(node: Node, *, count: bool, hidden: bool) -> int:
     """Print the names of all nodes, or how many there are; those that share a name are noted."""
-    names = sorted(name for name in node.transport.nodes() if hidden or not _is_hidden_node(name))
+    names = sorted(name for name in node.transport.nodes() if hidden or not is_hidden_node(name))
     shared = [name for name, number in Counter(names).items() if number > 1]
     if shared:
         note(f"several nodes share a name, which makes them hard to tell: {', '.join(shared)}")
@@ -210,7 +210,7 @@ async def print_node_info(node: Node, name: str, *, hidden: bool) -> int:
     Raises:
         TurtleactError: if there is no such node, with the nearest.
     """
-    names = [each for each in node.transport.nodes() if hidden or not _is_hidden_node(each)]
+    names = [each for each in node.transport.nodes() if hidden or not is_hidden_node(each)]
     name = _full(name)
     if name not in names:
         raise TurtleactError(f"node '{name}': there is none of that name{names_like(name, names)}")
@@ -231,10 +231,6 @@ async def print_node_info(node: Node, name: str, *, hidden: bool) -> int:
         found = types_by_name(own, kind, end, hidden=hidden)
         _say_lines([f"    {each}: {', '.join(types)}" for each, types in found.items()] or [""])
     return FOUND
-
-
-def _is_hidden_node(name: str) -> bool:
-    return name.rpartition("/")[2].startswith("_")
 
 
 # what they share

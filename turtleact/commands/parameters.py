@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from turtleact.clock import within
 from turtleact.commands.graph import names_like, say_names
-from turtleact.commands.kinds import types_by_name
+from turtleact.commands.kinds import is_hidden_node, types_by_name
 from turtleact.commands.parameter_values import BELOW, KINDS, WILDCARD, kind_name, plain
 from turtleact.commands.stderr import note
 from turtleact.errors import TurtleactError, UsageError
@@ -229,8 +229,7 @@ async def _find(node: Node, owner: Owner) -> str:
 
 
 def _nodes(node: Node, *, hidden: bool) -> list[str]:
-    names = node.transport.nodes()
-    return [name for name in names if hidden or not name.rpartition("/")[2].startswith("_")]
+    return [name for name in node.transport.nodes() if hidden or not is_hidden_node(name)]
 
 
 def _has_parameters(node: Node, name: str) -> bool:

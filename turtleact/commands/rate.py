@@ -17,6 +17,7 @@ from turtleact.commands.stderr import note
 from turtleact.commands.transcript import say
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import Message, encode
+from turtleact.interfaces.stamps import nanoseconds
 from turtleact.interfaces.types import fields
 from turtleact.names import resolve_name
 from turtleact.transports import QoS
@@ -142,7 +143,7 @@ class Delay:
     def add(self, now: int, message: Message) -> None:
         """Note how old a message is."""
         stamp = message.header.stamp  # type: ignore[attr-defined]  # as `begin` has seen
-        self._delays.append(now - stamp.sec * 1_000_000_000 - stamp.nanosec)
+        self._delays.append(now - nanoseconds(stamp))
         self._is_news = True
 
     def line(self, now: int) -> str:  # noqa: ARG002  # how old they were then is what counts

@@ -8,13 +8,14 @@ there already, and what is begun (``incomplete``). It gives what may stand there
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import typer
 
 from turtleact.errors import TurtleactError
 
 if TYPE_CHECKING:
+    from turtleact.commands.kinds import Kind
     from turtleact.commands.verbs.arguments import Reach
 
 __all__ = [
@@ -34,7 +35,6 @@ __all__ = [
 
 Candidates: TypeAlias = list[str] | list[tuple[str, str]]
 Complete: TypeAlias = Callable[..., Candidates]
-Kind: TypeAlias = Literal["action", "service", "topic"]
 
 SUFFIXES = {"action": "action", "service": "srv", "topic": "msg"}
 """What the kinds of interfaces are called in their names."""
