@@ -12,8 +12,8 @@ from turtleact.errors import UsageError
 
 @pytest.fixture
 def read(interrupts):
-    def read(given=None, *, stdin=False, path=None):
-        return GoalText.read(given, stdin=stdin, path=path, interrupts=interrupts)
+    def read(given=None, *, stdin=False, path=None, what="goal"):
+        return GoalText.read(given, stdin=stdin, path=path, interrupts=interrupts, what=what)
 
     return read
 
@@ -85,9 +85,10 @@ def test_a_file_that_is_not_utf8_is_an_error(read, tmp_path):
         read(path=str(path))
 
 
-def test_an_endless_file_is_an_error(read):
-    with pytest.raises(UsageError, match=f"/dev/zero: is longer than {MOST} bytes"):
-        read(path="/dev/zero")
+@pytest.mark.parametrize("what", ["goal", "request"])
+def test_an_endless_file_is_an_error(read, what):
+    with pytest.raises(UsageError, match=f"/dev/zero: is longer than {MOST} bytes; no {what} is"):
+        read(path="/dev/zero", what=what)
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 __all__ = ["GoalText"]
 
 MOST = 2**22
-"""Bytes that are read of a file or a pipe: no goal that is taken is longer."""
+"""Bytes that are read of a file or a pipe: no message that is taken is longer."""
 
 
 class GoalText(NamedTuple):
@@ -55,19 +55,19 @@ class GoalText(NamedTuple):
             text, source = "{}" if given is None else given, what
         else:
             source = "stdin" if path is None else path if path.isprintable() else ascii(path)
-            text = _decoded(_read(path, source, interrupts), source)
+            text = _decoded(_read(path, source, interrupts, what), source)
         if not text.strip():  # whoever was to say it has failed
             raise UsageError(f"{source}: is empty; the default {what} is {{}}")
         return cls(text, source)
 
 
-def _read(path: str | None, source: str, interrupts: Interrupts) -> bytes:
+def _read(path: str | None, source: str, interrupts: Interrupts, what: str) -> bytes:
     try:
         data = _read_stdin(interrupts) if path is None else _read_file(path, interrupts)
     except OSError as error:
         raise UsageError(f"{source}: cannot be read: {error.strerror}") from None
     if len(data) > MOST:
-        raise UsageError(f"{source}: is longer than {MOST} bytes; no goal is")
+        raise UsageError(f"{source}: is longer than {MOST} bytes; no {what} is")
     return data
 
 
