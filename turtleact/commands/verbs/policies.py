@@ -18,39 +18,6 @@ __all__ = ["Depth", "Durability", "Profile", "Reliability", "read_policies"]
 
 P = TypeVar("P")
 
-Profile = Annotated[
-    str | None,
-    typer.Option(
-        "--qos-profile",
-        metavar="NAME",
-        help="A set of policies, such as sensor_data; single ones are said besides.",
-        autocompletion=completing.words(
-            "sensor_data", "services_default", "parameters", "action_status_default"
-        ),
-    ),
-]
-Reliability = Annotated[
-    str | None,
-    typer.Option(
-        "--qos-reliability",
-        metavar="POLICY",
-        help="reliable or best_effort.",
-        autocompletion=completing.words("reliable", "best_effort"),
-    ),
-]
-Durability = Annotated[
-    str | None,
-    typer.Option(
-        "--qos-durability",
-        metavar="POLICY",
-        help="volatile or transient_local.",
-        autocompletion=completing.words("volatile", "transient_local"),
-    ),
-]
-Depth = Annotated[
-    str | None, typer.Option("--qos-depth", metavar="N", help="How many messages are kept.")
-]
-
 _RELIABILITIES: dict[str, policies.Reliability] = {
     "reliable": "reliable",
     "best_effort": "best_effort",
@@ -70,6 +37,37 @@ _PROFILES: dict[str, policies.Policies] = {
     "system_default": policies.Policies(),
 }
 """Source: rmw ``qos_profiles.h``."""
+
+Profile = Annotated[
+    str | None,
+    typer.Option(
+        "--qos-profile",
+        metavar="NAME",
+        help="A set of policies, such as sensor_data; single ones are said besides.",
+        autocompletion=completing.words(*_PROFILES),
+    ),
+]
+Reliability = Annotated[
+    str | None,
+    typer.Option(
+        "--qos-reliability",
+        metavar="POLICY",
+        help="reliable or best_effort.",
+        autocompletion=completing.words(*_RELIABILITIES),
+    ),
+]
+Durability = Annotated[
+    str | None,
+    typer.Option(
+        "--qos-durability",
+        metavar="POLICY",
+        help="volatile or transient_local.",
+        autocompletion=completing.words(*_DURABILITIES),
+    ),
+]
+Depth = Annotated[
+    str | None, typer.Option("--qos-depth", metavar="N", help="How many messages are kept.")
+]
 
 
 def read_policies(
