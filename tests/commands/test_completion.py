@@ -93,6 +93,8 @@ def test_verbs_are_completed_and_told_of():
         (["serve", "--no"], ["--no-sim"]),
         (["topic", "echo", "/x", "--qos-durability", "v"], ["volatile"]),
         (["topic", "echo", "/x", "--qos-reliability", ""], ["reliable", "best_effort"]),
+        (["topic", "echo", "/x", "--qos-profile", "se"], ["sensor_data", "services_default"]),
+        (["topic", "pub", "/x", "--qos-profile", "b"], ["best_available"]),
         (["send-goal", "x", "--speed", ""], ["max"]),
         (["topic", "echo", "/x", "--timeout", ""], []),
         (["nonsense", ""], list(VERBS)),
@@ -391,7 +393,7 @@ def test_a_shell_can_read_its_script(shell):
 def test_the_script_of_a_shell_is_shown(turtleact, shell):
     shown = turtleact("--show-completion", shell)
     assert shown.out == shells.SCRIPTS[Path(shell).name]
-    assert shells.VARIABLE in shown.out
+    assert "_TURTLEACT_COMPLETE" in shown.out
 
 
 def test_the_shell_is_that_of_the_user(turtleact, monkeypatch):
@@ -448,7 +450,7 @@ def test_main_completes_before_anything_else(monkeypatch, capsys):
     def leave(status):
         raise SystemExit(status)
 
-    monkeypatch.setenv(shells.VARIABLE, "bash")
+    monkeypatch.setenv("_TURTLEACT_COMPLETE", "bash")
     monkeypatch.setattr(sys, "argv", ["turtleact", "turtleact", "inter"])
     monkeypatch.setattr("turtleact.commands.interrupts.leave", leave)
     with pytest.raises(SystemExit) as left:

@@ -53,7 +53,6 @@ PATIENCE = 0.5
 ROUND_TRIPS = 5
 """So many more: who keeps it is to be found, and asked, perhaps by a router in between."""
 
-
 ANSWER = 2.0
 """How long a server has to answer (s, likewise)."""
 

@@ -41,7 +41,6 @@ GRACE = 0.5
 LONGEST = 1e9
 """Wall seconds that the system's alarm clock can be set to without harm: 31 years."""
 
-
 CHUNK = 2**16
 """Bytes that are read at once: what a pipe holds on Linux."""
 

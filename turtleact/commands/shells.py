@@ -14,9 +14,7 @@ from typing import Final
 
 from turtleact.errors import TurtleactError, UsageError
 
-__all__ = ["SCRIPTS", "VARIABLE", "install", "script"]
-
-VARIABLE: Final = "_TURTLEACT_COMPLETE"
+__all__ = ["SCRIPTS", "install", "script"]
 
 _BASH: Final = """\
 _turtleact_completion() {

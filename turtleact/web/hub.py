@@ -23,7 +23,6 @@ from turtleact.web.values import json_values
 
 __all__ = ["Hub", "Limits"]
 
-
 Req = TypeVar("Req", bound=Message)
 Res = TypeVar("Res", bound=Message)
 

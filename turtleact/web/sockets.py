@@ -25,7 +25,6 @@ logger = logging.getLogger("turtleact.web")
 REQUEST_WITHIN: Final = 10.0
 """So long a client has to say what it wants (s)."""
 
-
 MOST_PINGS: Final = 100
 """So often a client may ask in a second whether the server is there."""
 

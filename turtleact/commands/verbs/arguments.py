@@ -107,8 +107,6 @@ Interfaces = Annotated[
         "--interfaces", metavar="DIR", help="A folder with interfaces: PACKAGE/KIND/NAME.EXT."
     ),
 ]
-
-
 Config = Annotated[
     str | None,
     typer.Option("--config", metavar="FILE", help="A TOML file with certificates and passwords."),

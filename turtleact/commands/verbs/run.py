@@ -25,7 +25,6 @@ _PROGRAMS = (
 )
 """The programs of ROS 2 that have their like here; those of other packages serve Fibonacci."""
 
-
 _RosArguments = Annotated[
     list[str] | None,
     typer.Argument(

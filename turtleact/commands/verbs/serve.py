@@ -63,7 +63,8 @@ _Hosts = Annotated[
     typer.Option(
         "--allow-host",
         metavar="NAME",
-        help="What clients of --web may call this machine, besides its addresses.",
+        help="What clients of --web may call this machine, besides its addresses; several with "
+        "commas between.",
     ),
 ]
 _Origins = Annotated[
@@ -71,7 +72,8 @@ _Origins = Annotated[
     typer.Option(
         "--allow-origin",
         metavar="ORIGIN",
-        help="Whose pages may be clients of --web, such as https://example.com.",
+        help="Whose pages may be clients of --web, such as https://example.com; several with "
+        "commas between.",
     ),
 ]
 _Insecure = Annotated[
