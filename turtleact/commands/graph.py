@@ -23,6 +23,8 @@ from turtleact.interfaces.definition import did_you_mean
 from turtleact.node import Node, open_node
 
 if TYPE_CHECKING:
+    from contextlib import AbstractAsyncContextManager
+
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.verbs.arguments import Reach
     from turtleact.interfaces import Action, Message, Service
@@ -37,9 +39,11 @@ __all__ = [
     "open_transport",
     "run",
     "say_names",
+    "until_interrupted",
 ]
 
 I = TypeVar("I", bound="Message | Service | Action")  # noqa: E741  # an interface
+T = TypeVar("T")
 
 Look: TypeAlias = Callable[[Node], Awaitable[int]]
 """Looks at the graph and gives the exit status."""
@@ -85,7 +89,32 @@ def run(reach: Reach, look: Look, interrupts: Interrupts) -> int:
     Raises:
         TurtleactError: if there is no graph in reach; what the verb raises.
     """
-    return asyncio.run(_run(reach, look, interrupts))
+    return asyncio.run(until_interrupted(open_graph(reach), look, interrupts))
+
+
+async def until_interrupted(
+    opened: AbstractAsyncContextManager[T],
+    act: Callable[[T], Awaitable[int]],
+    interrupts: Interrupts,
+) -> int:
+    """Open something and act on it, until that or a signal ends it, and give the exit status.
+
+    Args:
+        opened: What is opened, and closed at the end.
+        act: Gives the exit status; a signal cancels it, and the opening and closing, too.
+        interrupts: The signals.
+
+    Raises:
+        TurtleactError: if it cannot be opened; what the acting raises.
+    """
+    status: int | None = None
+    with interrupts.listening(asyncio.get_running_loop()):
+        async with anyio.create_task_group() as beside:
+            beside.start_soon(_heed_interrupts, interrupts, beside.cancel_scope)
+            async with opened as it:
+                status = await act(it)
+            beside.cancel_scope.cancel()
+    return interrupts.status if status is None else status
 
 
 def interface_class(base: type[I], type_name: str, where: str = "") -> type[I]:
@@ -147,17 +176,6 @@ def names_like(name: str, known: Iterable[str]) -> str:
 def say_names(text: str) -> None:
     """Print names of the graph: a peer may say anything there, but commands no terminal."""
     say(printable(text))
-
-
-async def _run(reach: Reach, look: Look, interrupts: Interrupts) -> int:
-    status: int | None = None
-    with interrupts.listening(asyncio.get_running_loop()):
-        async with anyio.create_task_group() as beside:
-            beside.start_soon(_heed_interrupts, interrupts, beside.cancel_scope)
-            async with open_graph(reach) as node:
-                status = await look(node)
-            beside.cancel_scope.cancel()
-    return interrupts.status if status is None else status
 
 
 async def _heed_interrupts(interrupts: Interrupts, scope: anyio.CancelScope) -> None:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import anyio
 
+from turtleact.commands import graph
 from turtleact.commands.keys import Keys
 from turtleact.commands.printed import Log
 from turtleact.commands.send_goal import embedded_world
@@ -115,27 +116,15 @@ def run(order: Order, interrupts: Interrupts) -> int:
     is_live = not order.is_plain and can_move(sys.stdout)
     region = Region(sys.stdout if is_live else sys.stdin, sys.stdin)
     interrupts.restore = region.restore
+
+    async def drive(found: tuple[Node, str]) -> int:
+        await _Driving(order, *found, region, is_live=is_live).run()
+        return OK
+
     try:
-        return asyncio.run(_run(order, region, interrupts, is_live=is_live))
+        return asyncio.run(graph.until_interrupted(_find_node(order), drive, interrupts))
     finally:
         region.restore()
-
-
-async def _run(order: Order, region: Region, interrupts: Interrupts, *, is_live: bool) -> int:
-    status: int | None = None
-    with interrupts.listening(asyncio.get_running_loop()):
-        async with anyio.create_task_group() as beside:
-            beside.start_soon(_heed_interrupts, interrupts, beside.cancel_scope)
-            async with _find_node(order) as (node, turtle):
-                await _Driving(order, node, turtle, region, is_live=is_live).run()
-                status = OK
-            beside.cancel_scope.cancel()
-    return interrupts.status if status is None else status
-
-
-async def _heed_interrupts(interrupts: Interrupts, scope: anyio.CancelScope) -> None:
-    await interrupts.wait(1)
-    scope.cancel()
 
 
 @asynccontextmanager
@@ -143,10 +132,8 @@ async def _find_node(order: Order) -> AsyncIterator[tuple[Node, str]]:
     """A node, and the turtle on its graph that is meant; if need be in a world of its own."""
     async with AsyncExitStack() as stack:
         if order.reach is not None:
-            from turtleact.commands.graph import open_transport
-
             try:
-                transport = await stack.enter_async_context(open_transport(order.reach))
+                transport = await stack.enter_async_context(graph.open_transport(order.reach))
             except UsageError:  # of the file with the locks
                 raise
             except TurtleactError:
