@@ -10,6 +10,7 @@ import shlex
 import signal
 import subprocess
 import sys
+from contextlib import asynccontextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,6 +21,8 @@ from turtleact.commands import send_goal
 from turtleact.commands.transcript import JsonTranscript
 from turtleact.errors import ServerUnavailable
 from turtleact.goal import GoalStatus
+from turtleact.transports import QoS
+from turtleact.transports.base import Endpoint
 
 STAGE = Path(__file__).with_name("stage.py")
 GOLDEN = json.loads(Path(__file__).with_name("golden").joinpath("send_goal.json").read_text())
@@ -113,7 +116,7 @@ def test_a_type_with_which_the_action_is_not_served_is_named_with_the_one_it_is(
     ("type_name", "message"),
     [
         ("example_interfaces/action/Fibonaci", f"did you mean '{FIBONACCI}'?"),
-        ("std_msgs/msg/String", "std_msgs/msg/String: it is not an action"),
+        ("std_msgs/msg/String", "std_msgs/msg/String: it is no action"),
     ],
 )
 def test_a_type_that_is_no_action_is_an_error_before_anything_is_printed(
@@ -122,6 +125,21 @@ def test_a_type_that_is_no_action_is_an_error_before_anything_is_printed(
     ran = turtleact("send-goal", "fibonacci", type_name)
     assert (ran.status, ran.out) == (1, "")
     assert message in ran.err
+
+
+def test_a_type_that_is_on_the_graph_and_not_known_here_says_what_to_do(on_graph):
+    @asynccontextmanager
+    async def nodes(transport):
+        far = "/far/_action/send_goal", "far_msgs/action/Away_SendGoal", "/ns/far"
+        transport.endpoints = lambda: (Endpoint("service", *far, QoS()),)
+        yield
+
+    ran = on_graph(nodes, "send-goal", "far")
+    assert (ran.status, ran.err) == (
+        1,
+        "turtleact: action '/far': its type far_msgs/action/Away is not known here: "
+        "source the ROS workspace that has it, or give --interfaces DIR\n",
+    )
 
 
 def test_a_type_that_only_the_world_declares_is_known(start):

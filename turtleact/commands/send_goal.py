@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple, NoReturn, cast
 
 import anyio
 
+from turtleact.commands import graph
 from turtleact.commands.interrupts import leave
 from turtleact.commands.transcript import (
     WAITING,
@@ -24,16 +25,9 @@ from turtleact.commands.transcript import (
     choose_transcript,
     say,
 )
-from turtleact.errors import (
-    GoalRejected,
-    InvalidInterface,
-    ServerUnavailable,
-    TurtleactError,
-    UnknownInterface,
-    UsageError,
-)
+from turtleact.errors import GoalRejected, ServerUnavailable, TurtleactError, UsageError
 from turtleact.goal import GoalStatus
-from turtleact.interfaces import Action, from_text, get_interface
+from turtleact.interfaces import Action, from_text
 from turtleact.interfaces.definition import did_you_mean
 from turtleact.names import resolve_name
 
@@ -99,7 +93,7 @@ def run(order: Order, interrupts: Interrupts) -> int:
     name = resolve_name(order.name)
     goal = None
     if order.type_name is not None:
-        goal = _read_goal(_known_action_class(order.type_name), order.text)
+        goal = _read_goal(graph.interface_class(Action, order.type_name), order.text)
     if order.view != "json":
         say(WAITING)
     transcript = choose_transcript(order.view, wants_feedback=order.feedback)
@@ -154,10 +148,8 @@ class _Sending:
         order = self._order
         async with AsyncExitStack() as stack:
             if order.reach is not None:
-                from turtleact.commands.graph import open_graph
-
                 try:
-                    node = await stack.enter_async_context(open_graph(order.reach))
+                    node = await stack.enter_async_context(graph.open_graph(order.reach))
                 except UsageError:  # of the file with the locks
                     raise
                 except TurtleactError:
@@ -283,7 +275,8 @@ def find_action(node: Node, name: str, type_name: str | None) -> type[Action]:
 
     Raises:
         ServerUnavailable: if nobody serves it, or not with that type; the text says what there is.
-        UnknownInterface: if its type is not known here.
+        UnknownInterface: if the type that was given is not known.
+        TurtleactError: if the type on the graph is not known here.
     """
     actions = node.graph().actions
     types = actions.get(name, ())
@@ -292,29 +285,12 @@ def find_action(node: Node, name: str, type_name: str | None) -> type[Action]:
         hint = did_you_mean(name, actions)
         raise ServerUnavailable(name, f"nobody serves it{hint} (there are: {there_are})")
     if type_name is None:
-        return _action_class(types[0])
-    found = _action_class(type_name)
+        return graph.interface_class(Action, types[0], f"action '{name}'")
+    found = graph.interface_class(Action, type_name)
     if found.type_name not in types:
         raise ServerUnavailable(
             name, f"it is served as {' and '.join(types)}, not as {found.type_name}"
         )
-    return found
-
-
-def _known_action_class(type_name: str) -> type[Action]:
-    """The same before the world is there: some interfaces are made known by its modules."""
-    try:
-        return _action_class(type_name)
-    except UnknownInterface:
-        import turtleact.app  # noqa: F401  # for the classes that it declares
-
-        return _action_class(type_name)
-
-
-def _action_class(type_name: str) -> type[Action]:
-    found = get_interface(type_name)
-    if not issubclass(found, Action):
-        raise InvalidInterface("it is not an action", source=found.type_name)
     return found
 
 
