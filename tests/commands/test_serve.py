@@ -290,7 +290,7 @@ def test_what_is_said_of_the_world_reaches_it(turtleact, monkeypatch):
     monkeypatch.setattr("turtleact.app.open_world", open_world)
     said = "--speed 2 --turtles 3 --placing ring --seed 5 --collide --paused"
     assert turtleact("serve", *said.split()).err == "turtleact: enough\n"
-    del asked["graph"], asked["on_transition"]
+    del asked["graph"], asked["on_transition"], asked["on_start"]
     assert asked == {
         "speed": 2.0,
         "turtles": 3,
