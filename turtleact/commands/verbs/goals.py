@@ -17,6 +17,8 @@ from turtleact.commands.verbs.arguments import (
     Job,
     Reach,
     Verb,
+    on_graph,
+    only_one,
     quoted,
     reach,
 )
@@ -88,16 +90,13 @@ def goals(
     config: Config = None,
 ) -> Job:
     """``goals``."""
-    where = reach(connect, domain, config)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import goals, graph
+    async def look(node: Node) -> int:
+        from turtleact.commands import goals
 
-        return graph.run(
-            where, lambda node: goals.print_goals(node, name, as_json=json), interrupts
-        )
+        return await goals.print_goals(node, name, as_json=json)
 
-    return job
+    return on_graph(look, connect, domain, config)
 
 
 @app.command("cancel", cls=Verb, help=VERBS["cancel"], epilog=_EXAMPLES)
@@ -111,11 +110,9 @@ def cancel(
     config: Config = None,
 ) -> Job:
     """``cancel``."""
-    where = reach(connect, domain, config)
+    only_one("which goals", all=all_, before=before is not None)
     given = what or []
     is_many = all_ or before is not None
-    if all_ and before is not None:
-        raise UsageError("give --all or --before, not both")
     if is_many and len(given) > 1:
         raise UsageError("--all and --before take one action, or none for all of them")
     if not is_many and not given:
@@ -123,28 +120,25 @@ def cancel(
     ids = [] if is_many else [_goal_id(text) for text in given]
     until = 0 if before is None else moment(before)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import goals, graph
+    async def look(node: Node) -> int:
+        from turtleact.commands import goals
 
-        def look(node: Node) -> Awaitable[int]:
-            if is_many:
-                return goals.cancel_many(node, given[0] if given else None, until)
-            return goals.cancel(node, ids)
+        if is_many:
+            return await goals.cancel_many(node, given[0] if given else None, until)
+        return await goals.cancel(node, ids)
 
-        return graph.run(where, look, interrupts)
-
-    return job
+    return on_graph(look, connect, domain, config)
 
 
 @app.command("watch", cls=Verb, help=VERBS["watch"])
 def watch(
     goal_id: _Id,
     *,
+    plain: _Plain = False,
     connect: Connect = None,
     domain: Domain = None,
     config: Config = None,
     interfaces: Interfaces = None,
-    plain: _Plain = False,
 ) -> Job:
     """``watch``."""
     view: View = "plain" if plain else "auto"

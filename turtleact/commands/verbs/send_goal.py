@@ -22,7 +22,6 @@ from turtleact.commands.verbs.arguments import (
     type_and_text,
     whole,
 )
-from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
@@ -123,7 +122,8 @@ def send_goal(
 ) -> Job:
     """``send-goal`` and ``action send_goal``."""
     type_name, goal = type_and_text(type_name, goal, "goal")
-    view = _view(json=json, plain=plain)
+    only_one("how it is shown", json=json, plain=plain)
+    view: View = "json" if json else "plain" if plain else "auto"
     seconds = None if timeout is None else number("--timeout", timeout)
     factor = speed_factor("1" if speed is None else speed, or_max=True)
     first = whole("--seed", seed or "0")
@@ -139,13 +139,17 @@ def send_goal(
 
         text = GoalText.read(goal, stdin=stdin, path=goal_file, interrupts=interrupts)
         make_known(interfaces)
-        order = Order(name, type_name, text, feedback, seconds, view, factor, first, where)
+        order = Order(
+            name,
+            type_name,
+            text,
+            feedback=feedback,
+            timeout=seconds,
+            view=view,
+            speed=factor,
+            seed=first,
+            reach=where,
+        )
         return run(order, interrupts)
 
     return job
-
-
-def _view(*, json: bool, plain: bool) -> View:
-    if json and plain:
-        raise UsageError("give --json or --plain, not both")
-    return "json" if json else "plain" if plain else "auto"

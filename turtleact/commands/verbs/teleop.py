@@ -62,14 +62,16 @@ def teleop(
     config: Config = None,
 ) -> Job:
     """``teleop``."""
-    scales = (_speed("--scale-linear", scale_linear), _speed("--scale-angular", scale_angular))
+    linear = _speed("--scale-linear", scale_linear)
+    angular = _speed("--scale-angular", scale_angular)
     only_one("where to drive", embedded=embedded, connect=connect is not None)
     where = None if embedded else reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.teleop import Order, run
 
-        return run(Order(turtle, {}, *scales, plain, where), interrupts)
+        order = Order(turtle, {}, linear=linear, angular=angular, is_plain=plain, reach=where)
+        return run(order, interrupts)
 
     return job
 
@@ -95,7 +97,8 @@ def turtle_teleop_key(arguments: Sequence[str], domain: str | None) -> Job:
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.teleop import Order, run
 
-        return run(Order(None, remaps, linear, angular, False, where), interrupts)
+        order = Order(None, remaps, linear=linear, angular=angular, is_plain=False, reach=where)
+        return run(order, interrupts)
 
     return job
 

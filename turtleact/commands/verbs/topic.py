@@ -28,7 +28,6 @@ from turtleact.commands.verbs.policies import Depth, Durability, Profile, Reliab
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable
     from types import CodeType
 
     from turtleact.commands.interrupts import Interrupts
@@ -139,19 +138,15 @@ def list_(
     config: Config = None,
 ) -> Job:
     """``topic list``."""
-    where = reach(connect, domain, config)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import graph, listing
+    async def look(node: Node) -> int:
+        from turtleact.commands import listing
 
-        def look(node: Node) -> Awaitable[int]:
-            if verbose and not count:
-                return listing.print_topics_in_full(node, hidden=hidden)
-            return listing.print_list(node, "topic", types=types, count=count, hidden=hidden)
+        if verbose and not count:
+            return await listing.print_topics_in_full(node, hidden=hidden)
+        return await listing.print_list(node, "topic", types=types, count=count, hidden=hidden)
 
-        return graph.run(where, look, interrupts)
-
-    return job
+    return on_graph(look, connect, domain, config)
 
 
 @app.command("info", cls=Verb, help="Print the type of a topic, and who uses it.")
@@ -367,7 +362,16 @@ def pub(
 
         text = GoalText.read(values, stdin=stdin, path=None, interrupts=interrupts, what="message")
         make_known(interfaces)
-        order = publishing.Order(name, type_name, text, hertz, count, every, least, policies)
+        order = publishing.Order(
+            name,
+            type_name,
+            text,
+            rate=hertz,
+            times=count,
+            every=every,
+            wait=least,
+            policies=policies,
+        )
         return graph.run(where, lambda node: publishing.publish(node, order), interrupts)
 
     return job
