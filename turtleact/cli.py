@@ -95,17 +95,11 @@ def _run(arguments: Sequence[str], interrupts: Interrupts) -> int:
 
 
 def _help() -> str:
-    from turtleact.commands import VERBS
+    from turtleact.commands import OPTIONS, VERBS
 
-    options = {
-        "--version": "Print the version.",
-        "--install-completion": "Let bash, zsh or fish complete the command line.",
-        "--show-completion": "Print what --install-completion would tell that shell.",
-        "-h, --help": "Show this message and exit.",
-    }
     option_lines, verb_lines = (
         "\n".join(f"  {name:{max(map(len, each))}}  {text}" for name, text in each.items())
-        for each in (options, VERBS)
+        for each in (OPTIONS, VERBS)
     )
     return f"{_HELP}\n\nOptions:\n{option_lines}\n\nCommands:\n{verb_lines}"
 

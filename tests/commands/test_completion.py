@@ -12,7 +12,7 @@ import pytest
 
 from turtleact import cli
 from turtleact.app import open_world
-from turtleact.commands import VERBS, candidates, completion, graph, shells
+from turtleact.commands import OPTIONS, VERBS, candidates, completion, graph, shells
 from turtleact.commands.completion import complete, lines
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import get_interface, type_hash
@@ -80,6 +80,12 @@ def completed(*words):
 def test_verbs_are_completed_and_told_of():
     assert [*completion.candidates([], "se")] == [
         (verb, VERBS[verb]) for verb in ("send-goal", "serve", "service")
+    ]
+
+
+def test_options_are_completed_and_told_of():
+    assert [*completion.candidates([], "--")] == [
+        (option.removeprefix("-h, "), about) for option, about in OPTIONS.items()
     ]
 
 

@@ -1,14 +1,14 @@
 """The verbs of the command line.
 
-Each is declared in `turtleact.commands.verbs`; this table alone is what ``turtleact --help`` needs,
-so that it answers before Typer could be imported.
+Each is declared in `turtleact.commands.verbs`; these tables alone are what ``turtleact --help``
+needs, so that it answers before Typer could be imported.
 """
 
 from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["VERBS"]
+__all__ = ["OPTIONS", "VERBS"]
 
 VERBS: Final = {
     "send-goal": "Send a goal, follow it to its end, print the result.",
@@ -28,3 +28,11 @@ VERBS: Final = {
     "interface": "The verbs of 'ros2 interface': list, package, packages, proto, show.",
 }
 """What there is, and what it does."""
+
+OPTIONS: Final = {
+    "--version": "Print the version.",
+    "--install-completion": "Let bash, zsh or fish complete the command line.",
+    "--show-completion": "Print what --install-completion would tell that shell.",
+    "-h, --help": "Show this message and exit.",
+}
+"""What may stand in the place of a verb, and what it does."""

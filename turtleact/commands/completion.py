@@ -12,14 +12,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import Final
 
-from turtleact.commands import VERBS
+from turtleact.commands import OPTIONS, VERBS
 
 __all__ = ["candidates", "complete", "lines"]
 
 PATIENCE: Final = 1.5
 """Wall seconds after which there is nothing to be said."""
-
-OPTIONS: Final = ("--help", "--version", "--install-completion", "--show-completion")
 
 BREAKS: Final = (":", "=")
 """Where bash parts words: each of these is a word of its own to it."""
@@ -70,8 +68,10 @@ def candidates(before: Sequence[str], begun: str) -> Iterator[tuple[str, str]]:
         begun: What stands there already.
     """
     if not before:
-        known = dict.fromkeys(OPTIONS, "") if begun.startswith("-") else VERBS
-        yield from ((each, text) for each, text in known.items() if each.startswith(begun))
+        for name, text in (OPTIONS if begun.startswith("-") else VERBS).items():
+            long_name = name.rpartition(" ")[2]
+            if long_name.startswith(begun):
+                yield long_name, text
         return
     from typer._completion_classes import BashComplete
     from typer.main import get_command

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final, TextIO
+from typing import TYPE_CHECKING, Any, Final, TextIO, TypeAlias
 
 import anyio
 
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from turtleact.sim.turtlesim import Turtlesim
     from turtleact.topics import Subscription
 
+    Handle: TypeAlias = ServerGoalHandle[Any, Any, Any]
+
 __all__ = ["Dashboard"]
 
 MOST_LEFT: Final = 20
@@ -46,9 +48,6 @@ MOST_ENDED: Final = 50
 
 MOST_TURTLES: Final = 50
 """So many turtles are on the map, and are followed on their way: of more, nothing could be told."""
-
-Handle = Any
-"""A `ServerGoalHandle` of any action."""
 
 
 class Dashboard:
@@ -77,9 +76,7 @@ class Dashboard:
         self._heading.append(line)
         self._has_said.set()
 
-    def tell(
-        self, goal: ServerGoalHandle[Any, Any, Any], new: GoalStatus, line: str, time: str
-    ) -> None:
+    def tell(self, goal: Handle, new: GoalStatus, line: str, time: str) -> None:
         """A change of a goal.
 
         Args:
@@ -169,8 +166,8 @@ class _Served:
 
     def __init__(self, goal: Handle, *, may_follow: bool) -> None:
         self._goal = goal
-        self._name: str = goal.action_name
-        self._goal_id: str = goal.goal_id.hex()
+        self._name = goal.action_name
+        self._goal_id = goal.goal_id.hex()
         self._clock = goal.node.clock
         self._began = self._clock.time()
         self._course = Course(goal.request)
