@@ -17,13 +17,13 @@ import anyio
 from turtleact.commands.kinds import Kind, types_by_name
 from turtleact.commands.stderr import printable
 from turtleact.commands.transcript import say
-from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface
+from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface, UsageError
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.definition import did_you_mean
 from turtleact.node import Node, open_node
 
 if TYPE_CHECKING:
-    from contextlib import AbstractAsyncContextManager
+    from contextlib import AbstractAsyncContextManager, AsyncExitStack
 
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.verbs.arguments import Reach
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Look",
     "chosen_class",
+    "enter_if_there",
     "interface_class",
     "names_like",
     "open_graph",
@@ -76,6 +77,30 @@ async def open_graph(reach: Reach) -> AsyncIterator[Node]:
         open_node(f"_turtleact_cli_{os.getpid()}", transport=transport) as node,
     ):
         yield node
+
+
+async def enter_if_there(
+    stack: AsyncExitStack, reach: Reach, opened: AbstractAsyncContextManager[T]
+) -> T | None:
+    """Enter a graph; None if there is none in reach and none was asked for.
+
+    Args:
+        stack: Closes it.
+        reach: Which graph.
+        opened: What opens it: `open_transport` or `open_graph`.
+
+    Raises:
+        UsageError: if the file with the locks is at fault.
+        TurtleactError: if ``--connect`` says where it is, and it is not there.
+    """
+    try:
+        return await stack.enter_async_context(opened)
+    except UsageError:
+        raise
+    except TurtleactError:
+        if reach.connect:
+            raise
+        return None
 
 
 def run(reach: Reach, look: Look, interrupts: Interrupts) -> int:

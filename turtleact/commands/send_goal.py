@@ -25,7 +25,7 @@ from turtleact.commands.transcript import (
     choose_transcript,
     say,
 )
-from turtleact.errors import GoalRejected, ServerUnavailable, TurtleactError, UsageError
+from turtleact.errors import GoalRejected, ServerUnavailable
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import Action, from_text
 from turtleact.interfaces.definition import did_you_mean
@@ -148,16 +148,11 @@ class _Sending:
         order = self._order
         async with AsyncExitStack() as stack:
             if order.reach is not None:
-                try:
-                    node = await stack.enter_async_context(graph.open_graph(order.reach))
-                except UsageError:  # of the file with the locks
-                    raise
-                except TurtleactError:
-                    if order.reach.connect:
-                        raise
-                else:
-                    if order.reach.connect or node.graph().actions:
-                        yield node
+                opened = graph.open_graph(order.reach)
+                there = await graph.enter_if_there(stack, order.reach, opened)
+                if there is not None:
+                    if order.reach.connect or there.graph().actions:
+                        yield there
                         return
                     await stack.aclose()
             self._is_embedded = True

@@ -132,14 +132,9 @@ async def _find_node(order: Order) -> AsyncIterator[tuple[Node, str]]:
     """A node, and the turtle on its graph that is meant; if need be in a world of its own."""
     async with AsyncExitStack() as stack:
         if order.reach is not None:
-            try:
-                transport = await stack.enter_async_context(graph.open_transport(order.reach))
-            except UsageError:  # of the file with the locks
-                raise
-            except TurtleactError:
-                if order.reach.connect:
-                    raise
-            else:
+            opened = graph.open_transport(order.reach)
+            transport = await graph.enter_if_there(stack, order.reach, opened)
+            if transport is not None:
                 node = await stack.enter_async_context(
                     open_node("teleop_turtle", transport=transport)
                 )
