@@ -1,3 +1,5 @@
+"""Where the text of a goal comes from, and what is refused."""
+
 from __future__ import annotations
 
 import os

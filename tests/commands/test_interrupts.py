@@ -1,3 +1,5 @@
+"""Signals, from the first moment of the program to its last."""
+
 from __future__ import annotations
 
 import asyncio

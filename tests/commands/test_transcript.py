@@ -1,3 +1,5 @@
+"""What is printed of a goal: as ROS 2 prints it, and as JSON."""
+
 from __future__ import annotations
 
 import json

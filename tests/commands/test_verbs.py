@@ -1,3 +1,5 @@
+"""Command lines as Typer reads them: what is refused, and what they order."""
+
 from __future__ import annotations
 
 import subprocess
