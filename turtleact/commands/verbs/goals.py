@@ -110,7 +110,7 @@ def cancel(
     config: Config = None,
 ) -> Job:
     """``cancel``."""
-    only_one("which goals", all=all_, before=before is not None)
+    only_one("which goals are meant", all=all_, before=before is not None)
     given = what or []
     is_many = all_ or before is not None
     if is_many and len(given) > 1:
