@@ -40,6 +40,7 @@ __all__ = [
     "HeldGoal",
     "find_goal",
     "find_goals",
+    "goals_in",
     "held_goals",
     "served_actions",
     "silence",

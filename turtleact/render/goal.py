@@ -18,7 +18,15 @@ if TYPE_CHECKING:
     from turtleact.goal import GoalStatus
     from turtleact.interfaces import Message
 
-__all__ = ["GoalView", "feedback_table", "frame", "goal_panel", "progress_line"]
+__all__ = [
+    "HIGHEST",
+    "LOWEST",
+    "GoalView",
+    "feedback_table",
+    "frame",
+    "goal_panel",
+    "progress_line",
+]
 
 NARROWEST: Final = 40
 """Columns below which there is no map."""

@@ -36,7 +36,7 @@ from turtleact.web.reading import read_message
 from turtleact.web.serving import Serving
 from turtleact.web.spelling import absolute
 
-__all__ = ["PATIENCE", "Connection"]
+__all__ = ["PATIENCE", "TRY_AGAIN_LATER", "Connection"]
 
 logger = logging.getLogger("turtleact.web")
 

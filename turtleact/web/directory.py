@@ -16,7 +16,7 @@ from turtleact.transports import Transport
 from turtleact.transports.base import Endpoint, EndpointKind
 from turtleact.web.spelling import message_class, service_class, type_name
 
-__all__ = ["ALWAYS", "Directory"]
+__all__ = ["ALWAYS", "SERVICE_KINDS", "Directory"]
 
 TOPIC_KINDS: tuple[EndpointKind, ...] = ("publisher", "subscription")
 SERVICE_KINDS: tuple[EndpointKind, ...] = ("service",)

@@ -17,7 +17,7 @@ from turtleact.transports import QoS
 from turtleact.web.directory import Directory
 from turtleact.web.frames import Rendering
 
-__all__ = ["Feed", "Feeds"]
+__all__ = ["Deliver", "Feed", "Feeds"]
 
 Deliver: TypeAlias = Callable[[Rendering], None]
 

@@ -26,7 +26,7 @@ from turtleact.errors import UsageError
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
 
-__all__ = ["app"]
+__all__ = ["app", "serve"]
 
 MOST_TURTLES = 10_000
 """A node cannot tell more of them in time."""
