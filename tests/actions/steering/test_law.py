@@ -6,7 +6,7 @@ import math
 import random
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from turtleact.actions.steering import Area, Limits, Steering, shortest_time
@@ -116,6 +116,11 @@ def test_a_turtle_at_its_target_stands_still():
 
 
 @given(st.integers(1, 3), headings, st.lists(near, min_size=1, max_size=4), styles)
+# A target comes to lie square to the heading, inside the turning circle.
+@example(3, 0.0, [(5.5, 5.0), (5.125, 5.34375)], "arc")
+@example(2, -2.042812, [(5.859983, 5.84375), (5.796912, 4.84375), (5.959782, 4.962568)], "arc")
+# Two discs overlap by so little that hardly an arc leads through both.
+@example(3, 2.406939867, [(5.438147016, 5.34375), (5.4375, 5.521519948)], "arc")
 def test_commands_that_come_late_still_arrive(late, theta, targets, style):
     pose = (5.544445, 5.544445, theta)
     drive(Steering(style), pose, targets, late=late, patience=2.0)

@@ -25,6 +25,7 @@ __all__ = [
     "late",
     "reach",
     "room",
+    "sway",
     "sweep",
     "turn_to",
 ]
@@ -65,6 +66,18 @@ def turn_to(seen: complex, turning: float, limits: Limits) -> float:
 def late(limits: Limits) -> float:
     """How far a late command may turn (rad): as near to each other, two ways to turn are equal."""
     return min(_LATE * limits.turn, math.pi / 8)
+
+
+def sway(aside: float, limits: Limits) -> float:
+    """How far late commands may shift a point along the heading (m): so near, the gears are equal.
+
+    Backing away from a point beside it, the turtle turns and drives, and both shift the point.
+
+    Args:
+        aside: How far the point is to the side (m).
+        limits: What the turtle may do.
+    """
+    return min(_LATE * (limits.turn * aside + limits.step), math.pi / 8 * aside)
 
 
 def nearest(area: Area, point: complex, limits: Limits) -> complex:

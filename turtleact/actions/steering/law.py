@@ -13,7 +13,7 @@ call: a turtle that somebody else moves is driven on from where it is. The rules
   before the target and half after, a quarter of that. So the approach swings wide, as long as the
   target stays outside the turning circle, and cuts the inner side of its disc. Driving forwards
   only, it turns to the next target as soon as that arc leads through this one. Two targets whose
-  discs overlap are reached from between them.
+  discs overlap are reached from between them, where an arc leads there.
 - **Land.** No tick turns beyond the aim or drives beyond the target. A step that would leave the
   area ends at its edge, and the turtle turns on there.
 - **Face last.** A heading that is wanted at the target is turned to there, on the spot.
@@ -56,6 +56,7 @@ from turtleact.actions.steering.aiming import (
     late,
     reach,
     room,
+    sway,
     sweep,
     turn_to,
 )
@@ -167,7 +168,7 @@ class Steering(msgspec.Struct, frozen=True):
         """1 to drive forwards, -1 in reverse."""
         if self.style != "arc":
             return 1.0
-        if turning and abs(seen.real) < late(self.limits) * abs(seen.imag):
+        if turning and abs(seen.real) < sway(abs(seen.imag), self.limits):
             return math.copysign(1.0, seen.imag * turning)
         return math.copysign(1.0, seen.real)
 
@@ -183,9 +184,10 @@ class Steering(msgspec.Struct, frozen=True):
         """Both speeds, in the gear, where they may change at once."""
         limits, miss = self.limits, MISS * self.limits.tolerance
         if after is not None and abs(after - goal) <= 2.0 * miss:
-            # Both are reached from between them.
-            miss -= abs(after - goal) / 2
-            goal, after = (goal + after) / 2, None
+            # Both are reached from between them, unless it would have to back away for that.
+            between, less = (goal + after) / 2, miss - abs(after - goal) / 2
+            if is_clear(frame.see(between), limits, slack=less):
+                goal, after, miss = between, None, less
         clear = is_clear(frame.see(goal), limits, slack=miss)
         area, aim = inside(goal, limits)
         if clear and after is not None and self.style in _CORNER:
