@@ -226,7 +226,7 @@ def test_a_message_of_our_own_interfaces_is_found():
         (["interface", "show", "std_srvs/srv/T"], ["std_srvs/srv/Trigger"]),
         (["interface", "proto", "turtlesim/action/"], ["turtlesim/action/RotateAbsolute"]),
         (["interface", "package", "std_s"], ["std_srvs"]),
-        (["action", "find", "example"], ["example_interfaces/action/Fibonacci"]),
+        (["action", "find", "example_interfaces"], ["example_interfaces/action/Fibonacci"]),
         (["topic", "find", "turtlesim/msg/C"], ["turtlesim/msg/Color"]),
     ],
 )
