@@ -21,6 +21,7 @@ class Left(BaseException):
 @pytest.fixture
 def installed(interrupts, monkeypatch):
     def left(status):
+        signal.setitimer(signal.ITIMER_REAL, 0)  # a process that has ended hears no alarm
         raise Left(status)
 
     monkeypatch.setattr(os, "_exit", left)
@@ -156,26 +157,71 @@ def test_a_third_signal_ends_the_process_whatever_the_loop_does(installed):
 
 
 def test_a_loop_that_does_not_come_to_the_second_signal_is_ended(installed, monkeypatch):
-    async def steps():
+    def interrupted():
         signal.raise_signal(SIGINT)
         signal.raise_signal(SIGTERM)
-        with pytest.raises(Left, match="143"):
-            spin()
+        spin()
 
-    monkeypatch.setattr("turtleact.commands.interrupts.GRACE", 0.001)
+    async def steps():
+        with pytest.raises(Left, match="143"):
+            interrupted()
+
+    monkeypatch.setattr("turtleact.commands.interrupts.GRACE", 0.01)
     in_the_loop(installed, steps)
 
 
 def test_of_several_deadlines_the_first_counts(installed, monkeypatch):
-    monkeypatch.setattr("turtleact.commands.interrupts.GRACE", 0.0)
+    monkeypatch.setattr("turtleact.commands.interrupts.GRACE", 0.01)
+
+    def late():
+        for seconds in (60.0, 0.0, 30.0):
+            installed.end_within(seconds, round(seconds))
+        spin()
 
     async def steps():
-        for seconds in (60.0, 0.001, 30.0):
-            installed.end_within(seconds, round(seconds))
         with pytest.raises(Left, match=r"^0$"):
-            spin()
+            late()
 
     in_the_loop(installed, steps)
+
+
+def test_an_alarm_that_is_lost_comes_again(installed, monkeypatch):
+    leaves, alarms = os._exit, []
+
+    def lost_at_first(status):
+        alarms.append(status)
+        if len(alarms) > 1:
+            leaves(status)
+
+    monkeypatch.setattr(os, "_exit", lost_at_first)
+    monkeypatch.setattr("turtleact.commands.interrupts.GRACE", 0.01)
+
+    def late():
+        installed.end_within(0.0, 7)
+        assert signal.getitimer(signal.ITIMER_REAL)[1] > 0.0
+        spin()
+
+    async def steps():
+        with pytest.raises(Left, match="7"):
+            late()
+
+    in_the_loop(installed, steps)
+
+
+def test_a_spent_alarm_still_is_the_first_deadline(installed, monkeypatch):
+    monkeypatch.setattr("turtleact.commands.interrupts.GRACE", 0.01)
+    ended: list[int] = []
+    monkeypatch.setattr(os, "_exit", ended.append)
+
+    async def steps():
+        installed.end_within(0.0, 7)
+        while not ended:
+            pass
+        installed.end_within(30.0, 8)
+        assert signal.getitimer(signal.ITIMER_REAL)[0] < 1.0
+
+    in_the_loop(installed, steps)
+    assert set(ended) == {7}
 
 
 def test_a_deadline_beyond_all_measure_is_none(installed):

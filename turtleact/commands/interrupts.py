@@ -140,12 +140,14 @@ class Interrupts:
         """Give the loop some wall seconds and `GRACE` to leave `listening`, or end the process.
 
         Of several deadlines the first counts. What has been printed stays; nothing is flushed.
+        The alarm comes again every `GRACE` until then: Python 3.11 may note a signal and yet not
+        tell a main thread that is in a loop of its own. So no spent alarm is taken for none.
         """
         seconds += GRACE
         left, _ = signal.getitimer(signal.ITIMER_REAL)
         if not 0 < left <= seconds:
             signal.signal(signal.SIGALRM, lambda *_: self._end(status))
-            signal.setitimer(signal.ITIMER_REAL, min(seconds, LONGEST))
+            signal.setitimer(signal.ITIMER_REAL, min(seconds, LONGEST), GRACE)
 
     async def wait(self, count: int) -> None:
         """Wait until ``count`` signals have come. Cancelling: safe."""
