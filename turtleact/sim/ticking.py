@@ -89,7 +89,9 @@ class Ticking:
         if not self.is_paused:
             raise SimError("the world is not paused: pause it first")
         if self._step is not None:
-            raise SimError("steps are being made already: wait until they are")
+            raise SimError(
+                "steps are being made already: wait until they are, or pause to end them"
+            )
         if not ticks:
             return
         step = self._step = _Step(ticks, on_tick)
