@@ -62,6 +62,14 @@ USAGE = [
     (["serve", "--placing", "row"], "--placing is random, grid, ring, not 'row'"),
     (["serve", "--turtles", "0"], "--turtles is a whole number, 1 to 10000"),
     (["serve", "--seed", "-1"], "--seed is a whole number"),
+    (
+        ["serve", "--no-sim", "--turtles", "4", "--paused"],
+        "--turtles, --paused and --no-sim: without a world there is no such thing",
+    ),
+    (["serve", "--no-sim", "--speed", "2"], "--speed and --no-sim"),
+    (["serve", "--no-sim", "--placing", "grid"], "--placing and --no-sim"),
+    (["serve", "--no-sim", "--seed", "1"], "--seed and --no-sim"),
+    (["serve", "--no-sim", "--collide"], "--collide and --no-sim"),
     (["run", "turtlesim", "mimic"], "'turtlesim mimic' is not there: turtleact runs"),
     (
         ["run", "turtlesim", "turtlesim_node", "--ros-args", "--remap", "__node:=my_turtle"],

@@ -31,6 +31,16 @@ __all__ = ["app", "serve"]
 MOST_TURTLES = 10_000
 """A node cannot tell more of them in time."""
 
+OF_A_WORLD = {
+    "--speed": 1.0,
+    "--turtles": 1,
+    "--placing": "random",
+    "--seed": 0,
+    "--collide": False,
+    "--paused": False,
+}
+"""What means nothing without a world, and its value if it is left out."""
+
 _Targets = Annotated[
     list[str] | None,
     typer.Argument(
@@ -134,8 +144,8 @@ def serve(
     where = reach(connect, domain, config)
     at = endpoints("--listen", listen)
     page, token, hosts, origins = _page(web, token, allow_host, allow_origin)
-    factor = float(speed_factor(speed))
-    count, placing, first = _fleet(turtles, placing, seed)
+    factor, count, placing, first = _fleet(speed, turtles, placing, seed)
+    _check_world(factor, count, placing, first, collide, paused, is_there=not no_sim)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known
@@ -167,6 +177,14 @@ def serve(
         return run(service, interrupts)
 
     return job
+
+
+def _check_world(*asked: object, is_there: bool) -> None:
+    """Refuse what is asked of a world where there is none: values in the order of `OF_A_WORLD`."""
+    options = zip(OF_A_WORLD.items(), asked, strict=True)
+    names = [name for (name, unasked), value in options if value != unasked]
+    if names and not is_there:
+        raise UsageError(f"{', '.join(names)} and --no-sim: without a world there is no such thing")
 
 
 def _check_loopback(listen: tuple[str, ...]) -> None:
@@ -206,10 +224,10 @@ def _listed(text: str | None) -> tuple[str, ...]:
     return () if text is None else tuple(each.lower().rstrip("/") for each in text.split(","))
 
 
-def _fleet(turtles: str, placing: str, seed: str) -> tuple[int, str, int]:
+def _fleet(speed: str, turtles: str, placing: str, seed: str) -> tuple[float, int, str, int]:
     from turtleact.sim.placing import PLACINGS
 
     if placing not in PLACINGS:
         raise UsageError(f"--placing is {', '.join(PLACINGS)}, not {quoted(placing)}")
     count = whole("--turtles", turtles, least=1, most=MOST_TURTLES)
-    return count, placing, whole("--seed", seed)
+    return float(speed_factor(speed)), count, placing, whole("--seed", seed)
