@@ -70,6 +70,18 @@ USAGE = [
     (["serve", "--no-sim", "--placing", "grid"], "--placing and --no-sim"),
     (["serve", "--no-sim", "--seed", "1"], "--seed and --no-sim"),
     (["serve", "--no-sim", "--collide"], "--collide and --no-sim"),
+    (
+        ["send-goal", "x", "--speed", "2", "--connect", "tcp/[::1]:1"],
+        "give one of --speed and --connect",
+    ),
+    (
+        ["send-goal", "x", "--seed", "2", "--connect", "tcp/[::1]:1"],
+        "give one of --seed and --connect",
+    ),
+    (
+        ["send-goal", "x", "--embedded", "--connect", "tcp/[::1]:1"],
+        "one of --embedded and --connect",
+    ),
     (["run", "turtlesim", "mimic"], "'turtlesim mimic' is not there: turtleact runs"),
     (
         ["run", "turtlesim", "turtlesim_node", "--ros-args", "--remap", "__node:=my_turtle"],

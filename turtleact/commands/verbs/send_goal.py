@@ -128,7 +128,8 @@ def send_goal(
     factor = speed_factor("1" if speed is None else speed, or_max=True)
     first = whole("--seed", seed or "0")
     is_embedded = embedded or speed is not None or seed is not None
-    only_one("where to send it", embedded=is_embedded, connect=connect is not None)
+    way = "speed" if speed is not None else "seed" if seed is not None else "embedded"
+    only_one("where to send it", **{way: is_embedded}, connect=connect is not None)
     where = None if is_embedded else reach(connect, domain, config)
     only_one("the goal", GOAL=goal is not None, stdin=stdin, goal_file=goal_file is not None)
 
