@@ -372,6 +372,31 @@ def test_what_the_page_needs_is_named_with_its_cure(monkeypatch):
         run(service, Interrupts())
 
 
+def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:
+    """Wait for its end: exit status, stdout, stderr."""
+    try:
+        out, err = process.communicate(timeout=PATIENCE)
+    finally:
+        process.kill()
+    return process.returncode, out, err
+
+
+def test_a_page_without_its_port_names_the_option_of_the_command_line(tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        at = "127.0.0.1:{1}".format(*taken.getsockname())
+        serve = start(tmp_path, "serve", "--no-sim", "--listen", free_endpoint(), "--web", at)
+        status, out, err = ended(serve)
+    assert (status, out) == (1, "")
+    assert err.startswith(f"turtleact: --web: {at} cannot be bound: ")
+
+
+def test_an_empty_token_names_the_option_of_the_command_line(tmp_path):
+    options = ("--no-sim", "--listen", free_endpoint(), "--web", "0.0.0.0:0", "--token", "")
+    status, out, err = ended(start(tmp_path, "serve", *options))
+    assert (status, out) == (1, "")
+    assert err.startswith("turtleact: --token: must not be empty where other machines come in")
+
+
 def test_a_module_that_is_not_there_is_one_line(tmp_path):
     process = start(tmp_path, "serve", "nowhere_at_all")
     out, err = process.communicate(timeout=PATIENCE)

@@ -78,7 +78,8 @@ async def test_a_busy_port_is_one_clear_error():
         port = busy.getsockname()[1]
         async with turtleact.open_node("lab") as node:
             with pytest.raises(
-                InvalidOption, match=f"option 'port': 127.0.0.1:{port} cannot be bound: .*in use"
+                InvalidOption,
+                match=f"option 'port': 127.0.0.1:{port} cannot be bound: .*in use; choose",
             ):
                 async with open_web(node, port=port):
                     pass

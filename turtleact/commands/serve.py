@@ -20,7 +20,7 @@ from turtleact.commands.interrupts import leave
 from turtleact.commands.stderr import abandon, note, printable
 from turtleact.commands.targets import find_actions
 from turtleact.commands.terminal import can_move
-from turtleact.errors import TurtleactError
+from turtleact.errors import InvalidOption, TurtleactError
 from turtleact.node import Node, open_node
 from turtleact.tasks import Background
 from turtleact.transports import open_zenoh
@@ -136,18 +136,8 @@ async def _serve(
             for each in declared:
                 node.serve(each)
             if service.web is not None:
-                from turtleact.web import open_web
-
-                web = await stack.enter_async_context(
-                    open_web(
-                        node,
-                        *service.web,
-                        token=service.token,
-                        hosts=service.hosts,
-                        origins=service.origins,
-                    )
-                )
-                log.say(f"web page, and rosbridge, at {web.url}")
+                url = await stack.enter_async_context(_open_web(service, service.web, node))
+                log.say(f"web page, and rosbridge, at {url}")
             (transport, where), *_ = opened
             await transport.flush()
             actions = _listed(list(node.graph().actions))
@@ -157,6 +147,27 @@ async def _serve(
         if len(asyncio.all_tasks()) > 1:  # a body that does not end, and has been left behind
             leave(0)
     return 0
+
+
+@asynccontextmanager
+async def _open_web(service: Service, at: tuple[str, int], node: Node) -> AsyncIterator[str]:
+    """The page and rosbridge, and their address.
+
+    Raises:
+        TurtleactError: if they cannot be opened; it names the option of the command line.
+    """
+    from turtleact.web import open_web
+
+    async with AsyncExitStack() as stack:
+        opening = open_web(
+            node, *at, token=service.token, hosts=service.hosts, origins=service.origins
+        )
+        try:
+            web = await stack.enter_async_context(opening)
+        except InvalidOption as error:
+            option = "--token" if error.name == "token" else "--web"
+            raise TurtleactError(f"{option}: {error.problem}") from None
+        yield web.url
 
 
 def _tell_of_error(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:

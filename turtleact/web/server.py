@@ -203,7 +203,8 @@ def _bound(host: str, port: int) -> Iterator[socket.socket]:
         listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # or small frames take 40 ms
     except (OSError, UnicodeError) as error:
         is_port = isinstance(error, OSError) and error.errno in PORT_ERRORS
-        problem = f"{host}:{port} cannot be bound: {error}"
+        reason, _, _ = str(error).partition(" (while ")  # the address once more
+        problem = f"{host}:{port} cannot be bound: {reason}"
         hint = "; choose another, or 0 for any free one" if is_port else ""
         raise InvalidOption("port" if is_port else "host", problem + hint) from None
     with listener:
