@@ -224,6 +224,53 @@ def test_a_spent_alarm_still_is_the_first_deadline(installed, monkeypatch):
     assert set(ended) == {7}
 
 
+def test_a_beginning_that_goes_on_behind_a_signal_ends_with_the_process(installed, monkeypatch):
+    monkeypatch.setattr("turtleact.commands.interrupts.GRACE", 0.001)
+
+    def late():
+        with installed.beginning(7):
+            signal.raise_signal(SIGINT)
+            spin()
+
+    async def steps():
+        with pytest.raises(Left, match="7"):
+            late()
+
+    in_the_loop(installed, steps)
+
+
+def test_a_beginning_behind_a_signal_is_a_short_one(installed, monkeypatch):
+    monkeypatch.setattr("turtleact.commands.interrupts.GRACE", 0.001)
+    signal.raise_signal(SIGINT)
+
+    async def steps():
+        with pytest.raises(Left, match="7"), installed.beginning(7):
+            spin()
+
+    in_the_loop(installed, steps)
+
+
+def test_a_beginning_that_is_soon_over_leaves_the_end_to_the_loop(installed):
+    async def steps():
+        with installed.beginning(7):
+            signal.raise_signal(SIGINT)
+            assert signal.getitimer(signal.ITIMER_REAL)[0] > 0
+        assert signal.getitimer(signal.ITIMER_REAL)[0] == 0
+        await installed.wait(1)
+
+    in_the_loop(installed, steps)
+
+
+def test_a_second_signal_in_a_beginning_is_a_deadline_behind_it_too(installed):
+    async def steps():
+        with installed.beginning(7):
+            signal.raise_signal(SIGINT)
+            signal.raise_signal(SIGINT)
+        assert signal.getitimer(signal.ITIMER_REAL)[0] > 0
+
+    in_the_loop(installed, steps)
+
+
 def test_a_deadline_beyond_all_measure_is_none(installed):
     async def steps():
         installed.end_within(1e300, 1)

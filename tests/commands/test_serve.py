@@ -397,6 +397,14 @@ def test_an_empty_token_names_the_option_of_the_command_line(tmp_path):
     assert err.startswith("turtleact: --token: must not be empty where other machines come in")
 
 
+def test_a_signal_ends_a_server_that_is_not_ready_yet(lab):
+    (lab / "asked.py").write_text(
+        "import os\nos.kill(os.getpid(), 15)\nfrom servedlab import quick\n"
+    )
+    serve = start(lab, "serve", "asked:quick", "--listen", free_endpoint(), "--turtles", "10000")
+    assert ended(serve) == (0, "", "")
+
+
 def test_a_module_that_is_not_there_is_one_line(tmp_path):
     process = start(tmp_path, "serve", "nowhere_at_all")
     out, err = process.communicate(timeout=PATIENCE)

@@ -6,6 +6,8 @@ it depends on where the program stands:
 - before the event loop runs: nobody; the program looks at `Interrupts.received` before it begins.
   A second signal ends the process at once.
 - while it reads what the user types (`Interrupts.read`): the signal ends the reading.
+- in a beginning that may take long (`Interrupts.beginning`): the system's alarm clock, which ends
+  the process unless that is over within `GRACE`.
 - in the event loop (`Interrupts.listening`): whoever waits in `Interrupts.wait`. Should the loop
   not come to the second signal within `GRACE`, or to a deadline (`Interrupts.end_within`), because
   it is stuck in a body or in writing to somebody who does not read, the system's alarm clock ends
@@ -66,6 +68,7 @@ class Interrupts:
         self.restore: Callable[[], object] = bool
         self._endured = 1
         self._is_reading = False
+        self._early: int | None = None
         self._tell: Callable[[], object] | None = None
 
     @property
@@ -136,6 +139,26 @@ class Interrupts:
             self._tell = None
             self._endured = sys.maxsize
 
+    @contextmanager
+    def beginning(self, status: int) -> Iterator[None]:
+        """A block that has nothing to end yet; behind it a signal means what it does elsewhere.
+
+        If a signal comes in it, or came before, it has `GRACE` to leave the block, however busy
+        the loop is, or the process ends.
+
+        Args:
+            status: With this exit status.
+        """
+        self._early = status
+        if self.received:
+            self.end_within(0.0, status)
+        try:
+            yield
+        finally:
+            self._early = None
+            if len(self.received) < self._endured:
+                signal.setitimer(signal.ITIMER_REAL, 0)
+
     def end_within(self, seconds: float, status: int) -> None:
         """Give the loop some wall seconds and `GRACE` to leave `listening`, or end the process.
 
@@ -161,6 +184,8 @@ class Interrupts:
             raise KeyboardInterrupt
         if len(self.received) > self._endured:
             self._end(self.status)
+        if self._early is not None:
+            self.end_within(0.0, self._early)
         if self._tell is not None:
             if len(self.received) == self._endured:
                 self.end_within(0.0, self.status)

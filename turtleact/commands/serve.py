@@ -132,7 +132,8 @@ async def _serve(
                 drawing = Background(log.board.run(), "the dashboard")
                 await stack.enter_async_context(aclosing(drawing))
             graph = partial(_open_graph, service, opened)
-            node = await stack.enter_async_context(_open_node(service, graph, log))
+            with interrupts.beginning(0):
+                node = await stack.enter_async_context(_open_node(service, graph, log))
             for each in declared:
                 node.serve(each)
             if service.web is not None:
