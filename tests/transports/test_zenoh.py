@@ -777,6 +777,30 @@ async def test_what_waits_behind_a_message_that_cannot_be_sent_is_sent(
     assert "as a test wants it" in caplog.text
 
 
+async def test_what_is_sent_between_two_messages_keeps_its_place(address, monkeypatch):
+    """Else an acceptance would come behind the feedback of a body that never waits."""
+    gate = threading.Event()
+    seen: list[object] = []
+
+    def note(self, payload, attachment):
+        seen.append(SPEECH.decode(payload))
+
+    async with two(address) as peers:
+        peers.there.subscribe(subscription(), SPEECH, Inbox().deliver)
+        publication = peers.here.advertise(publisher(), SPEECH)
+        await peers.settle()
+        monkeypatch.setattr(Publisher, "put", note)
+        outbox = peers.here._link.outbox
+        outbox.post(gate.wait)
+        publication.publish(feedback(1))
+        outbox.post(lambda: seen.append("a reply"))
+        publication.publish(feedback(2))
+        gate.set()
+        await peers.here.flush()
+        monkeypatch.undo()
+    assert seen == [feedback(1), "a reply", feedback(2)]
+
+
 class PromptAdder(Adder):
     """Answers small sums at once."""
 

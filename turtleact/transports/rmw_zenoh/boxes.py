@@ -32,7 +32,7 @@ CAPACITY = 32 * 1024 * 1024
 ENTRY = 256
 
 #: So many jobs are done before the event loop has its turn.
-IN_A_ROW = 500
+IN_A_ROW = 100
 
 
 class Lane(Generic[T]):
@@ -57,9 +57,6 @@ class Lane(Generic[T]):
     def weight(self) -> int:
         """How much waits (bytes)."""
         return self._put - self._taken - self._lost
-
-    def __len__(self) -> int:
-        return len(self._entries)
 
     def put(self, entry: T, size: int) -> bool:
         """Put one in; answers whether there is one more to take than before."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import anyio
 
-from turtleact.errors import InvalidMessage, TurtleactError
+from turtleact.errors import InvalidMessage
 from turtleact.transports.base import Closeable, Format, Publication, QoS, Source
 from turtleact.transports.rmw_zenoh.attachment import gid_in
 from turtleact.transports.rmw_zenoh.boxes import Lane
@@ -62,7 +62,6 @@ class WirePublication:
         self._is_expected = False  # that somebody reads
         self._is_stale = False
         self._is_watched = False  # by the courier below
-        self._is_posted = False  # that what waits to be sent is
         self._publisher: Publisher | None = None
         self._unsent: Lane[tuple[bytes, bytes]] = _lane(endpoint.qos)
         self._sent = link.tasks.signal()
@@ -159,11 +158,10 @@ class WirePublication:
     def _send(self, payload: bytes) -> None:
         if not self._link.is_open or self._presence.is_asleep:
             return
-        if not self._unsent.put((payload, self._counter.next()), len(payload)):
+        if self._unsent.put((payload, self._counter.next()), len(payload)):
+            self._link.outbox.post(self._put)  # one for each: what others send keeps its place
+        else:
             _note_loss(self._topic, self._qos, self._unsent, "published than can be sent")
-        if not self._is_posted:
-            self._is_posted = True
-            self._link.outbox.post(self._put)
 
     def _send_current(self) -> int:
         """Send the source's state, and answer how much that is (bytes)."""
@@ -206,20 +204,14 @@ class WirePublication:
             )
 
     def _put(self) -> None:
-        """Send what there is now: what comes meanwhile waits for what others have to send."""
-        self._is_posted = False
-        for _ in range(len(self._unsent)):
-            was_congested = self._unsent.weight > CONGESTED // 2
-            entry = self._unsent.take()
-            try:
-                if entry is not None and self._publisher is not None:
-                    self._publisher.put(*entry)
-            except TurtleactError:
-                self._link.outbox.post(self._put)  # the others
-                raise
-            finally:
-                if was_congested and self._unsent.weight <= CONGESTED // 2:
-                    self._link.tasks.from_anywhere(self._sent.fire)
+        was_congested = self._unsent.weight > CONGESTED // 2
+        entry = self._unsent.take()
+        try:
+            if entry is not None and self._publisher is not None:
+                self._publisher.put(*entry)
+        finally:
+            if was_congested and self._unsent.weight <= CONGESTED // 2:
+                self._link.tasks.from_anywhere(self._sent.fire)
 
     def _undeclare(self) -> None:
         if self._publisher is not None:
