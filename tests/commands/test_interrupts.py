@@ -6,6 +6,7 @@ import asyncio
 import os
 import select
 import signal
+from threading import Lock, Thread, get_ident
 
 import pytest
 
@@ -127,6 +128,26 @@ def test_the_loop_hears_of_a_signal(installed):
     async def steps():
         asyncio.get_running_loop().call_later(0, signal.raise_signal, SIGINT)
         await installed.wait(1)
+
+    in_the_loop(installed, steps)
+
+
+def test_a_signal_that_does_not_break_into_the_sleep_of_the_loop_ends_it(installed):
+    """Another thread takes it, as nobody can hit the moment just before the sleep."""
+    asleep = Lock()
+
+    def take():
+        with asleep:  # held by Python's own lock, too, until the loop lets go of that to sleep
+            signal.pthread_kill(get_ident(), SIGINT)
+
+    async def steps():
+        asleep.acquire()
+        thread = Thread(target=take)
+        thread.start()
+        asyncio.get_running_loop().call_soon(asleep.release)
+        async with asyncio.timeout(10):
+            await installed.wait(1)
+        thread.join()
 
     in_the_loop(installed, steps)
 

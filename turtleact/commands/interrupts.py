@@ -16,7 +16,9 @@ it depends on where the program stands:
 
 One handler for all of this, set once: the loop's own signal handling would leave Python's default
 behind, and with it a traceback, in the moments before and after the loop. The loop is told by
-``call_soon_threadsafe``, as `asyncio.Runner` does for Ctrl-C.
+``call_soon_threadsafe``, as `asyncio.Runner` does for Ctrl-C. What waits for the system meanwhile,
+the loop or a reading, waits for a pipe too, into which the system writes each signal: one that came
+in the moment before that wait began would be told after it only.
 """
 
 from __future__ import annotations
@@ -90,9 +92,6 @@ class Interrupts:
     def read(self, file: int, most: int, *, line: bool = False) -> bytes:
         """What a file holds, waited for; a signal ends the waiting.
 
-        The file is waited for together with a pipe into which the system writes each signal. One
-        that came in the moment before a plain read began to wait would be told after that only.
-
         Args:
             file: Its descriptor.
             most: So many bytes at most; the end of the file comes before.
@@ -131,13 +130,16 @@ class Interrupts:
         self._tell = lambda: loop.call_soon_threadsafe(self._changed.set)
         self._endured = 2
         before = signal.getsignal(signal.SIGALRM)
-        try:
-            yield
-        finally:
-            signal.setitimer(signal.ITIMER_REAL, 0)
-            signal.signal(signal.SIGALRM, before)
-            self._tell = None
-            self._endured = sys.maxsize
+        with _signals_in_a_pipe() as signals:
+            loop.add_reader(signals, os.read, signals, CHUNK)
+            try:
+                yield
+            finally:
+                loop.remove_reader(signals)
+                signal.setitimer(signal.ITIMER_REAL, 0)
+                signal.signal(signal.SIGALRM, before)
+                self._tell = None
+                self._endured = sys.maxsize
 
     @contextmanager
     def beginning(self, status: int) -> Iterator[None]:
