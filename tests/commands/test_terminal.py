@@ -76,6 +76,17 @@ def tty():
     os.close(main)
 
 
+def unread(main):
+    """All that can be read now."""
+    text = b""
+    os.set_blocking(main, False)
+    with contextlib.suppress(BlockingIOError):
+        while chunk := os.read(main, 65536):
+            text += chunk
+    os.set_blocking(main, True)
+    return text
+
+
 def test_a_terminal_has_the_size_it_has(tty):
     assert Region(tty[1]).size() == (31, 17)
 
@@ -110,7 +121,7 @@ def test_the_cursor_comes_back_at_the_end_of_the_block(tty):
     main, stream = tty
     with (region := Region(stream)).held():
         region.draw(["one"])
-    assert os.read(main, 1000).endswith(GIVE_BACK.encode())
+    assert unread(main).endswith(GIVE_BACK.encode())
 
 
 def test_giving_back_a_terminal_that_takes_nothing_does_not_block(tty):
@@ -151,7 +162,7 @@ def test_in_the_background_the_terminal_is_left_alone(tty, monkeypatch):
         monkeypatch.setattr(os, "tcgetpgrp", lambda _: group)
         region.draw(["two"])
         assert not echoes(main)
-    assert b"one" not in os.read(main, 1000)
+    assert b"one" not in unread(main)
 
 
 def test_keys_come_at_once_and_are_not_shown_while_they_are_read(tty):
@@ -167,17 +178,6 @@ def test_keys_come_at_once_and_are_not_shown_while_they_are_read(tty):
 
 
 # --- nothing waits for a terminal -----------------------------------------------------------
-
-
-def unread(main):
-    """All that can be read now."""
-    text = b""
-    os.set_blocking(main, False)
-    with contextlib.suppress(BlockingIOError):
-        while chunk := os.read(main, 65536):
-            text += chunk
-    os.set_blocking(main, True)
-    return text
 
 
 def test_what_the_terminal_does_not_take_is_kept_for_later(tty):
