@@ -363,7 +363,13 @@ def test_bash_completes_by_the_script_an_alias_too(tmp_path):
         'printf "<%s>\\n" "${COMPREPLY[@]}"\n'
     )
     program = tmp_path / "turtleact"
-    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m turtleact "$@"\n')
+    program.write_text(
+        f"#!{sys.executable}\n"
+        "from turtleact import cli\n"
+        "from turtleact.commands import completion\n"
+        "completion.PATIENCE = 60.0\n"
+        "cli.main()\n"
+    )
     program.chmod(0o755)
     ran = subprocess.run(
         ["bash", "--norc", "-c", script, "bash", "action_tutorials_interfaces/action/Fibonacci"],
