@@ -963,7 +963,7 @@ async def test_a_handler_that_never_ends_does_not_keep_a_transport_open(address,
 
 
 SERVER = """
-import sys, anyio
+import asyncio, signal, sys, anyio
 from turtleact.interfaces import WireFormat
 from turtleact.transports import open_zenoh
 from turtleact.transports.base import Endpoint, Reply
@@ -975,6 +975,8 @@ class Silent:
         await anyio.sleep_forever()
 
 async def main():
+    # Or Ctrl-C, in the moment before the loop begins to sleep, would be noticed once it wakes.
+    asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, int)
     async with open_zenoh([sys.argv[1]], listen=[]) as transport:
         transport.serve(
             Endpoint("service", "/cancel", CancelGoal.type_name, "/far"),
