@@ -22,7 +22,7 @@ from turtleact.errors import (
     ServerUnavailable,
     TurtleactError,
 )
-from turtleact.interfaces import Action, Message, Service, int32
+from turtleact.interfaces import Message, Service, int32
 from turtleact.tasks import current_tasks
 from turtleact.transports import MemoryTransport
 
@@ -48,10 +48,6 @@ class Word(Message, type_name="lab_interfaces/msg/Word"):
     number: int32 = 0
 
 
-class Other(Message, type_name="lab_interfaces/msg/Other"):
-    pass
-
-
 class Double(Service, type_name="lab_interfaces/srv/Double"):
     class Request(Message):
         number: int32 = 0
@@ -60,20 +56,8 @@ class Double(Service, type_name="lab_interfaces/srv/Double"):
         number: int32 = 0
 
 
-class Rest(Action, type_name="lab_interfaces/action/Rest"):
-    class Goal(Message):
-        pass
-
-    class Result(Message):
-        pass
-
-
 def double(request: Double.Request) -> Double.Response:
     return Double.Response(number=2 * request.number)
-
-
-async def rest(request: Rest.Goal) -> Rest.Result:
-    return Rest.Result()
 
 
 OPENINGS: dict[str, Callable[[turtleact.Node, str], Any]] = {
@@ -265,51 +249,6 @@ async def test_a_node_on_which_nothing_is_opened_is_in_the_graph():
         assert lab.graph().nodes == ("/lab", "/user")
         await lab.aclose()
         assert user.graph().nodes == ("/user",)
-
-
-async def test_a_name_that_two_nodes_have_is_in_the_graph_once():
-    transport = MemoryTransport()
-    async with (
-        turtleact.open_node("lab", transport=transport) as first,
-        turtleact.open_node("lab", transport=transport) as second,
-    ):
-        assert first.graph().nodes == ("/lab",)
-        await second.aclose()
-        assert first.graph().nodes == ("/lab",)
-
-
-async def test_the_graph_shows_topics_with_all_their_types():
-    async with two_nodes() as (lab, user):
-        lab.publisher(Word, "words")
-        user.subscription(Word, "words")
-        user.subscription(Other, "words")
-        user.subscription(Word, "a/listened")
-        assert lab.graph().topics == {
-            "/a/listened": (Word.type_name,),
-            "/words": (Other.type_name, Word.type_name),
-        }
-        assert list(lab.graph().topics) == ["/a/listened", "/words"]
-
-
-async def test_the_graph_shows_services_and_actions_that_are_served():
-    async with two_nodes() as (lab, user):
-        user.action_client(Rest, "nobody")
-        user.service_client(Double, "nobody")
-        lab.service(Double, "double", double)
-        lab.action_server(Rest, "it", rest)
-        lab.action_server(Count, "it", count)
-        graph = user.graph()
-        assert graph.services == {"/double": (Double.type_name,)}
-        assert graph.actions == {"/it": (Count.type_name, Rest.type_name)}
-
-
-@pytest.mark.parametrize("name", ["_secret", "a/_secret/b"])
-async def test_the_graph_leaves_hidden_names_out(name):
-    async with turtleact.open_node("lab") as node:
-        node.publisher(Word, name)
-        node.service(Double, name, double)
-        assert (node.graph().topics, node.graph().services) == ({}, {})
-        assert node.count_publishers(name) == 1
 
 
 @EACH_OPENING

@@ -14,7 +14,6 @@ from typing import Protocol, TypeVar, Unpack, cast
 from weakref import WeakValueDictionary
 
 import anyio
-import msgspec
 
 from turtleact.body import ActionDeclaration, ActionType, ServerOptions
 from turtleact.client import ActionClient
@@ -22,6 +21,7 @@ from turtleact.client.distant_server import DistantServer
 from turtleact.client.links import Links
 from turtleact.clock import Clock
 from turtleact.errors import InvalidOption, TurtleactError
+from turtleact.graph import Graph, graph_of
 from turtleact.interfaces import Message, Service, WireFormat
 from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
 from turtleact.server import ActionServer
@@ -35,7 +35,7 @@ from turtleact.topics import Publisher, Subscription
 from turtleact.transports import MemoryTransport, QoS, Transport
 from turtleact.transports.base import Closeable, Endpoint, EndpointKind
 
-__all__ = ["Graph", "Node", "open_node"]
+__all__ = ["Node", "open_node"]
 
 G = TypeVar("G", bound=Message)
 R = TypeVar("R", bound=Message)
@@ -59,22 +59,6 @@ class _Membership:
     def close(self) -> None:
         self._opened.close()
         self._forget()
-
-
-class Graph(msgspec.Struct, frozen=True):
-    """What exists, as a node sees it now.
-
-    Attributes:
-        nodes: The fully qualified names of the nodes, sorted.
-        topics: Topic name to the types used on it; the hidden ones of actions are left out.
-        services: Service name to its types; likewise.
-        actions: Action name to the types that are served under it.
-    """
-
-    nodes: tuple[str, ...]
-    topics: dict[str, tuple[str, ...]]
-    services: dict[str, tuple[str, ...]]
-    actions: dict[str, tuple[str, ...]]
 
 
 class Node:
@@ -290,17 +274,7 @@ class Node:
 
     def graph(self) -> Graph:
         """What exists on the graph now."""
-        endpoints = self.transport.endpoints()
-        return Graph(
-            nodes=tuple(sorted(set(self.transport.nodes()))),
-            topics=_types_by_name(endpoints, ("publisher", "subscription")),
-            services=_types_by_name(endpoints, ("service",)),
-            actions={
-                name.removesuffix(_SEND_GOAL): tuple(t.removesuffix("_SendGoal") for t in types)
-                for name, types in _types_by_name(endpoints, ("service",), hidden=True).items()
-                if name.endswith(_SEND_GOAL)
-            },
-        )
+        return graph_of(self.transport)
 
     async def aclose(self) -> None:
         """Close everything opened on the node; running goals end ABORTED, "shutdown".
@@ -384,16 +358,3 @@ async def open_node(
         yield node
     finally:
         await node.aclose()
-
-
-_SEND_GOAL = "/_action/send_goal"
-
-
-def _types_by_name(
-    endpoints: tuple[Endpoint, ...], kinds: tuple[EndpointKind, ...], *, hidden: bool = False
-) -> dict[str, tuple[str, ...]]:
-    found: dict[str, set[str]] = {}
-    for endpoint in endpoints:
-        if endpoint.kind in kinds and (hidden or "/_" not in endpoint.name):
-            found.setdefault(endpoint.name, set()).add(endpoint.type_name)
-    return {name: tuple(sorted(types)) for name, types in sorted(found.items())}
