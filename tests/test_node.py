@@ -251,6 +251,23 @@ async def test_a_node_on_which_nothing_is_opened_is_in_the_graph():
         assert user.graph().nodes == ("/user",)
 
 
+ON_DEMAND: dict[str, Callable[[turtleact.Node, bool], Any]] = {
+    "action_server": lambda node, say: node.action_server(Count, "it", count, on_demand=say),
+    "publisher": lambda node, say: node.publisher(Word, "it", on_demand=say),
+    "subscription": lambda node, say: node.subscription(Word, "it", on_demand=say),
+    "service": lambda node, say: node.service(Double, "it", double, on_demand=say),
+}
+
+
+@pytest.mark.parametrize("is_asked_for", [True, False])
+@pytest.mark.parametrize("open_it", ON_DEMAND.values(), ids=ON_DEMAND)
+async def test_all_endpoints_of_what_is_opened_on_demand_are_so(open_it, is_asked_for):
+    async with turtleact.open_node("lab") as node:
+        open_it(node, is_asked_for)
+        on_demand = {each.on_demand for each in node.transport.endpoints()}
+        assert on_demand == {is_asked_for}
+
+
 @EACH_OPENING
 async def test_what_was_closed_is_gone_from_the_graph(open_it):
     async with turtleact.open_node("lab") as node:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
+from functools import partial
 from typing import Protocol, TypeVar, Unpack, cast
 from weakref import WeakValueDictionary
 
@@ -64,7 +65,9 @@ class _Membership:
 class Node:
     """One participant; made by `open_node`.
 
-    Whatever opens something raises `TurtleactError` once the node is closed.
+    Whatever opens something raises `TurtleactError` once the node is closed. With ``on_demand``,
+    other processes are told of it only once one of them has an endpoint of its name: for things by
+    the thousand, few of which are ever used.
 
     Attributes:
         name: Its name.
@@ -72,7 +75,6 @@ class Node:
         clock: The time of its graph: what a body that waits should wait by.
         transport: How it talks with others.
         is_open: Whether something can be opened on it.
-        on_demand: Whether what is opened from now on is so to others; see `Endpoint.on_demand`.
     """
 
     def __init__(self, name: str, namespace: str, transport: Transport) -> None:
@@ -82,7 +84,6 @@ class Node:
         self.clock: Clock = transport.clock
         self.transport = transport
         self.is_open = True
-        self.on_demand = False
         self._tasks = current_tasks()
         self._count = 0
         self._opened: dict[int, _Closing] = {}
@@ -120,6 +121,8 @@ class Node:
         action_type: ActionType[G, R, F],
         name: str,
         execute: Callable[..., object],
+        *,
+        on_demand: bool = False,
         **options: Unpack[ServerOptions],
     ) -> ActionServer[G, R, F]:
         """Serve an action.
@@ -129,6 +132,7 @@ class Node:
             name: The action's name; a relative one is put below the node's namespace.
             execute: The body: an async generator or a coroutine function, which takes the goal
                 and, if it wants, the `ServerGoalHandle`.
+            on_demand: See `Node`.
             **options: ``goal_callback(goal)`` answers a `GoalResponse` or raises
                 `turtleact.Reject`; ``cancel_callback(handle)`` answers a `CancelResponse`; both may
                 be coroutine functions. ``policy`` says what becomes of a goal while another runs:
@@ -159,7 +163,8 @@ class Node:
         )
         for hook in self._hooks:
             server.hooks.add(hook)
-        endpoints = ActionEndpoints(server, names, self.transport, self._endpoint, self._tasks)
+        endpoint = partial(self._endpoint, on_demand=on_demand)
+        endpoints = ActionEndpoints(server, names, self.transport, endpoint, self._tasks)
         server.endpoints = endpoints
         server.registration = self._own(server, endpoints)
         return server
@@ -192,29 +197,41 @@ class Node:
         client.membership = self._own(client, links)
         return client
 
-    def publisher(self, message_type: type[M], topic: str, qos: QoS | None = None) -> Publisher[M]:
+    def publisher(
+        self, message_type: type[M], topic: str, qos: QoS | None = None, *, on_demand: bool = False
+    ) -> Publisher[M]:
         """Open the sending end of a topic.
+
+        Args:
+            message_type: What is sent.
+            topic: The topic's name; a relative one is put below the node's namespace.
+            qos: Quality of service; that of `QoS` if left out.
+            on_demand: See `Node`; what is latched is there for all at once.
 
         Raises:
             InvalidName: if the topic's name breaks ROS 2's rules.
         """
         name = resolve_name(topic, self.namespace, self.name)
-        endpoint = self._endpoint("publisher", name, message_type.type_name, qos)
+        endpoint = self._endpoint(
+            "publisher", name, message_type.type_name, qos, on_demand=on_demand
+        )
         publication = self.transport.advertise(endpoint, WireFormat(message_type))
         publisher = Publisher(name, message_type, publication)
         publisher.membership = self._own(publisher, publication)
         return publisher
 
     def subscription(
-        self, message_type: type[M], topic: str, qos: QoS | None = None
+        self, message_type: type[M], topic: str, qos: QoS | None = None, *, on_demand: bool = False
     ) -> Subscription[M]:
-        """Open the receiving end of a topic: an object for ``async for``.
+        """Open the receiving end of a topic: an object for ``async for``; as `publisher`.
 
         Raises:
             InvalidName: if the topic's name breaks ROS 2's rules.
         """
         name = resolve_name(topic, self.namespace, self.name)
-        endpoint = self._endpoint("subscription", name, message_type.type_name, qos)
+        endpoint = self._endpoint(
+            "subscription", name, message_type.type_name, qos, on_demand=on_demand
+        )
         subscription: Subscription[M] = Subscription(name, endpoint.qos.depth, self._tasks.signal())
         deliver = cast("Callable[[object], None]", subscription.deliver)
         subscribed = self.transport.subscribe(endpoint, WireFormat(message_type), deliver)
@@ -226,6 +243,8 @@ class Node:
         service_type: ServiceType[Req, Res],
         name: str,
         handler: Callable[[Req], Res | Awaitable[Res]],
+        *,
+        on_demand: bool = False,
     ) -> ServiceServer[Req, Res]:
         """Serve a service.
 
@@ -235,13 +254,14 @@ class Node:
             handler: A function or coroutine function that takes a request and gives the response.
                 Each request is handled in a task of its own, several side by side. What it raises
                 reaches the caller as `ServiceError`.
+            on_demand: See `Node`.
 
         Raises:
             InvalidName: if the name breaks ROS 2's rules.
         """
         full_name = resolve_name(name, self.namespace, self.name)
         server = ServiceServer(service_type, full_name, handler, tasks=self._tasks)
-        endpoint = self._endpoint("service", full_name, service_type.type_name)
+        endpoint = self._endpoint("service", full_name, service_type.type_name, on_demand=on_demand)
         format = WireFormat(cast("type[Service]", service_type))
         registration = self.transport.serve(endpoint, format, server)
         server.registration = self._own(server, registration)
@@ -330,12 +350,18 @@ class Node:
         return action_names(resolve_name(name, self.namespace, self.name))
 
     def _endpoint(
-        self, kind: EndpointKind, name: str, type_name: str, qos: QoS | None = None
+        self,
+        kind: EndpointKind,
+        name: str,
+        type_name: str,
+        qos: QoS | None = None,
+        *,
+        on_demand: bool = False,
     ) -> Endpoint:
         if not self.is_open:
             raise TurtleactError(f"node '{self.fully_qualified_name}' is closed: open another")
         own, qos = self.fully_qualified_name, qos or QoS()
-        return Endpoint(kind, name, type_name, own, qos, on_demand=self.on_demand)
+        return Endpoint(kind, name, type_name, own, qos, on_demand=on_demand)
 
 
 @asynccontextmanager

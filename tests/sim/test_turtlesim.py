@@ -145,12 +145,20 @@ async def test_of_a_fleet_all_but_a_hundred_are_on_demand_to_others():
         on_demand = {each.name for each in here.node.transport.endpoints() if each.on_demand}
         assert {name.split("/")[1] for name in on_demand} == {"turtle101", "turtle102"}
         assert len(on_demand) == 2 * 11
-        assert await here.spawn(1.0, 1.0, 0.0) == "turtle103"
-        assert all(
-            not each.on_demand
-            for each in here.node.transport.endpoints()
-            if "turtle103" in each.name
-        )
+
+
+async def test_a_turtle_is_on_demand_if_a_hundred_are_there_when_it_is_spawned():
+    async with stage(turtles=100) as here:
+        names = [await here.spawn(1.0, 1.0, 0.0)]
+        await here.kill("turtle7")
+        await here.kill("turtle8")
+        names.append(await here.spawn(1.0, 1.0, 0.0))
+        endpoints = here.node.transport.endpoints()
+        on_demand = [
+            {each.on_demand for each in endpoints if each.name.split("/")[1] == name}
+            for name in names
+        ]
+        assert on_demand == [{True}, {False}]
 
 
 async def test_a_pose_is_published_after_each_tick():

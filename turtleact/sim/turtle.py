@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import logging
 import math
+from functools import partial
 from typing import TYPE_CHECKING
 
 import anyio
@@ -60,6 +61,7 @@ class Turtle:
         pens: What it draws with.
         name: Its name, by which the world knows it.
         on_work: Called with it when there is something to take up at the next tick.
+        on_demand: Whether other processes are told of it only when they ask; see `Node`.
 
     Raises:
         InvalidName: if topics cannot be called so; then nothing is open.
@@ -73,28 +75,42 @@ class Turtle:
     """
 
     def __init__(
-        self, node: Node, world: World, pens: Pens, name: str, on_work: Callable[[Turtle], object]
+        self,
+        node: Node,
+        world: World,
+        pens: Pens,
+        name: str,
+        on_work: Callable[[Turtle], object],
+        *,
+        on_demand: bool = False,
     ) -> None:
         self.name = name
         self.turn: _Turn | None = None
         self._gone = ""
         self._world = world
         self._pens = pens
-        self.commands = node.subscription(Twist, f"{name}/cmd_vel", TOPIC_QOS)
+        subscription = partial(node.subscription, qos=TOPIC_QOS, on_demand=on_demand)
+        publisher = partial(node.publisher, qos=TOPIC_QOS, on_demand=on_demand)
+        service = partial(node.service, on_demand=on_demand)
+        self.commands = subscription(Twist, f"{name}/cmd_vel")
         self._on_work = on_work
         self.commands.notify = lambda: on_work(self)
-        self.poses = node.publisher(TurtlePose, f"{name}/pose", TOPIC_QOS)
-        self.colours = node.publisher(Color, f"{name}/color_sensor", TOPIC_QOS)
+        self.poses = publisher(TurtlePose, f"{name}/pose")
+        self.colours = publisher(Color, f"{name}/color_sensor")
         self._opened = (
             self.commands,
             self.poses,
             self.colours,
-            node.service(SetPen, f"{name}/set_pen", self._set_pen),
-            node.service(TeleportAbsolute, f"{name}/teleport_absolute", self._teleport_absolute),
-            node.service(TeleportRelative, f"{name}/teleport_relative", self._teleport_relative),
+            service(SetPen, f"{name}/set_pen", self._set_pen),
+            service(TeleportAbsolute, f"{name}/teleport_absolute", self._teleport_absolute),
+            service(TeleportRelative, f"{name}/teleport_relative", self._teleport_relative),
         )
         self._rotations = node.action_server(
-            RotateAbsolute, f"{name}/rotate_absolute", self._rotate, goal_callback=_check
+            RotateAbsolute,
+            f"{name}/rotate_absolute",
+            self._rotate,
+            on_demand=on_demand,
+            goal_callback=_check,
         )
 
     def leave(self, reason: str) -> None:

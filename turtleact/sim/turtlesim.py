@@ -47,7 +47,7 @@ __all__ = ["Turtlesim"]
 logger = logging.getLogger("turtleact.turtlesim")
 
 MOST_SHOWN: Final = 100
-"""Of a fleet, so many turtles are on the graph of other processes at once, the rest on demand."""
+"""So many turtles are on the graph of other processes at once; what comes more is so on demand."""
 
 
 class Turtlesim:
@@ -183,12 +183,13 @@ class Turtlesim:
     def _welcome_all(self) -> None:
         for name in self._world.names:
             x, y, theta, *_ = self._world.pose(name)
-            self._node.on_demand = int(name.removeprefix("turtle")) > MOST_SHOWN
-            self._welcome(name, x, y, theta)
-        self._node.on_demand = False
+            is_shown = int(name.removeprefix("turtle")) <= MOST_SHOWN
+            self._welcome(name, x, y, theta, is_shown=is_shown)
 
-    def _welcome(self, name: str, x: float, y: float, theta: float) -> None:
-        self._turtles[name] = Turtle(self._node, self._world, self._pens, name, self._call_on)
+    def _welcome(self, name: str, x: float, y: float, theta: float, *, is_shown: bool) -> None:
+        self._turtles[name] = Turtle(
+            self._node, self._world, self._pens, name, self._call_on, on_demand=not is_shown
+        )
         self._is_graph_new = True
         logger.info("Spawning turtle [%s] at x=[%f], y=[%f], theta=[%f]", *(name, x, y, theta))
 
@@ -210,7 +211,8 @@ class Turtlesim:
                     logger.error("A turtle was not spawned: %s", error)
                 return Spawn.Response()
             self._pens.take_stock()
-            self._welcome(name, request.x, request.y, request.theta)
+            is_shown = len(self._turtles) < MOST_SHOWN
+            self._welcome(name, request.x, request.y, request.theta, is_shown=is_shown)
         return Spawn.Response(name)
 
     async def _kill(self, request: Kill.Request) -> Kill.Response:
