@@ -700,6 +700,17 @@ async def test_a_latched_source_on_demand_tells_its_state_once_it_is_asked_for(a
         assert far.numbers[-1] == 5
 
 
+async def test_nothing_is_asked_of_zenoh_for_what_is_on_demand_and_not_wanted(address, monkeypatch):
+    async with two(address) as peers:
+        with monkeypatch.context() as patched:
+            posted: list[object] = []
+            patched.setattr(peers.here._link.outbox, "post", posted.append)
+            peers.here.advertise(shy(publisher()), SPEECH).close()
+            peers.here.subscribe(shy(subscription()), SPEECH, Inbox().deliver).close()
+            peers.here.serve(shy(service()), SERVING, Adder()).close()
+            assert posted == []
+
+
 async def test_what_is_on_demand_and_closed_leaves_nothing_behind(address):
     async with two(address) as peers:
         opened = [

@@ -28,7 +28,6 @@ from turtleact.tasks import GRACE
 from turtleact.transports.base import (
     Asked,
     Caller,
-    Closeable,
     Endpoint,
     Format,
     Prompt,
@@ -43,7 +42,7 @@ from turtleact.transports.rmw_zenoh.attachment import (
     write_attachment,
 )
 from turtleact.transports.rmw_zenoh.failures import error_said, said
-from turtleact.transports.rmw_zenoh.link import Counter, Link, Named, Presence
+from turtleact.transports.rmw_zenoh.link import Counter, Link, Named, Opened, Presence
 
 if TYPE_CHECKING:
     from turtleact.transports.rmw_zenoh.session import Declared, Querier, Query
@@ -70,22 +69,16 @@ class WireService:
         self._format = format
         self._replying = handler if isinstance(handler, Replying) else None
         self._prompt = handler if isinstance(handler, Prompt) else None
-        self._is_open = True
         self._under_way: set[tuple[bytes, int]] = set()
         self._declared: Declared | None = None
-        self._near: Closeable = link.near.serve(named.endpoint, format, handler)
+        near = link.near.serve(named.endpoint, format, handler)
         declare = None if self._replying is None else self._declare
-        self._presence = Presence(link, named.token, declare, on_demand=named.on_demand)
-        link.opened.add(self)
+        presence = Presence(link, named.token, declare, self._undeclare, on_demand=named.on_demand)
+        self._opened = Opened(link, near, presence)
 
     def close(self) -> None:
         """Take no more requests; those under way go on. A second time does nothing."""
-        if self._is_open:
-            self._is_open = False
-            self._near.close()
-            self._presence.close()
-            self._link.opened.discard(self)
-            self._link.outbox.post(self._undeclare)
+        self._opened.close()
 
     def _take(self, query: Query) -> None:
         """Called in a thread of the session."""
@@ -101,7 +94,7 @@ class WireService:
             logger.warning("service %s: a request cannot be read: %s", self._name, error)
             self._fail(query, error)
             return
-        if not self._is_open or not self._link.is_open:
+        if not self._opened.is_open or not self._link.is_open:
             self._fail(query, self._closed())
             return
         try:

@@ -18,7 +18,7 @@ from turtleact.transports.rmw_zenoh.boxes import Inbox, Outbox
 if TYPE_CHECKING:
     from turtleact.transports.rmw_zenoh.session import Declared, Session
 
-__all__ = ["Counter", "Crew", "Link", "Named", "Presence"]
+__all__ = ["Counter", "Crew", "Link", "Named", "Opened", "Presence"]
 
 
 class Named(msgspec.Struct, frozen=True):
@@ -137,6 +137,7 @@ class Presence:
         link: Where.
         token: The token; it is taken back before the rest.
         declare: Declares the rest, in the outbox.
+        undeclare: Takes it back, likewise.
         on_demand: The name of an endpoint that is declared once others have one of that name; if
             it is empty, all is declared now.
         on_wake: Called when it is, if not at once.
@@ -150,6 +151,7 @@ class Presence:
         link: Link,
         token: str,
         declare: Callable[[], None] | None = None,
+        undeclare: Callable[[], None] | None = None,
         *,
         on_demand: str = "",
         on_wake: Callable[[], None] | None = None,
@@ -158,6 +160,7 @@ class Presence:
         self._link = link
         self._token = token
         self._declare = declare
+        self._undeclare = undeclare
         self._on_demand = on_demand
         self._on_wake = on_wake
         self._declared: Declared | None = None
@@ -181,7 +184,9 @@ class Presence:
     def close(self) -> None:
         """Leave the graph."""
         if not self.is_asleep:
-            self._link.outbox.post(self._undeclare)
+            self._link.outbox.post(self._undeclare_token)
+            if self._undeclare is not None:
+                self._link.outbox.post(self._undeclare)
             return
         others = self._link.asleep.get(self._on_demand, {})
         others.pop(self, None)
@@ -191,7 +196,35 @@ class Presence:
     def _declare_token(self) -> None:
         self._declared = self._link.session.declare_token(self._token)
 
-    def _undeclare(self) -> None:
+    def _undeclare_token(self) -> None:
         if self._declared is not None:
             self._declared.undeclare()
             self._declared = None
+
+
+class Opened:
+    """Something that is open within the process and on the wire, until it is closed.
+
+    Args:
+        link: Where.
+        near: Its half within the process.
+        presence: Its half on the wire.
+
+    Attributes:
+        is_open: Whether it is.
+    """
+
+    def __init__(self, link: Link, near: Closeable, presence: Presence) -> None:
+        self.is_open = True
+        self._link = link
+        self._near = near
+        self._presence = presence
+        link.opened.add(self)
+
+    def close(self) -> None:
+        """Leave the graph; a second time does nothing."""
+        if self.is_open:
+            self.is_open = False
+            self._near.close()
+            self._presence.close()
+            self._link.opened.discard(self)

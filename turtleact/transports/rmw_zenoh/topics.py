@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import anyio
 
 from turtleact.errors import InvalidMessage
-from turtleact.transports.base import Closeable, Format, Publication, QoS, Source
+from turtleact.transports.base import Format, Publication, QoS, Source
 from turtleact.transports.rmw_zenoh.attachment import gid_in
 from turtleact.transports.rmw_zenoh.boxes import Lane
-from turtleact.transports.rmw_zenoh.link import Counter, Link, Named, Presence
+from turtleact.transports.rmw_zenoh.link import Counter, Link, Named, Opened, Presence
 
 if TYPE_CHECKING:
     from turtleact.transports.rmw_zenoh.session import Declared, Publisher
@@ -70,7 +70,12 @@ class WirePublication:
         # What a latched topic has told is kept by what is declared, so that is done at once.
         wakes = "" if self._is_latched and source is None else named.on_demand
         self._presence = Presence(
-            link, named.token, self._declare, on_demand=wakes, on_wake=self.refresh
+            link,
+            named.token,
+            self._declare,
+            self._undeclare,
+            on_demand=wakes,
+            on_wake=self.refresh,
         )
         link.opened.add(self)
         relay = None if source is None else _Relay(source, self._near_readers_changed)
@@ -130,7 +135,6 @@ class WirePublication:
         self._sent.fire()
         self._presence.close()
         self._link.opened.discard(self)
-        self._link.outbox.post(self._undeclare)
 
     # readers
 
@@ -237,21 +241,17 @@ class WireSubscription:
         self._qos = endpoint.qos
         self._format = format
         self._deliver = deliver
-        self._is_open = True
         self._unread: Lane[bytes] = _lane(endpoint.qos)
         self._declared: Declared | None = None
-        self._near: Closeable = link.near.subscribe(endpoint, format, deliver)
-        self._presence = Presence(link, named.token, self._declare, on_demand=named.on_demand)
-        link.opened.add(self)
+        near = link.near.subscribe(endpoint, format, deliver)
+        presence = Presence(
+            link, named.token, self._declare, self._undeclare, on_demand=named.on_demand
+        )
+        self._opened = Opened(link, near, presence)
 
     def close(self) -> None:
         """Leave the topic; a second time does nothing."""
-        if self._is_open:
-            self._is_open = False
-            self._near.close()
-            self._presence.close()
-            self._link.opened.discard(self)
-            self._link.outbox.post(self._undeclare)
+        self._opened.close()
 
     def _take(self, payload: bytes, attachment: bytes) -> None:
         """Called in a thread of the session."""
@@ -264,7 +264,7 @@ class WireSubscription:
 
     def _read(self) -> None:
         payload = self._unread.take()
-        if payload is None or not self._is_open:
+        if payload is None or not self._opened.is_open:
             return
         try:
             message = self._format.decode(payload)

@@ -46,7 +46,7 @@ from turtleact.transports.rmw_zenoh.keys import (
     gid_of,
     node_token,
 )
-from turtleact.transports.rmw_zenoh.link import Link, Named, Presence
+from turtleact.transports.rmw_zenoh.link import Link, Named, Opened, Presence
 from turtleact.transports.rmw_zenoh.session import Session
 from turtleact.transports.rmw_zenoh.topics import WirePublication, WireSubscription
 
@@ -125,7 +125,7 @@ class ZenohTransport:
         self._check_open()
         number = self._numbers[node] = self._next_number()
         token = node_token(self._link.domain, self._link.session.zid, number, node)
-        return _Entered(self._link, self._near.enter(node), token)
+        return Opened(self._link, self._near.enter(node), Presence(self._link, token))
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """All endpoints of the graph, or those of a name: our own, then those of others."""
@@ -254,22 +254,6 @@ class ZenohTransport:
                 if isinstance(each, WireCaller):
                     each.doubt(token.endpoint.name)
         self._near.tell_change()
-
-
-class _Entered:
-    """A node that is in the graph."""
-
-    def __init__(self, link: Link, near: Closeable, token: str) -> None:
-        self._link = link
-        self._near = near
-        self._presence = Presence(link, token)
-        link.opened.add(self)
-
-    def close(self) -> None:
-        if self in self._link.opened:
-            self._link.opened.discard(self)
-            self._near.close()
-            self._presence.close()
 
 
 @asynccontextmanager
