@@ -219,13 +219,47 @@ def test_the_help_of_a_verb_may_lose_its_reader():
 
 def test_nothing_is_imported_before_ctrl_c_is_taken():
     code = (
-        "import __future__, sys, types; package = types.ModuleType('turtleact');"
-        "sys.modules['turtleact'] = package;"
-        "package.__path__ = ['turtleact']; before = {*sys.modules}; from turtleact import cli;"
-        "print({*sys.modules} - before)"
+        "import __future__, sys; before = {*sys.modules}; from turtleact import cli;"
+        "print(sorted({*sys.modules} - before))"
     )
     out = subprocess.check_output([sys.executable, "-S", "-c", code], text=True, cwd=ROOT)
-    assert out == "{'turtleact.cli'}\n"
+    assert out == "['turtleact', 'turtleact.cli']\n"
+
+
+@pytest.fixture
+def begins():
+    """Begins a program in which Ctrl-C comes when a module is imported, and an import drops it."""
+
+    def run(module, **environment):
+        code = (
+            "import signal, sys; from contextlib import suppress; from turtleact import cli\n"
+            "class Finder:\n"
+            "    def find_spec(self, name, path, target=None):\n"
+            "        with suppress(KeyboardInterrupt):\n"
+            f"            if name == 'turtleact.commands.{module}':\n"
+            "                signal.raise_signal(signal.SIGINT)\n"
+            "sys.meta_path.insert(0, Finder())\n"
+            "sys.argv = ['turtleact', '--version']\n"
+            "sys.exit(cli.main())"
+        )
+        ran = subprocess.run(
+            [sys.executable, "-c", code],
+            env=os.environ | environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        return ran.returncode, ran.stdout, ran.stderr
+
+    return run
+
+
+def test_ctrl_c_in_the_midst_of_an_import_waits_until_it_can_be_told(begins):
+    assert begins("interrupts") == (130, "", "turtleact: interrupted\n")
+
+
+def test_ctrl_c_ends_a_completion_silently(begins):
+    assert begins("completion", _TURTLEACT_COMPLETE="bash") == (-signal.SIGINT, "", "")
 
 
 def test_help_imports_nothing_that_takes_long():

@@ -14,14 +14,13 @@ The layers, each built on those below it::
     interfaces                  messages, services and actions as classes
     names, geometry, errors
 
-A name is imported when it is first used, so that what needs little starts fast.
+A name is imported when it is first used, so that what needs little starts fast. Nothing else is
+imported here: until the command line has begun, Ctrl-C is a traceback of Python's.
 """
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING
-
+TYPE_CHECKING = False  # as `typing` would say, which takes long to import
 if TYPE_CHECKING:
     from turtleact.body import action
     from turtleact.client import ActionClient, ClientGoalHandle, Outcome
@@ -112,6 +111,8 @@ def __getattr__(name: str) -> object:
     """Import a public name from the module that it lives in."""
     if name not in __all__:
         raise AttributeError(f"module 'turtleact' has no attribute '{name}'")
+    import importlib
+
     module = importlib.import_module(f"turtleact.{_HOME.get(name, 'errors')}")
     value = globals()[name] = getattr(module, name)
     return value

@@ -3,7 +3,8 @@
 What the verbs take is declared in `turtleact.commands.verbs`; here they are run, and whatever ends
 them becomes a line on stderr and an exit status. Nothing is imported before it is wanted: Typer
 alone takes five times as long as an empty Python program, so ``--help`` does without it; and until
-`main` is entered, Ctrl-C is a traceback of Python's.
+`main` is entered, Ctrl-C is a traceback of Python's. From there on it waits until a handler takes
+it: where it is raised in the middle of an import, it may be printed and lost.
 
 ====== =================================================
 status meaning
@@ -39,18 +40,24 @@ OK, FAILED, USAGE, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 def main() -> int:
     """Run the program and give its exit status; the entry point of ``turtleact``."""
     try:
+        import _signal  # type: ignore[import-not-found]  # `signal` takes 6 ms more
         import os
 
         if shell := os.environ.get("_TURTLEACT_COMPLETE"):
+            _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # silent, as all of it
             from turtleact.commands.completion import complete
             from turtleact.commands.interrupts import leave
 
             leave(complete(shell, sys.argv[1:]))
 
+        before = _signal.pthread_sigmask(_signal.SIG_BLOCK, [_signal.SIGINT])
         from turtleact.commands.interrupts import Interrupts
 
         interrupts = Interrupts()
         interrupts.install()
+        _signal.pthread_sigmask(_signal.SIG_SETMASK, before)
+        if interrupts.received:
+            raise KeyboardInterrupt
         status = run(sys.argv[1:], interrupts)
         interrupts.ignore()
     except KeyboardInterrupt:  # in the moment before the handler stood
