@@ -297,6 +297,15 @@ async def test_a_canceled_reader_leaves_nothing_behind():
         assert other_tasks() == before
 
 
+async def test_what_is_taken_is_kept_for_nobody():
+    async with line() as words:
+        words.receiving.taker = lambda word: word.number % 2 == 0
+        say(words.sending, 1, 2, 3, 4)
+        assert await read(words.receiving, 2) == [1, 3]
+        assert words.receiving.drain() == []
+        assert words.receiving.latest == Word(number=4)
+
+
 # --- closing --------------------------------------------------------------------------------
 
 

@@ -73,6 +73,8 @@ class Subscription(Generic[M]):
         latest: The newest message, read or not; None before the first.
         missed: How many messages were dropped unread.
         notify: Called when a message has come, besides waking those who wait.
+        taker: Called with each message before anybody else; what it takes, by answering True, is
+            not kept for readers and wakes nobody.
     """
 
     def __init__(self, topic: str, depth: int, signal: Signal) -> None:
@@ -80,6 +82,7 @@ class Subscription(Generic[M]):
         self.latest: M | None = None
         self.missed = 0
         self.notify: Callable[[], object] | None = None
+        self.taker: Callable[[M], bool] | None = None
         self.membership: Closeable | None = None
         self._kept: deque[M] = deque(maxlen=depth)
         self._signal = signal
@@ -87,6 +90,9 @@ class Subscription(Generic[M]):
 
     def deliver(self, message: M) -> None:
         """Take a message from the transport."""
+        if self.taker is not None and self.taker(message):
+            self.latest = message
+            return
         kept = self._kept
         if len(kept) == kept.maxlen:
             self.missed += 1

@@ -37,6 +37,7 @@ class Yard(NamedTuple):
         turtles: What is tested.
         poses: Says where the robot is.
         twists: What the robot was told.
+        at: Where it is while it obeys: x, y, theta.
     """
 
     clock: VirtualClock
@@ -44,6 +45,7 @@ class Yard(NamedTuple):
     turtles: Turtles
     poses: Publisher[TurtlePose]
     twists: Subscription[Twist]
+    at: list[float]
 
     def told(self):
         """How fast the robot was last told to go."""
@@ -86,6 +88,16 @@ class Yard(NamedTuple):
             self.poses.publish(TurtlePose(x=float(count)))
             await self.clock.sleep(seconds)
 
+    async def obey(self):
+        """Let the robot do as it is told, tick by tick, and say where it is."""
+        while True:
+            twist = self.twists.latest or Twist()
+            self.at[2] += twist.angular.z * 0.016
+            self.at[0] += math.cos(self.at[2]) * twist.linear.x * 0.016
+            self.at[1] += math.sin(self.at[2]) * twist.linear.x * 0.016
+            self.poses.publish(TurtlePose(*self.at))
+            await self.clock.sleep(0.016)
+
     async def keep_telling(self):
         await self.tell_every(0.016, 10_000)
 
@@ -101,13 +113,20 @@ async def yard(namespace: str = "/") -> AsyncIterator[Yard]:
     ):
         poses = robot.publisher(TurtlePose, "robot/pose")
         twists = robot.subscription(Twist, "robot/cmd_vel")
-        yield Yard(clock, node, Turtles(node, AREA), poses, twists)
+        yield Yard(clock, node, Turtles(node, AREA), poses, twists, [0.0, 0.0, 0.0])
 
 
 @asynccontextmanager
 async def telling(place):
     """The robot says where it is 62.5 times a second."""
     async with aclosing(Background(place.keep_telling(), "the robot")):
+        yield
+
+
+@asynccontextmanager
+async def obeying(place):
+    """The robot moves as a turtle of turtlesim does."""
+    async with aclosing(Background(place.obey(), "the robot")):
         yield
 
 
@@ -207,6 +226,34 @@ async def test_a_tick_sends_one_twist_and_waits_for_the_pose_after_it():
         await drive.towards(FAR)
         assert [twist.linear.x for twist in place.twists.drain()] == [2.0]
         assert drive.pose.x == seen + 1
+
+
+async def test_a_turtle_is_told_only_what_is_new():
+    async with yard() as place, obeying(place), place.drive() as drive:
+        begun = place.clock.time()
+        await drive.towards(FAR)
+        await drive.towards(FAR)
+        assert place.clock.time() - begun == pytest.approx(6 * 0.016)
+        assert drive.pose.x == pytest.approx(drive.travelled) == pytest.approx(6 * 0.032, abs=1e-5)
+        assert len(place.twists.drain()) == 2
+
+
+async def test_a_command_that_holds_ends_with_the_tick_that_comes_at_a_time():
+    async with yard() as place, obeying(place), place.drive() as drive:
+        await drive.towards(FAR)
+        begun = place.clock.time()
+        await drive.towards(FAR, until=begun + 0.04)
+        assert place.clock.time() - begun == pytest.approx(3 * 0.016)
+
+
+async def test_whatever_moves_the_turtle_is_answered_at_the_next_pose():
+    async with yard() as place, obeying(place), place.drive() as drive:
+        await drive.towards(FAR)
+        begun = place.clock.time()
+        place.at[1] += 1.0
+        await drive.towards(FAR)
+        assert place.clock.time() - begun == pytest.approx(0.016)
+        assert drive.pose.y == 1.0
 
 
 async def test_where_both_ways_are_as_good_it_turns_on_the_way_it_has_begun():

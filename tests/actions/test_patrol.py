@@ -239,8 +239,9 @@ async def test_rotate_then_drive_turns_on_the_spot_first():
     async with arena() as stage:
         await client_of(stage).send_goal(patrol((MIDDLE, 9.0), style="rotate_then_drive"))
         linear = [linear for linear, _ in stage.commands()[:-1]]
-    assert linear[:40] == [0.0] * 40
-    assert linear[-40:-1] == [2.0] * 39
+    turning = linear.count(0.0)
+    assert linear == [0.0] * turning + [2.0] * (len(linear) - turning)
+    assert 0 < turning < len(linear)
 
 
 async def test_speeds_stay_within_the_limits_of_the_goal():

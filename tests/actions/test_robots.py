@@ -57,6 +57,17 @@ async def test_a_rover_with_odometry_patrols(style):
     assert result.bound < result.duration < 2.5 * result.bound
 
 
+@pytest.mark.parametrize(
+    ("pose_type", "share"), [("nav_msgs/msg/Odometry", 1.0), ("turtlesim/msg/Pose", 0.5)]
+)
+async def test_a_robot_is_told_at_each_pose_unless_it_keeps_commands(pose_type, share):
+    pace = {"max_acceleration": math.inf, "max_angular_acceleration": math.inf}
+    async with rover(robot(pose_type=pose_type, **pace)) as one:
+        result = await patrol_of(one).send_goal(tour())
+    told = len(one.messages) * DT / result.duration
+    assert told == pytest.approx(1.0, abs=0.02) if share == 1.0 else told <= share
+
+
 @pytest.mark.parametrize("pose_type", POSE_TYPES)
 async def test_a_rover_may_tell_its_pose_in_any_of_the_types(pose_type):
     async with rover(robot(pose_type=pose_type)) as one:

@@ -7,7 +7,10 @@ What goes wrong on the way: a turtle that is moved by others is driven on from w
 that is not heard of for half a second is stopped, and driven on when it is; after two seconds, or
 once nobody publishes its pose any more, it is given up. A pose that is too old, or older than one
 seen before, counts as none. Where poses come at another pace than was said, each command is made
-for as long as it will hold.
+for as long as it will last.
+
+A robot that keeps its commands is told when there is something new to say. The poses between are
+taken as they come, and wake nobody as long as it is where its command leads.
 """
 
 from __future__ import annotations
@@ -21,7 +24,15 @@ from typing import TYPE_CHECKING, Final, cast
 from msgspec.structs import replace
 
 from turtleact.actions.robots import Robot, Sighting
-from turtleact.actions.steering import Area, Limits, Steering, shortest_time, time_bound
+from turtleact.actions.steering import (
+    STILL,
+    Area,
+    Helm,
+    Limits,
+    Steering,
+    shortest_time,
+    time_bound,
+)
 from turtleact.errors import Abort, InvalidMessage, InvalidName, Reject
 from turtleact.geometry import distance
 from turtleact.interfaces.standard import Point, TurtlePose
@@ -47,9 +58,6 @@ PATIENCE: Final = 2.0
 
 LEARNING: Final = 0.3
 """How much of a change in the time from pose to pose is believed at once."""
-
-STILL: Final = (0.0, 0.0)
-"""The speeds of a turtle that stands."""
 
 
 class Turtles:
@@ -179,12 +187,14 @@ class Drive:
         self._decided: float | None = None
         self._robot = robot
         self._turtle = turtle
-        self._steering = steering
-        self._speeds: Speeds = STILL
+        self._helm = Helm(steering) if robot.keeps_commands else Helm(steering, longest=1)
+        self._until = math.inf
         self._pose_topic, self._twist_topic = robot.topics(turtle)
         self._nothing_heard = f"nothing was heard of {self._pose_topic} for {SILENCE:g} s"
         self._why = self._nothing_heard
         self._poses: Subscription[Message] = node.subscription(robot.pose_class, self._pose_topic)
+        if robot.keeps_commands:
+            self._poses.taker = self._take
         self._twists: Publisher[Message] = node.publisher(robot.twist_class, self._twist_topic)
         self._watch = Background(self._keep_watch(), f"the watch over {self._pose_topic}")
 
@@ -195,7 +205,7 @@ class Drive:
 
     def has_reached(self, target: Point, *, theta: float | None = None) -> bool:
         """Whether the turtle is within the tolerance of a target, and of a heading (rad)."""
-        return self._steering.is_reached(self.seen.pose, (target.x, target.y), theta=theta)
+        return self._helm.steering.is_reached(self.seen.pose, (target.x, target.y), theta=theta)
 
     def distance_to(self, targets: Sequence[Point]) -> float:
         """How far it is in straight lines from here through the targets (m)."""
@@ -205,13 +215,13 @@ class Drive:
     def deadline(self, target: Point, *, theta: float | None = None) -> float:
         """When to give a target up, by the node's clock (s)."""
         stops = [(target.x, target.y)]
-        bound = time_bound(self.seen.pose, stops, self._steering, theta=theta)
+        bound = time_bound(self.seen.pose, stops, self._helm.steering, theta=theta)
         return self._clock.time() + PATIENCE * bound
 
     def shortest_time(self, targets: Sequence[Point], *, theta: float | None = None) -> float:
         """How long (s) it takes from here through the targets at least, however it is driven."""
         stops = [(target.x, target.y) for target in targets]
-        return shortest_time(self.seen.pose, stops, self._steering, theta=theta)
+        return shortest_time(self.seen.pose, stops, self._helm.steering, theta=theta)
 
     def too_late(self, target: str) -> Abort:
         """What to raise where a target was not reached in time, with what may be to blame."""
@@ -220,18 +230,27 @@ class Drive:
         return Abort(f"{target} was not reached in time{hint}")
 
     async def towards(
-        self, target: Point, next_target: Point | None = None, *, theta: float | None = None
+        self,
+        target: Point,
+        next_target: Point | None = None,
+        *,
+        theta: float | None = None,
+        until: float = math.inf,
     ) -> None:
-        """Drive for one tick.
+        """Drive for one tick, or for as many as the command holds; the target is reached in none.
+
+        Args:
+            target: Where to.
+            next_target: Where to after that.
+            theta: In which heading it shall be there (rad); any if left out.
+            until: The last tick is the first that comes at this time or later, by the clock (s).
 
         Raises:
             Abort: if nothing is heard of the turtle's pose.
         """
         after = None if next_target is None else (next_target.x, next_target.y)
-        speeds = self._steering.command(
-            self.seen.pose, (target.x, target.y), after, self._speeds, theta=theta
-        )
-        self._tell(speeds)
+        self._tell(self._helm.command(self.seen.pose, (target.x, target.y), after, theta=theta))
+        self._until = until
         await self.wait_for_pose()
 
     async def rest(self) -> None:
@@ -240,9 +259,9 @@ class Drive:
         Raises:
             Abort: if nothing is heard of the turtle's pose.
         """
-        while self._steering.limits.is_eased and self._speeds != STILL:
+        while self._helm.steering.limits.is_eased and self._helm.speeds != STILL:
             here = self.seen.pose
-            self._tell(self._steering.command(here, here[:2], None, self._speeds))
+            self._tell(self._helm.command(here, here[:2]))
             await self.wait_for_pose()
 
     async def wait_for_pose(self) -> None:
@@ -261,29 +280,44 @@ class Drive:
             seen = self._read(message)
             if not self._objection(seen):
                 break
-        self.travelled += distance(*self.seen.pose[:2], *seen.pose[:2])
-        self.seen = seen
-        self._keep_pace()
+        self._move_to(seen, self._clock.time())
 
     async def aclose(self) -> None:
         """Stop the turtle where it is, and leave its topics."""
-        self._tell(STILL)
+        self._stop()
         await self._watch.aclose()
         await self._twists.aclose()
         await self._poses.aclose()
 
-    def _keep_pace(self) -> None:
-        """See how long a command holds: poses may come at another pace than was said."""
-        before, self._decided = self._decided, self._clock.time()
+    def _take(self, message: Message) -> bool:
+        """Take a pose at which nothing new is to be said: whoever drives need not wake for it."""
+        told = cast("TurtlePose", message)
+        pose = told.x, told.y, told.theta
+        if not self._helm.holds(pose):
+            return False
+        now = self._clock.time()
+        if now >= self._until:
+            return False
+        self._move_to(Sighting(pose, (told.linear_velocity, told.angular_velocity)), now)
+        return True
+
+    def _move_to(self, seen: Sighting, now: float) -> None:
+        self.travelled += distance(*self.seen.pose[:2], *seen.pose[:2])
+        self.seen = seen
+        self._keep_pace(now)
+
+    def _keep_pace(self, now: float) -> None:
+        """See how long a pose lasts: they may come at another pace than was said."""
+        before, self._decided = self._decided, now
         if before is None:
             return
-        held = self._decided - before
+        held = now - before
         self._pace += LEARNING * (min(held, 2.0 * self._pace) - self._pace)
-        limits = self._steering.limits
+        limits = self._helm.steering.limits
         dt = min(max(self._robot.dt / 8.0, self._pace), math.pi / 2.0 / limits.max_angular)
         if abs(dt - limits.dt) > limits.dt / 4.0:
             limits = replace(limits, dt=dt)
-            self._steering = replace(self._steering, limits=limits)
+            self._helm.steering = replace(self._helm.steering, limits=limits)
 
     def _read(self, message: Message) -> Sighting:
         try:
@@ -291,8 +325,11 @@ class Drive:
         except InvalidMessage as error:
             raise Abort(f"{self._pose_topic}: {error}") from None
 
+    def _stop(self) -> None:
+        self._helm.stop()
+        self._tell(STILL)
+
     def _tell(self, speeds: Speeds) -> None:
-        self._speeds = speeds
         self._twists.publish(self._robot.write(speeds, self._clock.now()))
 
     async def _keep_watch(self) -> None:
@@ -311,7 +348,7 @@ class Drive:
                 self._why = f"turtle '{self._turtle}' is gone: {what}"
                 break
             if silence == PAUSE:
-                self._tell(STILL)
+                self._stop()
         await self._poses.aclose()
 
     def _is_heard(self, message: Message) -> bool:

@@ -117,7 +117,7 @@ class _GoTo:
                         yield GoTo.Feedback(
                             pose=drive.pose, distance_remaining=drive.distance_to([target])
                         )
-                    await drive.towards(target, theta=theta)
+                    await drive.towards(target, theta=theta, until=min(due, deadline))
                 await drive.rest()
             finally:
                 result.distance, result.duration = drive.travelled, clock.time() - started

@@ -266,7 +266,7 @@ class _Leg:
             if clock.time() >= due:
                 due += PERIOD
                 self.tell(is_reached=False)
-            await drive.towards(target, after)
+            await drive.towards(target, after, until=min(due, deadline))
         return True
 
     def tell(self, *, is_reached: bool) -> None:

@@ -72,8 +72,8 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
         twist_topic: Where it is told how fast to go; likewise.
         twist_type: One of `TWIST_TYPES`.
         frame_id: What a stamped twist is given as its frame.
-        dt: Seconds between two poses, about: it is told anew after each. If they come at another
-            pace, that is noticed on the way.
+        dt: Seconds between two poses, about: it is told anew after each, unless it keeps its
+            commands. If they come at another pace, that is noticed on the way.
         max_age: A stamped pose that is older than this (s) is not heeded.
         max_acceleration: How fast it is asked to change its speed (m/s²); may be infinite.
         max_angular_acceleration: How fast it is asked to change its turn rate (rad/s²); likewise.
@@ -116,6 +116,14 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
     def fastest(self) -> float:
         """The highest turn rate (rad/s) that the law of steering knows what to do with."""
         return math.pi / 2.0 / self.dt
+
+    @property
+    def keeps_commands(self) -> bool:
+        """Whether it goes on for a second as it was told, so that it need not be told the same.
+
+        turtlesim's turtles do; of others nobody knows after how long they stop.
+        """
+        return POSE_TYPES[self.pose_type] is None
 
     @property
     def pose_class(self) -> type[Message]:

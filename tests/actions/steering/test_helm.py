@@ -1,0 +1,195 @@
+"""The helm: a turtle that is told only what is new gets there as one that is told all."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from turtleact.actions.steering import STILL, Helm, Limits, Steering, time_bound
+from turtleact.actions.steering.helm import LONGEST
+
+from .track import (
+    SIDE,
+    START,
+    STYLES,
+    drive,
+    float32,
+    headings,
+    limits,
+    points,
+    styles,
+    tick,
+    tours,
+)
+
+AHEAD = (10.0, START[1])
+
+
+class Log:
+    """What happened on the way.
+
+    Attributes:
+        told: The ticks in which something was said.
+        poses: Where the turtle was seen in each tick.
+        pushed: How far walls have pushed it.
+    """
+
+    def __init__(self):
+        self.told = []
+        self.poses = []
+        self.pushed = 0.0
+
+    @property
+    def ticks(self):
+        return len(self.poses) - 1
+
+
+def follow(helm, pose, targets):
+    """Drive through the targets; the turtle is told what the helm says."""
+    log, left, steering = Log(), list(targets), helm.steering
+    longest = time_bound(pose, targets, steering) / steering.limits.dt + 2 * len(targets)
+    while True:
+        seen = tuple(map(float32, pose))
+        log.poses.append(seen)
+        if not helm.holds(seen):
+            while left and steering.is_reached(seen, left[0]):
+                left.pop(0)
+            if not left:
+                return log
+            assert log.ticks < longest, f"{seen} has not reached {left[0]}"
+            log.told.append(log.ticks)
+            helm.command(seen, *left[:2])
+        linear, angular = helm.speeds
+        made = tick(pose, linear, angular, steering.limits.dt)
+        log.pushed = max(log.pushed, made.pushed)
+        pose = made.pose
+
+
+def course(seed):
+    uniform = random.Random(seed).uniform
+    pose = (uniform(0.0, SIDE), uniform(0.0, SIDE), uniform(-math.pi, math.pi))
+    return pose, [(uniform(0.0, SIDE), uniform(0.0, SIDE)) for _ in range(4)]
+
+
+@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("seed", range(6))
+def test_it_takes_as_long_as_if_the_law_was_asked_in_each_tick(style, seed):
+    pose, targets = course(seed)
+    asked = len(drive(Steering(style), pose, targets))
+    assert follow(Helm(Steering(style)), pose, targets).ticks == pytest.approx(asked, abs=3)
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_something_is_said_in_a_third_of_the_ticks_at_most(style):
+    log = follow(Helm(Steering(style)), *course(1))
+    assert len(log.told) <= log.ticks / 3
+
+
+@given(points, headings, tours, styles, limits)
+def test_every_tour_ends_in_time(place, theta, targets, style, limits):
+    follow(Helm(Steering(style, limits)), (*place, theta), targets)
+
+
+@given(points, headings, tours, styles)
+def test_no_hold_ends_behind_a_wall(place, theta, targets, style):
+    assert follow(Helm(Steering(style)), (*place, theta), targets).pushed <= 1e-6
+
+
+@given(points, headings, points, styles, limits)
+def test_no_hold_ends_behind_a_target(place, theta, target, style, limits):
+    steering = Steering(style, limits)
+    poses = follow(Helm(steering), (*place, theta), [target]).poses
+    assert not any(steering.is_reached(pose, target) for pose in poses[:-1])
+
+
+def test_each_hold_is_twice_as_long_as_the_one_before_up_to_the_longest():
+    log = follow(Helm(Steering()), START, [AHEAD])
+    assert log.told[:5] == [0, 2, 6, 14, 22]
+    assert LONGEST == 8
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_turtle_that_is_not_where_it_should_be_is_told_at_once(axis):
+    helm = Helm(Steering())
+    helm.command(START, AHEAD)
+    pose = list(tick(START, *helm.speeds, 0.016).pose)
+    pose[axis] += 1e-4
+    assert not helm.holds(tuple(pose))
+    assert not helm.holds(tick(tuple(pose), *helm.speeds, 0.016).pose)
+
+
+def test_a_pose_that_is_none_is_told_at_once():
+    helm = Helm(Steering())
+    helm.command(START, AHEAD)
+    assert not helm.holds((math.nan, math.nan, math.nan))
+
+
+def test_nothing_is_held_before_the_first_command():
+    assert not Helm(Steering()).holds(START)
+
+
+def test_another_target_is_heeded_where_a_hold_ends():
+    helm, pose = Helm(Steering()), START
+    helm.command(pose, AHEAD)
+    for is_held in (True, False):
+        pose = tick(pose, *helm.speeds, 0.016).pose
+        assert helm.holds(pose) is is_held
+    assert helm.command(pose, (1.0, START[1]))[0] == -2.0
+
+
+def test_another_law_ends_what_is_held():
+    helm = Helm(Steering())
+    helm.command(START, AHEAD)
+    helm.steering = Steering("forward")
+    assert not helm.holds(tick(START, *helm.speeds, 0.016).pose)
+
+
+def test_a_turtle_that_is_stopped_is_told_at_once():
+    helm = Helm(Steering())
+    helm.command(START, AHEAD)
+    helm.stop()
+    assert helm.speeds == STILL
+    assert not helm.holds(START)
+
+
+@pytest.mark.parametrize(
+    "helm",
+    [
+        Helm(Steering(), longest=1),
+        Helm(Steering(limits=Limits(max_acceleration=2.0))),
+    ],
+    ids=["told in each tick", "eased"],
+)
+def test_nothing_is_held_where_each_tick_may_say_something_new(helm):
+    log = follow(helm, START, [AHEAD])
+    assert log.told == list(range(log.ticks))
+
+
+def test_a_turn_on_the_spot_to_a_heading_is_held_until_it_is_there():
+    helm, pose, told = Helm(Steering()), START, 0
+    while not helm.steering.is_reached(pose, START[:2], theta=3.0):
+        if not helm.holds(pose):
+            told += 1
+            helm.command(pose, START[:2], theta=3.0)
+        pose = tick(pose, *helm.speeds, 0.016).pose
+    assert pose[2] == pytest.approx(3.0, abs=0.05)
+    assert told <= 25
+
+
+@given(st.floats(-6.0, 6.0), st.floats(-2.0, 2.0), st.integers(2, LONGEST))
+def test_where_a_command_leads_is_where_its_ticks_lead(turn, linear, ticks):
+    helm, pose = Helm(Steering()), START
+    helm.speeds = (linear, turn)
+    there = helm._after(START, ticks)
+    for _ in range(ticks):
+        theta = pose[2] + turn * 0.016
+        x, y = (
+            pose[0] + math.cos(theta) * linear * 0.016,
+            pose[1] + math.sin(theta) * linear * 0.016,
+        )
+        pose = (x, y, theta)
+    assert there == pytest.approx(pose, abs=1e-12)

@@ -1,0 +1,197 @@
+"""The helm: commands of the law, held for as long as it would say nothing new.
+
+The law is asked for one tick. Most ticks are like the one before, though: straight on, or turning
+as hard as can be. So when it is asked, it is asked once more, for the pose to which its command
+leads in some ticks. If its command there is the same, it is taken to be the same at all ticks
+between, and is held so long; that command is then already known, and only the one after it is to be
+found. Each time that this works it looks twice as far ahead, eight ticks at most.
+
+Nothing is held any more from the tick on in which the turtle is not where it should be, so whatever
+moves it is answered at once. A hold ends before the target is reached, and no way that is held
+leaves the area. Speeds that change by and by, as accelerations are limited, are not held at all.
+
+Knows a pose each tick, of a turtle that first turns and then moves; no clock and no topic.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from turtleact.geometry import distance, wrap_angle
+
+if TYPE_CHECKING:
+    from turtleact.actions.steering.law import Steering
+    from turtleact.actions.steering.limits import Area, Point, Pose, Speeds
+
+__all__ = ["STILL", "Helm"]
+
+LONGEST: Final = 8
+"""Ticks that a command is held at most."""
+
+STILL: Final = (0.0, 0.0)
+"""The speeds of a turtle that stands."""
+
+_SAME = 1e-3
+"""Share of the tolerance by which a turn rate that is held may lead aside of where the law would.
+
+It is counted as if the turn rates differed all the while by what they differ at the end.
+"""
+
+_ROUNDING = 1e-5
+"""How far (m, rad) a turtle may be from where it should be after a tick: poses are float32."""
+
+
+class Course(NamedTuple):
+    """What the law is asked besides the pose and the speeds."""
+
+    target: Point
+    next_target: Point | None
+    theta: float | None
+
+
+class Helm:
+    """A turtle's helm.
+
+    Args:
+        steering: The law.
+        longest: How many ticks a command may be held, 1 or more.
+
+    Attributes:
+        speeds: What was commanded last: linear (m/s) and angular (rad/s).
+    """
+
+    def __init__(self, steering: Steering, longest: int = LONGEST) -> None:
+        self.speeds: Speeds = STILL
+        self._steering = steering
+        self._longest = longest
+        self._left = 0
+        self._tried = 1
+        self._at: Pose = (0.0, 0.0, 0.0)
+        self._known: tuple[Course, Speeds] | None = None
+
+    @property
+    def steering(self) -> Steering:
+        """The law; another one ends what is held."""
+        return self._steering
+
+    @steering.setter
+    def steering(self, steering: Steering) -> None:
+        self._steering = steering
+        self._let_go()
+
+    def command(
+        self,
+        pose: Pose,
+        target: Point,
+        next_target: Point | None = None,
+        *,
+        theta: float | None = None,
+    ) -> Speeds:
+        """The speeds from here on, as `Steering.command` has them."""
+        course = Course(target, next_target, theta)
+        if self._known is not None and self._known[0] == course and self._at == pose:
+            self.speeds = self._known[1]
+        else:
+            self.speeds = self._ask(pose, course)
+        self._known = None
+        self._left = self._hold(pose, course)
+        self._at = pose
+        return self.speeds
+
+    def holds(self, pose: Pose) -> bool:
+        """Whether the command stands at the next pose, too: nothing new is to be said there."""
+        if not self._left:
+            return False
+        self._left -= 1
+        if not self._is_foreseen(pose):
+            self._let_go()
+            return False
+        self._at = pose
+        return self._left > 0
+
+    def stop(self) -> None:
+        """Note that the turtle is told to stand still."""
+        self.speeds = STILL
+        self._let_go()
+
+    def _let_go(self) -> None:
+        self._left = 0
+        self._known = None
+
+    def _ask(self, pose: Pose, course: Course) -> Speeds:
+        target, next_target, theta = course
+        return self._steering.command(pose, target, next_target, self.speeds, theta=theta)
+
+    def _hold(self, pose: Pose, course: Course) -> int:
+        """How many ticks the command lasts, 0 for as long as nobody knows: it is for this tick."""
+        ticks = min(self._longest, 2 * self._tried, self._before(pose, course.target))
+        self._tried = max(1, ticks // 4)
+        if ticks < 2:
+            return 0
+        there = self._after(pose, ticks)
+        area = self._steering.limits.area
+        bulge = self._bulge(ticks)
+        if not (_is_within(area, pose, bulge) and _is_within(area, there, bulge)):
+            return 0
+        command = self._ask(there, course)
+        if not self._is_same(command, ticks):
+            return 0
+        self._tried = ticks
+        self._known = course, command
+        return ticks
+
+    def _before(self, pose: Pose, target: Point) -> int:
+        """For how many ticks the target is surely not reached; one that is reached is no more."""
+        limits = self._steering.limits
+        if limits.is_eased:
+            return 0
+        away = distance(pose[0], pose[1], *target) - limits.tolerance
+        step = abs(self.speeds[0]) * limits.dt
+        return int(away / step) if step and away < LONGEST * step else LONGEST
+
+    def _after(self, pose: Pose, ticks: int) -> Pose:
+        """The pose to which the command leads."""
+        x, y, theta = pose
+        linear, angular = self.speeds
+        dt = self._steering.limits.dt
+        half = angular * dt / 2.0
+        # The sum of the steps, each along the heading at its end.
+        sine = math.sin(half)
+        length = linear * dt * (math.sin(ticks * half) / sine if sine else ticks)
+        along = theta + (ticks + 1) * half
+        return x + length * math.cos(along), y + length * math.sin(along), theta + 2 * ticks * half
+
+    def _bulge(self, ticks: int) -> float:
+        """How far the way there may lead aside of a straight line (m), at most."""
+        linear, angular = self.speeds
+        return abs(linear * angular) * (ticks * self._steering.limits.dt) ** 2 / 8.0
+
+    def _is_same(self, command: Speeds, ticks: int) -> bool:
+        """Whether a command is as good as the one that is held until there."""
+        limits, speeds = self._steering.limits, self.speeds
+        if command[0] != speeds[0] or not speeds[0]:
+            return command == speeds
+        lasts = ticks * limits.dt
+        aside = abs((command[1] - speeds[1]) * speeds[0]) * lasts * lasts / 2.0
+        return aside <= _SAME * limits.tolerance
+
+    def _is_foreseen(self, pose: Pose) -> bool:
+        """Whether the command leads from the pose before to this one."""
+        x, y, theta = self._at
+        linear, angular = self.speeds
+        dt = self._steering.limits.dt
+        step = linear * dt
+        return (
+            abs(wrap_angle(theta + angular * dt - pose[2])) <= _ROUNDING
+            and abs(x + step * math.cos(pose[2]) - pose[0]) <= _ROUNDING
+            and abs(y + step * math.sin(pose[2]) - pose[1]) <= _ROUNDING
+        )
+
+
+def _is_within(area: Area, pose: Pose, margin: float) -> bool:
+    x, y, _ = pose
+    return (
+        area.left + margin <= x <= area.right - margin
+        and area.bottom + margin <= y <= area.top - margin
+    )
