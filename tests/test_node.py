@@ -706,6 +706,26 @@ async def test_closing_twice_is_closing_once():
         assert user.graph().nodes == ("/user",)
 
 
+@ON_ASYNCIO
+async def test_no_task_is_made_for_a_server_that_waits_for_nothing_when_its_node_is_closed():
+    made: list[object] = []
+
+    def make(loop, coroutine, **options):
+        made.append(coroutine)
+        return asyncio.Task(coroutine, loop=loop, **options)
+
+    gate = Gate()
+    async with two_nodes() as (lab, user):
+        lab.action_server(Count, "count", count)
+        lab.service(Double, "double", double)
+        lab.action_server(Count, "busy", gate.wait)
+        async with user.action_client(Count, "busy").send_goal(goal()):
+            asyncio.get_running_loop().set_task_factory(make)
+            await lab.aclose()
+            asyncio.get_running_loop().set_task_factory(None)
+    assert len(made) == 1  # for "busy"
+
+
 async def test_who_closes_a_node_that_is_being_closed_waits_for_its_end():
     gate = Gate()
 

@@ -16,7 +16,7 @@ import pytest
 
 from turtleact.goal import Goal
 from turtleact.server.stepping import Borrowed
-from turtleact.tasks import Background, current_tasks
+from turtleact.tasks import Background, current_tasks, wait_while
 from turtleact.tasks.on_asyncio import AsyncioTasks
 from turtleact.tasks.on_trio import TrioTasks
 
@@ -405,6 +405,40 @@ async def test_a_fire_right_after_a_cancellation_passes_over_the_canceled_waiter
     signal.fire()
     with pytest.raises(asyncio.CancelledError):
         await task
+
+
+# --- what is being ended --------------------------------------------------------------------
+
+
+async def test_what_is_over_is_not_waited_for():
+    waiting = wait_while(lambda: False, current_tasks().signal(), 1.0)
+    with pytest.raises(StopIteration):
+        waiting.send(None)
+
+
+async def test_what_is_not_over_is_waited_for_though_the_waiter_is_canceled():
+    signal, busy = current_tasks().signal(), [1, 2]
+    log: list[object] = []
+
+    async def wait() -> None:
+        await wait_while(lambda: busy, signal, 60.0)
+        log.append("over")
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(wait)
+        await settle()
+        group.cancel_scope.cancel()
+        while busy:
+            busy.pop()
+            signal.fire()
+            with anyio.CancelScope(shield=True):
+                await settle()
+            log.append(len(busy))
+    assert log == [1, "over", 0]
+
+
+async def test_what_is_not_over_in_time_is_left():
+    await wait_while(lambda: True, current_tasks().signal(), 0.0)
 
 
 # --- a coroutine in the caller's own task ---------------------------------------------------

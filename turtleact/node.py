@@ -50,6 +50,11 @@ class _Closing(Protocol):
     async def aclose(self) -> None: ...
 
 
+class _Serving(_Closing, Protocol):
+    @property
+    def is_idle(self) -> bool: ...
+
+
 class _Membership:
     """A node's hold on something it has opened: closing it lets go of it on both sides."""
 
@@ -87,7 +92,7 @@ class Node:
         self._tasks = current_tasks()
         self._count = 0
         self._opened: dict[int, _Closing] = {}
-        self._servers: WeakValueDictionary[int, _Closing] = WeakValueDictionary()
+        self._servers: WeakValueDictionary[int, _Serving] = WeakValueDictionary()
         self._slots: WeakValueDictionary[str, Slot[Claim]] = WeakValueDictionary()
         self._hooks: list[Transition] = []
         self._membership = transport.enter(self.fully_qualified_name)
@@ -313,7 +318,11 @@ class Node:
         """Close all servers of a kind, and wait for those that somebody else is closing."""
         async with anyio.create_task_group() as closing:
             for server in reversed(list(self._servers.values())):
-                if isinstance(server, kind):
+                if not isinstance(server, kind):
+                    continue
+                if server.is_idle:  # it waits for nothing, and a task would cost more than that
+                    await server.aclose()
+                else:
                     closing.start_soon(server.aclose)
 
     async def _close_rest(self) -> None:

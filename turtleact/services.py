@@ -19,8 +19,6 @@ from functools import partial
 from inspect import isasyncgenfunction, isawaitable, isgeneratorfunction, isroutine
 from typing import Any, Generic, Protocol, TypeAlias, TypeVar, cast, runtime_checkable
 
-import anyio
-
 from turtleact.clock import check_timeout, within
 from turtleact.errors import (
     InvalidMessage,
@@ -33,7 +31,7 @@ from turtleact.errors import (
 from turtleact.goal import Cancelable
 from turtleact.interfaces import Message, snapshotter
 from turtleact.summaries import summary
-from turtleact.tasks import GRACE, Signal, Tasks, is_cancellation
+from turtleact.tasks import GRACE, Signal, Tasks, is_cancellation, wait_while
 from turtleact.transports.base import (
     Caller,
     Closeable,
@@ -109,6 +107,11 @@ class ServiceServer(Generic[Req, Res]):
         self._calls: dict[_Call, None] = {}  # in the order of their coming
         self._ended = tasks.signal()
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether no request is being handled."""
+        return not self._calls
+
     async def answer(self, request: object) -> Res:
         """Have a request handled, and wait for its response; what `ServiceClient.call` calls.
 
@@ -129,9 +132,7 @@ class ServiceServer(Generic[Req, Res]):
                 await call.changed.wait()
         except self._tasks.cancelled:
             call.cancel()
-            with anyio.move_on_after(GRACE, shield=True):
-                while not call.has_ended:
-                    await call.changed.wait()
+            await wait_while(lambda: not call.has_ended, call.changed, GRACE)
             raise
         return cast("Res", call.take())
 
@@ -151,9 +152,7 @@ class ServiceServer(Generic[Req, Res]):
         for call in self._calls:
             call.answer(error=self._closed())
             call.cancel()
-        with anyio.move_on_after(GRACE, shield=True):
-            while self._calls:
-                await self._ended.wait()
+        await wait_while(lambda: self._calls, self._ended, GRACE)
         for _ in self._calls:
             logger.error("a handler of service %s has not ended; it is left behind", self.name)
 

@@ -45,7 +45,7 @@ from turtleact.server.hooks import Hooks
 from turtleact.server.reception import Reception
 from turtleact.server.stepping import BLOCKING
 from turtleact.slot import Slot
-from turtleact.tasks import DEEPEST, GRACE, Signal, Tasks
+from turtleact.tasks import DEEPEST, GRACE, Signal, Tasks, wait_while
 from turtleact.transports.base import Closeable, Reply
 
 if TYPE_CHECKING:
@@ -142,6 +142,12 @@ class ActionServer(Generic[G, R, F]):
             hooks=self.hooks,
             now=self._now,
         )
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether no goal waits or runs, and nobody waits for an answer."""
+        is_asked = self.endpoints is not None and self.endpoints.is_asked
+        return not (self._table.active or is_asked)
 
     # what a client in the same process calls
 
@@ -373,9 +379,7 @@ class ActionServer(Generic[G, R, F]):
         ended = self.execution.ended = self.execution.ended or self._tasks.signal()
         for goal in self._table.active:
             self._reception.evict(goal, SHUTDOWN)
-        with anyio.move_on_after(GRACE, shield=True):
-            while self._table.active:
-                await ended.wait()
+        await wait_while(lambda: self._table.active, ended, GRACE)
         for goal in self._table.active:
             logger.error("goal %s of %s has not ended; it is left behind", goal.hex, self.name)
             self.execution.abandon(goal)

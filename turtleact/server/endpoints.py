@@ -23,8 +23,6 @@ from contextlib import contextmanager
 from functools import cached_property
 from typing import Any, cast
 
-import anyio
-
 from turtleact.errors import GoalRejected
 from turtleact.goal import CancelCode, Goal, GoalStatus
 from turtleact.goal_note import GoalNote
@@ -35,7 +33,7 @@ from turtleact.names import ActionNames
 from turtleact.server.action_server import SHUTDOWN, ActionServer
 from turtleact.server.status import StatusSource
 from turtleact.services import ServiceServer
-from turtleact.tasks import GRACE, Tasks
+from turtleact.tasks import GRACE, Tasks, wait_while
 from turtleact.transports.base import STATUS_QOS, MakeEndpoint, Publication, Reply, Transport
 
 __all__ = ["ActionEndpoints"]
@@ -112,6 +110,11 @@ class ActionEndpoints:
         self._feedback = _Feedback(server)
         self._publications = self._advertise(transport, endpoint)
 
+    @property
+    def is_asked(self) -> bool:
+        """Whether a request waits for its answer."""
+        return any(each.waiting for each in (self._send_goal, self._cancel_goal, self._get_result))
+
     def close(self) -> None:
         """Take no more goals; those that there are can be canceled and waited for."""
         self._opened[0].close()
@@ -132,16 +135,19 @@ class ActionEndpoints:
 
     async def aclose(self) -> None:
         """Answer all who still wait; with results, as the goals have ended."""
-        with anyio.move_on_after(LATE_REQUEST, shield=True):
-            while any(map(_may_be_asked_for, self._server.held())):
-                await self._get_result.wait()
-        await self._get_result.drain()
+        answered = self._get_result.answered
+        await wait_while(self._is_expected, answered, LATE_REQUEST)
+        await wait_while(lambda: self._get_result.waiting, answered, GRACE)
         for opened in self._opened:
             opened.close()
         for service in (self._send_goal, self._cancel_goal, self._get_result):
             await service.aclose()
         for publication in self._publications:
             publication.close()
+
+    def _is_expected(self) -> bool:
+        """Whether a client elsewhere is about to ask how a goal has ended."""
+        return any(map(_may_be_asked_for, self._server.held()))
 
     def _advertise(self, transport: Transport, endpoint: MakeEndpoint) -> list[Publication]:
         """Open the topics."""
@@ -268,6 +274,8 @@ class _Lazy:
         name: The name of the service.
         find_type: Makes its class.
         is_open: Whether it takes requests.
+        answered: Fires whenever a request has been answered.
+        waiting: How many wait for their answer.
     """
 
     def __init__(
@@ -286,8 +294,8 @@ class _Lazy:
         self.is_open = True
         self._handle = handle
         self._tasks = tasks
-        self._answered = tasks.signal()
-        self._waiting = 0
+        self.answered = tasks.signal()
+        self.waiting = 0
         self._made: ServiceServer[Any, Any] | None = None
 
     async def answer(self, request: object) -> object:
@@ -306,18 +314,8 @@ class _Lazy:
         """The same if it takes no waiting."""
         reply = self._now(request, caller)
         if reply is not None:
-            self._answered.fire()
+            self.answered.fire()
         return reply
-
-    async def wait(self) -> None:
-        """Wait until a request has been answered."""
-        await self._answered.wait()
-
-    async def drain(self) -> None:
-        """Wait until all who wait have their answer, `GRACE` seconds at most."""
-        with anyio.move_on_after(GRACE, shield=True):
-            while self._waiting:
-                await self._answered.wait()
 
     async def aclose(self) -> None:
         """Answer all who wait."""
@@ -327,12 +325,12 @@ class _Lazy:
 
     @contextmanager
     def _counting(self) -> Iterator[None]:
-        self._waiting += 1
+        self.waiting += 1
         try:
             yield
         finally:
-            self._waiting -= 1
-            self._answered.fire()
+            self.waiting -= 1
+            self.answered.fire()
 
     def _make(self) -> ServiceServer[Any, Any]:
         async def handle(request: object) -> object:

@@ -26,6 +26,7 @@ from turtleact.tasks.base import (
 )
 from turtleact.tasks.current import current_tasks
 from turtleact.tasks.idle import wait_until_idle
+from turtleact.tasks.waiting import wait_while
 
 __all__ = [
     "DEEPEST",
@@ -37,4 +38,5 @@ __all__ = [
     "current_tasks",
     "is_cancellation",
     "wait_until_idle",
+    "wait_while",
 ]
