@@ -64,10 +64,25 @@ async def test_all_that_wait_are_sent_to_a_server_that_drops_nothing():
     async with anyio.create_task_group() as tasks:
         start(tasks, pace, service, *range(3 * AT_ONCE))
         await settle()
-        pace.free()
+        pace.send_all()
         await settle()
         assert len(service.sent) == 3 * AT_ONCE
+        tasks.cancel_scope.cancel()
+
+
+async def test_those_that_come_after_all_were_sent_wait_their_turn_again():
+    pace, service = Pace(), Service()
+    async with anyio.create_task_group() as tasks:
+        start(tasks, pace, service, *range(AT_ONCE + 1))
+        await settle()
+        pace.send_all()
         start(tasks, pace, service, *range(AT_ONCE))
         await settle()
-        assert len(service.sent) == 4 * AT_ONCE
+        assert len(service.sent) == AT_ONCE + 1
+        service.answered.release()
+        await settle()
+        assert len(service.sent) == AT_ONCE + 1
+        service.answered.release()
+        await settle()
+        assert len(service.sent) == AT_ONCE + 2
         tasks.cancel_scope.cancel()

@@ -29,7 +29,7 @@ def ended(status: GoalStatus, note: str = "{}") -> Reply:
 
 SUCCEEDED = ended(GoalStatus.SUCCEEDED)
 FOREIGN = ended(GoalStatus.SUCCEEDED, "")
-UNKNOWN = ended(GoalStatus.UNKNOWN, "")
+UNKNOWN = ended(GoalStatus.UNKNOWN)
 
 
 class Server:
@@ -46,9 +46,13 @@ class Server:
         self.name = "/count"
         self.implied = IMPLIED
         self.is_served = True
+        self.is_of_our_kind = False
         self._send_goal = Calls(self, "send", is_near)
         self.send, self.ask = self._send_goal.call, self._send_goal.ask
         self.get_result = Calls(self, "result", is_near)
+
+    def learn(self, reply: Reply) -> None:
+        self.is_of_our_kind = bool(reply.note)
 
     async def wait_until_served(self) -> None:
         """It is served already."""

@@ -16,6 +16,7 @@ from turtleact.transports.base import (
     Asked,
     Caller,
     Closeable,
+    Endpoint,
     Format,
     MakeEndpoint,
     QoS,
@@ -66,6 +67,7 @@ class Links:
         self._is_open = False
         self._watches_status = False
         self._sends, self._cancels = Pace(), Pace()
+        self._ours: list[Endpoint] | None = None  # the servers, as they were known to be ours
         self._send_goal = self._join(
             names.send_goal, "SendGoal", WireFormat(lambda: self.implied.send_goal, asks=True)
         )
@@ -80,21 +82,32 @@ class Links:
         """Whether there is a server to call."""
         return self._send_goal.is_served
 
+    @property
+    def is_of_our_kind(self) -> bool:
+        """Whether the server has shown to be one of turtleact's, and none has come or gone since.
+
+        If so, requests are not held back, and may be sent before the one before is answered.
+        """
+        return self._ours is not None and self._ours == self._servers()
+
+    def learn(self, reply: Reply) -> None:
+        """Note of what kind the server is: ours have a note beside what they say of a goal."""
+        self._ours = self._servers() if reply.note else None
+        if self._ours is not None:
+            self._sends.send_all()
+            self._cancels.send_all()
+
     async def wait_until_served(self) -> None:
         """Wait for a server. Cancelling: safe."""
         await wait_until_served(self._transport, lambda: self.is_served or None, None)
 
     async def send(self, request: object) -> Reply:
-        """Ask for a goal to be taken."""
-        reply = await self._sends.call(self._send_goal, request)
-        if reply.note:
-            self._sends.free()
-            self._cancels.free()
-        return reply
+        """Ask for a goal to be taken; in its turn, unless the server `is_of_our_kind`."""
+        return await self._call(self._sends, self._send_goal, request)
 
     async def cancel(self, request: object) -> Reply:
-        """Ask for goals to be canceled; once `open` was called."""
-        return await self._cancels.call(self._cancel_goal, request)
+        """Ask for goals to be canceled, likewise; once `open` was called."""
+        return await self._call(self._cancels, self._cancel_goal, request)
 
     def ask(self, request: object) -> Asked | None:
         """Send what `send` does, now, to a server of our kind; None if that takes waiting."""
@@ -149,6 +162,16 @@ class Links:
         for opened in reversed(self._opened):
             opened.close()
         self._opened.clear()
+
+    def _servers(self) -> list[Endpoint]:
+        """All servers of the name; one that is opened again is another."""
+        endpoints = self._transport.endpoints(self._names.send_goal)
+        return [each for each in endpoints if each.kind == "service"]
+
+    async def _call(self, pace: Pace, caller: Caller, request: object) -> Reply:
+        if self.is_of_our_kind:
+            return await caller.call(request)
+        return await pace.call(caller, request)
 
     def _join(self, name: str, kind: str, format: WireFormat) -> Caller:
         type_name = f"{self._action_type.type_name}_{kind}"

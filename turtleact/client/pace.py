@@ -8,6 +8,7 @@ Source: rmw_zenoh_cpp ``rmw_service_data.cpp``, ``add_new_query``; rmw ``qos_pro
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final
 
 import anyio
@@ -25,22 +26,24 @@ class Pace:
     """Sends requests to one service, each in its turn, while too many wait there."""
 
     def __init__(self) -> None:
-        self._room = anyio.Semaphore(AT_ONCE, fast_acquire=True)
-        self._is_free = False
+        self._room = anyio.CapacityLimiter(AT_ONCE)
 
-    def free(self) -> None:
-        """The server drops nothing: send all that wait for their turn, and whatever comes."""
-        if not self._is_free:
-            self._is_free = True
-            for _ in range(self._room.statistics().tasks_waiting):
-                self._room.release()
+    def send_all(self) -> None:
+        """Send all that wait for their turn: the server drops nothing."""
+        self._room.total_tokens = math.inf
+        self._room.total_tokens = AT_ONCE
 
     async def call(self, caller: Caller, request: object) -> Reply:
         """Send a request in its turn, and wait for the reply; raises as the caller does.
 
         Cancelling: safe; a request that waits for its turn is not sent.
         """
-        if self._is_free:
+        turn = object()  # a task may have several
+        try:
+            self._room.acquire_on_behalf_of_nowait(turn)
+        except anyio.WouldBlock:
+            await self._room.acquire_on_behalf_of(turn)
+        try:
             return await caller.call(request)
-        async with self._room:
-            return await caller.call(request)
+        finally:
+            self._room.release_on_behalf_of(turn)

@@ -56,7 +56,6 @@ class Requests:
 
     def __init__(self, links: Links) -> None:
         self._links = links
-        self._is_of_our_kind = False
         self._knows_late = False  # it knew nothing of a goal when it was asked for the end
 
     async def send(self, followed: Followed) -> None:
@@ -71,6 +70,7 @@ class Requests:
             UUID(cast("bytes", goal.id)), cast("Message", goal.request)
         )
         reply = await self._reply(followed, request)
+        self._links.learn(reply)
         response: Any = reply.message
         if not response.accepted:
             raise GoalRejected(GoalNote.read(reply.note).reason)
@@ -98,18 +98,18 @@ class Requests:
                 continue
             response: Any = reply.message
             status = status_of(response.status)
-            self._is_of_our_kind = bool(reply.note)
+            self._links.learn(reply)
             if status.is_terminal:
                 return Answer(status, response.result, GoalNote.read(reply.note))
             if not is_early:
                 name = self._links.name
                 raise UnknownGoal(f"'{name}' holds no goal {goal.hex}, or not any more")
-            self._knows_late = True
+            self._knows_late = bool(reply.note)  # else it is not one of ours at all
 
     async def _reply(self, followed: Followed, request: object) -> Reply:
         """Send a goal, and the request for its result too if the server is known to take both."""
         links = self._links
-        if self._is_of_our_kind and not self._knows_late:
+        if links.is_of_our_kind and not self._knows_late:
             asked = links.ask(request)
             if asked is not None:
                 followed.asked = links.get_result.ask(self._question(followed))

@@ -43,8 +43,8 @@ logger = logging.getLogger("turtleact.server")
 NAMELESS = "zeros name no goal: nobody could ask for it"
 """Why a goal of the id zero is rejected."""
 
-TAKEN = GoalNote().write()
-"""What stands beside an acceptance: only that the server is one of turtleact's."""
+OURS = GoalNote().write()
+"""What stands beside an answer with nothing to add: only that the server is one of turtleact's."""
 
 LATE_REQUEST = 0.5
 """A client elsewhere whose goal ends with its server may take so long to ask for the end (s)."""
@@ -194,7 +194,7 @@ class ActionEndpoints:
 
     def _acceptance(self, goal: Goal) -> Reply:
         response = self._implied.send_goal.Response
-        return Reply(response(accepted=True, stamp=stamp_of(goal.stamp)), TAKEN)
+        return Reply(response(accepted=True, stamp=stamp_of(goal.stamp)), OURS)
 
     def _rejection(self, reason: str) -> Reply:
         response = self._implied.send_goal.Response
@@ -230,7 +230,7 @@ class ActionEndpoints:
         goal_id = request.goal_id.uuid
         goal = self._server.find(goal_id)
         if goal is None and goal_id not in self._taken_up:
-            return Reply(self._implied.get_result.Response(status=GoalStatus.UNKNOWN))
+            return Reply(self._implied.get_result.Response(status=GoalStatus.UNKNOWN), OURS)
         if goal is None or not goal.ended:
             return None
         goal.is_asked_for = True
