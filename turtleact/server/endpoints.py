@@ -170,35 +170,29 @@ class ActionEndpoints:
     # the services
 
     def _take_now(self, request: Any, caller: bytes) -> Reply | None:  # noqa: ANN401  # see below
-        goal_id = request.goal_id.uuid
-        if not any(goal_id):
-            return self._rejection(NAMELESS)
         try:
+            goal_id = _named(request)
             goal = self._server.begin(request.goal, goal_id, None, caller, is_streamed=False)
         except GoalRejected as rejected:
-            return self._rejection(rejected.reason)
-        return None if goal is None else self._acceptance(goal)
+            return self._decided(rejected)
+        return None if goal is None else self._decided(goal)
 
     async def _take(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
-        goal_id = request.goal_id.uuid
-        if not any(goal_id):
-            return self._rejection(NAMELESS)
         try:
+            goal_id = _named(request)
             with self._taking_up(goal_id):
                 goal = await self._server.take(
                     request.goal, goal_id, None, caller, is_streamed=False
                 )
         except GoalRejected as rejected:
-            return self._rejection(rejected.reason)
-        return self._acceptance(goal)
+            return self._decided(rejected)
+        return self._decided(goal)
 
-    def _acceptance(self, goal: Goal) -> Reply:
+    def _decided(self, outcome: Goal | GoalRejected) -> Reply:
         response = self._implied.send_goal.Response
-        return Reply(response(accepted=True, stamp=stamp_of(goal.stamp)), OURS)
-
-    def _rejection(self, reason: str) -> Reply:
-        response = self._implied.send_goal.Response
-        return Reply(response(accepted=False), GoalNote(reason).write())
+        if isinstance(outcome, GoalRejected):
+            return Reply(response(accepted=False), GoalNote(outcome.reason).write())
+        return Reply(response(accepted=True, stamp=stamp_of(outcome.stamp)), OURS)
 
     @contextmanager
     def _taking_up(self, goal_id: bytes) -> Iterator[None]:
@@ -370,6 +364,14 @@ class _Feedback:
     @cached_property
     def _message(self) -> type[Any]:
         return _implied(self._server).feedback_message
+
+
+def _named(request: Any) -> bytes:  # noqa: ANN401  # of the action's own class
+    """The id that a goal is sent under; raises `GoalRejected` if it is none."""
+    goal_id: bytes = request.goal_id.uuid
+    if not any(goal_id):
+        raise GoalRejected(NAMELESS)
+    return goal_id
 
 
 def _may_be_asked_for(goal: Goal) -> bool:
