@@ -441,7 +441,33 @@ def test_a_rate_is_that_of_the_times_between_messages():
     assert rate.line(0) == (
         "average rate: 0.600\n\tmin: 1.000s max: 3.000s std dev: 0.94281s window: 3\n"
     )
-    assert rate.line(0) == ""
+
+
+def test_a_rate_tells_of_a_topic_that_has_fallen_silent():
+    rate = Rate(3)
+    for now in (0, 10**9):
+        rate.add(now, Twist())
+    assert [rate.line(0)[:12] for _ in range(3)] == ["average rate", *["no new messa"] * 2]
+
+
+@pytest.mark.parametrize("verb", ["hz", "bw", "delay"])
+def test_whoever_measures_is_told_when_the_last_publisher_goes(on_graph, graphs, verb):
+    messages = publishing("/it", *[stamped(START)] * 3, latched=False, period=0.5, wait=0.5)
+
+    @asynccontextmanager
+    async def nodes(transport):
+        async def come_and_go():
+            async with messages(transport):
+                await transport.clock.sleep(2.0)
+
+        async with anyio.create_task_group() as beside:
+            beside.start_soon(come_and_go)
+            yield
+            beside.cancel_scope.cancel()
+
+    ran = on_graph(graphs.in_turn(nodes, graphs.interrupted(6.5)), "topic", verb, "/it")
+    gone = "turtleact: nobody publishes topic '/it' any more; waiting for somebody who does\n"
+    assert ran.err.endswith(gone)
 
 
 def test_messages_of_one_moment_have_no_rate():

@@ -1,6 +1,9 @@
 """``topic hz``, ``bw`` and ``delay``: how many messages of a topic come, how large and how old.
 
-Source: ros2cli ``ros2topic/verb/{hz,bw,delay}.py`` for what is measured, and for the words.
+A topic that has fallen silent is told of each second, and its last publisher when it goes.
+
+Source: ros2cli ``ros2topic/verb/{hz,bw,delay}.py`` for what is measured, and for the words; ``hz``
+of ROS 2 says nothing of a silent topic, that of ROS 1 what ``delay`` says.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import anyio
 
+from turtleact.commands.echo import note_absence
 from turtleact.commands.graph import chosen_class, names_like, say_names
 from turtleact.commands.kinds import types_by_name
 from turtleact.commands.stderr import note
@@ -32,6 +36,9 @@ PERIOD = 1.0
 
 DEPTH = 100_000
 """Messages that are kept while the output is stuck."""
+
+SILENT = "no new messages\n"
+"""What is told of a topic that has had messages."""
 
 
 class Meter(Protocol):
@@ -73,9 +80,11 @@ class Rate:
         self._last = now
 
     def line(self, now: int) -> str:  # noqa: ARG002  # only the times between messages count
-        """What there is to be told; empty if no message has come since the last time."""
-        if not self._is_news or not self._between:
+        """What there is to be told; empty before the second message."""
+        if not self._between:
             return ""
+        if not self._is_news:
+            return SILENT
         self._is_news = False
         seconds = [each * 1e-9 for each in self._between]
         mean = math.fsum(seconds) / len(seconds)
@@ -151,7 +160,7 @@ class Delay:
         if not self._delays:
             return ""
         if not self._is_news:
-            return "no new messages\n"
+            return SILENT
         self._is_news = False
         seconds = [each * 1e-9 for each in self._delays]
         return f"average delay: {math.fsum(seconds) / len(seconds):.3f}\n{_spread(seconds)}"
@@ -169,6 +178,7 @@ async def measure(node: Node, name: str, meter: Meter) -> int:
     message_type = chosen_class(node, "topic", Message, full_name, None)
     say_names(meter.begin(full_name, message_type))
     async with anyio.create_task_group() as beside:
+        beside.start_soon(note_absence, node, full_name)
         beside.start_soon(_print, meter, node)
         async for message in node.subscription(message_type, full_name, QoS(depth=DEPTH)):
             meter.add(node.clock.now(), message)
