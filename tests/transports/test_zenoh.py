@@ -1064,9 +1064,23 @@ async def test_a_port_that_is_taken_is_said():
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         at = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
-        said = f"cannot listen at {at}: .*Address already in use.*; is another router there"
+        said = (
+            rf"cannot listen at {at}: .*\[.*Address already in use [^\[]*\]; is another router th"
+        )
         with pytest.raises(TurtleactError, match=said):
             await open_zenoh(mode="router", listen=[at]).__aenter__()
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "said"),
+    [
+        ("foo/bar", "Unicast not supported for foo protocol"),
+        ("tls/127.0.0.1:0", "Cannot create a new TLS listener on .* Missing TLS private key"),
+    ],
+)
+async def test_an_endpoint_that_is_none_to_listen_at_is_said(endpoint, said):
+    with pytest.raises(TurtleactError, match=f"^cannot listen at {endpoint}: {said}$"):
+        await open_zenoh([], mode="router", listen=[endpoint]).__aenter__()
 
 
 @pytest.mark.parametrize(

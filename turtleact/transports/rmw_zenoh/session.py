@@ -11,6 +11,7 @@ Source: rmw_zenoh_cpp ``rmw_publisher_data.cpp``, ``rmw_subscription_data.cpp``,
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol, TypeAlias
@@ -333,18 +334,21 @@ def _error(what: str, error: zenoh.ZError) -> TurtleactError:
 
 
 def _words(error: zenoh.ZError) -> str:
-    """What Zenoh says, without the lines of its source that it names."""
-    return str(error).partition(" at /")[0]
+    """What Zenoh says, without the lines of its source that it names, in brackets or behind."""
+    return _SOURCE_LINE.sub("", str(error)).rstrip(".")
 
 
 def _why_not_open(config: SessionConfig, words: str) -> str:
-    if "listener" in words:
+    if "listener" in words or (config.listen and not config.connect):
         at = ", ".join(config.listen) or "the configured endpoints"
-        return f"cannot listen at {at}: {words}; is another router there already? connect to it"
+        hint = "; is another router there already? connect to it" if "in use" in words else ""
+        return f"cannot listen at {at}: {words}{hint}"
     to = ", ".join(config.connect) or "the configured endpoints"
     more = "" if words.startswith("Unable to connect") else f" ({words})"
     return f"no ROS 2 graph in reach: nobody at {to} lets us in{more}; is a router running there?"
 
+
+_SOURCE_LINE = re.compile(r" at /\S+:[0-9]+\.?")
 
 #: What Zenoh's own configuration has where it is not null.
 _UNTOUCHED = {
