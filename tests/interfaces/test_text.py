@@ -159,7 +159,7 @@ def test_malformed_text_is_told_with_line_column_and_caret():
     with pytest.raises(InvalidGoal) as caught:
         from_text(Orders, "# a goal\n{order: 5")
     assert str(caught.value) == (
-        "goal:2:10: expected ',' or '}', got '<stream end>'\n  {order: 5\n           ^"
+        "goal:2:10: expected ',' or '}', got the end\n  {order: 5\n           ^"
     )
 
 
@@ -186,7 +186,8 @@ def test_malformed_text_is_told_with_line_column_and_caret():
         ("- " * 5000, "1:203", "nested more than 100 levels deep"),
         ('{"x":' * 5000, "1:", "nested more than 100 levels deep"),
         ("\tx: 1", "1:1", "found character '\\t' that cannot start any token"),
-        ("x: 'a\n", "2:1", "found unexpected end of stream"),
+        ("x: 'a\n", "1:6", "found unexpected end of stream\n  x: 'a\n       ^"),
+        ("at: [1\n\n \n", "1:7", "expected ',' or ']', got the end\n  at: [1\n        ^"),
     ],
 )
 def test_what_is_wrong_with_the_text_is_told_with_its_place(text, place, problem):

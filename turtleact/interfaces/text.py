@@ -130,7 +130,11 @@ class Document(msgspec.Struct, frozen=True):
         if place is None:
             raise error(self.root, problem)
         number, column = place
-        line = [*self.text.splitlines(), "", ""][number]
+        lines = self.text.splitlines() or [""]
+        if not any(line.strip() for line in lines[number:]):  # behind the end there is nothing
+            written = self.text.rstrip().splitlines() or [""]
+            number, column = len(written) - 1, len(written[-1])
+        line = lines[number]
         start = max(0, column - 60)
         shown = "".join(c if c.isprintable() else " " for c in line[start : column + 60])
         caret = " " * (column - start) + "^"
@@ -249,7 +253,8 @@ def said(error: yaml.MarkedYAMLError) -> str:
     """What PyYAML found wrong, in a few words."""
     if error.context == "expected a single document in the stream":
         return "more than one document"
-    return (error.problem or "malformed").replace(", but got", ", got")
+    problem = (error.problem or "malformed").replace(", but got", ", got")
+    return problem.replace("'<stream end>'", "the end")
 
 
 def place_of(mark: Mark) -> tuple[int, int]:
