@@ -95,7 +95,7 @@ def read_body(namespace: dict[str, object], frame: FrameType, type_name: str) ->
 def annotations_of(namespace: Mapping[str, object], source: str) -> Mapping[str, object]:
     """The annotations in a class body, in order."""
     found = namespace.get("__annotations__")
-    if found is None and sys.version_info >= (3, 14):  # pragma: no cover  CI runs it on 3.14
+    if found is None and sys.version_info >= (3, 14):  # pragma: no cover  no older one has it
         import annotationlib
 
         annotate = annotationlib.get_annotate_from_class_namespace(namespace)

@@ -22,9 +22,10 @@ from turtleact.tasks.base import DEEPEST, Scope
 
 __all__ = ["AsyncioSignal", "AsyncioTasks"]
 
-_current_tasks = asyncio.tasks._current_tasks  # type: ignore[attr-defined]  # what asyncio's own
-_enter_task = asyncio.tasks._enter_task  # eager tasks use; the only way to
-_leave_task = asyncio.tasks._leave_task  # run a task inside another
+if sys.version_info < (3, 12):  # what eager tasks of asyncio use: the way to run one inside another
+    _current_tasks = asyncio.tasks._current_tasks  # type: ignore[attr-defined]  # in no stub
+    _enter_task = asyncio.tasks._enter_task
+    _leave_task = asyncio.tasks._leave_task
 
 
 def _scopes_of(task: object) -> backend.TaskState | None:
@@ -90,22 +91,23 @@ class AsyncioTasks:
         loop = self._loop
         if sys.version_info >= (3, 12):
             return asyncio.Task(body, loop=loop, name=name, context=context, eager_start=True)
-        loop.call_soon = self._catch  # type: ignore[method-assign,assignment]  # for a moment
-        try:
-            task = asyncio.Task(body, loop=loop, name=name, context=context)
-        finally:
-            del loop.call_soon
-        step, self._step = self._step, _nothing
-        current = _current_tasks.get(loop)
-        if current is None:
-            context.run(step)
+        else:
+            loop.call_soon = self._catch  # type: ignore[method-assign,assignment]  # for a moment
+            try:
+                task = asyncio.Task(body, loop=loop, name=name, context=context)
+            finally:
+                del loop.call_soon
+            step, self._step = self._step, _nothing
+            current = _current_tasks.get(loop)
+            if current is None:
+                context.run(step)
+                return task
+            _leave_task(loop, current)
+            try:
+                context.run(step)
+            finally:
+                _enter_task(loop, current)
             return task
-        _leave_task(loop, current)
-        try:
-            context.run(step)
-        finally:
-            _enter_task(loop, current)
-        return task
 
     def _catch(self, step: Callable[[], object], *, context: Context) -> None:  # noqa: ARG002
         self._step = step
