@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import json
 import struct
 import subprocess
@@ -177,7 +178,23 @@ class Around(Message, type_name="example_msgs/msg/Around"):
     last: Large = Large()
 
 
-OWN = [Nothing, Scalars, Numbers, Texts, Pair, Messages, Uneven, Fixed, Around, GoalInfo]
+class Behind(Message, type_name="example_msgs/msg/Behind"):
+    """Where its numbers stand is known in part only: by the sequences before them."""
+
+    wide: list[float64] = []
+    small: int32 = 0
+    large: float64 = 0.0
+    narrow: list[int16] = []
+    middle: list[int32] = []
+    both: array[list[int64], 2] = [0, 0]
+    name: wstring = ""
+    rank: int32 = 0
+    stamp: int64 = 0
+    infos: list[GoalInfo] = []
+    last: float64 = 0.0
+
+
+OWN = [Nothing, Scalars, Numbers, Texts, Pair, Messages, Uneven, Fixed, Around, Behind, GoalInfo]
 ARRAYS = ["list", "array", "numpy"]
 
 
@@ -331,6 +348,28 @@ def test_a_default_message_is_written_and_read_by_the_book(cls, arrays):
     data = encode(cls())
     assert data == by_the_book(cls())
     assert encode(decode(cls, data, arrays=arrays)) == data
+
+
+@pytest.mark.parametrize("order", ["little", "big"])
+@pytest.mark.parametrize("arrays", ARRAYS)
+def test_what_stands_behind_sequences_of_any_length_is_written_and_read(arrays, order):
+    for wide, narrow, middle, name, infos in itertools.product(*[range(3)] * 5):
+        message = Behind(
+            wide=[0.5] * wide,
+            small=1,
+            large=2.5,
+            narrow=[-3] * narrow,
+            middle=[4] * middle,
+            both=[5, -6],
+            name="x" * name,
+            rank=7,
+            stamp=8,
+            infos=[GoalInfo()] * infos,
+            last=9.5,
+        )
+        assert encode(message) == by_the_book(message)
+        read = decode(Behind, by_the_book(message, order=order), arrays=arrays)
+        assert encode(read) == by_the_book(message)
 
 
 @given(ANY_MESSAGE)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 from turtleact.errors import InvalidMessage, InvalidOption
 from turtleact.interfaces.cdr.decoding import decoder
 from turtleact.interfaces.cdr.encoding import encoder
-from turtleact.interfaces.cdr.layout import BYTE_ORDERS
+from turtleact.interfaces.cdr.layout import BYTE_ORDERS, HEADER
 from turtleact.interfaces.cdr.locating import locate
 from turtleact.interfaces.copying import snapshot
 from turtleact.interfaces.types import Message
@@ -25,7 +25,7 @@ from turtleact.interfaces.types import Message
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["decode", "encode"]
+__all__ = ["HEADER", "MISREAD", "UNFIT", "decode", "encode", "reader_behind", "writer_behind"]
 
 M = TypeVar("M", bound=Message)
 
@@ -33,6 +33,9 @@ ARRAYS = ("list", "array", "numpy")
 
 #: What an encoder raises for a value that it does not take as it is.
 UNFIT = (struct.error, ArithmeticError, AttributeError, TypeError, ValueError)
+
+#: What a decoder raises for bytes that it cannot read.
+MISREAD = (struct.error, ValueError)
 
 
 def encode(message: Message) -> bytes:
@@ -94,6 +97,27 @@ def decode(
     read: Callable[[bytes], M] = decoder(cls, order, arrays)
     try:
         return read(data)
-    except (struct.error, ValueError):
+    except MISREAD:
         locate(cls, data, order)
         raise
+
+
+def writer_behind(cls: type[M], place: int) -> Callable[[M, bytes], bytes]:
+    """The function that writes messages of this class behind something else.
+
+    It is given a message and what stands before it, and raises one of `UNFIT` for a message that it
+    does not take as it is.
+
+    Args:
+        cls: The class.
+        place: Where the message begins: behind the header, and a multiple of eight bytes.
+    """
+    return encoder(cls, place)
+
+
+def reader_behind(cls: type[M], place: int) -> Callable[[bytes], M]:
+    """The function that reads what `writer_behind` writes.
+
+    It raises one of `MISREAD` for what it cannot read, and takes any data for little endian.
+    """
+    return decoder(cls, BYTE_ORDERS[HEADER[:2]], "list", place)

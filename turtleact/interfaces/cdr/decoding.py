@@ -14,20 +14,26 @@ import sys
 from typing import TYPE_CHECKING, TypeVar
 
 from turtleact.interfaces.cdr.layout import (
+    ANYWHERE,
     COUNT,
     EMPTY,
     FORMATS,
     HEADER_SIZE,
     WIDEST,
     Item,
+    Runs,
     Source,
     code_in_run,
     common_alignment,
+    common_run,
     is_in_run,
     is_inlined,
     members,
     padding,
     phases,
+    places_after,
+    places_aligned,
+    places_in_steps,
     run,
     size_of,
 )
@@ -50,15 +56,18 @@ M = TypeVar("M", bound=Message)
 
 
 @functools.cache
-def decoder(cls: type[M], order: str, arrays: str) -> Callable[[bytes], M]:
+def decoder(
+    cls: type[M], order: str, arrays: str, place: int = HEADER_SIZE
+) -> Callable[[bytes], M]:
     """The function that reads messages of this class.
 
     Args:
         cls: The class.
         order: The byte order, ``<`` or ``>``.
         arrays: What holds sequences of numbers: ``list``, ``array`` or ``numpy``.
+        place: Where the message begins.
     """
-    reader = Reader("data", order, arrays, place=HEADER_SIZE)
+    reader = Reader("data", order, arrays, place=place)
     value = reader.message(cls)
     reader.flush()
     reader.source.add(f"return {value}")
@@ -93,15 +102,17 @@ class Reader:
         source: The text so far.
         pending: The run that is not read yet.
         place: Where that starts, or None where only the text's ``p`` knows.
+        places: Where it may start then.
     """
 
     def __init__(self, signature: str, order: str, arrays: str, *, place: int | None) -> None:
         self.source = Source(signature)
-        self.source.names |= {"short": struct.error, "unpack": struct.unpack_from}
+        self.source.names["short"] = struct.error
         self.pending: list[Item] = []
         self.order = order
         self.arrays = arrays
         self.place = place
+        self.places = ANYWHERE
 
     def message(self, cls: type[Message]) -> str:
         """Reads a message's fields."""
@@ -126,6 +137,7 @@ class Reader:
         self.flush()
         self.settle()
         self.source.add(f"{value}, p = {part}(data, p)")
+        self.places = ANYWHERE
         return value
 
     def numbers(self, field_type: FieldType, *, is_bytes: bool) -> str:
@@ -142,8 +154,10 @@ class Reader:
         count = self.count(field_type)
         self.align(size_of(code), count)
         if self.arrays == "list" and not is_bytes:
-            self.source.add(f'{value} = list(unpack(f"{self.order}{{{count}}}{code}", data, p))')
+            runs = self.source.hold(Runs("unpack_from", self.order, (), HEADER_SIZE, code))
+            self.source.add(f"{value} = [*{runs}[{count}](data, p)]")
             self.source.add(f"p += {count} * {size_of(code)}")
+            self.places = places_in_steps(size_of(code), self.places)
             return value
         self.slice(value, f"{count} * {size_of(code)}")
         return f"{make}({value})"
@@ -180,6 +194,7 @@ class Reader:
         self.source.add(f"{value} = []")
         self.source.add(f"for _ in range({count}):")
         self.source.add(f" x, p = {self.source.hold(part)}(data, p); {value}.append(x)")
+        self.places = ANYWHERE
         return value
 
     def rows(self, cls: type[Message], value: str, count: str, size: int) -> None:
@@ -212,12 +227,14 @@ class Reader:
         self.source.add(f"q = p; p += {size}")
         self.guard("p > len(data)")
         self.source.add(f"{value} = data[q:p]")
+        self.places = ANYWHERE
 
     def align(self, size: int, count: str) -> None:
         """Leaves out the padding before elements, if there are any."""
-        pads = [padding(place, size) for place in range(WIDEST)]
-        if any(pads):
+        if any(padding(place, size) for place in self.places):
+            pads = [padding(place, size) for place in range(WIDEST)]
             self.source.add(f"if {count}: p += {self.source.hold(pads)}[p & 7]")
+            self.places = places_aligned(size, self.places)
 
     def guard(self, condition: str) -> None:
         """Refuses what cannot be."""
@@ -227,6 +244,7 @@ class Reader:
         """Makes ``p`` the place."""
         if self.place is not None:
             self.source.add(f"p = {self.place}")
+            self.places = frozenset({self.place % WIDEST})
             self.place = None
 
     def flush(self) -> None:
@@ -240,10 +258,15 @@ class Reader:
             self.source.add(f"{into} = {self.source.hold(reader.unpack_from)}(data, {self.place})")
             self.place += reader.size
             return
-        table = [(reader.unpack_from, reader.size) for reader in phases(self.order, items)]
-        self.source.add(f"read, size = {self.source.hold(table)}[p & 7]")
-        self.source.add(f"{into} = read(data, p)")
-        self.source.add("p += size")
+        common = common_run(self.order, items, self.places)
+        if common is None:
+            table = [(reader.unpack_from, reader.size) for reader in phases(self.order, items)]
+            self.source.add(f"read, size = {self.source.hold(table)}[p & 7]")
+            self.source.add(f"{into} = read(data, p); p += size")
+        else:
+            self.source.add(f"{into} = {self.source.hold(common.unpack_from)}(data, p)")
+            self.source.add(f"p += {common.size}")
+        self.places = places_after(items, self.places)
 
 
 def targets(items: list[Item]) -> str:

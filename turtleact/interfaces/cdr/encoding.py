@@ -13,6 +13,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from turtleact.interfaces.cdr.layout import (
+    ANYWHERE,
     COUNT,
     EMPTY,
     FORMATS,
@@ -20,14 +21,20 @@ from turtleact.interfaces.cdr.layout import (
     HEADER_SIZE,
     WIDEST,
     Item,
+    Places,
+    Runs,
     Source,
     code_in_run,
     common_alignment,
+    common_run,
     is_in_run,
     is_inlined,
     members,
     padding,
     phases,
+    places_after,
+    places_aligned,
+    places_in_steps,
     run,
     size_of,
 )
@@ -46,10 +53,18 @@ __all__ = ["encoder"]
 
 
 @functools.cache
-def encoder(cls: type[Message]) -> Callable[[Message], bytes]:
-    """The function that gives the CDR of messages of this class, header included."""
-    writer = Writer("m", place=0)
-    writer.pending.append(Item(f"{HEADER_SIZE}s", writer.source.hold(HEADER)))
+def encoder(cls: type[Message], size: int = HEADER_SIZE) -> Callable[..., bytes]:
+    """The function that gives the CDR of messages of this class.
+
+    Its second argument is what stands before the message, if that is more than the header.
+
+    Args:
+        cls: The class.
+        size: How many bytes stand before it.
+    """
+    writer = Writer("m, front=header", frozenset({0}))
+    writer.source.names["header"] = HEADER
+    writer.pending.append(Item(f"{size}s", "front"))
     writer.message(cls, "m")
     writer.finish()
     return writer.source.function()  # type: ignore[return-value]  # the text is made to be so
@@ -58,7 +73,7 @@ def encoder(cls: type[Message]) -> Callable[[Message], bytes]:
 @functools.cache
 def part_encoder(cls: type[Message]) -> Callable[[Message, bytearray], None]:
     """The function that adds a message inside another, wherever that ends."""
-    writer = Writer("m, out", place=None)
+    writer = Writer("m, out", ANYWHERE)
     writer.guard(f"type(m) is not {writer.source.hold(cls)}")
     writer.message(cls, "m")
     writer.flush()
@@ -71,16 +86,18 @@ class Writer:
     Attributes:
         source: The text so far.
         pending: The run that has not been written yet.
-        place: Where that starts, or None where this is not known beforehand.
-        is_begun: Whether the text has made ``out``, the bytes so far.
+        places: Where that may start.
+        pieces: The expressions for the bytes so far, as long as the text has not made ``out``.
+        is_begun: Whether it has made ``out``, the bytes so far.
     """
 
-    def __init__(self, signature: str, place: int | None) -> None:
+    def __init__(self, signature: str, places: Places) -> None:
         self.source = Source(signature)
-        self.source.names |= {"unfit": struct.error, "pack": struct.pack}
+        self.source.names |= {"unfit": struct.error, "join": b"".join}
         self.pending: list[Item] = []
-        self.place = place
-        self.is_begun = place is None
+        self.places = places
+        self.pieces: list[str] = []
+        self.is_begun = places is ANYWHERE
 
     def guard(self, condition: str) -> None:
         """Refuses a value that must not be written."""
@@ -110,8 +127,9 @@ class Writer:
             self.guard(f"type({value}) is not {self.source.hold(nested)}")
             self.message(nested, value)
         else:
-            self.flush()
+            self.begin()
             self.source.add(f"{self.source.hold(part_encoder(nested))}({value}, out)")
+            self.places = ANYWHERE
 
     def text(self, field_type: FieldType, value: str) -> None:
         """Writes a text: its length, then its characters."""
@@ -120,12 +138,12 @@ class Writer:
         if field_type.name == "string":
             self.source.add(f"{content} = {self.source.hold(str.encode)}({value})")
             self.pending.append(Item(COUNT, f"len({content}) + 1"))
-            self.content(content)
+            self.content(content, 1)
             self.pending.append(Item("x"))  # the NUL that ends it
         else:
             self.source.add(f"{content} = {self.source.hold(wide)}({value})")
             self.pending.append(Item(COUNT, f"len({content}) // 4"))
-            self.content(content)
+            self.content(content, 4)
 
     def sequence(self, field_type: FieldType, nested: type[Message] | None, value: str) -> None:
         """Writes a sequence: its length, unless that is fixed, then its elements."""
@@ -138,7 +156,7 @@ class Writer:
             self.numbers(field_type, value)
             return
         self.guard(f"type({value}) is not list")
-        self.flush()
+        self.begin()
         counted = field_type.form is not ArrayForm.FIXED
         size = 0 if nested is None else common_alignment(nested, counted=counted)
         if nested is None:
@@ -149,10 +167,15 @@ class Writer:
             self.source.add(f"for x in {value}: {self.source.hold(part_encoder(nested))}(x, out)")
         else:
             self.rows(nested, value, size)
+        self.places = ANYWHERE
 
     def numbers(self, field_type: FieldType, value: str) -> None:
         """Writes the numbers of a sequence."""
         code = FORMATS[field_type.name]
+        is_plain = field_type.name != "bool" and field_type.name not in BYTE_TYPES
+        if is_plain and self.is_common([*self.pending, Item(code)]):
+            self.numbers_behind(field_type, value, code)
+            return
         content = self.source.fresh()
         if field_type.name in BYTE_TYPES:
             other = f"{self.source.hold(octets)}({value})"
@@ -160,15 +183,35 @@ class Writer:
         elif field_type.name == "bool":
             self.source.add(f"{content} = {self.source.hold(truths)}({value})")
         else:
-            fast = f'pack(f"<{{len({value})}}{code}", *{value})'
+            runs = Runs("pack", "<", (), HEADER_SIZE, code)
+            fast = f"{self.source.hold(runs)}[len({value})](*{value})"
             other = f"{self.source.hold(functools.partial(copied, code))}({value})"
             self.source.add(f"{content} = {fast} if type({value}) is list else {other}")
         if is_in_run(field_type):
             self.pending.append(Item(code_in_run(field_type), content))
             return
-        self.flush()
         self.align(size_of(code), content)
-        self.content(content)
+        self.content(content, size_of(code))
+
+    def numbers_behind(self, field_type: FieldType, value: str, code: str) -> None:
+        """Writes the pending run and the numbers of a sequence in one call."""
+        items, self.pending = self.pending, []
+        runs = Runs("pack", "<", items, min(self.places), code)
+        values = "".join(f"{item.text}, " for item in items if item.text)
+        if field_type.form is ArrayForm.FIXED:
+            fast = f"{self.source.hold(runs[field_type.size])}({values}*{value})"
+        else:
+            fast = f"{self.source.hold(runs)}[len({value})]({values}*{value})"
+        other = f"{self.source.hold(functools.partial(behind, runs))}({values}{value})"
+        piece = self.source.fresh()
+        self.source.add(f"{piece} = {fast} if type({value}) is list else {other}")
+        self.add(piece)
+        first = places_after([*items, Item(code)], self.places)
+        self.places = places_in_steps(size_of(code), first) | places_after(items, self.places)
+
+    def is_common(self, items: list[Item]) -> bool:
+        """Whether this run is the same wherever it may start, and without its end too."""
+        return all(common_run("<", each, self.places) for each in (items, items[:-1]))
 
     def rows(self, cls: type[Message], value: str, size: int) -> None:
         """Writes messages that are a run each, at equal distances."""
@@ -184,45 +227,61 @@ class Writer:
     def align(self, size: int, value: str) -> None:
         """Writes the padding before elements, if there are any."""
         self.flush()
-        pads = [bytes(padding(place, size)) for place in range(WIDEST)]
-        if any(pads):
+        if any(padding(place, size) for place in self.places):
+            self.begin()
+            pads = [bytes(padding(place, size)) for place in range(WIDEST)]
             self.source.add(f"if {value}: out += {self.source.hold(pads)}[len(out) & 7]")
+            self.places = places_aligned(size, self.places)
 
     def bound(self, size: int | None, value: str) -> None:
         """Refuses what is longer than its bound."""
         if size is not None:
             self.guard(f"len({value}) > {size}")
 
-    def content(self, value: str) -> None:
-        """Writes bytes of any number."""
+    def content(self, value: str, size: int) -> None:
+        """Writes bytes of any number, values of this size."""
         self.flush()
-        self.source.add(f"out += {value}")
+        self.add(value)
+        self.places = places_in_steps(size, self.places)
 
     def flush(self) -> None:
         """Writes the pending run."""
         if not self.pending:
             return
-        if self.is_begun:
-            self.source.add(f"out += {self.take()}")
+        items, self.pending = self.pending, []
+        common = common_run("<", items, self.places)
+        if common is None:
+            self.begin()
+            table = [packer.pack for packer in phases("<", items)]
+            self.add(self.call(table, items, "[len(out) & 7]"))
+        elif any(item.text for item in items):
+            self.add(self.call(common.pack, items))
         else:
-            self.source.add(f"out = bytearray({self.take()})")
-        self.is_begun, self.place = True, None
+            self.add(self.source.hold(common.pack()))
+        self.places = places_after(items, self.places)
+
+    def add(self, piece: str) -> None:
+        """Writes the bytes that an expression gives."""
+        if self.is_begun:
+            self.source.add(f"out += {piece}")
+        else:
+            self.pieces.append(piece)
+
+    def begin(self) -> None:
+        """Writes the pending run, and has all so far in ``out``."""
+        self.flush()
+        if not self.is_begun:
+            self.source.add(f"out = bytearray({self.joined()})")
+            self.is_begun = True
 
     def finish(self) -> None:
         """Writes the pending run and the end."""
-        if not self.is_begun:
-            self.source.add(f"return {self.take()}")
-            return
         self.flush()
-        self.source.add("return bytes(out)")
+        self.source.add(f"return {'bytes(out)' if self.is_begun else self.joined()}")
 
-    def take(self) -> str:
-        """The pending run as an expression; nothing is pending then."""
-        items, self.pending = self.pending, []
-        if self.place is not None:
-            return self.call(run("<", items, self.place).pack, items)
-        table = [packer.pack for packer in phases("<", items)]
-        return self.call(table, items, "[len(out) & 7]")
+    def joined(self) -> str:
+        """All pieces, as an expression."""
+        return self.pieces[0] if len(self.pieces) == 1 else f"join(({', '.join(self.pieces)}))"
 
     def call(self, function: object, items: list[Item], index: str = "") -> str:
         """The call that packs these values."""
@@ -233,7 +292,7 @@ class Writer:
 @functools.cache
 def text_encoder(field_type: FieldType) -> Callable[[str, bytearray], None]:
     """The function that adds a text in a sequence."""
-    writer = Writer("m, out", place=None)
+    writer = Writer("m, out", ANYWHERE)
     writer.text(field_type.element, "m")
     writer.flush()
     return writer.source.function()  # type: ignore[return-value]  # the text is made to be so
@@ -267,6 +326,15 @@ KINDS = {
     **dict.fromkeys("BHILQ", "unsigned"),
     **dict.fromkeys("fd", "float"),
 }
+
+
+def behind(runs: Runs, *values: object) -> bytes:
+    """A run, and behind it the content of an array, which is the last of the values."""
+    *others, value = values
+    content = copied(runs.code, value)
+    first: bytes = runs[0](*others)
+    pad = padding(runs.place + len(first), size_of(runs.code)) if content else 0
+    return b"".join((first, bytes(pad), content))
 
 
 def copied(code: str, value: object) -> bytes:

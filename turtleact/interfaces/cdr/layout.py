@@ -10,17 +10,19 @@ from __future__ import annotations
 
 import functools
 import struct
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from turtleact.interfaces.definition import BYTE_TYPES, ArrayForm
 from turtleact.interfaces.types import Message, fields, nested_classes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
+    from typing import Any
 
     from turtleact.interfaces.definition import Field, FieldType
 
 __all__ = [
+    "ANYWHERE",
     "BYTE_ORDERS",
     "COUNT",
     "EMPTY",
@@ -29,14 +31,20 @@ __all__ = [
     "HEADER_SIZE",
     "WIDEST",
     "Item",
+    "Places",
+    "Runs",
     "Source",
     "code_in_run",
     "common_alignment",
+    "common_run",
     "is_in_run",
     "is_inlined",
     "members",
     "padding",
     "phases",
+    "places_after",
+    "places_aligned",
+    "places_in_steps",
     "run",
     "size_of",
 ]
@@ -72,8 +80,18 @@ EMPTY = "x"
 #: The largest alignment.
 WIDEST = 8
 
+#: Every place, modulo the largest alignment.
+ANYWHERE: Places = frozenset(range(WIDEST))
+
+#: So many numbers of values have a run of their own.
+MOST_RUNS = 256
+
 #: A message of more fields than this, those of the messages in it included, is a function's call.
 MOST_INLINED = 64
+
+
+#: Where something may stand, modulo 8.
+Places: TypeAlias = frozenset[int]
 
 
 class Item(NamedTuple):
@@ -146,6 +164,64 @@ def run(order: str, items: Iterable[Item], place: int) -> struct.Struct:
 def phases(order: str, items: Sequence[Item]) -> list[struct.Struct]:
     """The same for each place modulo 8."""
     return [run(order, items, place) for place in range(WIDEST)]
+
+
+def common_run(order: str, items: Sequence[Item], places: Places) -> struct.Struct | None:
+    """The same for all of these places, or None if the padding is not."""
+    runs = [run(order, items, place) for place in places]
+    return runs[0] if len({each.format for each in runs}) == 1 else None
+
+
+def places_after(items: Sequence[Item], places: Places) -> Places:
+    """Where a run may end that starts at one of these places."""
+    return frozenset((place + run("<", items, place).size) % WIDEST for place in places)
+
+
+def places_aligned(size: int, places: Places) -> Places:
+    """These places, as nothing may follow, and where a value that is aligned to a size starts."""
+    return places | {(place + padding(place, size)) % WIDEST for place in places}
+
+
+def places_in_steps(size: int, places: Places) -> Places:
+    """Where any number of values of a size may end that start at one of these places."""
+    steps = range(0, WIDEST, min(size, WIDEST))
+    return frozenset((place + step) % WIDEST for place in places for step in steps)
+
+
+class Runs(dict[int, "Callable[..., Any]"]):
+    """A run and a number of equal values behind it: what reads or writes it, by that number.
+
+    Args:
+        method: The method of ``struct.Struct`` that is wanted.
+        order: The byte order, ``<`` or ``>``.
+        items: The run.
+        place: Where it starts.
+        code: What ``struct`` calls one of the values.
+
+    Attributes:
+        place: Where it starts.
+        code: What ``struct`` calls one of the values.
+    """
+
+    def __init__(
+        self, method: str, order: str, items: Sequence[Item], place: int, code: str
+    ) -> None:
+        super().__init__()
+        self._method = method
+        self._order = order
+        self._items = tuple(items)
+        self.place = place
+        self.code = code
+
+    def __missing__(self, count: int) -> Callable[..., Any]:
+        """Makes it; kept for the first `MOST_RUNS` numbers that are asked for."""
+        items = [*self._items, Item(self.code)] if count else self._items
+        text = run(self._order, items, self.place).format
+        made = struct.Struct(f"{text}{count - 1}{self.code}" if count > 1 else text)
+        method: Callable[..., Any] = getattr(made, self._method)
+        if len(self) < MOST_RUNS:
+            self[count] = method
+        return method
 
 
 def members(cls: type[Message]) -> Iterator[tuple[Field, type[Message] | None]]:
