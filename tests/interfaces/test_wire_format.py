@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from turtleact.errors import InvalidInterface, InvalidMessage
-from turtleact.interfaces import Message, Service, WireFormat, int32, type_hash
-from turtleact.interfaces.standard import Time
+from turtleact.interfaces import (
+    GOAL_ID,
+    Action,
+    FeedbackFormat,
+    Message,
+    Service,
+    WireFormat,
+    float64,
+    implied,
+    int32,
+    string,
+    type_hash,
+)
+from turtleact.interfaces.standard import UUID, Time
 
 
 class Sum(Service, type_name="lab_interfaces/srv/Sum"):
@@ -77,3 +91,61 @@ def test_a_class_without_a_name_has_no_hash():
 
     with pytest.raises(InvalidInterface):
         _ = WireFormat(Bare).type_hash
+
+
+# --- feedback -------------------------------------------------------------------------------
+
+
+class Walk(Action, type_name="lab_interfaces/action/Walk"):
+    """Its feedback has a value of each alignment."""
+
+    class Feedback(Message):
+        steps: list[int32] = []
+        way: float64 = 0.0
+        place: string = ""
+
+
+GOAL = bytes(range(16))
+FORMAT = FeedbackFormat(Walk)
+WALKS = [
+    Walk.Feedback(),
+    Walk.Feedback(steps=[1, -2], way=2.5),
+    Walk.Feedback(steps=[3], way=-0.5, place="h\u00fctte"),
+]
+
+
+def whole(feedback: Walk.Feedback) -> Message:
+    """The message around feedback."""
+    return implied(Walk).feedback_message(UUID(GOAL), feedback)
+
+
+@pytest.mark.parametrize("feedback", WALKS)
+def test_feedback_is_written_by_itself_as_the_whole_message_is(feedback):
+    assert FORMAT.write(GOAL, feedback) == FORMAT.encode(whole(feedback))
+
+
+@pytest.mark.parametrize("feedback", WALKS)
+def test_feedback_is_read_by_itself(feedback):
+    data = FORMAT.encode(whole(feedback))
+    assert (data[GOAL_ID], FORMAT.read(data)) == (GOAL, feedback)
+
+
+def test_feedback_is_read_in_the_other_byte_order_too():
+    data = "00000000" + GOAL.hex() + "00000001 00000007 4004000000000000 00000002 6100"
+    assert FORMAT.read(bytes.fromhex(data)) == Walk.Feedback(steps=[7], way=2.5, place="a")
+
+
+def test_feedback_that_has_to_be_converted_is_written():
+    steps: Any = (1, 2)
+    expected = FORMAT.write(GOAL, Walk.Feedback(steps=[1, 2]))
+    assert FORMAT.write(GOAL, Walk.Feedback(steps=steps)) == expected
+
+
+def test_feedback_that_does_not_fit_is_told_with_its_path_in_the_whole_message():
+    with pytest.raises(InvalidMessage, match=r"message\.feedback\.steps\[0\]: "):
+        FORMAT.write(GOAL, Walk.Feedback(steps=[1 << 31]))
+
+
+def test_feedback_that_is_cut_off_is_told_with_its_path_in_the_whole_message():
+    with pytest.raises(InvalidMessage, match=r"message\.feedback\.steps: cut off at byte 24"):
+        FORMAT.read(FORMAT.write(GOAL, WALKS[1])[:26])

@@ -50,6 +50,17 @@ async def test_a_latched_message_is_there_when_subscribing_returns():
     assert seen == [feedback(1)]
 
 
+async def test_what_is_written_already_is_for_nobody_here():
+    seen: list[object] = []
+    transport = MemoryTransport()
+    publication = transport.advertise(publisher(), SPEECH)
+    assert not publication.has_near_readers
+    transport.subscribe(subscription(), SPEECH, seen.append)
+    assert publication.has_near_readers
+    publication.send(SPEECH.encode(feedback(1)))
+    assert seen == []
+
+
 async def test_two_transports_are_two_graphs():
     seen: list[object] = []
     one, other = MemoryTransport(), MemoryTransport()

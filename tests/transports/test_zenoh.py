@@ -26,7 +26,7 @@ from turtleact.errors import (
     ServiceTimeout,
     TurtleactError,
 )
-from turtleact.interfaces import WireFormat, cdr, implied
+from turtleact.interfaces import FeedbackFormat, Message, WireFormat, implied
 from turtleact.interfaces.standard import UUID, GoalStatusArray
 from turtleact.transports import QoS, ZenohTransport, open_zenoh
 from turtleact.transports.base import Endpoint, Reply
@@ -124,7 +124,7 @@ class Greeting:
     def _match(self, is_matching: bool) -> None:
         self._sender.inbox.push(self._ready.set)
 
-    def _take(self, payload: bytes, attachment: bytes) -> None:
+    def _take(self, payload: bytes) -> None:
         self._receiver.inbox.push(lambda: self._arrived.set())
 
 
@@ -215,7 +215,7 @@ class Bare:
         self.came = threading.Event()
 
     def read(self, key: str) -> None:
-        self.session.declare_subscriber(key, self._take)
+        self.session.declare_latched_subscriber(key, self._take, depth=1)
 
     def serve(self, key: str) -> None:
         self.session.declare_queryable(key, self._asked)
@@ -372,7 +372,7 @@ async def test_a_thread_that_brings_messages_stays_with_python(address):
     """A state made anew for each call would hold nothing of the one before."""
     fresh, state, last = [], threading.local(), threading.Event()
 
-    def take(payload, _):
+    def take(payload):
         if not hasattr(state, "is_known"):
             state.is_known = True
             fresh.append(threading.get_ident())
@@ -788,6 +788,21 @@ async def test_what_waits_behind_a_message_that_cannot_be_sent_is_sent(
     assert "as a test wants it" in caplog.text
 
 
+async def test_what_is_written_already_is_sent_to_other_processes_alone(address):
+    near, far = Inbox(), Inbox()
+    async with two(address) as peers:
+        publication = peers.here.advertise(publisher(), SPEECH)
+        peers.there.subscribe(subscription(), SPEECH, far.deliver)
+        await peers.settle()
+        assert not publication.has_near_readers
+        peers.here.subscribe(subscription(), SPEECH, near.deliver)
+        assert publication.has_near_readers
+        publication.send(SPEECH.encode(feedback(1)))
+        publication.publish(feedback(2))
+        await peers.settle()
+    assert (near.numbers, far.numbers) == ([2], [1, 2])
+
+
 async def test_what_is_sent_between_two_messages_keeps_its_place(address, monkeypatch):
     """Else an acceptance would come behind the feedback of a body that never waits."""
     gate = threading.Event()
@@ -1152,6 +1167,31 @@ async def test_a_service_of_a_node_is_called_from_another_process(address):
         assert user.graph().services == {"/add": (Sum.type_name,)}
 
 
+async def test_feedback_reaches_readers_here_and_in_another_process_alike(address):
+    types = implied(Count)
+    goal_id = UUID(bytes(range(16)))
+    async with (
+        two(address) as peers,
+        turtleact.open_node("lab", transport=peers.there) as lab,
+        turtleact.open_node("user", transport=peers.here) as user,
+    ):
+        lab.action_server(Count, "count", count)
+        heard = [
+            node.subscription(types.feedback_message, "count/_action/feedback")
+            for node in (lab, user)
+        ]
+        send = user.service_client(types.send_goal, "count/_action/send_goal")
+        assert await send.wait_for_service()
+        await peers.settle()
+        assert (await send.call(types.send_goal.Request(goal_id=goal_id, goal=goal(2)))).accepted
+        for each in heard:
+            said = [await anext(each) for _ in range(2)]
+            assert said == [
+                types.feedback_message(goal_id, message)
+                for message in (feedback(0), feedback(0, 1))
+            ]
+
+
 async def test_an_action_of_a_node_is_used_from_another_process(address):
     types = implied(Count)
     async with (
@@ -1182,14 +1222,14 @@ async def test_an_action_of_a_node_is_used_from_another_process(address):
 
 
 async def test_feedback_of_the_goals_of_others_is_not_read(address, monkeypatch):
-    read: list[type] = []
-    decode = cdr.decode
+    told: list[object] = []
+    read = FeedbackFormat.read
 
-    def note(cls: Any, data: bytes) -> object:
-        read.append(cls)
-        return decode(cls, data)
+    def note(self: FeedbackFormat, data: bytes) -> Message:
+        told.append(read(self, data))
+        return read(self, data)
 
-    monkeypatch.setattr(cdr, "decode", note)
+    monkeypatch.setattr(FeedbackFormat, "read", note)
     async with (
         two(address) as peers,
         turtleact.open_node("lab", transport=peers.there) as lab,
@@ -1204,7 +1244,7 @@ async def test_feedback_of_the_goals_of_others_is_not_read(address, monkeypatch)
         async with clients[1].send_goal(goal(3)) as handle:
             assert len([each async for each in handle]) == 3
         await peers.settle()
-        assert read.count(implied(Count).feedback_message) == 3
+        assert told == [feedback(0), feedback(0, 1), feedback(0, 1, 2)]
 
 
 async def test_a_goal_may_take_longer_than_zenoh_waits(address, monkeypatch):

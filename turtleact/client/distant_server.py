@@ -248,10 +248,15 @@ class DistantServer:
     def _on_feedback(self, message: Any) -> None:  # noqa: ANN401  # of the action's own class
         if message is None:
             return
-        followed = self._followed.get(bytes(message.goal_id.uuid))
+        if type(message) is tuple:
+            followed, feedback = message
+        else:  # it came as an object
+            followed = self._followed.get(bytes(message.goal_id.uuid))
+            feedback = message.feedback
         if followed is not None:
-            followed.take(message.feedback)
-            self.signal(followed.goal).fire()
+            followed.take(feedback)
+            if followed.goal.listener is not None:
+                followed.goal.listener.fire()
 
     def _on_status(self, told: GoalStatusArray | dict[bytes, State]) -> None:
         if isinstance(told, GoalStatusArray):

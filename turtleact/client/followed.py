@@ -58,7 +58,8 @@ class Followed:
     def take(self, feedback: object) -> None:
         """Note a feedback message, and tell the sender's callback."""
         goal, log = self.goal, self.log
-        move(goal, GoalStatus.EXECUTING)
+        if goal.status < _EXECUTING:
+            move(goal, _EXECUTING)
         self.received += 1
         goal.last_feedback = feedback
         log.append(feedback)
@@ -72,6 +73,8 @@ class Followed:
             except BaseException:  # a cancellation too: nobody has canceled the callback
                 logger.exception("the feedback_callback of goal %s failed", goal.hex)
 
+
+_EXECUTING: Final = GoalStatus.EXECUTING
 
 _EVENTS: Final = {
     GoalStatus.SUCCEEDED: GoalEvent.SUCCEED,

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container
+from collections.abc import Callable, Mapping
 from typing import Any, cast
 
 from turtleact.body import ActionType
+from turtleact.client.followed import Followed
 from turtleact.client.pace import Pace
 from turtleact.goal_states import read_states
-from turtleact.interfaces import Action, Implied, Message, WireFormat, implied
+from turtleact.interfaces import (
+    GOAL_ID,
+    Action,
+    FeedbackFormat,
+    Implied,
+    WireFormat,
+    implied,
+)
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
 from turtleact.transports.base import (
@@ -26,9 +34,6 @@ from turtleact.transports.base import (
 )
 
 __all__ = ["Links"]
-
-GOAL_ID = slice(4, 20)
-"""Where a feedback message has the id of its goal, in either byte order: behind CDR's header."""
 
 
 class Links:
@@ -113,13 +118,13 @@ class Links:
         """Send what `send` does, now, to a server of our kind; None if that takes waiting."""
         return self._send_goal.ask(request)
 
-    def open(self, on_feedback: Callable[[Any], None], followed: Container[bytes]) -> None:
+    def open(self, on_feedback: Callable[[Any], None], followed: Mapping[bytes, Followed]) -> None:
         """Open the other services and the feedback topic; a second time does nothing.
 
         Args:
-            on_feedback: Gets each message of the topic.
-            followed: The ids of the goals whose feedback is wanted; of others it gets None, if
-                their messages come as bytes.
+            on_feedback: Gets each message of the topic; for one that comes as bytes, what is
+                ``followed`` and the feedback, or None if it is of another goal.
+            followed: The goals whose feedback is wanted, by their ids.
         """
         if self._is_open:
             return
@@ -128,7 +133,7 @@ class Links:
         self._subscribe(
             names.feedback,
             f"{action}_FeedbackMessage",
-            _FeedbackFormat(WireFormat(lambda: self.implied.feedback_message), followed),
+            _FollowedFormat(cast("type[Action]", self._action_type), followed),
             on_feedback,
         )
         self.get_result = self._join(
@@ -191,27 +196,22 @@ class Links:
         self._opened.append(self._transport.subscribe(endpoint, format, deliver))
 
 
-class _FeedbackFormat:
+class _FollowedFormat(FeedbackFormat):
     """Reads the feedback of some goals alone: everybody gets that of all, in ROS 2.
 
     Args:
-        format: Reads the messages.
-        followed: The ids of the goals.
+        action: The action.
+        followed: The goals by their ids.
     """
 
-    def __init__(self, format: WireFormat, followed: Container[bytes]) -> None:
-        self.encode = format.encode
-        self._format = format
+    def __init__(self, action: type[Action], followed: Mapping[bytes, Followed]) -> None:
+        super().__init__(action)
         self._followed = followed
 
-    @property
-    def type_hash(self) -> str:
-        """The hash of the message."""
-        return self._format.type_hash
-
-    def decode(self, data: bytes) -> Message | None:
-        """A message; None if it is of another goal."""
-        return self._format.decode(data) if data[GOAL_ID] in self._followed else None
+    def decode(self, data: bytes) -> Any:  # noqa: ANN401  # see `Links.open`
+        """What is known of a goal, and its feedback; None if it is another goal."""
+        followed = self._followed.get(data[GOAL_ID])
+        return None if followed is None else (followed, self.read(data))
 
 
 class _StatusFormat(WireFormat):

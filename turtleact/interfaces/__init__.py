@@ -43,14 +43,16 @@ from turtleact.interfaces.types import (
     uint64,
     wstring,
 )
-from turtleact.interfaces.wire_format import WireFormat
+from turtleact.interfaces.wire_format import GOAL_ID, FeedbackFormat, WireFormat
 
 if TYPE_CHECKING:
     from turtleact.interfaces.cdr import decode, encode
     from turtleact.interfaces.text import from_text, to_json, to_yaml
 
 __all__ = [
+    "GOAL_ID",
     "Action",
+    "FeedbackFormat",
     "Implied",
     "Message",
     "Service",

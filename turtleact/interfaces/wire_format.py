@@ -7,11 +7,13 @@ processes is given beside each endpoint, so that it need know no message class.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from turtleact.errors import InvalidMessage
+from turtleact.interfaces.implying import implied
+from turtleact.interfaces.standard import UUID
 from turtleact.interfaces.type_hash import type_hash
-from turtleact.interfaces.types import Message, Service
+from turtleact.interfaces.types import Action, Message, Service
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,7 +21,10 @@ if TYPE_CHECKING:
 
     from turtleact.interfaces.registry import Interface
 
-__all__ = ["WireFormat"]
+__all__ = ["GOAL_ID", "FeedbackFormat", "WireFormat"]
+
+GOAL_ID: Final = slice(4, 20)
+"""Where a feedback message has the id of its goal, in either byte order: behind CDR's header."""
 
 
 class WireFormat:
@@ -90,3 +95,65 @@ class WireFormat:
         if self._asks:
             return found.Request, found.Response
         return found.Response, found.Request
+
+
+class FeedbackFormat(WireFormat):
+    """The format of an action's feedback topic.
+
+    A message of it is the id of a goal, and feedback. Both are written and read here by themselves
+    too: there is much feedback, and the message around it is nothing that anybody looks at.
+
+    Args:
+        action: The action.
+
+    >>> from turtleact.interfaces.standard import Fibonacci
+    >>> feedback = FeedbackFormat(Fibonacci)
+    >>> feedback.read(feedback.write(bytes(16), Fibonacci.Feedback([0, 1])))
+    Feedback(sequence=[0, 1])
+    """
+
+    def __init__(self, action: type[Action]) -> None:
+        super().__init__(lambda: implied(action).feedback_message)
+        self._feedback = action.Feedback
+
+    def write(self, goal_id: bytes, feedback: Message) -> bytes:
+        """What is sent of a goal of this id (16 bytes).
+
+        Raises:
+            InvalidMessage: if a value does not fit its type.
+        """
+        try:
+            return self._write(feedback, self._header + goal_id)
+        except self._cdr.UNFIT:
+            message: Any = self._classes[0]
+            return self.encode(message(UUID(goal_id), feedback))
+
+    def read(self, data: bytes) -> Message:
+        """The feedback that was received; the id of its goal stands at `GOAL_ID`.
+
+        Raises:
+            InvalidMessage: if the bytes hold no such message; it says where.
+        """
+        if data.startswith(self._header[:2]):
+            try:
+                return self._read(data)
+            except self._cdr.MISREAD:
+                pass  # it is said below where that is
+        message: Any = WireFormat.decode(self, data)
+        return cast("Message", message.feedback)
+
+    @cached_property
+    def _header(self) -> bytes:
+        return cast("bytes", self._cdr.HEADER)
+
+    @cached_property
+    def _write(self) -> Callable[[Message, bytes], bytes]:
+        found: Callable[[Message, bytes], bytes] = self._cdr.writer_behind(
+            self._feedback, GOAL_ID.stop
+        )
+        return found
+
+    @cached_property
+    def _read(self) -> Callable[[bytes], Message]:
+        found: Callable[[bytes], Message] = self._cdr.reader_behind(self._feedback, GOAL_ID.stop)
+        return found

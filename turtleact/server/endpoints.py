@@ -26,7 +26,7 @@ from typing import Any, cast
 from turtleact.errors import GoalRejected
 from turtleact.goal import CancelCode, Goal, GoalStatus
 from turtleact.goal_note import GoalNote
-from turtleact.interfaces import Action, Implied, Message, WireFormat, implied
+from turtleact.interfaces import Action, FeedbackFormat, Implied, Message, WireFormat, implied
 from turtleact.interfaces.stamps import nanoseconds, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
@@ -156,8 +156,7 @@ class ActionEndpoints:
         described = endpoint(
             "publisher", names.feedback, f"{server.action_type.type_name}_FeedbackMessage"
         )
-        format = WireFormat(lambda: self._implied.feedback_message)
-        feedback.publication = transport.advertise(described, format, feedback)
+        feedback.publication = transport.advertise(described, feedback.format, feedback)
         described = endpoint("publisher", names.status, GoalStatusArray.type_name, STATUS_QOS)
         format = WireFormat(GoalStatusArray)
         status.publication = transport.advertise(described, format, status)
@@ -340,6 +339,7 @@ class _Feedback:
 
     def __init__(self, server: ActionServer[Any, Any, Any]) -> None:
         self._server = server
+        self.format = FeedbackFormat(cast("type[Action]", server.action_type))
 
     def current(self) -> Sequence[object]:
         """Feedback is for those who are there."""
@@ -359,7 +359,11 @@ class _Feedback:
 
     def _publish(self, goal: Goal, feedback: Any) -> None:  # noqa: ANN401  # of the action's own class
         goal.published += 1
-        self.publication.publish(self._message(UUID(self._server.name_goal(goal)), feedback))
+        goal_id, publication = goal.id or self._server.name_goal(goal), self.publication
+        if publication.has_near_readers:
+            publication.publish(self._message(UUID(goal_id), feedback))
+        else:
+            publication.send(self.format.write(goal_id, feedback))
 
     @cached_property
     def _message(self) -> type[Any]:

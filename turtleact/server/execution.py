@@ -46,6 +46,7 @@ CURRENT_GOAL: ContextVar[Goal | None] = ContextVar("CURRENT_GOAL", default=None)
 BURST = 16
 """After so many messages in a row, a generator that never waits lets others run."""
 
+_ACCEPTED = GoalStatus.ACCEPTED
 _EXECUTING = GoalStatus.EXECUTING
 _CANCELING = GoalStatus.CANCELING
 _SUCCEED = GoalEvent.SUCCEED
@@ -205,10 +206,14 @@ class Execution:
             while type(item) is not result_type:
                 try:
                     message = check(item)
-                    log = goal.feedback
-                    if goal.listener or goal.on_feedback or goal.ended or self.also_feedback:
+                    log, tell = goal.feedback, self.also_feedback
+                    if tell or goal.listener or goal.on_feedback or goal.ended:
                         status, reason = goal.status, goal.reason
-                        self._hand_on(goal, message)
+                        if tell and not (goal.is_streamed or goal.on_feedback or goal.ended):
+                            goal.last_feedback = message  # a shorter `_hand_on`, too
+                            tell(goal, message)
+                        else:
+                            self._hand_on(goal, message)
                         if goal.status is not status or goal.reason is not reason:
                             countdown = 1  # who was told has canceled it: see to that at once
                     elif log is not None:  # nobody is to be told: a shorter `_hand_on`
@@ -264,7 +269,7 @@ class Execution:
         self._hand_on(goal, message)
 
     def _hand_on(self, goal: Goal, message: object) -> None:
-        if goal.ended or goal.status is GoalStatus.ACCEPTED:
+        if goal.ended or goal.status is _ACCEPTED:
             raise InvalidTransition(goal.status, "feedback", goal.hex)
         goal.last_feedback = message
         if goal.is_streamed:
@@ -272,8 +277,8 @@ class Execution:
             if log is None:
                 log = goal.feedback = FeedbackLog()
             log.append(message)
-        if goal.listener is not None:
-            goal.listener.fire()
+            if goal.listener is not None:
+                goal.listener.fire()
         if goal.on_feedback is not None:
             try:
                 goal.on_feedback(message)

@@ -152,11 +152,18 @@ class Publication(Closeable, Protocol):
         """Whether anybody would get a message published now, or may later, as it is latched."""
 
     @property
+    def has_near_readers(self) -> bool:
+        """Whether somebody in this very process would get a message, as an object."""
+
+    @property
     def is_congested(self) -> bool:
         """Whether more is on its way than the readers take; who loses nothing, waits then."""
 
     def publish(self, message: object) -> None:
         """Send a message to every subscription; it must not be changed afterwards."""
+
+    def send(self, data: bytes) -> None:
+        """Send a message that is written already, to the readers in other processes alone."""
 
     def expect_readers(self) -> None:
         """Send from now on, be a reader known here or not: one is there, and news may be late."""

@@ -24,9 +24,11 @@ import msgspec
 
 from turtleact.errors import InvalidMessage
 
-__all__ = ["Attachment", "gid_in", "read_attachment", "write_attachment"]
+__all__ = ["GID_SIZE", "LAYOUT", "Attachment", "gid_in", "read_attachment", "write_attachment"]
 
 GID_SIZE = 16
+
+#: An attachment without a note.
 LAYOUT = struct.Struct("<qqB16s")
 
 #: How long a note may be (bytes); what is longer is cut.

@@ -61,9 +61,9 @@ class Lane(Generic[T]):
     def put(self, entry: T, size: int) -> bool:
         """Put one in; answers whether there is one more to take than before."""
         weight = size + ENTRY
-        self._put += weight
+        put = self._put = self._put + weight
         entries = self._entries
-        is_full = self._put - self._taken - self._lost > CAPACITY or len(entries) == self._longest
+        is_full = put - self._taken - self._lost > CAPACITY or len(entries) == self._longest
         entries.append((entry, weight))
         return not (is_full and self._drop())
 
@@ -130,17 +130,17 @@ class Outbox:
 
     Args:
         name: What the thread is called.
+
+    Attributes:
+        post: Has something done; never blocks.
     """
 
     def __init__(self, name: str) -> None:
         self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
+        self.post: Callable[[Job], None] = self._jobs.put  # without a call between
         self._is_left = False
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
         self._thread.start()
-
-    def post(self, job: Job) -> None:
-        """Have something done; never blocks."""
-        self._jobs.put(job)
 
     async def aclose(self) -> None:
         """Do what is left, and end; what hangs for `GRACE` seconds is left behind."""

@@ -12,7 +12,7 @@ import msgspec
 from turtleact.tasks import GRACE, Background, Tasks
 from turtleact.transports.base import Closeable, Endpoint
 from turtleact.transports.memory import MemoryTransport
-from turtleact.transports.rmw_zenoh.attachment import write_attachment
+from turtleact.transports.rmw_zenoh.attachment import GID_SIZE, LAYOUT
 from turtleact.transports.rmw_zenoh.boxes import Inbox, Outbox
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ class Counter:
     def next(self) -> bytes:
         """The attachment of the next message."""
         self._sequence += 1
-        return write_attachment(self._sequence, time_ns(), self._gid)
+        return LAYOUT.pack(self._sequence, time_ns(), GID_SIZE, self._gid)
 
 
 class Presence:

@@ -22,7 +22,7 @@ from zenoh.handlers import Callback
 
 from turtleact.errors import InvalidOption, TurtleactError
 from turtleact.transports.rmw_zenoh.config import PATIENCE, SessionConfig
-from turtleact.transports.rmw_zenoh.staying import stay
+from turtleact.transports.rmw_zenoh.staying import HERE
 
 __all__ = ["Declared", "Publisher", "Querier", "Query", "Session"]
 
@@ -142,21 +142,26 @@ class Session:
                 )
             )
 
-    def declare_subscriber(self, key: str, take: Take) -> Declared:
-        """Read a topic: payload and attachment of each message."""
+    def declare_subscriber(self, key: str, take: Callable[[bytes], object]) -> Declared:
+        """Read a topic: the payload of each message."""
+
+        def receive(sample: zenoh.Sample) -> None:  # as `_direct` does, without calls between
+            HERE.stays  # noqa: B018
+            take(sample.payload.to_bytes())
+
         with _mapped(f"declare {key}"):
             subscriber: Declared = self._session.declare_subscriber(
-                key, _direct(_sample_taker(take)), allowed_origin=REMOTE
+                key, Callback(receive, indirect=False), allowed_origin=REMOTE
             )
             return subscriber
 
     def declare_latched_subscriber(self, key: str, take: Take, *, depth: int) -> Declared:
-        """Read a topic, the last messages of its publishers first."""
+        """Read a topic, the last messages of its publishers first: payload and attachment."""
         with _mapped(f"declare {key}"):
             subscriber: Declared = ext.declare_advanced_subscriber(
                 self._session,
                 key,
-                _direct(_sample_taker(take)),
+                _direct(lambda sample: take(*_parts(sample))),
                 allowed_origin=REMOTE,
                 subscriber_detection=True,
                 history=ext.HistoryConfig(detect_late_publishers=True, max_samples=depth),
@@ -290,10 +295,6 @@ class Query:
             self._query.reply_err(text.encode(errors="replace"), encoding=f"text/plain;{kind}")
 
 
-def _sample_taker(take: Take) -> Callable[[zenoh.Sample], object]:
-    return lambda sample: take(*_parts(sample))
-
-
 def _parts(sample: zenoh.Sample) -> tuple[bytes, bytes]:
     """Payload and attachment, copied: a sample that is kept holds the whole batch it came in."""
     attachment = sample.attachment
@@ -309,7 +310,7 @@ def _staying(callback: Callable[[Any], object]) -> Callable[[Any], object]:
     """The callback, but the thread that calls it stays attached to Python."""
 
     def take(value: object) -> None:
-        stay()
+        HERE.stays  # noqa: B018
         callback(value)
 
     return take

@@ -11,19 +11,21 @@ from __future__ import annotations
 import ctypes
 import threading
 
-__all__ = ["stay"]
-
-_here = threading.local()
+__all__ = ["HERE"]
 
 
-def stay() -> None:
-    """Have the calling thread keep its thread state, as long as it lives.
+class _Here(threading.local):
+    """Made anew for each thread, when that looks at it first."""
 
-    It is asked for once more than it is given up; the calls behind only count. The state of a
-    thread that has ended stays until Python ends: for threads that live long.
-    """
-    try:
-        _here.stays  # noqa: B018
-    except AttributeError:
-        _here.stays = True
+    def __init__(self) -> None:
         ctypes.pythonapi.PyGILState_Ensure()
+        self.stays = True
+
+
+HERE = _Here()
+"""Looking at ``HERE.stays`` has the calling thread keep its thread state, as long as it lives.
+
+It is asked for once more than it is given up; the calls behind only count. The state of a thread
+that has ended stays until Python ends: for threads that live long. It is looked at for each
+message, so that is no call.
+"""

@@ -29,8 +29,11 @@ logger = logging.getLogger("turtleact.transport")
 
 Deliver: TypeAlias = Callable[[object], None]
 
-#: From so many bytes on that wait to be sent, a publication is congested; below half, no more.
+#: From so many bytes on that wait to be sent, a publication is congested.
 CONGESTED = 1024 * 1024
+
+#: From so many on, it is so no more.
+RELIEVED = CONGESTED // 2
 
 #: So much of a state is sent to who may come later (bytes/s); reading as much status takes Python a
 #: tenth of its time.
@@ -62,6 +65,7 @@ class WirePublication:
         self._is_expected = False  # that somebody reads
         self._is_stale = False
         self._is_watched = False  # by the courier below
+        self._is_awaited = False  # that it is relieved
         self._publisher: Publisher | None = None
         self._unsent: Lane[tuple[bytes, bytes]] = _lane(endpoint.qos)
         self._sent = link.tasks.signal()
@@ -90,6 +94,11 @@ class WirePublication:
         return self._is_open and (self._is_read or self._near.has_readers)
 
     @property
+    def has_near_readers(self) -> bool:
+        """Whether somebody in this process would get a message."""
+        return self._near.has_readers if self._source is None else self._has_near_readers
+
+    @property
     def is_congested(self) -> bool:
         """Whether more waits to be sent than goes out."""
         return self._unsent.weight > CONGESTED
@@ -99,7 +108,7 @@ class WirePublication:
         if not self._is_open:
             return
         if self._is_read and not (self._is_latched and self._source is not None):
-            self._send(self._format.encode(message))
+            self.send(self._format.encode(message))
         self._near.publish(message)
         if self._is_latched and self._source is not None:
             self._grow_stale()
@@ -121,7 +130,10 @@ class WirePublication:
     async def drained(self) -> None:
         """Wait until it is not congested. Cancelling: safe."""
         if self.is_congested:
-            while self._is_open and self._unsent.weight > CONGESTED // 2:
+            while self._is_open:
+                self._is_awaited = True  # before the look, or nobody would tell of what is sent
+                if self._unsent.weight <= RELIEVED:
+                    return
                 await self._sent.wait()
 
     def close(self) -> None:
@@ -159,11 +171,13 @@ class WirePublication:
 
     # sending
 
-    def _send(self, payload: bytes) -> None:
-        if not self._link.is_open or self._presence.is_asleep:
+    def send(self, data: bytes) -> None:
+        """Send what is written already to the subscriptions in other processes."""
+        link = self._link
+        if not self._is_open or not link.is_open or self._presence.is_asleep:
             return
-        if self._unsent.put((payload, self._counter.next()), len(payload)):
-            self._link.outbox.post(self._put)  # one for each: what others send keeps its place
+        if self._unsent.put((data, self._counter.next()), len(data)):
+            link.outbox.post(self._put)  # one for each: what others send keeps its place
         else:
             _note_loss(self._topic, self._qos, self._unsent, "published than can be sent")
 
@@ -172,7 +186,7 @@ class WirePublication:
         self._is_stale = False
         payloads = () if self._source is None else self._source.written(self._format.encode)
         for payload in payloads:
-            self._send(payload)
+            self.send(payload)
         return sum(map(len, payloads))
 
     def _grow_stale(self) -> None:
@@ -208,13 +222,13 @@ class WirePublication:
             )
 
     def _put(self) -> None:
-        was_congested = self._unsent.weight > CONGESTED // 2
-        entry = self._unsent.take()
         try:
+            entry = self._unsent.take()
             if entry is not None and self._publisher is not None:
                 self._publisher.put(*entry)
         finally:
-            if was_congested and self._unsent.weight <= CONGESTED // 2:
+            if self._is_awaited and self._unsent.weight <= RELIEVED:
+                self._is_awaited = False
                 self._link.tasks.from_anywhere(self._sent.fire)
 
     def _undeclare(self) -> None:
@@ -253,10 +267,13 @@ class WireSubscription:
         """Leave the topic; a second time does nothing."""
         self._opened.close()
 
-    def _take(self, payload: bytes, attachment: bytes) -> None:
+    def _take_latched(self, payload: bytes, attachment: bytes) -> None:
         """Called in a thread of the session."""
-        if self._link.latched and gid_in(attachment) in self._link.latched:
-            return  # it came as an object
+        if gid_in(attachment) not in self._link.latched:  # else it came as an object
+            self._take(payload)
+
+    def _take(self, payload: bytes) -> None:
+        """Called in a thread of the session."""
         if self._unread.put(payload, len(payload)):
             self._link.inbox.push(self._read)
         else:
@@ -282,7 +299,7 @@ class WireSubscription:
         session = self._link.session
         if self._qos.durability == "transient_local":
             self._declared = session.declare_latched_subscriber(
-                self._key, self._take, depth=self._qos.depth
+                self._key, self._take_latched, depth=self._qos.depth
             )
         else:
             self._declared = session.declare_subscriber(self._key, self._take)
