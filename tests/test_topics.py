@@ -306,6 +306,20 @@ async def test_what_is_taken_is_kept_for_nobody():
         assert words.receiving.latest == Word(number=4)
 
 
+async def test_what_is_given_away_is_what_arrives():
+    async with line() as words:
+        word = Word(number=1)
+        words.sending.give(word)
+        assert words.receiving.latest is word
+
+
+async def test_a_closed_publisher_gives_nothing():
+    async with line() as words:
+        await words.sending.aclose()
+        words.sending.give(Word(number=1))
+        assert words.receiving.latest is None
+
+
 # --- closing --------------------------------------------------------------------------------
 
 

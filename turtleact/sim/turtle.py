@@ -36,7 +36,7 @@ from turtleact.sim.rotation import Rotation
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from turtleact.node import Node
     from turtleact.server import ServerGoalHandle
@@ -150,17 +150,6 @@ class Turtle:
             logger.info("Rotation goal completed successfully")
             self.turn = None
         self._world.set_velocity(self.name, 0.0, 0.0, omega or 0.0)
-
-    def tell_pose(self, poses: Sequence[Sequence[float]] | None = None) -> None:
-        """Publish the pose after a tick, unless its readers have just gone.
-
-        Args:
-            poses: Those of all turtles, by index, where many are told.
-        """
-        if self.poses.has_subscriptions:
-            world, name = self._world, self.name
-            pose = world.pose(name) if poses is None else poses[world.index(name)]
-            self.poses.publish(TurtlePose(*pose))
 
     def tell_colour(self, colour: Colour) -> None:
         """Publish the colour under it, unless its readers have just gone."""

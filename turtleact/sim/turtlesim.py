@@ -21,7 +21,7 @@ import anyio
 
 from turtleact.errors import InvalidName, SimError
 from turtleact.interfaces.stamps import stamp_of
-from turtleact.interfaces.standard import Empty, Kill, Spawn
+from turtleact.interfaces.standard import Empty, Kill, Spawn, TurtlePose
 from turtleact.names import resolve_name
 from turtleact.sim.canvas import Colour
 from turtleact.sim.parameters import Parameters
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from turtleact.node import Node
     from turtleact.sim.kinematics import Hits
     from turtleact.sim.world import Pose, World
+    from turtleact.topics import Publisher
 
 __all__ = ["Turtlesim"]
 
@@ -82,7 +83,7 @@ class Turtlesim:
         node.service(Kill, "kill", self._kill)
         node.service(Empty, "clear", self._clear)
         node.service(Empty, "reset", self._reset)
-        self._told: list[Turtle] = []
+        self._told: list[tuple[int, Publisher[TurtlePose]]] = []
         self._sensed: list[str] = []
         self._is_graph_new = True
         self._tick()  # here, so that the world is a tick old before anybody can send a goal
@@ -149,7 +150,9 @@ class Turtlesim:
         """See who is read."""
         self._is_graph_new = False
         turtles = self._turtles.values()
-        self._told = [turtle for turtle in turtles if turtle.poses.has_subscriptions]
+        index = self._world.index
+        told = [turtle for turtle in turtles if turtle.poses.has_subscriptions]
+        self._told = [(index(turtle.name), turtle.poses) for turtle in told]
         self._sensed = [turtle.name for turtle in turtles if turtle.colours.has_subscriptions]
 
     def _tick(self) -> None:
@@ -170,13 +173,22 @@ class Turtlesim:
             _warn(hits)
         if self._is_graph_new:
             self._look_around()
-        poses = world.poses().tolist() if len(self._told) > FEW else None
-        for turtle in self._told:
-            turtle.tell_pose(poses)
+        self._tell_poses()
         if self._poses.has_subscriptions:
             self._poses.publish(poses_of(world, stamp_of(self._node.clock.now())))
         for name, colour in self._pens.follow(self._sensed).items():
             self._turtles[name].tell_colour(colour)
+
+    def _tell_poses(self) -> None:
+        """Publish the poses after a tick, but those whose readers have just gone."""
+        if len(self._told) > FEW:
+            poses = self._world.poses().tolist()
+            for index, publisher in self._told:
+                publisher.give(TurtlePose(*poses[index]))
+            return
+        for index, publisher in self._told:
+            if publisher.has_subscriptions:
+                publisher.give(TurtlePose(*self._world.pose(index)))
 
     # turtles that come and go
 

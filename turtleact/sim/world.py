@@ -151,7 +151,8 @@ class World:
             SimError: if there is no such turtle, or a speed is not finite.
         """
         index = self.index(turtle)
-        check_finite(self._names[index], vx=vx, vy=vy, omega=omega)
+        if not math.isfinite(vx + vy + omega):
+            check_finite(self._names[index], vx=vx, vy=vy, omega=omega)
         self._commands[index] = Command(vx, vy if self.holonomic else 0.0, omega)
         self._is_asked = True
 
