@@ -16,8 +16,17 @@ from turtleact.errors import GoalAborted, GoalRejected
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import load_interface
 from turtleact.interfaces import standard as standard_interfaces
-from turtleact.interfaces.standard import Empty, Kill, PatrolCommandInterface, Point, Twist, Vector3
+from turtleact.interfaces.standard import (
+    Empty,
+    Kill,
+    PatrolCommandInterface,
+    Point,
+    TurtlePose,
+    Twist,
+    Vector3,
+)
 from turtleact.tasks import Background
+from turtleact.transports import QoS
 
 from .arena import MARK, STYLES, arena
 
@@ -162,8 +171,10 @@ def test_a_patrol_is_the_same_on_every_loop_to_the_last_bit():
 @pytest.mark.parametrize("style", ["forward", "rotate_then_drive"])
 async def test_a_target_behind_is_turned_to_the_short_way_round(side, style):
     async with arena() as stage:
+        poses = stage.node.subscription(TurtlePose, "turtle1/pose", QoS(depth=1000))
         await client_of(stage).send_goal(patrol(BEHIND[side], style=style))
-        turns = [angular for _, angular in stage.commands() if abs(angular) > 0.01]
+        told = [pose.angular_velocity for pose in poses.drain()]
+        turns = [turn for turn in told if abs(turn) > 0.01]
     assert {turn > 0.0 for turn in turns} == {side == "to the left"}
     assert sum(map(abs, turns)) * 0.016 < 3.2
 

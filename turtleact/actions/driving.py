@@ -16,7 +16,7 @@ taken as they come, and wake nobody as long as it is where its command leads.
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, cast
@@ -174,13 +174,14 @@ class Drive:
     """One turtle on its way.
 
     Attributes:
-        seen: Where it was last seen.
         travelled: How far it has gone (m).
     """
 
     def __init__(self, node: Node, robot: Robot, turtle: str, steering: Steering) -> None:
-        self.seen = Sighting((0.0, 0.0, 0.0))
         self.travelled = 0.0
+        self._seen = Sighting((0.0, 0.0, 0.0))
+        self._taken: TurtlePose | None = None
+        self._taken_since = 0
         self._node = node
         self._clock = node.clock
         self._pace = robot.dt
@@ -194,9 +195,16 @@ class Drive:
         self._why = self._nothing_heard
         self._poses: Subscription[Message] = node.subscription(robot.pose_class, self._pose_topic)
         if robot.keeps_commands:
-            self._poses.taker = self._take
+            self._poses.taker = cast("Callable[[Message], bool]", self._take)
         self._twists: Publisher[Message] = node.publisher(robot.twist_class, self._twist_topic)
         self._watch = Background(self._keep_watch(), f"the watch over {self._pose_topic}")
+
+    @property
+    def seen(self) -> Sighting:
+        """Where it was last seen."""
+        if self._taken is not None:
+            self._seen, self._taken = self._robot.read(self._taken), None
+        return self._seen
 
     @property
     def pose(self) -> TurtlePose:
@@ -280,7 +288,9 @@ class Drive:
             seen = self._read(message)
             if not self._objection(seen):
                 break
-        self._move_to(seen, self._clock.time())
+        self.travelled += distance(*self.seen.pose[:2], *seen.pose[:2])
+        self._seen = seen
+        self._keep_pace()
 
     async def aclose(self) -> None:
         """Stop the turtle where it is, and leave its topics."""
@@ -289,30 +299,26 @@ class Drive:
         await self._twists.aclose()
         await self._poses.aclose()
 
-    def _take(self, message: Message) -> bool:
+    def _take(self, message: TurtlePose) -> bool:
         """Take a pose at which nothing new is to be said: whoever drives need not wake for it."""
-        told = cast("TurtlePose", message)
-        pose = told.x, told.y, told.theta
-        if not self._helm.holds(pose):
+        helm, x, y = self._helm, message.x, message.y
+        before = helm.at
+        if not helm.holds((x, y, message.theta)) or self._clock.time() >= self._until:
             return False
-        now = self._clock.time()
-        if now >= self._until:
-            return False
-        self._move_to(Sighting(pose, (told.linear_velocity, told.angular_velocity)), now)
+        self.travelled += math.hypot(x - before[0], y - before[1])
+        self._taken = message
+        self._taken_since += 1
         return True
 
-    def _move_to(self, seen: Sighting, now: float) -> None:
-        self.travelled += distance(*self.seen.pose[:2], *seen.pose[:2])
-        self.seen = seen
-        self._keep_pace(now)
-
-    def _keep_pace(self, now: float) -> None:
+    def _keep_pace(self) -> None:
         """See how long a pose lasts: they may come at another pace than was said."""
-        before, self._decided = self._decided, now
+        before, self._decided = self._decided, self._clock.time()
+        poses, self._taken_since = 1 + self._taken_since, 0
         if before is None:
             return
-        held = now - before
-        self._pace += LEARNING * (min(held, 2.0 * self._pace) - self._pace)
+        lasted = (self._decided - before) / poses
+        change = min(lasted, 2.0 * self._pace) - self._pace
+        self._pace += (1.0 - (1.0 - LEARNING) ** poses) * change
         limits = self._helm.steering.limits
         dt = min(max(self._robot.dt / 8.0, self._pace), math.pi / 2.0 / limits.max_angular)
         if abs(dt - limits.dt) > limits.dt / 4.0:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from turtleact.actions.steering import STILL, Helm, Limits, Steering, time_bound
-from turtleact.actions.steering.helm import LONGEST
+from turtleact.actions.steering.helm import LONGEST, OLDEST
 
 from .track import (
     SIDE,
@@ -84,9 +84,9 @@ def test_it_takes_as_long_as_if_the_law_was_asked_in_each_tick(style, seed):
 
 
 @pytest.mark.parametrize("style", STYLES)
-def test_something_is_said_in_a_third_of_the_ticks_at_most(style):
+def test_something_is_said_in_a_quarter_of_the_ticks_at_most(style):
     log = follow(Helm(Steering(style)), *course(1))
-    assert len(log.told) <= log.ticks / 3
+    assert len(log.told) <= log.ticks / 4
 
 
 @given(points, headings, tours, styles, limits)
@@ -106,10 +106,23 @@ def test_no_hold_ends_behind_a_target(place, theta, target, style, limits):
     assert not any(steering.is_reached(pose, target) for pose in poses[:-1])
 
 
-def test_each_hold_is_twice_as_long_as_the_one_before_up_to_the_longest():
+def test_a_command_that_stays_the_same_is_made_anew_twice_a_second():
     log = follow(Helm(Steering()), START, [AHEAD])
-    assert log.told[:5] == [0, 2, 6, 14, 22]
-    assert LONGEST == 8
+    assert log.told[:3] == [0, 38, 70]  # a look that ends at 32 ticks or later is the last
+    assert OLDEST + LONGEST < 62  # a command of turtlesim's lasts for a second
+
+
+def test_each_look_ahead_is_twice_as_far_as_the_one_before_up_to_the_longest(monkeypatch):
+    helm, looks = Helm(Steering()), []
+    hold = helm._hold
+
+    def look(course):
+        looks.append(hold(course))
+        return looks[-1]
+
+    monkeypatch.setattr(helm, "_hold", look)
+    follow(helm, START, [AHEAD])
+    assert looks[:4] == [2, 4, LONGEST, LONGEST]
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -133,11 +146,12 @@ def test_nothing_is_held_before_the_first_command():
 
 
 def test_another_target_is_heeded_where_a_hold_ends():
-    helm, pose = Helm(Steering()), START
+    helm, pose = Helm(Steering(), longest=2), START
     helm.command(pose, AHEAD)
-    for is_held in (True, False):
+    for _ in range(OLDEST):
         pose = tick(pose, *helm.speeds, 0.016).pose
-        assert helm.holds(pose) is is_held
+        is_held = helm.holds(pose)
+    assert not is_held
     assert helm.command(pose, (1.0, START[1]))[0] == -2.0
 
 
@@ -177,14 +191,14 @@ def test_a_turn_on_the_spot_to_a_heading_is_held_until_it_is_there():
             helm.command(pose, START[:2], theta=3.0)
         pose = tick(pose, *helm.speeds, 0.016).pose
     assert pose[2] == pytest.approx(3.0, abs=0.05)
-    assert told <= 25
+    assert told <= 8
 
 
 @given(st.floats(-6.0, 6.0), st.floats(-2.0, 2.0), st.integers(2, LONGEST))
 def test_where_a_command_leads_is_where_its_ticks_lead(turn, linear, ticks):
     helm, pose = Helm(Steering()), START
-    helm.speeds = (linear, turn)
-    there = helm._after(START, ticks)
+    helm.at, helm._step, helm._turn = pose, linear * 0.016, turn * 0.016
+    there = helm._after(ticks)
     for _ in range(ticks):
         theta = pose[2] + turn * 0.016
         x, y = (

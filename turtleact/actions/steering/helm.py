@@ -3,8 +3,8 @@
 The law is asked for one tick. Most ticks are like the one before, though: straight on, or turning
 as hard as can be. So when it is asked, it is asked once more, for the pose to which its command
 leads in some ticks. If its command there is the same, it is taken to be the same at all ticks
-between, and is held so long; that command is then already known, and only the one after it is to be
-found. Each time that this works it looks twice as far ahead, eight ticks at most.
+between, and is held so long; there it looks ahead anew, each time twice as far, eight ticks at
+most. The command that it found last is the one to go on with where that fails.
 
 Nothing is held any more from the tick on in which the turtle is not where it should be, so whatever
 moves it is answered at once. A hold ends before the target is reached, and no way that is held
@@ -29,6 +29,9 @@ __all__ = ["STILL", "Helm"]
 LONGEST: Final = 8
 """Ticks that a command is held at most."""
 
+OLDEST: Final = 32
+"""Ticks after which a command is made anew, though it would be the same: it lasts a second."""
+
 STILL: Final = (0.0, 0.0)
 """The speeds of a turtle that stands."""
 
@@ -37,6 +40,9 @@ _SAME = 1e-3
 
 It is counted as if the turn rates differed all the while by what they differ at the end.
 """
+
+_FOR_GOOD = 64
+"""Ticks in which a turn that does not show counts as none: what a float32 turns is less by far."""
 
 _ROUNDING = 1e-5
 """How far (m, rad) a turtle may be from where it should be after a tick: poses are float32."""
@@ -59,15 +65,18 @@ class Helm:
 
     Attributes:
         speeds: What was commanded last: linear (m/s) and angular (rad/s).
+        at: The pose at which that was, or the last one at which it still stood.
     """
 
     def __init__(self, steering: Steering, longest: int = LONGEST) -> None:
         self.speeds: Speeds = STILL
+        self.at: Pose = (0.0, 0.0, 0.0)
         self._steering = steering
         self._longest = longest
         self._left = 0
         self._tried = 1
-        self._at: Pose = (0.0, 0.0, 0.0)
+        self._age = 0
+        self._step = self._turn = 0.0
         self._known: tuple[Course, Speeds] | None = None
 
     @property
@@ -90,24 +99,39 @@ class Helm:
     ) -> Speeds:
         """The speeds from here on, as `Steering.command` has them."""
         course = Course(target, next_target, theta)
-        if self._known is not None and self._known[0] == course and self._at == pose:
+        if self._known is not None and self._known[0] == course and self.at == pose:
             self.speeds = self._known[1]
         else:
             self.speeds = self._ask(pose, course)
+        straight = self.speeds[0], 0.0
+        if self._longest > 1 and self._is_same(straight, 32 * LONGEST):
+            self.speeds = straight
+        self.at = pose
         self._known = None
-        self._left = self._hold(pose, course)
-        self._at = pose
+        self._age = 0
+        limits = self._steering.limits
+        self._step, self._turn = self.speeds[0] * limits.dt, self.speeds[1] * limits.dt
+        self._left = self._hold(course)
         return self.speeds
 
     def holds(self, pose: Pose) -> bool:
         """Whether the command stands at the next pose, too: nothing new is to be said there."""
         if not self._left:
             return False
-        self._left -= 1
-        if not self._is_foreseen(pose):
+        (x, y, theta), (new_x, new_y, new_theta) = self.at, pose
+        off = abs(theta + self._turn - new_theta)
+        if not (
+            (off <= _ROUNDING or abs(wrap_angle(off)) <= _ROUNDING)
+            and abs(x + self._step * math.cos(new_theta) - new_x) <= _ROUNDING
+            and abs(y + self._step * math.sin(new_theta) - new_y) <= _ROUNDING
+        ):
             self._let_go()
             return False
-        self._at = pose
+        self.at = pose
+        self._age += 1
+        self._left -= 1
+        if not self._left and self._known is not None and self._age < OLDEST:
+            self._left = self._hold(self._known[0])
         return self._left > 0
 
     def stop(self) -> None:
@@ -123,15 +147,15 @@ class Helm:
         target, next_target, theta = course
         return self._steering.command(pose, target, next_target, self.speeds, theta=theta)
 
-    def _hold(self, pose: Pose, course: Course) -> int:
-        """How many ticks the command lasts, 0 for as long as nobody knows: it is for this tick."""
-        ticks = min(self._longest, 2 * self._tried, self._before(pose, course.target))
+    def _hold(self, course: Course) -> int:
+        """For how many ticks the command stands from here; 0 if it is for the next one alone."""
+        pose = self.at
+        ticks = min(self._longest, 2 * self._tried, self._before(course.target))
         self._tried = max(1, ticks // 4)
         if ticks < 2:
             return 0
-        there = self._after(pose, ticks)
-        area = self._steering.limits.area
-        bulge = self._bulge(ticks)
+        there = self._after(ticks)
+        area, bulge = self._steering.limits.area, self._bulge(ticks)
         if not (_is_within(area, pose, bulge) and _is_within(area, there, bulge)):
             return 0
         command = self._ask(there, course)
@@ -141,31 +165,32 @@ class Helm:
         self._known = course, command
         return ticks
 
-    def _before(self, pose: Pose, target: Point) -> int:
+    def _before(self, target: Point) -> int:
         """For how many ticks the target is surely not reached; one that is reached is no more."""
         limits = self._steering.limits
         if limits.is_eased:
             return 0
-        away = distance(pose[0], pose[1], *target) - limits.tolerance
-        step = abs(self.speeds[0]) * limits.dt
+        away = distance(self.at[0], self.at[1], *target) - limits.tolerance
+        step = abs(self._step)
         return int(away / step) if step and away < LONGEST * step else LONGEST
 
-    def _after(self, pose: Pose, ticks: int) -> Pose:
+    def _after(self, ticks: int) -> Pose:
         """The pose to which the command leads."""
-        x, y, theta = pose
-        linear, angular = self.speeds
-        dt = self._steering.limits.dt
-        half = angular * dt / 2.0
+        x, y, theta = self.at
+        half = self._turn / 2.0
         # The sum of the steps, each along the heading at its end.
         sine = math.sin(half)
-        length = linear * dt * (math.sin(ticks * half) / sine if sine else ticks)
+        length = self._step * (math.sin(ticks * half) / sine if sine else ticks)
         along = theta + (ticks + 1) * half
-        return x + length * math.cos(along), y + length * math.sin(along), theta + 2 * ticks * half
+        return (
+            x + length * math.cos(along),
+            y + length * math.sin(along),
+            theta + ticks * self._turn,
+        )
 
     def _bulge(self, ticks: int) -> float:
         """How far the way there may lead aside of a straight line (m), at most."""
-        linear, angular = self.speeds
-        return abs(linear * angular) * (ticks * self._steering.limits.dt) ** 2 / 8.0
+        return abs(self._step * self._turn) * ticks * ticks / 8.0
 
     def _is_same(self, command: Speeds, ticks: int) -> bool:
         """Whether a command is as good as the one that is held until there."""
@@ -175,18 +200,6 @@ class Helm:
         lasts = ticks * limits.dt
         aside = abs((command[1] - speeds[1]) * speeds[0]) * lasts * lasts / 2.0
         return aside <= _SAME * limits.tolerance
-
-    def _is_foreseen(self, pose: Pose) -> bool:
-        """Whether the command leads from the pose before to this one."""
-        x, y, theta = self._at
-        linear, angular = self.speeds
-        dt = self._steering.limits.dt
-        step = linear * dt
-        return (
-            abs(wrap_angle(theta + angular * dt - pose[2])) <= _ROUNDING
-            and abs(x + step * math.cos(pose[2]) - pose[0]) <= _ROUNDING
-            and abs(y + step * math.sin(pose[2]) - pose[1]) <= _ROUNDING
-        )
 
 
 def _is_within(area: Area, pose: Pose, margin: float) -> bool:
