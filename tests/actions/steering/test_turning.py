@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from turtleact.actions.steering.turning import ROOM, Cell, Leg, least_loss
+from turtleact.actions.steering.turning import ROOM, Cell, Leg, View, least_loss
 
 angles = st.floats(-math.pi, math.pi)
 halves = st.sampled_from([math.pi, math.pi / 2])
@@ -24,8 +24,8 @@ def leg(angle, least, most=math.inf):
     return Leg(cmath.rect(1.0, angle), least, most)
 
 
-def loss(legs, *, half=math.pi, cells=32, **options):
-    return least_loss(1.0 + 0j, legs, half=half, tick=0.0, cells=cells, known={}, **options)
+def loss(legs, *, half=math.pi, parts=4, **options):
+    return least_loss(1.0 + 0j, legs, half=half, tick=0.0, parts=parts, known={}, **options)
 
 
 def test_a_long_leg_straight_ahead_takes_no_turning():
@@ -64,10 +64,32 @@ def test_a_heading_at_the_end_is_turned_to():
     assert loss([leg(0.0, 5.0)], last=2.0) == pytest.approx(lost(2.0))
 
 
+def test_a_short_way_to_the_side_and_back_takes_more_than_its_own_direction_shows():
+    forth, back = leg(0.0, 0.5, 0.5), leg(math.pi, 0.5, 0.5)
+    aside = View(math.pi / 2, 0.0, 0.0, -0.5)
+    seen = [replace(forth, views=(aside,)), replace(back, views=(aside,))]
+    assert loss(seen) > loss([forth, back]) + 0.05
+
+
+def test_a_leg_that_is_left_out_takes_what_it_turns():
+    left_out = replace(leg(0.0, 0.5), is_left_out=True)
+    expected = lost(math.pi / 2)  # the long leg's share; all of the turn would take more
+    assert loss([left_out, leg(math.pi / 2, 5.0)]) == pytest.approx(expected, abs=0.1)
+    assert loss([left_out], last=2.0) == pytest.approx(2.0)
+
+
+@given(angles, angles, halves)
+def test_a_view_in_the_direction_of_its_leg_proves_nothing_new(first, second, half):
+    legs = [leg(first, 0.5, 0.9), leg(second, 1.0, 1.4)]
+    views = [View(cmath.phase(each.unit), each.least, each.most) for each in legs]
+    seen = [replace(each, views=(view,)) for each, view in zip(legs, views, strict=True)]
+    assert loss(seen, half=half) == pytest.approx(loss(legs, half=half))
+
+
 @given(angles, angles, st.floats(-0.2, 3.0), halves)
 def test_finer_cells_prove_more(first, second, least, half):
     legs = [leg(first, least, least + 0.4), leg(second, 1.0, 1.4), leg(0.0, 0.5, 0.9)]
-    coarse, fine = (loss(legs, half=half, cells=cells) for cells in (8, 32))
+    coarse, fine = (loss(legs, half=half, parts=parts) for parts in (1, 4))
     assert coarse <= fine + 1e-9
 
 
@@ -83,7 +105,7 @@ def test_what_is_known_of_the_first_legs_is_used_again():
     legs = [leg(1.0, 1.0, 1.4), leg(2.0, 1.0, 1.4)]
 
     def least():
-        return least_loss(1.0 + 0j, legs, half=math.pi, tick=0.0, cells=8, known=known)
+        return least_loss(1.0 + 0j, legs, half=math.pi, tick=0.0, parts=1, known=known)
 
     before = least()
     assert list(known) == [tuple(legs)]

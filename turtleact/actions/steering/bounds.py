@@ -16,7 +16,7 @@ from turtleact.actions.steering.aiming import late
 from turtleact.actions.steering.easing import ramp_time
 from turtleact.actions.steering.law import Steering
 from turtleact.actions.steering.limits import Limits, Point, Pose, Style
-from turtleact.actions.steering.turning import ROOM, Cell, Leg, least_loss
+from turtleact.actions.steering.turning import ROOM, Cell, Leg, View, least_loss
 from turtleact.geometry import distance, wrap_angle
 
 __all__ = ["shortest_time", "time_bound"]
@@ -28,7 +28,8 @@ _ROUNDS = 6  # Of improving the points of a tour; more would not show in the bou
 _ANGLES = 0.5, 0.2  # By which directions are turned (rad), while that proves more:
 _GAIN = 1e-3  # by more than this (s),
 _TUNED = 6  # and in tours of so many targets.
-_COARSE, _FINE = 8, 32  # Cells of headings at a corner: to turn directions, and to prove by them.
+_COARSE, _FINE = 1, 3  # Cells of headings to a part: to turn directions, and to prove by them,
+_VIEWS = 8  # where a short leg is seen from as many directions too.
 
 
 def time_bound(
@@ -79,9 +80,9 @@ def shortest_time(
     turn to it.
 
     The line need not be exact: by duality any unit vectors prove the length that they measure along
-    the legs with each point at its worst in its disc. A vector of no length leaves its leg out: the
-    heading at its start then counts as that at its end. Where a leg is too short for its turns,
-    the vectors are turned until they prove no more, in tours of six targets at most.
+    the legs with each point at its worst in its disc. A vector of no length leaves its leg out.
+    Where a leg is too short for its turns, the vectors are turned until they prove no more, and
+    such legs are seen from all around, in tours of six targets at most.
 
     Args:
         pose: Where the turtle starts, at rest.
@@ -181,7 +182,7 @@ class _Tour:
             return self._length(units), self._time(units, _COARSE, {})
         if any(leg.least < ROOM for leg in self._legs(units)):
             units = self._better(list(units))
-        return self._length(units), self._time(units, _FINE, {})
+        return self._length(units), self._time(units, _FINE, {}, views=_VIEWS)
 
     def _better(self, units: list[complex]) -> list[complex]:
         """The directions turned, or left out, one by one for as long as they prove more."""
@@ -201,40 +202,52 @@ class _Tour:
     def _length(self, units: Sequence[complex]) -> float:
         return _proven_length(self._start, self._centres, units, self._limits.tolerance)
 
-    def _legs(self, units: Sequence[complex]) -> list[Leg]:
-        """The legs that have a direction."""
+    def _legs(self, units: Sequence[complex], views: int = 0) -> list[Leg]:
+        """The legs that have a direction, or are seen in others."""
         limits, off, legs = self._limits, self._limits.tolerance, []
-        for (stop, target), unit in zip(
-            pairwise([self._start, *self._centres]), units, strict=True
-        ):
-            along = ((target - stop) * unit.conjugate()).real
-            ends = off + limits.step
-            if unit:
-                least, most = (along - ends) / limits.radius, (along + ends) / limits.radius
-                legs.append(Leg(unit, least, most))
+        stops = pairwise([self._start, *self._centres])
+        for (stop, target), unit in zip(stops, units, strict=True):
+            way = target - stop
+            own = self._view(way, unit or _unit(way), off)
+            around: tuple[View, ...] = ()
+            if own.least < ROOM:
+                turns = (cmath.rect(1.0, math.tau * i / views) for i in range(views))
+                around = tuple(self._view(way, turn * _unit(way), off, unit) for turn in turns)
+            if unit or around:
+                legs.append(Leg(unit or _unit(way), own.least, own.most, around, not unit))
             off = 2.0 * limits.tolerance
         return legs
 
+    def _view(self, way: complex, unit: complex, off: float, own: complex | None = None) -> View:
+        """A way seen in a direction, if both its ends together may be off by so much (m)."""
+        limits = self._limits
+        along, ends = (way * unit.conjugate()).real, off + limits.step
+        more = unit - (unit if own is None else own)
+        gain = (way * more.conjugate()).real - off * abs(more)
+        least, most = (along - ends) / limits.radius, (along + ends) / limits.radius
+        return View(cmath.phase(unit), least, most, gain / limits.radius)
+
     def _time(
-        self, units: Sequence[complex], cells: int, known: dict[tuple[Leg, ...], list[Cell]]
+        self,
+        units: Sequence[complex],
+        parts: int,
+        known: dict[tuple[Leg, ...], list[Cell]],
+        *,
+        views: int = 0,
     ) -> float:
         """The time (s) that the directions prove."""
         limits, driven = self._limits, self._length(units) / self._limits.max_linear
-        legs, last, slack = self._legs(units), None, 2.0 * self._limits.heading_tolerance
+        legs = self._legs(units, views)
         if not legs:
             return driven
-        if self._theta is not None:
-            angle = cmath.phase(cmath.rect(1.0, self._theta) * legs[-1].unit.conjugate())
-            error = abs(math.remainder(angle, 2.0 * self._half))
-            last = max(0.0, error - limits.heading_tolerance)
         turned = least_loss(
             self._heading,
             legs,
             half=self._half,
             tick=limits.turn,
-            cells=cells,
+            parts=parts,
             known=known,
-            last=last,
-            slack=slack,
+            last=self._theta,
+            slack=limits.heading_tolerance,
         )
         return driven + turned / limits.max_angular

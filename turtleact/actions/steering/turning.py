@@ -9,6 +9,11 @@ at its ends:
 - on two sides, F of both; and where the way is too short for so long a turn, what is left over;
 - on one side, the same, but for what lies below the error at which the way is done.
 
+What is lost in the direction of a leg may be more than its errors show. Seen in another direction
+the way takes a certain time too, and what the two directions make of it differs by little where the
+way is short. So a short leg is seen from all around, and for each pair of headings that view counts
+which proves most. A leg that the length leaves out takes what it turns at least.
+
 The heading at the end of a leg is that at the start of the next. All are tried, cell by cell, each
 counted as the best heading in it would be: what comes out is a bound, however coarse the cells.
 
@@ -23,34 +28,59 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import msgspec
 
-__all__ = ["ROOM", "Cell", "Leg", "least_loss"]
+__all__ = ["ROOM", "Cell", "Leg", "View", "least_loss"]
 
 ROOM = 2.0
 """Radii in which there is room for both turns of a leg."""
 
+_ROUNDING = 1e-9  # Of angles: a cell that ends at a direction is on one side of it (rad).
+
+
+class View(msgspec.Struct, frozen=True):
+    """A direction (rad), and how far along it the turtle must come, and can (radii).
+
+    The gain is what the way counts more in this direction than in that of its leg (radii).
+    """
+
+    direction: float
+    least: float
+    most: float
+    gain: float = 0.0
+
 
 class Leg(msgspec.Struct, frozen=True):
-    """One leg: its unit vector, and how far along it the turtle must come, and can (radii)."""
+    """One leg: its unit vector, and how far along it the turtle must come, and can (radii).
+
+    Its views in other directions gain on none if it is left out.
+    """
 
     unit: complex
     least: float
     most: float
+    views: tuple[View, ...] = ()
+    is_left_out: bool = False
 
 
 class Cell(msgspec.Struct, frozen=True):
-    """Headings between two legs: the least errors before and after, their sides, their range."""
+    """Headings between two legs: the middle one (rad), their range, and the cost up to there."""
 
-    before: float
-    side_before: int
-    after: float
-    side_after: int
-    width: float
+    heading: float
+    width: float = 0.0
     cost: float = 0.0
+
+
+class _Sight(NamedTuple):
+    """An error, its side (1, -1, or 0 where it may be either), and what is made turning it off."""
+
+    error: float
+    side: int
+    made: float
 
 
 def least_loss(
@@ -59,7 +89,7 @@ def least_loss(
     *,
     half: float,
     tick: float,
-    cells: int,
+    parts: int,
     known: dict[tuple[Leg, ...], list[Cell]],
     last: float | None = None,
     slack: float = 0.0,
@@ -71,131 +101,156 @@ def least_loss(
         legs: In order; one at least.
         half: The largest error there is: pi, or pi / 2 where it may also drive in reverse.
         tick: How far it may turn before it moves (rad).
-        cells: How many headings to try between the directions of two legs; a quarter of it beyond.
+        parts: Into how many cells each eighth of the largest error is cut at a corner.
         known: What has been found out of the first legs of other tours with the same heading at the
-            start and as many cells; more is added.
-        last: The least error there must be at the end; any may be if left out.
-        slack: How much more that error may be (rad).
+            start and as many parts; more is added.
+        last: The heading that is wanted at the end (rad); any if left out.
+        slack: How far that may be off to either side (rad).
     """
-    first = _turn(heading, legs[0].unit, half)
-    tried = [Cell(0.0, 0, max(0.0, abs(first) - tick), _side(-first), 0.0)]
+    tried = [Cell(cmath.phase(heading))]
     for i, (leg, following) in enumerate(pairwise(legs)):
         begun = tuple(legs[: i + 2])
         if begun not in known:
-            turn = _turn(leg.unit, following.unit, half)
+            turn = math.remainder(cmath.phase(following.unit * leg.unit.conjugate()), 2.0 * half)
             if min(leg.least, following.least) >= ROOM:
-                corner = iter([_halved(turn, tick)])
+                corner = iter([_halved(leg, turn, tick)])
             else:
-                corner = _corner(turn, half, tick, cells)
-            known[begun] = _pass(leg, tried, corner, half)
+                corner = _corner(leg, turn, half, parts)
+            known[begun] = list(_pass(leg, tried, corner, half, tick))
         tried = known[begun]
-    leg = legs[-1]
     if last is None:
-        return min(cell.cost + _started(cell.after, leg.least) for cell in tried)
-    return min(
-        cell.cost + _on_one_side(cell.after, last, leg, max(cell.width, slack)) for cell in tried
-    )
+        return min(cell.cost + _started(cell, legs[-1], half, tick) for cell in tried)
+    wanted = Cell(last, 2.0 * slack)
+    return min(cell.cost for cell in _pass(legs[-1], tried, [wanted], half, tick))
 
 
-def _turn(heading: complex, unit: complex, half: float) -> float:
-    """The angle from a direction to another (rad), the short way round."""
-    return math.remainder(cmath.phase(unit * heading.conjugate()), 2.0 * half)
-
-
-def _side(angle: float) -> int:
-    return 1 if angle >= 0.0 else -1
-
-
-def _corner(turn: float, half: float, tick: float, cells: int) -> Iterator[Cell]:
-    """All headings at a corner: between its directions, before, behind, and opposite to them."""
-    angle, side, few = abs(turn), _side(turn), cells // 4
-    arcs = (
-        (angle, cells, 0.0, side, angle, -1, -side),
-        (half - angle, few, 0.0, -side, angle, 1, -side),
-        (half - angle, few, angle, side, 0.0, 1, side),
-        (angle, few, half - angle, -side, half, -1, side),
-    )
-    for length, count, before, side_before, after, changes, side_after in arcs:
-        width = length / count
+def _corner(leg: Leg, turn: float, half: float, parts: int) -> Iterator[Cell]:
+    """All headings at a corner, cut at both directions and at the opposite ones."""
+    begun, rest = cmath.phase(leg.unit), math.copysign(half, turn) - turn
+    for length in (turn, rest, turn, rest):
+        count = parts * max(1, round(8.0 * abs(length) / half))
         for i in range(count):
-            low, least = before + i * width, after + changes * i * width
-            if changes < 0:
-                least -= width
-            yield Cell(low, side_before, max(0.0, least - tick), side_after, width)
+            yield Cell(begun + (i + 0.5) / count * length, abs(length) / count)
+        begun += length
 
 
-def _halved(turn: float, tick: float) -> Cell:
+def _halved(leg: Leg, turn: float, tick: float) -> Cell:
     """The best heading where there is room for both turns: half before the target, half after."""
-    angle, side = max(0.0, abs(turn) - tick) / 2.0, _side(turn)
-    return Cell(angle, side, angle, -side, 0.0)
+    return Cell(cmath.phase(leg.unit) + math.copysign(max(0.0, abs(turn) - tick) / 2.0, turn))
 
 
-def _pass(leg: Leg, starts: Sequence[Cell], ends: Iterator[Cell], half: float) -> list[Cell]:
+def _views(leg: Leg) -> Sequence[View]:
+    """Its own, if that counts, and the others."""
+    if leg.is_left_out:
+        return leg.views
+    return [View(cmath.phase(leg.unit), leg.least, leg.most), *leg.views]
+
+
+def _sight(cell: Cell, view: View, half: float, tick: float = 0.0) -> _Sight:
+    """The least error of a cell in a direction, if the turtle may turn for a tick."""
+    angle, off = math.remainder(cell.heading - view.direction, 2.0 * half), cell.width / 2.0
+    error = abs(angle)
+    if error < off - _ROUNDING or error > half - off + _ROUNDING:
+        side = 0
+    else:
+        side = 1 if angle >= 0.0 else -1
+    least = max(0.0, error - off - tick)
+    return _Sight(least, side, _made(least))
+
+
+def _pass(
+    leg: Leg, starts: Sequence[Cell], ends: Iterable[Cell], half: float, tick: float
+) -> Iterator[Cell]:
     """The cells at the end of a leg, each with the least cost up to there."""
+    starts, views = sorted(starts, key=_cost), _views(leg)
+    seen = [[_sight(start, view, half, tick) for view in views] for start in starts]
     if leg.least >= ROOM:
-        least = min(start.cost + _lost(start.after) for start in starts)
-        return [msgspec.structs.replace(end, cost=least + _lost(end.before)) for end in ends]
-    starts = sorted(starts, key=_cost)
-    return [msgspec.structs.replace(end, cost=_cheapest(leg, starts, end, half)) for end in ends]
+        begun = min(
+            start.cost + _lost(sights[0].error) for start, sights in zip(starts, seen, strict=True)
+        )
+        for end in ends:
+            cost = begun + _lost(_sight(end, views[0], half).error)
+            yield Cell(end.heading, end.width, cost)
+        return
+    for end in ends:
+        cost, wanted = math.inf, [_sight(end, view, half) for view in views]
+        for start, sights in zip(starts, seen, strict=True):
+            if start.cost >= cost:
+                break
+            width = max(start.width + tick, end.width)
+            least = _turned(start, end, half) - tick if leg.is_left_out else 0.0
+            for view, from_, to in zip(views, sights, wanted, strict=True):
+                if start.cost + least >= cost:
+                    break
+                least = max(least, view.gain + _between(from_, to, view, half, width))
+            cost = min(cost, start.cost + least)
+        yield Cell(end.heading, end.width, cost)
 
 
 def _cost(cell: Cell) -> float:
     return cell.cost
 
 
-def _cheapest(leg: Leg, starts: Sequence[Cell], end: Cell, half: float) -> float:
-    """The least cost up to a cell, from starts in order of theirs."""
-    least = math.inf
-    for start in starts:
-        if start.cost >= least:
-            break
-        least = min(least, start.cost + _between(start, end, leg, half))
-    return least
+def _turned(start: Cell, end: Cell, half: float) -> float:
+    """The least turn from a cell to another."""
+    angle = abs(math.remainder(end.heading - start.heading, 2.0 * half))
+    return angle - (start.width + end.width) / 2.0
 
 
-def _between(start: Cell, end: Cell, leg: Leg, half: float) -> float:
-    """What a leg takes between two cells."""
-    width = max(start.width, end.width)
-    if start.side_after == end.side_before:
-        return _on_one_side(start.after, end.before, leg, width)
-    lost_start, lost_end = _lost(start.after), _lost(end.before)
-    least = max(lost_start + lost_end, start.after + end.before - leg.most)
+def _between(start: _Sight, end: _Sight, view: View, half: float, width: float) -> float:
+    """What a way takes from an error to another, each more by a width at most."""
+    if start.side * end.side > 0:
+        return _on_one_side(start, end, view, width)
+    least = _on_both_sides(start, end, view, half, width)
+    if start.side * end.side < 0:
+        return least
+    return min(least, _on_one_side(start, end, view, width))
+
+
+def _on_both_sides(start: _Sight, end: _Sight, view: View, half: float, width: float) -> float:
+    """What a way takes from an error to another on the other side."""
+    lost_start, lost_end = start.error - start.made, end.error - end.made
+    least = max(lost_start + lost_end, start.error + end.error - view.most)
     # Or it turns by the back, where an error of half a turn has two sides.
-    whole = _lost(half) - width
-    away = max(0.0, half - start.after - width)
+    back = _Sight(half, 0, 1.0)
+    whole = half - 1.0 - width
+    away = max(0.0, half - start.error - width)
     if away + whole - lost_end < least:
-        least = min(least, away + _on_one_side(half, end.before, leg, width))
-    away = max(0.0, half - end.before - width)
+        least = min(least, away + _on_one_side(back, end, view, width))
+    away = max(0.0, half - end.error - width)
     if away + whole - lost_start < least:
-        least = min(least, away + _on_one_side(start.after, half, leg, width))
+        least = min(least, away + _on_one_side(start, back, view, width))
     return least
 
 
-def _on_one_side(one: float, other: float, leg: Leg, width: float) -> float:
-    """What a leg takes from one error to another on the same side, each more by a width at most.
+def _on_one_side(one: _Sight, other: _Sight, view: View, width: float) -> float:
+    """What a way takes from one error to another on the same side.
 
     The error falls until the way that is left is that of the turn to the other, and rises.
     """
-    low, high = (one, other) if one < other else (other, one)
-    made_low, made_high = _made(low), _made(high)
-    sine = (made_low + made_high - leg.least) / 2.0
+    low, high = (one, other) if one.error < other.error else (other, one)
+    lost = low.error - low.made + high.error - high.made
+    sine = (low.made + high.made - view.least) / 2.0
     least = math.inf
     if sine <= 0.0:
-        least = low - made_low + high - made_high
-    elif sine < made_low:
-        least = low - made_low + high - made_high - 2.0 * (math.asin(sine) - sine)
-    if _made(high + width) - made_low >= leg.least:  # the turn alone may be enough
-        left = max(0.0, high - made_high - _lost(low + width), high - low - width - leg.most)
-        least = min(least, left)
+        least = lost
+    elif sine < low.made:
+        least = lost - 2.0 * (math.asin(sine) - sine)
+    if _made(high.error + width) - low.made >= view.least:  # the turn alone may be enough
+        turned = high.error - high.made - _lost(low.error + width)
+        least = min(least, max(0.0, turned, high.error - low.error - width - view.most))
     return least
 
 
-def _started(error: float, way: float) -> float:
-    """What the last leg takes from an error, if its end may be in any heading."""
-    rest = _made(error) - way
-    if rest >= _made(error):
-        return 0.0
-    return _lost(error) - _lost(math.asin(max(0.0, rest)))
+def _started(cell: Cell, leg: Leg, half: float, tick: float) -> float:
+    """What the last leg takes from a cell, if its end may be in any heading."""
+    least = 0.0
+    for view in _views(leg):
+        error = _sight(cell, view, half, tick).error
+        rest = _made(error) - view.least
+        if rest < _made(error):
+            least = max(least, view.gain + _lost(error) - _lost(math.asin(max(0.0, rest))))
+    return least
 
 
 def _made(error: float) -> float:
