@@ -143,7 +143,7 @@ def test_a_target_outside_the_area_is_driven_to(style):
     ("style", "others"),
     [
         ("arc", []),
-        ("forward", [3952, 4027, 4539, 6482, 6643, 9547]),
+        ("forward", [3952, 4027, 4539, 5170, 6482, 6643, 9547]),
         ("rotate_then_drive", [5170, 5444, 7926]),
     ],
 )
@@ -164,6 +164,12 @@ def test_two_targets_near_each_other_are_reached_together(style):
     steering = Steering(style)
     both = seconds(steering, (1.0, 5.0, 0.0), [(5.0, 4.92), (5.0, 5.08)])
     assert both < seconds(steering, (1.0, 5.0, 0.0), [(5.0, 5.0)]) + 0.05
+
+
+@pytest.mark.parametrize("off", [-0.5, 0.5])
+def test_the_forward_style_does_not_drive_past_a_target_that_lies_back(off):
+    pose, targets = (5.0, 5.4, off - math.pi / 2), [(5.0, 5.0), (5.0, 5.16)]
+    assert seconds(Steering("forward"), pose, targets) < 0.4
 
 
 def test_the_forward_style_turns_to_the_next_target_before_it_reaches_one():

@@ -13,7 +13,8 @@ call: a turtle that somebody else moves is driven on from where it is. The rules
   before the target and half after, a quarter of that. So the approach swings wide, as long as the
   target stays outside the turning circle, and cuts the inner side of its disc. Driving forwards
   only, it turns to the next target as soon as that arc leads through this one. Two targets whose
-  discs overlap are reached from between them, where an arc leads there.
+  discs overlap are reached from between them, where an arc leads there, or else, driving forwards
+  only, if the second lies back.
 - **Land.** No tick turns beyond the aim or drives beyond the target. A step that would leave the
   area ends at its edge, and the turtle turns on there.
 - **Face last.** A heading that is wanted at the target is turned to there, on the spot.
@@ -184,9 +185,12 @@ class Steering(msgspec.Struct, frozen=True):
         """Both speeds, in the gear, where they may change at once."""
         limits, miss = self.limits, MISS * self.limits.tolerance
         if after is not None and abs(after - goal) <= 2.0 * miss:
-            # Both are reached from between them, unless it would have to back away for that.
+            # Both are reached from between them, unless it would have to back away for that; where
+            # it may not, and the second lies back, turning to there is less than turning round.
             between, less = (goal + after) / 2, miss - abs(after - goal) / 2
-            if is_clear(frame.see(between), limits, slack=less):
+            back = ((goal - frame.at) * (after - goal).conjugate()).real < 0.0
+            turns = back and self.style == "forward"
+            if turns or is_clear(frame.see(between), limits, slack=less):
                 goal, after, miss = between, None, less
         clear = is_clear(frame.see(goal), limits, slack=miss)
         area, aim = inside(goal, limits)
