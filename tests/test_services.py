@@ -740,6 +740,36 @@ async def test_a_caller_that_is_canceled_cancels_its_handler(gate):
         assert gate.log == ["begun", "canceled"]
 
 
+async def test_a_client_elsewhere_that_has_gone_cancels_the_handlers_of_its_requests_alone():
+    begun: list[int] = []
+    canceled: list[int] = []
+    opened = anyio.Event()
+
+    async def handler(request: Add.Request) -> Add.Response:
+        begun.extend(request.numbers)
+        try:
+            await opened.wait()
+        except anyio.get_cancelled_exc_class():
+            canceled.extend(request.numbers)
+            raise
+        return add(request)
+
+    async with (
+        desk(handler) as served,
+        running(lambda: served.server.reply(numbers(1), b"one")),
+        running(lambda: served.server.reply(numbers(2), b"two")) as other,
+        running(lambda: served.client.call(numbers(3))) as near,
+    ):
+        await settle()
+        assert sorted(begun) == [1, 2, 3]
+        served.server.caller_lost(b"one")
+        await settle()
+        assert canceled == [1]
+        opened.set()
+        await other.done.wait()
+        assert (other.value.message, near.value) == (total(2), total(3))
+
+
 async def test_a_cancellation_goes_on_once_the_handler_has_ended(gate):
     async with (
         desk(gate.hold_on) as served,

@@ -6,7 +6,8 @@ sends its request by a `Caller`.
 
 - Each request is handled in a task of its own, which the server holds; several run side by side.
 - However a handler ends, its caller gets an answer: the response, or the reason why there is none.
-- A caller that leaves cancels the handler of its request; a server that is closed cancels all.
+- A caller that leaves cancels the handler of its request; a server that is closed cancels all. One
+  in another process has left when its client is closed or has died: nothing else tells of it.
 
 Source: rclpy ``service.py`` and ``client.py`` for names and meaning.
 """
@@ -112,9 +113,10 @@ class ServiceServer(Generic[Req, Res]):
         """Whether no request is being handled."""
         return not self._calls
 
-    async def answer(self, request: object) -> Res:
+    async def answer(self, request: object, caller: bytes = b"") -> Res:
         """Have a request handled, and wait for its response; what `ServiceClient.call` calls.
 
+        ``caller`` is the gid of a client in another process.
         Cancelling: cancels the handler, and waits for its end, `GRACE` seconds at most.
 
         Raises:
@@ -124,7 +126,7 @@ class ServiceServer(Generic[Req, Res]):
         """
         if not self.is_open:
             raise self._closed()
-        call = _Call(self._check_request(request), self._tasks.signal())
+        call = _Call(self._check_request(request), self._tasks.signal(), caller)
         self._calls[call] = None
         call.run_in(self._tasks.spawn(self._run(call), f"a handler of {self.name}"))
         try:
@@ -136,9 +138,15 @@ class ServiceServer(Generic[Req, Res]):
             raise
         return cast("Res", call.take())
 
-    async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002  # all are equal
+    async def reply(self, request: object, caller: bytes) -> Reply:
         """Answer a request that came over a wire; as `answer`."""
-        return Reply(await self.answer(request))
+        return Reply(await self.answer(request, caller))
+
+    def caller_lost(self, caller: bytes) -> None:
+        """Note that the client of this gid has gone: cancels the handlers of its requests."""
+        for call in self._calls:
+            if call.caller == caller:
+                call.cancel()
 
     async def aclose(self) -> None:
         """Take no more requests, answer all who wait, and wait for the end of the handlers.
@@ -225,7 +233,7 @@ class ServiceClient(Generic[Req, Res]):
 
         What is sent and what comes back are checked copies. Any number of calls may be under way.
         Cancelling: cancels the handler of this request, and waits for its end (bounded); a handler
-        in another process goes on, as ROS 2 has no word for it.
+        in another process goes on, as ROS 2 has no word for it, until this client is closed.
 
         Args:
             request: The request message.
@@ -263,7 +271,7 @@ class ServiceClient(Generic[Req, Res]):
         return await wait_until_served(self._transport, self._find, timeout)
 
     async def aclose(self) -> None:
-        """Leave the graph; calls that are under way go on."""
+        """Leave the graph, once the calls are over that are under way: they go on."""
         if self.membership is not None:
             self.membership.close()
 
@@ -293,6 +301,7 @@ class _Call:
 
     Attributes:
         request: The checked copy.
+        caller: The gid of its client, if that is in another process.
         changed: Fires when it is answered, and when its handler has ended.
         is_answered: Whether there is something for the caller.
         is_canceled: Whether its handler is to be canceled.
@@ -303,6 +312,7 @@ class _Call:
         "_error",
         "_response",
         "_task",
+        "caller",
         "changed",
         "has_ended",
         "is_answered",
@@ -310,8 +320,9 @@ class _Call:
         "request",
     )
 
-    def __init__(self, request: Message, changed: Signal) -> None:
+    def __init__(self, request: Message, changed: Signal, caller: bytes = b"") -> None:
         self.request = request
+        self.caller = caller
         self.changed = changed
         self.is_answered = False
         self.is_canceled = False

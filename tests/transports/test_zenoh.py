@@ -863,6 +863,60 @@ async def test_a_server_that_fails_at_once_tells_its_client(address, caplog, fai
     assert ("the handler of service /add failed" in caplog.text) == (fail is None)
 
 
+async def test_a_server_is_told_of_a_client_that_is_closed_once_its_calls_are_over(address):
+    gate = anyio.Event()
+    async with two(address) as peers:
+        peers.here.serve(service(), SERVING, adder := Adder(gate=gate))
+        caller = peers.there.join(client(), ASKING)
+        await peers.settle()
+        async with running(lambda: caller.call(numbers(1))) as called:
+            await peers.settle()
+            caller.close()
+            await peers.settle()
+            assert adder.lost == []
+            gate.set()
+        assert called.value.message == Sum.Response(total=1)
+        await peers.settle()
+        assert adder.lost == adder.callers
+
+
+async def leave_the_graph(user: turtleact.Node, called: Any, settle: Any) -> None:
+    """Give the call up, which nobody is told of, and close the node of its client."""
+    called.scope.cancel()
+    await called.done.wait()
+    await settle()
+    await user.aclose()
+
+
+async def end_the_session(user: turtleact.Node, called: Any, settle: Any) -> None:
+    """End the session with all that is on it, as the end of a process does."""
+    transport: Any = user.transport
+    await transport.aclose()
+
+
+@pytest.mark.parametrize("leave", [leave_the_graph, end_the_session])
+async def test_a_handler_is_canceled_once_the_client_of_its_caller_has_gone(address, leave):
+    canceled = anyio.Event()
+
+    async def handler(request: Sum.Request) -> Sum.Response:
+        try:
+            await anyio.sleep_forever()
+        finally:
+            canceled.set()
+        return Sum.Response()  # pragma: no cover  # it is never woken
+
+    async with two(address) as peers, turtleact.open_node("lab", transport=peers.here) as lab:
+        lab.service(Sum, "add", handler)
+        user = turtleact.Node("user", "/", peers.there)
+        asking = user.service_client(Sum, "/add")
+        await asking.wait_for_service()
+        async with running(lambda: asking.call(numbers())) as called:
+            await peers.settle()
+            assert not canceled.is_set()
+            await leave(user, called, peers.settle)
+            await canceled.wait()
+
+
 async def test_closing_a_publisher_ends_the_waiting_for_it(address):
     gate = threading.Event()
     async with two(address) as peers:

@@ -179,8 +179,7 @@ class WireCaller:
         self._querier: Querier | None = None
         self._calls: set[Call] = set()
         self._near: Caller = link.near.join(endpoint, format)
-        link.outbox.post(self._declare)
-        self._presence = Presence(link, named.token)
+        self._presence = Presence(link, named.token, self._declare, self._undeclare)
         link.opened.add(self)
 
     @property
@@ -205,18 +204,22 @@ class WireCaller:
         return self._send(self._format.encode(request)) if is_far and self._is_open else None
 
     def close(self) -> None:
-        """Leave the graph; calls under way go on. A second time does nothing."""
+        """Leave the graph, but others are told only when the calls under way are over.
+
+        They go on, and a server may cancel those of a client that has gone. A second time does
+        nothing.
+        """
         if self._is_open:
             self._is_open = False
             self._near.close()
-            self._presence.close()
             self._link.opened.discard(self)
             if not self._calls:
-                self._link.outbox.post(self._undeclare)
+                self._presence.close()
 
     def give_up(self) -> None:
         """Let all calls under way end: the transport is being closed."""
-        for call in tuple(self._calls):
+        calls, self._calls = self._calls, set()
+        for call in calls:
             call.end()
 
     def doubt(self, server: str) -> None:
@@ -239,9 +242,10 @@ class WireCaller:
         return call
 
     def _is_over(self, call: Call) -> None:
-        self._calls.discard(call)
-        if not self._is_open and not self._calls:
-            self._link.outbox.post(self._undeclare)
+        if call in self._calls:
+            self._calls.discard(call)
+            if not self._is_open and not self._calls:
+                self._presence.close()
 
     def _read(self, call: Call) -> Reply:
         """What came of a call; raises what its server raised."""

@@ -106,7 +106,7 @@ class ZenohTransport:
         """Appear in the graph as a client of a service, and be able to call it.
 
         A server in this process is preferred. A call to another process that is canceled is over
-        here; its handler goes on, as there is no word for it on the wire. A server that hangs
+        here; its server is told of it when the caller is closed, not before. A server that hangs
         without dying is waited for, ten minutes: then the call raises `ServiceTimeout`. Raises as
         `advertise` does.
         """
