@@ -18,7 +18,7 @@ Source: rcl_action ``action_server.c``; the ROS 2 design article "Actions".
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from typing import Any, cast
@@ -31,8 +31,8 @@ from turtleact.interfaces.stamps import nanoseconds, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
 from turtleact.server.action_server import SHUTDOWN, ActionServer
+from turtleact.server.lazy_service import LazyService
 from turtleact.server.status import StatusSource
-from turtleact.services import ServiceServer
 from turtleact.tasks import GRACE, Tasks, wait_while
 from turtleact.transports.base import STATUS_QOS, MakeEndpoint, Publication, Reply, Transport
 
@@ -75,7 +75,7 @@ class ActionEndpoints:
         self._tasks = tasks
         self._taken_up: list[bytes] = []
         self._taken = tasks.signal()
-        self._send_goal = _Lazy(
+        self._send_goal = LazyService(
             server,
             names.send_goal,
             lambda: self._implied.send_goal,
@@ -83,10 +83,10 @@ class ActionEndpoints:
             tasks,
             now=self._take_now,
         )
-        self._cancel_goal = _Lazy(
+        self._cancel_goal = LazyService(
             server, names.cancel_goal, lambda: CancelGoal, self._cancel, tasks
         )
-        self._get_result = _Lazy(
+        self._get_result = LazyService(
             server,
             names.get_result,
             lambda: self._implied.get_result,
@@ -216,7 +216,7 @@ class ActionEndpoints:
     def _siblings(self) -> list[ActionServer[Any, Any, Any]]:
         """The servers of other actions of the same name in this process: they share a service."""
         handlers = self._transport.all_local(self._names.cancel_goal, CancelGoal.type_name)
-        lazy = [each for each in handlers if isinstance(each, _Lazy)]
+        lazy = [each for each in handlers if isinstance(each, LazyService)]
         return [each.server for each in lazy if each is not self._cancel_goal]
 
     def _wait_now(self, request: Any, _caller: bytes) -> Reply | None:  # noqa: ANN401
@@ -243,93 +243,6 @@ class ActionEndpoints:
         response = self._implied.get_result.Response
         message = response(status=int(goal.status), result=cast("Message", goal.result))
         return Reply(message, GoalNote(goal.reason, goal.published).write())
-
-
-def _never(_request: object, _caller: bytes) -> None:
-    """Nothing is answered at once."""
-
-
-class _Lazy:
-    """A service that is made with its first request: its classes take a while to make.
-
-    Requests from a wire are not checked again: they were read as what they have to be.
-
-    Args:
-        server: The server that it belongs to.
-        name: The name of the service.
-        find_type: Makes its class.
-        handle: Takes a request, of that very class, and the gid of its client, if it has one.
-        tasks: Runs what answers requests.
-        now: Takes a request likewise, if that needs no waiting; else None, with nothing done.
-
-    Attributes:
-        server: The server that it belongs to.
-        name: The name of the service.
-        find_type: Makes its class.
-        is_open: Whether it takes requests.
-        answered: Fires whenever a request has been answered.
-        waiting: How many wait for their answer.
-    """
-
-    def __init__(
-        self,
-        server: ActionServer[Any, Any, Any],
-        name: str,
-        find_type: Callable[[], Any],
-        handle: Callable[[Any, bytes], Awaitable[Reply]],
-        tasks: Tasks,
-        now: Callable[[Any, bytes], Reply | None] = _never,
-    ) -> None:
-        self.server = server
-        self._now = now
-        self.name = name
-        self.find_type = find_type
-        self.is_open = True
-        self._handle = handle
-        self._tasks = tasks
-        self.answered = tasks.signal()
-        self.waiting = 0
-        self._made: ServiceServer[Any, Any] | None = None
-
-    async def answer(self, request: object) -> object:
-        """Have a request handled, and wait for its response."""
-        if self._made is None:
-            self._made = self._make()
-        with self._counting():
-            return await self._made.answer(request)
-
-    async def reply(self, request: object, caller: bytes) -> Reply:
-        """Answer a request that came over a wire."""
-        with self._counting():
-            return await self._handle(request, caller)
-
-    def reply_now(self, request: object, caller: bytes) -> Reply | None:
-        """The same if it takes no waiting."""
-        reply = self._now(request, caller)
-        if reply is not None:
-            self.answered.fire()
-        return reply
-
-    async def aclose(self) -> None:
-        """Answer all who wait."""
-        self.is_open = False
-        if self._made is not None:
-            await self._made.aclose()
-
-    @contextmanager
-    def _counting(self) -> Iterator[None]:
-        self.waiting += 1
-        try:
-            yield
-        finally:
-            self.waiting -= 1
-            self.answered.fire()
-
-    def _make(self) -> ServiceServer[Any, Any]:
-        async def handle(request: object) -> object:
-            return (await self._handle(request, b"")).message
-
-        return ServiceServer(self.find_type(), self.name, handle, tasks=self._tasks)
 
 
 class _Feedback:
