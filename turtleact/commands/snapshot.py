@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import anyio
+
 from turtleact.commands.kinds import types_by_name
 from turtleact.commands.transcript import say
-from turtleact.errors import ServerUnavailable, TurtleactError
+from turtleact.errors import ServerUnavailable, ServiceTimeout, TurtleactError
 from turtleact.sim.pictures import TakeSnapshot
 
 if TYPE_CHECKING:
@@ -15,6 +17,9 @@ if TYPE_CHECKING:
     from turtleact.node import Node
 
 __all__ = ["take"]
+
+PATIENCE = 10.0
+"""Wall seconds that a world has for a picture: it is drawn in a thread, whatever its clock says."""
 
 
 async def take(node: Node, path: Path) -> int:
@@ -26,6 +31,7 @@ async def take(node: Node, path: Path) -> int:
 
     Raises:
         ServerUnavailable: if there is no world on the graph.
+        ServiceTimeout: if it does not answer.
         TurtleactError: if there is no picture to be had, or the file cannot be written.
     """
     services = types_by_name(node.transport.endpoints(), "service")
@@ -34,8 +40,12 @@ async def take(node: Node, path: Path) -> int:
         problem = "there is no world on this graph: 'turtleact serve' has one"
         raise ServerUnavailable("/world/snapshot", problem, kind="service")
     client = node.service_client(TakeSnapshot, names[0])
-    await client.wait_for_service()
-    answer = await client.call(TakeSnapshot.Request(path.suffix.lower().removeprefix(".")))
+    answer = None
+    with anyio.move_on_after(PATIENCE):
+        await client.wait_for_service()
+        answer = await client.call(TakeSnapshot.Request(path.suffix.lower().removeprefix(".")))
+    if answer is None:
+        raise ServiceTimeout(client.name, PATIENCE)
     if answer.problem:
         raise TurtleactError(answer.problem)
     try:
