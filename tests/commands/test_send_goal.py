@@ -273,6 +273,23 @@ def test_a_goal_that_does_not_end_after_its_timeout_is_left(start, name):
     ]
 
 
+def test_a_server_that_does_not_take_the_goal_in_time_is_given_up(on_stage, monkeypatch):
+    monkeypatch.setattr(send_goal, "PATIENCE", 0.01)
+    ran = on_stage("send-goal", "consider", "-t", "0.02")
+    assert (ran.status, ran.out.count("accepted")) == (124, 0)
+    assert ran.err.splitlines()[1:] == ["turtleact: no answer from the server after 0.02 s"]
+
+
+def test_a_server_that_does_not_take_the_goal_is_told_of(start):
+    program = start("send-goal", "consider")
+    for line in iter(program.stderr.readline, ""):
+        if "no answer" in line:
+            break
+    assert line == "turtleact: no answer from the server for 0.1 s; waiting for it\n"
+    program.send(signal.SIGINT)
+    assert program.end().status == 130
+
+
 async def test_a_goal_that_ended_in_the_moment_of_its_timeout_has_not_timed_out(capsys, interrupts):
     order: Any = SimpleNamespace()
     sent: Any = SimpleNamespace(handle=SimpleNamespace(status=GoalStatus.SUCCEEDED))

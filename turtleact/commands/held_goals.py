@@ -19,6 +19,7 @@ import anyio
 from turtleact.clock import within
 from turtleact.commands.graph import names_like
 from turtleact.commands.kinds import types_by_name
+from turtleact.commands.stderr import note
 from turtleact.errors import (
     ServerUnavailable,
     ServiceTimeout,
@@ -146,7 +147,7 @@ def find_goals(goals: Iterable[HeldGoal], wanted: str) -> HeldGoal | None:
 
 
 async def find_goal(node: Node, wanted: str) -> HeldGoal:
-    """The one goal on the graph whose id begins so.
+    """The one goal on the graph whose id begins so; if its server does not answer, that is noted.
 
     Raises:
         UsageError: if there are several.
@@ -157,6 +158,9 @@ async def find_goal(node: Node, wanted: str) -> HeldGoal:
     if found is None:
         hint = silence(silent) if silent else "'turtleact goals' lists what is held"
         raise UnknownGoal(f"no server in reach holds {wanted}; {hint}")
+    stuck = [server for server in _servers(node, {found.action: ""}) if server in silent]
+    if stuck:
+        note(f"{silence(stuck)}; waiting for it")
     return found
 
 

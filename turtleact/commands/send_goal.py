@@ -168,6 +168,7 @@ class _Sending:
         status = None
         async with anyio.create_task_group() as beside:
             beside.start_soon(self._heed_interrupts, beside)
+            beside.start_soon(self._heed_silence, beside)
             try:
                 await client.wait_for_server(PATIENCE)
                 async with client.send_goal(goal) as handle:
@@ -225,6 +226,18 @@ class _Sending:
         await self._interrupts.wait(2)  # though the server may not answer
         self._let_go(self._sent, self._interrupts.status)
 
+    async def _heed_silence(self, beside: TaskGroup) -> None:
+        """Say that a server does not take the goal, or give up once the user's time is over."""
+        limit = self._order.timeout
+        await anyio.sleep(max(limit or 0.0, PATIENCE))
+        if self._sent is not None:
+            return
+        if limit:
+            self._transcript.note(f"no answer from the server after {max(limit, PATIENCE):g} s")
+            beside.cancel_scope.cancel()
+        else:
+            self._transcript.note(f"no answer from the server for {PATIENCE:g} s; waiting for it")
+
     async def _obey(self, sent: Sent, status: int) -> None:
         if not await self._cancel(sent, status):
             self._transcript.note("the server goes on with the goal; Ctrl-C again lets go of it")
@@ -261,6 +274,8 @@ class _Sending:
         return f"the goal goes on; 'turtleact watch {sent.handle.goal_id.hex()}' gets back to it"
 
     def _interrupted(self) -> int:
+        if not self._interrupts.received:
+            return TIMEOUT
         self._transcript.note("interrupted before the goal was accepted; there is none")
         return self._interrupts.status
 
