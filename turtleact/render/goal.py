@@ -122,11 +122,17 @@ def frame(goal: GoalView, world: MapView | None, *, width: int, height: int) -> 
     left = height - 4
     rows = min(HIGHEST, left - 2, (width - NARROWEST_TABLE) // 2)
     if world is None or width < NARROWEST or rows < LOWEST:
-        return Group(head, feedback_table(goal.feedback, width=width, rows=max(left, 0)), progress)
+        return Group(head, _feedback(goal, width=width, rows=max(left, 0)), progress)
     taken = 2 * rows + 2
     beside = Table.grid(padding=(0, 1, 0, 0))
     beside.add_column(width=taken, no_wrap=True)
     beside.add_column(ratio=1, vertical="middle")
-    table = feedback_table(goal.feedback, width=width - taken - 2, rows=rows)
-    beside.add_row(world_map(world, rows), table)
+    beside.add_row(world_map(world, rows), _feedback(goal, width=width - taken - 2, rows=rows))
     return Group(head, beside, progress)
+
+
+def _feedback(goal: GoalView, *, width: int, rows: int) -> Picture:
+    """The last feedback; what came before somebody else's goal was looked at is not known."""
+    if goal.goal is None and goal.feedback is None:
+        return cut("  no feedback since you watch", "dim")
+    return feedback_table(goal.feedback, width=width, rows=rows)
