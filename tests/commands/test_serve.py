@@ -58,7 +58,9 @@ STUBBORN = """
 import anyio
 import turtleact
 from turtleact.interfaces.standard import Fibonacci
+from turtleact.server import action_server
 
+action_server.GRACE = 0.1
 
 @turtleact.action(Fibonacci, "stubborn")
 async def stubborn(goal):
