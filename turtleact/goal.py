@@ -168,7 +168,8 @@ class Goal(msgspec.Struct, eq=False):
         on_feedback: The sender's callback for feedback.
         is_streamed: Whether feedback is to be kept for a reader.
         feedback: The feedback that is kept; made with the first message, or the first reader.
-        last_feedback: The newest message, kept whether anybody reads or not.
+        last_feedback: The newest message, kept whether anybody reads or not; as long as nobody here
+            can look at it, it may be the bytes that were sent.
         result: The result message once it has ended, before that the partial one.
         reason: Why it was, or is about to be, aborted.
         listener: Whom to tell of each change.

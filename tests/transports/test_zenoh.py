@@ -20,6 +20,7 @@ import pytest
 import turtleact
 from turtleact.clock import VirtualClock
 from turtleact.errors import (
+    InvalidMessage,
     InvalidOption,
     ServerUnavailable,
     ServiceError,
@@ -1244,6 +1245,59 @@ async def test_feedback_reaches_readers_here_and_in_another_process_alike(addres
                 types.feedback_message(goal_id, message)
                 for message in (feedback(0), feedback(0, 1))
             ]
+
+
+async def test_odd_feedback_is_converted_or_refused_for_another_process_too(address):
+    odd: Any = (1, 2)
+    told: list[str] = []
+
+    async def body(_):
+        yield Count.Feedback(so_far=odd)
+        try:
+            yield Count.Feedback(so_far=[3, True])
+        except InvalidMessage as error:
+            told.append(str(error))
+        yield result(4)
+
+    async with (
+        two(address) as peers,
+        turtleact.open_node("lab", transport=peers.there) as lab,
+        turtleact.open_node("user", transport=peers.here) as user,
+    ):
+        lab.action_server(Count, "count", body)
+        client = user.action_client(Count, "count")
+        assert await client.wait_for_server()
+        async with client.send_goal(goal(1)) as handle:
+            assert [each async for each in handle] == [feedback(1, 2)]
+            assert await handle.result() == result(4)
+    assert told == ["feedback.so_far[1]: expected a whole number (int32), got True"]
+
+
+async def test_who_attaches_itself_later_sees_the_last_feedback_sent_to_another_process(address):
+    gate = anyio.Event()
+
+    async def body(_):
+        yield feedback(1)
+        yield feedback(2)
+        await gate.wait()
+        yield feedback(3)
+        yield result(4)
+
+    async with (
+        two(address) as peers,
+        turtleact.open_node("lab", transport=peers.there) as lab,
+        turtleact.open_node("user", transport=peers.here) as user,
+    ):
+        lab.action_server(Count, "count", body)
+        client = user.action_client(Count, "count")
+        assert await client.wait_for_server()
+        async with client.send_goal(goal(1)) as handle:
+            assert [await anext(handle) for _ in range(2)] == [feedback(1), feedback(2)]
+            beside = await lab.action_client(Count, "count").attach(handle.goal_id)
+            assert beside.last_feedback == feedback(2)
+            gate.set()
+            assert await handle.result() == result(4)
+            assert beside.last_feedback == feedback(3)
 
 
 async def test_an_action_of_a_node_is_used_from_another_process(address):

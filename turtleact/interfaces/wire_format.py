@@ -128,13 +128,23 @@ class FeedbackFormat(WireFormat):
             message: Any = self._classes[0]
             return self.encode(message(UUID(goal_id), feedback))
 
+    def write_unchecked(self, goal_id: bytes, feedback: object) -> bytes | None:
+        """The same of what may be no such feedback, or hold anything.
+
+        None if it is not what ``snapshot`` would copy as it is; that then says what is wrong.
+        """
+        try:
+            return self._write_strictly(feedback, self._header + goal_id)
+        except self._cdr.UNFIT:
+            return None
+
     def read(self, data: bytes) -> Message:
         """The feedback that was received; the id of its goal stands at `GOAL_ID`.
 
         Raises:
             InvalidMessage: if the bytes hold no such message; it says where.
         """
-        if data.startswith(self._header[:2]):
+        if data[:2] == self._order:
             try:
                 return self._read(data)
             except self._cdr.MISREAD:
@@ -147,9 +157,20 @@ class FeedbackFormat(WireFormat):
         return cast("bytes", self._cdr.HEADER)
 
     @cached_property
-    def _write(self) -> Callable[[Message, bytes], bytes]:
-        found: Callable[[Message, bytes], bytes] = self._cdr.writer_behind(
-            self._feedback, GOAL_ID.stop
+    def _order(self) -> bytes:
+        return self._header[:2]
+
+    @cached_property
+    def _write(self) -> Callable[[object, bytes], bytes]:
+        return self._writer(is_strict=False)
+
+    @cached_property
+    def _write_strictly(self) -> Callable[[object, bytes], bytes]:
+        return self._writer(is_strict=True)
+
+    def _writer(self, *, is_strict: bool) -> Callable[[object, bytes], bytes]:
+        found: Callable[[object, bytes], bytes] = self._cdr.writer_behind(
+            self._feedback, GOAL_ID.stop, is_strict=is_strict
         )
         return found
 

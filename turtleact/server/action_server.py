@@ -295,6 +295,8 @@ class ActionServer(Generic[G, R, F]):
         goal = self.find(goal_id)
         if goal is not None:
             goal.is_streamed = True
+            if self.endpoints is not None:
+                self.endpoints.read_last(goal)
         return goal
 
     def held_ids(self) -> Container[bytes]:

@@ -18,19 +18,19 @@ Source: rcl_action ``action_server.c``; the ROS 2 design article "Actions".
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cached_property
 from typing import Any, cast
 
 from turtleact.errors import GoalRejected
 from turtleact.goal import CancelCode, Goal, GoalStatus
 from turtleact.goal_note import GoalNote
-from turtleact.interfaces import Action, FeedbackFormat, Implied, Message, WireFormat, implied
+from turtleact.interfaces import Action, Implied, Message, WireFormat, implied
 from turtleact.interfaces.stamps import nanoseconds, stamp_of
-from turtleact.interfaces.standard import UUID, CancelGoal, GoalStatusArray
+from turtleact.interfaces.standard import CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
 from turtleact.server.action_server import SHUTDOWN, ActionServer
+from turtleact.server.feedback import FeedbackSource
 from turtleact.server.lazy_service import LazyService
 from turtleact.server.status import StatusSource
 from turtleact.tasks import GRACE, Tasks, wait_while
@@ -107,7 +107,7 @@ class ActionEndpoints:
                 (self._get_result, f"{action}_GetResult", self._get_result),
             )
         ]
-        self._feedback = _Feedback(server)
+        self._feedback = FeedbackSource(server)
         self._publications = self._advertise(transport, endpoint)
 
     @property
@@ -118,6 +118,10 @@ class ActionEndpoints:
     def close(self) -> None:
         """Take no more goals; those that there are can be canceled and waited for."""
         self._opened[0].close()
+
+    def read_last(self, goal: Goal) -> None:
+        """Make a message of a goal's newest feedback, if it was kept as it was sent."""
+        self._feedback.read_last(goal)
 
     async def send_goal(self, request: object) -> object:
         """Answer a ``SendGoal`` request."""
@@ -243,44 +247,6 @@ class ActionEndpoints:
         response = self._implied.get_result.Response
         message = response(status=int(goal.status), result=cast("Message", goal.result))
         return Reply(message, GoalNote(goal.reason, goal.published).write())
-
-
-class _Feedback:
-    """The source of the feedback topic."""
-
-    publication: Publication
-
-    def __init__(self, server: ActionServer[Any, Any, Any]) -> None:
-        self._server = server
-        self.format = FeedbackFormat(cast("type[Action]", server.action_type))
-
-    def current(self) -> Sequence[object]:
-        """Feedback is for those who are there."""
-        return ()
-
-    def written(self, _encode: Callable[[object], bytes]) -> Sequence[bytes]:
-        """Likewise."""
-        return ()
-
-    def readers_changed(self, *, has_readers: bool) -> None:
-        """Publish while somebody reads."""
-        execution = self._server.execution
-        if has_readers:
-            execution.also_feedback, execution.outlet = self._publish, self.publication
-        else:
-            execution.also_feedback = execution.outlet = None
-
-    def _publish(self, goal: Goal, feedback: Any) -> None:  # noqa: ANN401  # of the action's own class
-        goal.published += 1
-        goal_id, publication = goal.id or self._server.name_goal(goal), self.publication
-        if publication.has_near_readers:
-            publication.publish(self._message(UUID(goal_id), feedback))
-        else:
-            publication.send(self.format.write(goal_id, feedback))
-
-    @cached_property
-    def _message(self) -> type[Any]:
-        return _implied(self._server).feedback_message
 
 
 def _named(request: Any) -> bytes:  # noqa: ANN401  # of the action's own class

@@ -76,10 +76,12 @@ class Execution:
     Attributes:
         check_result: The checked copy of a result.
         also_feedback: Told of each feedback message, with its goal; must not raise.
+        emit: Takes feedback as a body gives it, if that can do without a copy, and answers whether
+            it has; must not raise.
         outlet: Where that goes: bodies wait while it is congested.
         watch: Told of each change of a goal's state, before and after; must not raise.
         release: Told of each goal that has ended; may answer what starts another.
-        ended: Fires whenever a goal has ended. Like the four above None, until somebody wants it.
+        ended: Fires whenever a goal has ended. Like the five above None, until somebody wants it.
     """
 
     #: Whether a body's goal is noted as the parent of those that it sends: from the first slot on,
@@ -110,6 +112,7 @@ class Execution:
         self._check_feedback = cast("Check", snapshotter(feedback_type, root="feedback"))
         self.check_result = cast("Check", snapshotter(self._result_type, root="result"))
         self.also_feedback: Callable[[Goal, object], object] | None = None
+        self.emit: Callable[[Goal, object], bool] | None = None
         self.outlet: Outlet | None = None
         self.watch: Watch | None = None
         self.release: Callable[[Goal], Callable[[], object] | None] | None = None
@@ -205,22 +208,19 @@ class Execution:
             item = await step(None)
             while type(item) is not result_type:
                 try:
-                    message = check(item)
-                    log, tell = goal.feedback, self.also_feedback
-                    if tell or goal.listener or goal.on_feedback or goal.ended:
-                        status, reason = goal.status, goal.reason
-                        if tell and not (goal.is_streamed or goal.on_feedback or goal.ended):
-                            goal.last_feedback = message  # a shorter `_hand_on`, too
-                            tell(goal, message)
-                        else:
+                    emit = self.emit
+                    if emit is None or not emit(goal, item):
+                        message, log = check(item), goal.feedback
+                        if goal.listener or goal.on_feedback or goal.ended or self.also_feedback:
+                            status, reason = goal.status, goal.reason
                             self._hand_on(goal, message)
-                        if goal.status is not status or goal.reason is not reason:
-                            countdown = 1  # who was told has canceled it: see to that at once
-                    elif log is not None:  # nobody is to be told: a shorter `_hand_on`
-                        log.items.append(message)  # `_pause` trims it
-                        goal.last_feedback = message
-                    elif goal.is_streamed:
-                        self._hand_on(goal, message)
+                            if goal.status is not status or goal.reason is not reason:
+                                countdown = 1  # who was told has canceled it: see to it at once
+                        elif log is not None:  # nobody is to be told: a shorter `_hand_on`
+                            log.items.append(message)  # `_pause` trims it
+                            goal.last_feedback = message
+                        elif goal.is_streamed:
+                            self._hand_on(goal, message)
                     countdown -= 1
                     if not countdown:
                         countdown = BURST

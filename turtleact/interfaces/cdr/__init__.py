@@ -102,7 +102,9 @@ def decode(
         raise
 
 
-def writer_behind(cls: type[M], place: int) -> Callable[[M, bytes], bytes]:
+def writer_behind(
+    cls: type[M], place: int, *, is_strict: bool = False
+) -> Callable[[object, bytes], bytes]:
     """The function that writes messages of this class behind something else.
 
     It is given a message and what stands before it, and raises one of `UNFIT` for a message that it
@@ -111,8 +113,9 @@ def writer_behind(cls: type[M], place: int) -> Callable[[M, bytes], bytes]:
     Args:
         cls: The class.
         place: Where the message begins: behind the header, and a multiple of eight bytes.
+        is_strict: Whether it is to take only what ``snapshot`` would copy as it is.
     """
-    return encoder(cls, place)
+    return encoder(cls, place, is_strict=is_strict)
 
 
 def reader_behind(cls: type[M], place: int) -> Callable[[bytes], M]:

@@ -53,7 +53,9 @@ __all__ = ["encoder"]
 
 
 @functools.cache
-def encoder(cls: type[Message], size: int = HEADER_SIZE) -> Callable[..., bytes]:
+def encoder(
+    cls: type[Message], size: int = HEADER_SIZE, *, is_strict: bool = False
+) -> Callable[..., bytes]:
     """The function that gives the CDR of messages of this class.
 
     Its second argument is what stands before the message, if that is more than the header.
@@ -61,19 +63,24 @@ def encoder(cls: type[Message], size: int = HEADER_SIZE) -> Callable[..., bytes]
     Args:
         cls: The class.
         size: How many bytes stand before it.
+        is_strict: Whether it takes only what ``snapshot`` would copy as it is.
     """
-    writer = Writer("m, front=header", frozenset({0}))
+    writer = Writer("m, front=header", frozenset({0}), is_strict=is_strict)
     writer.source.names["header"] = HEADER
     writer.pending.append(Item(f"{size}s", "front"))
+    if is_strict:
+        writer.guard(f"type(m) is not {writer.source.hold(cls)}")
     writer.message(cls, "m")
     writer.finish()
     return writer.source.function()  # type: ignore[return-value]  # the text is made to be so
 
 
 @functools.cache
-def part_encoder(cls: type[Message]) -> Callable[[Message, bytearray], None]:
+def part_encoder(
+    cls: type[Message], *, is_strict: bool = False
+) -> Callable[[Message, bytearray], None]:
     """The function that adds a message inside another, wherever that ends."""
-    writer = Writer("m, out", ANYWHERE)
+    writer = Writer("m, out", ANYWHERE, is_strict=is_strict)
     writer.guard(f"type(m) is not {writer.source.hold(cls)}")
     writer.message(cls, "m")
     writer.flush()
@@ -89,15 +96,17 @@ class Writer:
         places: Where that may start.
         pieces: The expressions for the bytes so far, as long as the text has not made ``out``.
         is_begun: Whether it has made ``out``, the bytes so far.
+        is_strict: Whether only what is exactly of the expected Python type is written.
     """
 
-    def __init__(self, signature: str, places: Places) -> None:
+    def __init__(self, signature: str, places: Places, *, is_strict: bool) -> None:
         self.source = Source(signature)
         self.source.names |= {"unfit": struct.error, "join": b"".join}
         self.pending: list[Item] = []
         self.places = places
         self.pieces: list[str] = []
         self.is_begun = places is ANYWHERE
+        self.is_strict = is_strict
 
     def guard(self, condition: str) -> None:
         """Refuses a value that must not be written."""
@@ -120,6 +129,8 @@ class Writer:
         if nested is None and is_in_run(field_type):
             if field_type.name == "bool":
                 self.guard(f"{value} is not True and {value} is not False")
+            elif self.is_strict:
+                self.guard(is_other(field_type, value))
             self.pending.append(Item(code_in_run(field_type), value))
         elif nested is None:
             self.text(field_type, value)
@@ -128,11 +139,14 @@ class Writer:
             self.message(nested, value)
         else:
             self.begin()
-            self.source.add(f"{self.source.hold(part_encoder(nested))}({value}, out)")
+            part = part_encoder(nested, is_strict=self.is_strict)
+            self.source.add(f"{self.source.hold(part)}({value}, out)")
             self.places = ANYWHERE
 
     def text(self, field_type: FieldType, value: str) -> None:
         """Writes a text: its length, then its characters."""
+        if self.is_strict:
+            self.guard(is_other(field_type, value))
         self.bound(field_type.string_bound, value)
         content = self.source.fresh()
         if field_type.name == "string":
@@ -160,11 +174,11 @@ class Writer:
         counted = field_type.form is not ArrayForm.FIXED
         size = 0 if nested is None else common_alignment(nested, counted=counted)
         if nested is None:
-            self.source.add(
-                f"for x in {value}: {self.source.hold(text_encoder(field_type))}(x, out)"
-            )
+            text = text_encoder(field_type, is_strict=self.is_strict)
+            self.source.add(f"for x in {value}: {self.source.hold(text)}(x, out)")
         elif not size:
-            self.source.add(f"for x in {value}: {self.source.hold(part_encoder(nested))}(x, out)")
+            part = part_encoder(nested, is_strict=self.is_strict)
+            self.source.add(f"for x in {value}: {self.source.hold(part)}(x, out)")
         else:
             self.rows(nested, value, size)
         self.places = ANYWHERE
@@ -172,6 +186,8 @@ class Writer:
     def numbers(self, field_type: FieldType, value: str) -> None:
         """Writes the numbers of a sequence."""
         code = FORMATS[field_type.name]
+        if self.is_strict:
+            self.elements(field_type, value)
         is_plain = field_type.name != "bool" and field_type.name not in BYTE_TYPES
         if is_plain and self.is_common([*self.pending, Item(code)]):
             self.numbers_behind(field_type, value, code)
@@ -192,6 +208,18 @@ class Writer:
             return
         self.align(size_of(code), content)
         self.content(content, size_of(code))
+
+    def elements(self, field_type: FieldType, value: str) -> None:
+        """Refuses numbers that are not a list, and elements that are of another type."""
+        if field_type.name in BYTE_TYPES:
+            self.source.add(f"if type({value}) is not bytes:")
+            self.source.depth += 1
+        self.guard(f"type({value}) is not list")
+        if field_type.name != "bool":  # which is looked at wherever it is written
+            self.source.add(f"for x in {value}:")
+            self.source.add(f" if {is_other(field_type.element, 'x')}: raise unfit")
+        if field_type.name in BYTE_TYPES:
+            self.source.depth -= 1
 
     def numbers_behind(self, field_type: FieldType, value: str, code: str) -> None:
         """Writes the pending run and the numbers of a sequence in one call."""
@@ -290,12 +318,25 @@ class Writer:
 
 
 @functools.cache
-def text_encoder(field_type: FieldType) -> Callable[[str, bytearray], None]:
+def text_encoder(
+    field_type: FieldType, *, is_strict: bool = False
+) -> Callable[[str, bytearray], None]:
     """The function that adds a text in a sequence."""
-    writer = Writer("m, out", ANYWHERE)
+    writer = Writer("m, out", ANYWHERE, is_strict=is_strict)
     writer.text(field_type.element, "m")
     writer.flush()
     return writer.source.function()  # type: ignore[return-value]  # the text is made to be so
+
+
+def is_other(field_type: FieldType, value: str) -> str:
+    """The condition that a value is not of its Python type; ``struct`` looks at the range.
+
+    A text that is not ASCII might hold what is no character.
+    """
+    if field_type.is_string:
+        return f"type({value}) is not str or not {value}.isascii()"
+    name = "float" if field_type.name in ("float32", "float64") else "int"
+    return f"type({value}) is not {name}"
 
 
 def wide(text: str) -> bytes:

@@ -113,11 +113,12 @@ class Inbox:
 
     def _work(self) -> None:
         self._is_armed = False
-        for _ in range(min(len(self._jobs), IN_A_ROW)):
+        jobs = self._jobs
+        for _ in range(min(len(jobs), IN_A_ROW)):
             if not self._is_open:
                 return
             try:
-                self._jobs.popleft()()
+                jobs.popleft()()
             except Exception:
                 logger.exception("the Zenoh transport failed on what has come")
         if self._jobs and not self._is_armed:
