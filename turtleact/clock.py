@@ -28,7 +28,7 @@ from typing import Protocol, TypeVar, cast
 import anyio
 
 from turtleact.errors import InvalidOption, SimError
-from turtleact.tasks import Background, Signal, Tasks, current_tasks, wait_until_idle
+from turtleact.tasks import Background, Signal, Tasks, current_tasks, idleness
 
 __all__ = [
     "EPOCH",
@@ -261,13 +261,14 @@ class VirtualClock:
     async def run(self) -> None:
         """Leap to the next deadline whenever every other task waits; never returns by itself."""
         wanted = self._wanted = current_tasks().signal()
+        wait_until_idle, sleepers = idleness(), self._sleepers
         while True:
             await wait_until_idle()
-            if not self._sleepers or self._sleepers[0][0] > self._end:
+            if not sleepers or sleepers[0][0] > self._end:
                 await wanted.wait()
                 continue
-            self._time = max(self._time, self._sleepers[0][0])
-            heapq.heappop(self._sleepers)[2].fire()
+            self._time = max(self._time, sleepers[0][0])
+            heapq.heappop(sleepers)[2].fire()
 
 
 def make_clock(speed: float | str) -> ScaledClock | VirtualClock:

@@ -25,7 +25,7 @@ from turtleact.tasks.base import (
     is_cancellation,
 )
 from turtleact.tasks.current import current_tasks
-from turtleact.tasks.idle import wait_until_idle
+from turtleact.tasks.idle import idleness, wait_until_idle
 from turtleact.tasks.waiting import wait_while
 
 __all__ = [
@@ -36,6 +36,7 @@ __all__ = [
     "Signal",
     "Tasks",
     "current_tasks",
+    "idleness",
     "is_cancellation",
     "wait_until_idle",
     "wait_while",

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import gc
 from collections import deque
-from collections.abc import Sized
+from collections.abc import Awaitable, Callable, Sized
 from typing import cast
 
 import anyio
@@ -16,7 +16,7 @@ from anyio.lowlevel import RunVar
 
 from turtleact.errors import SimError
 
-__all__ = ["wait_until_idle"]
+__all__ = ["idleness", "wait_until_idle"]
 
 
 async def wait_until_idle() -> None:
@@ -25,14 +25,22 @@ async def wait_until_idle() -> None:
     Several may wait so; all go on then. What waits for the network, a thread or wall time counts as
     idle. Cancelling: safe, nothing is lost.
     """
+    await idleness()()
+
+
+def idleness() -> Callable[[], Awaitable[None]]:
+    """The `wait_until_idle` of the event loop that runs now, for those who wait again and again.
+
+    Raises:
+        SimError: if the loop does not show what it will do.
+    """
     if anyio.get_cancelled_exc_class() is not asyncio.CancelledError:
-        await anyio.wait_all_tasks_blocked()  # trio's own
-        return
+        return anyio.wait_all_tasks_blocked  # trio's own
     turns = _turns.get(None)
     if turns is None:
         turns = _Turns(asyncio.get_running_loop())
         _turns.set(turns)
-    await turns.wait_until_idle()
+    return turns.wait_until_idle
 
 
 class _Turns:
