@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Literal, TypeAlias
 
 import msgspec
@@ -32,7 +33,7 @@ class Area(msgspec.Struct, frozen=True):
     top: float = math.inf
 
 
-class Limits(msgspec.Struct, frozen=True, kw_only=True):
+class Limits(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     """What a turtle may do, and how near is near enough.
 
     Attributes:
@@ -71,22 +72,22 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
         if self.turn > math.pi / 2:
             raise InvalidMessage("dt", f"a tick may turn pi/2 rad at most, not {self.turn}")
 
-    @property
+    @cached_property
     def is_eased(self) -> bool:
         """Whether an acceleration is limited."""
         return min(self.max_acceleration, self.max_angular_acceleration) < math.inf
 
-    @property
+    @cached_property
     def step(self) -> float:
         """The way of one tick at full speed (m)."""
         return self.max_linear * self.dt
 
-    @property
+    @cached_property
     def turn(self) -> float:
         """The turn of one tick at full rate (rad)."""
         return self.max_angular * self.dt
 
-    @property
+    @cached_property
     def radius(self) -> float:
         """Of the turning circle at full speed (m)."""
         return self.max_linear / self.max_angular
