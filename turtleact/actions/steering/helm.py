@@ -35,7 +35,7 @@ OLDEST: Final = 32
 STILL: Final = (0.0, 0.0)
 """The speeds of a turtle that stands."""
 
-_SAME = 1e-3
+_SAME = 3e-3
 """Share of the tolerance by which a turn rate that is held may lead aside of where the law would.
 
 It is counted as if the turn rates differed all the while by what they differ at the end.
