@@ -182,9 +182,10 @@ class Turtlesim:
     def _tell_poses(self) -> None:
         """Publish the poses after a tick, but those whose readers have just gone."""
         if len(self._told) > FEW:
-            poses = self._world.poses().tolist()
-            for index, publisher in self._told:
-                publisher.give(TurtlePose(*poses[index]))
+            # Column by column: a list for each turtle would call the garbage collector.
+            x, y, theta, linear, angular = self._world.poses().T.tolist()
+            for i, publisher in self._told:
+                publisher.give(TurtlePose(x[i], y[i], theta[i], linear[i], angular[i]))
             return
         for index, publisher in self._told:
             if publisher.has_subscriptions:
