@@ -150,9 +150,9 @@ class Turtlesim:
         """See who is read."""
         self._is_graph_new = False
         turtles = self._turtles.values()
-        index = self._world.index
+        index_of = {name: index for index, name in enumerate(self._world.names)}
         told = [turtle for turtle in turtles if turtle.poses.has_subscriptions]
-        self._told = [(index(turtle.name), turtle.poses) for turtle in told]
+        self._told = [(index_of[turtle.name], turtle.poses) for turtle in told]
         self._sensed = [turtle.name for turtle in turtles if turtle.colours.has_subscriptions]
 
     def _tick(self) -> None:

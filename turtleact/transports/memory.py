@@ -91,7 +91,7 @@ class MemoryTransport:
                 reader.take(message)
         topic.readers.append(reader)
         if len(topic.readers) == 1:
-            topic.tell_sources()
+            topic.readers_changed()
         leave = partial(self._leave, topic, topic.readers, reader)
         reader.on_close = self._appear_as(endpoint, leave)
         return reader
@@ -167,7 +167,7 @@ class MemoryTransport:
     def _leave(self, topic: _Topic, members: list[T], member: T) -> None:
         members.remove(member)
         if members is topic.readers and not members:
-            topic.tell_sources()
+            topic.readers_changed()
         if topic.is_deserted:
             del self._topics[topic.key]
 
@@ -227,14 +227,19 @@ class _Topic:
     def latched(self) -> list[object]:
         return [message for each in self.publications for message in each.latched()]
 
-    def tell_sources(self) -> None:
+    def readers_changed(self) -> None:
         for each in self.publications:
+            each.look_for_readers()
             if each.source is not None:
                 each.source.readers_changed(has_readers=bool(self.readers))
 
 
 class _Publication:
-    """The sending end of a topic."""
+    """The sending end of a topic.
+
+    Attributes:
+        has_readers: See `Publication`; kept, as it is asked at each message.
+    """
 
     on_close: Leave
 
@@ -245,10 +250,10 @@ class _Publication:
         self._is_latched = qos.durability == "transient_local"
         self._keeps = self._is_latched and source is None
         self._latch: deque[object] = deque(maxlen=qos.depth if self._keeps else 0)
+        self.look_for_readers()
 
-    @property
-    def has_readers(self) -> bool:
-        return self._is_open and (self._keeps or bool(self._topic.readers))
+    def look_for_readers(self) -> None:
+        self.has_readers = self._is_open and (self._keeps or bool(self._topic.readers))
 
     @property
     def has_near_readers(self) -> bool:
@@ -285,6 +290,7 @@ class _Publication:
 
     def close(self) -> None:
         self._is_open = False
+        self.look_for_readers()
         self.on_close()
 
 
