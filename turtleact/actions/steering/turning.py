@@ -162,7 +162,7 @@ def _pass(
     leg: Leg, starts: Sequence[Cell], ends: Iterable[Cell], half: float, tick: float
 ) -> Iterator[Cell]:
     """The cells at the end of a leg, each with the least cost up to there."""
-    starts, views = sorted(starts, key=_cost), _views(leg)
+    starts, views = _best(starts, half), _views(leg)
     seen = [[_sight(start, view, half, tick) for view in views] for start in starts]
     if leg.least >= ROOM:
         begun = min(
@@ -187,6 +187,19 @@ def _pass(
         yield Cell(end.heading, end.width, cost)
 
 
+def _best(cells: Sequence[Cell], half: float) -> list[Cell]:
+    """The cells in order of their cost, but for those that a turn on the spot leads to as soon."""
+    best: list[Cell] = []
+    for cell in sorted(cells, key=_cost):
+        for other in best:
+            apart = abs(math.remainder(cell.heading - other.heading, 2.0 * half))
+            if other.cost + apart + (cell.width - other.width) / 2.0 <= cell.cost:
+                break
+        else:
+            best.append(cell)
+    return best
+
+
 def _cost(cell: Cell) -> float:
     return cell.cost
 
@@ -209,17 +222,16 @@ def _between(start: _Sight, end: _Sight, view: View, half: float, width: float) 
 
 def _on_both_sides(start: _Sight, end: _Sight, view: View, half: float, width: float) -> float:
     """What a way takes from an error to another on the other side."""
-    lost_start, lost_end = start.error - start.made, end.error - end.made
-    least = max(lost_start + lost_end, start.error + end.error - view.most)
+    (error, _, made), (wanted, _, made_wanted) = start, end
+    least = max(error - made + wanted - made_wanted, error + wanted - view.most)
     # Or it turns by the back, where an error of half a turn has two sides.
-    back = _Sight(half, 0, 1.0)
     whole = half - 1.0 - width
-    away = max(0.0, half - start.error - width)
-    if away + whole - lost_end < least:
-        least = min(least, away + _on_one_side(back, end, view, width))
-    away = max(0.0, half - end.error - width)
-    if away + whole - lost_start < least:
-        least = min(least, away + _on_one_side(start, back, view, width))
+    away = max(0.0, half - error - width)
+    if away + whole - wanted + made_wanted < least:
+        least = min(least, away + _on_one_side(_Sight(half, 0, 1.0), end, view, width))
+    away = max(0.0, half - wanted - width)
+    if away + whole - error + made < least:
+        least = min(least, away + _on_one_side(start, _Sight(half, 0, 1.0), view, width))
     return least
 
 
@@ -228,17 +240,17 @@ def _on_one_side(one: _Sight, other: _Sight, view: View, width: float) -> float:
 
     The error falls until the way that is left is that of the turn to the other, and rises.
     """
-    low, high = (one, other) if one.error < other.error else (other, one)
-    lost = low.error - low.made + high.error - high.made
-    sine = (low.made + high.made - view.least) / 2.0
+    (low, _, made_low), (high, _, made_high) = (one, other) if one < other else (other, one)
+    lost = low - made_low + high - made_high
+    sine = (made_low + made_high - view.least) / 2.0
     least = math.inf
     if sine <= 0.0:
         least = lost
-    elif sine < low.made:
+    elif sine < made_low:
         least = lost - 2.0 * (math.asin(sine) - sine)
-    if _made(high.error + width) - low.made >= view.least:  # the turn alone may be enough
-        turned = high.error - high.made - _lost(low.error + width)
-        least = min(least, max(0.0, turned, high.error - low.error - width - view.most))
+    if _made(high + width) - made_low >= view.least:  # the turn alone may be enough
+        turned = high - made_high - _lost(low + width)
+        least = min(least, max(0.0, turned, high - low - width - view.most))
     return least
 
 
@@ -255,9 +267,9 @@ def _started(cell: Cell, leg: Leg, half: float, tick: float) -> float:
 
 def _made(error: float) -> float:
     """The way made in turning from an error to none (radii)."""
-    return math.sin(min(error, math.pi / 2))
+    return math.sin(error) if error < math.pi / 2 else 1.0
 
 
 def _lost(error: float) -> float:
     """The integral of 1 - cos, and of 1 beyond a right angle, from 0 to an error."""
-    return error - math.sin(min(error, math.pi / 2))
+    return error - _made(error)
