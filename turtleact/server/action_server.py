@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING, Generic, TypeVar, Unpack, cast
 import anyio
 
 from turtleact.body import ActionType, Body, ServerOptions, check_options
-from turtleact.errors import GoalRejected
 from turtleact.goal import (
     CancelCode,
     Goal,
@@ -69,9 +68,6 @@ _AT_ONCE = ((_EXECUTING, 0),)  # the history of a goal that did not wait to be s
 SHUTDOWN = "shutdown"
 """Why goals end that a closing server has ended."""
 
-IN_A_ROW = 64
-"""So many goals are begun before others have their turn for sure."""
-
 
 class ActionServer(Generic[G, R, F]):
     """Serves one action under one name; made by `turtleact.Node.action_server`.
@@ -105,11 +101,9 @@ class ActionServer(Generic[G, R, F]):
         self._now = node.clock.now
         self._tasks = tasks
         self.from_anywhere = tasks.from_anywhere
-        self._goal_callback = options.get("goal_callback")
         cancel_callback = options.get("cancel_callback")
         self._on_client_lost = options.get("on_client_lost", "keep")
         self._questions = Questions(name, tasks)
-        self._until_turn = IN_A_ROW
         self._can_borrow = tasks.can_borrow and cancel_callback is None
         self._table = GoalTable(options.get("result_timeout", 10.0))
         make_handle = partial(ServerGoalHandle[G, R, F], self)
@@ -136,6 +130,10 @@ class ActionServer(Generic[G, R, F]):
         self._reception = Reception(
             name,
             cast("type[Message]", action_type.Goal),
+            goal_callback=options.get("goal_callback"),
+            keeps=self._on_client_lost == "keep",
+            questions=self._questions,
+            tasks=tasks,
             slot=place,
             table=self._table,
             execution=self.execution,
@@ -163,33 +161,6 @@ class ActionServer(Generic[G, R, F]):
         """The same if it takes no waiting."""
         return cast("ActionEndpoints", self.endpoints).reply_now(request, caller)
 
-    def _waits_first(self) -> bool:
-        """Whether `_prepare` is to be awaited before the next goal is begun.
-
-        So it is if there is a ``goal_callback``; and after `IN_A_ROW` goals, as some never wait.
-        """
-        self._until_turn -= 1
-        return self._until_turn == 0 or self._goal_callback is not None
-
-    async def _prepare(self, request: object, sender: object) -> object:
-        """Let others run, and put a goal to the ``goal_callback``; answer what is to be begun.
-
-        Raises:
-            InvalidGoal: if the request does not fit the action.
-            GoalRejected: if it is not taken; if its client has gone meanwhile, and its goals with
-                it.
-        """
-        if self._until_turn <= 0:
-            self._until_turn = IN_A_ROW
-            await self._tasks.checkpoint()
-        if self._goal_callback is None:
-            return request
-        message = self._reception.check_goal(request)
-        await self._questions.may_start(self._goal_callback, message)
-        if self._on_client_lost == "cancel" and not getattr(sender, "is_open", True):
-            raise GoalRejected("its client has gone")
-        return message
-
     def begin(
         self,
         request: object,
@@ -208,7 +179,7 @@ class ActionServer(Generic[G, R, F]):
             InvalidGoal: if the request does not fit the action.
             GoalRejected: if it is not taken.
         """
-        if self._waits_first():
+        if self._reception.waits_first():
             return None
         return self._begin(request, goal_id, on_feedback, sender, is_streamed=is_streamed)
 
@@ -222,7 +193,7 @@ class ActionServer(Generic[G, R, F]):
         is_streamed: bool = True,
     ) -> Goal:
         """As `begin`, after others have had their turn, and the user was asked."""
-        request = await self._prepare(request, sender)
+        request = await self._reception.prepare(request, sender)
         return self._begin(request, goal_id, on_feedback, sender, is_streamed=is_streamed)
 
     def _begin(
@@ -259,8 +230,8 @@ class ActionServer(Generic[G, R, F]):
             GoalRejected: if it is not taken.
             GoalAborted, GoalCanceled: if it ends so.
         """
-        if self._waits_first():
-            request = yield from self._prepare(request, sender).__await__()
+        if self._reception.waits_first():
+            request = yield from self._reception.prepare(request, sender).__await__()
         goal = self._reception.admit(request, goal_id, on_feedback, sender)
         tasks = self._tasks
         if self._can_borrow and goal.status is _EXECUTING and tasks.depth < DEEPEST:

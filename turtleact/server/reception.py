@@ -1,4 +1,4 @@
-"""Which goals are taken up, and where they wait: a goal is checked, held, and given a place.
+"""Which goals are taken up, and where they wait: asked about, checked, held, given a place.
 
 Who may run beside whom stands in `turtleact.slot`.
 
@@ -16,10 +16,12 @@ from turtleact.errors import GoalRejected
 from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable, OnFeedback
 from turtleact.goal_id import new_goal_id
 from turtleact.interfaces import Message, snapshotter
+from turtleact.server.callbacks import GoalCallback, Questions
 from turtleact.server.claim import Claim
 from turtleact.server.execution import CURRENT_GOAL, Execution
 from turtleact.server.hooks import Hooks
 from turtleact.slot import Admission, Slot
+from turtleact.tasks import Tasks
 
 __all__ = ["Reception"]
 
@@ -28,6 +30,9 @@ _EXECUTING = GoalStatus.EXECUTING
 _CANCELING = GoalStatus.CANCELING
 _AT_ONCE = ((_EXECUTING, 0),)  # the history of a goal that did not wait to be started
 
+IN_A_ROW = 64
+"""So many goals are begun before others have their turn for sure."""
+
 
 class Reception:
     """Takes up the goals of one server.
@@ -35,6 +40,10 @@ class Reception:
     Args:
         name: The action's name.
         goal_type: The class of the goal messages.
+        goal_callback: Whom a goal is put to first, if anybody.
+        keeps: Whether goals are kept whose client has gone.
+        questions: Puts them.
+        tasks: Lets others run.
         slot: Where goals have their places; None if they need none.
         table: Where goals are held.
         execution: Runs them.
@@ -54,6 +63,10 @@ class Reception:
         name: str,
         goal_type: type[Message],
         *,
+        goal_callback: GoalCallback | None,
+        keeps: bool,
+        questions: Questions,
+        tasks: Tasks,
         slot: Slot[Claim] | None,
         table: GoalTable,
         execution: Execution,
@@ -65,12 +78,44 @@ class Reception:
         self.slot = slot
         self.execution = execution
         self.is_open = True
+        self._goal_callback = goal_callback
+        self._keeps = keeps
+        self._questions = questions
+        self._tasks = tasks
+        self._until_turn = IN_A_ROW
         self._table = table
         self._hooks = hooks
         self._now = now
         if slot is not None:
             execution.release = self._release
             Execution.notes_parents = True
+
+    def waits_first(self) -> bool:
+        """Whether `prepare` is to be awaited before the next goal is admitted.
+
+        So it is if there is a ``goal_callback``; and after `IN_A_ROW` goals, as some never wait.
+        """
+        self._until_turn -= 1
+        return self._until_turn == 0 or self._goal_callback is not None
+
+    async def prepare(self, request: object, sender: object) -> object:
+        """Let others run, and put a goal to the ``goal_callback``; answer what is to be admitted.
+
+        Raises:
+            InvalidGoal: if the request does not fit the action.
+            GoalRejected: if it is not taken; if its client has gone meanwhile, and its goals with
+                it.
+        """
+        if self._until_turn <= 0:
+            self._until_turn = IN_A_ROW
+            await self._tasks.checkpoint()
+        if self._goal_callback is None:
+            return request
+        message = self.check_goal(request)
+        await self._questions.may_start(self._goal_callback, message)
+        if not (self._keeps or getattr(sender, "is_open", True)):
+            raise GoalRejected("its client has gone")
+        return message
 
     def admit(
         self,
