@@ -147,18 +147,23 @@ async def test_of_a_fleet_all_but_a_hundred_are_on_demand_to_others():
         assert len(on_demand) == 2 * 11
 
 
-async def test_a_turtle_is_on_demand_if_a_hundred_are_there_when_it_is_spawned():
-    async with stage(turtles=100) as here:
-        names = [await here.spawn(1.0, 1.0, 0.0)]
-        await here.kill("turtle7")
-        await here.kill("turtle8")
-        names.append(await here.spawn(1.0, 1.0, 0.0))
-        endpoints = here.node.transport.endpoints()
-        on_demand = [
-            {each.on_demand for each in endpoints if each.name.split("/")[1] == name}
-            for name in names
-        ]
-        assert on_demand == [{True}, {False}]
+async def test_of_spawned_turtles_all_but_a_hundred_are_on_demand_to_others(monkeypatch):
+    monkeypatch.setattr("turtleact.sim.turtlesim.MOST_SHOWN", 2)
+    async with stage(turtles=5) as here:
+
+        async def spawn() -> bool:
+            """Spawn a turtle; whether it is on demand."""
+            name = await here.spawn(1.0, 1.0, 0.0)
+            endpoints = here.node.transport.endpoints()
+            (on_demand,) = {each.on_demand for each in endpoints if f"/{name}/" in each.name}
+            return on_demand
+
+        assert [await spawn() for _ in range(4)] == [False, False, True, True]
+        for name in ("turtle1", "turtle7", "turtle8"):  # one of each kind
+            await here.kill(name)
+        assert [await spawn() for _ in range(2)] == [False, True]
+        await here.reset()
+        assert [await spawn() for _ in range(3)] == [False, False, True]
 
 
 async def test_a_pose_is_published_after_each_tick():

@@ -48,7 +48,8 @@ __all__ = ["Turtlesim"]
 logger = logging.getLogger("turtleact.turtlesim")
 
 MOST_SHOWN: Final = 100
-"""So many turtles are on the graph of other processes at once; what comes more is so on demand."""
+"""Of the turtles of a fleet, and of those that were spawned, so many are on the graph of other
+processes at once, the rest on demand."""
 
 
 class Turtlesim:
@@ -76,6 +77,7 @@ class Turtlesim:
         self._roster = anyio.Lock()  # turtlesim, too, handles one request after the other
         self._parameters = _declare(node, self._parameters_changed, is_holonomic=world.holonomic)
         self._turtles: dict[str, Turtle] = {}
+        self._spawned: set[str] = set()  # and are not on demand
         self._busy: dict[Turtle, None] = {}  # that have something to take up
         self._poses = beside.publisher(Poses, "~/poses", TOPIC_QOS)
         self._welcome_all()
@@ -224,7 +226,9 @@ class Turtlesim:
                     logger.error("A turtle was not spawned: %s", error)
                 return Spawn.Response()
             self._pens.take_stock()
-            is_shown = len(self._turtles) < MOST_SHOWN
+            is_shown = len(self._spawned) < MOST_SHOWN
+            if is_shown:
+                self._spawned.add(name)
             self._welcome(name, request.x, request.y, request.theta, is_shown=is_shown)
         return Spawn.Response(name)
 
@@ -234,6 +238,7 @@ class Turtlesim:
             if turtle is None:
                 logger.error("Tried to kill turtle [%s], which does not exist", request.name)
                 return Kill.Response()
+            self._spawned.discard(turtle.name)
             self._world.kill(turtle.name)
             self._pens.take_stock()
             await self._part_with([turtle])
@@ -257,6 +262,7 @@ class Turtlesim:
             logger.info("Resetting turtlesim.")
             before = list(self._turtles.values())
             self._turtles.clear()
+            self._spawned.clear()
             begin()
             self._pens.forget_all()
             await self._part_with(before)
