@@ -278,7 +278,7 @@ def test_loading_tells_what_was_not_taken(on_turtlesim, tmp_path):
         ("", "has no parameters for /turtlesim, but for nobody"),
         ("/turtlesim: {x: 1}", "/turtlesim has no ros__parameters"),
         ("/turtlesim: {ros__parameters: {a: {b: null}}}", "a.b: a parameter is a bool, a number"),
-        ("/turtlesim: {ros__parameters: {a: [1", "2:1: "),
+        ("/turtlesim: {ros__parameters: {a: [1", "1:37: "),
         (b"\xff", "it is not UTF-8"),
         (None, "No such file or directory"),
     ],
