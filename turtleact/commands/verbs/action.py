@@ -2,28 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from turtleact.commands import VERBS
 from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.arguments import (
-    Config,
-    Connect,
-    Domain,
-    Interfaces,
-    Job,
-    Verb,
-    new_group,
-    on_graph,
-    reach,
-)
+from turtleact.commands.verbs.arguments import Verb, new_group
+from turtleact.commands.verbs.looking import Look, on_graph, on_known_graph
 from turtleact.commands.verbs.send_goal import EXAMPLES, send_goal
-
-if TYPE_CHECKING:
-    from turtleact.commands.interrupts import Interrupts
-    from turtleact.node import Node
 
 __all__ = ["app"]
 
@@ -52,94 +39,45 @@ app.command("send_goal", cls=Verb, help=VERBS["send-goal"], epilog=EXAMPLES)(sen
 
 
 @app.command("list", cls=Verb, help="List the actions that there are.")
-def list_(
-    *,
-    types: _ShowTypes = False,
-    count: _CountActions = False,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-) -> Job:
+@on_graph
+def list_(*, types: _ShowTypes = False, count: _CountActions = False) -> Look:
     """``action list``."""
+    from turtleact.commands import listing
 
-    async def look(node: Node) -> int:
-        from turtleact.commands import listing
-
-        return await listing.print_list(node, "action", types=types, count=count, hidden=False)
-
-    return on_graph(look, connect, domain, config)
+    return lambda node: listing.print_list(node, "action", types=types, count=count, hidden=False)
 
 
 @app.command("info", cls=Verb, help="Print which nodes serve an action, or are its clients.")
-def info(
-    name: _Name,
-    *,
-    types: _ShowTypes = False,
-    count: _Count = False,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-) -> Job:
+@on_graph
+def info(name: _Name, *, types: _ShowTypes = False, count: _Count = False) -> Look:
     """``action info``."""
+    from turtleact.commands import listing
 
-    async def look(node: Node) -> int:
-        from turtleact.commands import listing
-
-        return await listing.print_action_info(node, name, types=types, count=count)
-
-    return on_graph(look, connect, domain, config)
+    return lambda node: listing.print_action_info(node, name, types=types, count=count)
 
 
 @app.command("type", cls=Verb, help="Print the type of an action.")
-def type_(
-    name: _Name, *, connect: Connect = None, domain: Domain = None, config: Config = None
-) -> Job:
+@on_graph
+def type_(name: _Name) -> Look:
     """``action type``."""
+    from turtleact.commands import listing
 
-    async def look(node: Node) -> int:
-        from turtleact.commands import listing
-
-        return await listing.print_type(node, "action", name)
-
-    return on_graph(look, connect, domain, config)
+    return lambda node: listing.print_type(node, "action", name)
 
 
 @app.command("find", cls=Verb, help="List the actions of a type.")
-def find(
-    type_name: _Type,
-    *,
-    count: _CountActions = False,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-) -> Job:
+@on_graph
+def find(type_name: _Type, *, count: _CountActions = False) -> Look:
     """``action find``."""
+    from turtleact.commands import listing
 
-    async def look(node: Node) -> int:
-        from turtleact.commands import listing
-
-        return await listing.print_found(node, "action", type_name, count=count, hidden=False)
-
-    return on_graph(look, connect, domain, config)
+    return lambda node: listing.print_found(node, "action", type_name, count=count, hidden=False)
 
 
 @app.command("echo", cls=Verb, help="Print the feedback and the states of all goals.")
-def echo(
-    name: _Name,
-    *,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-    interfaces: Interfaces = None,
-) -> Job:
+@on_known_graph
+def echo(name: _Name) -> Look:
     """``action echo``."""
-    where = reach(connect, domain, config)
+    from turtleact.commands import goals
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import goals, graph
-        from turtleact.commands.interfaces import make_known
-
-        make_known(interfaces)
-        return graph.run(where, lambda node: goals.echo(node, name), interrupts)
-
-    return job
+    return lambda node: goals.echo(node, name)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Awaitable, Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
 from functools import partial
 from typing import (
@@ -32,7 +32,6 @@ from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.locks import Locks
-    from turtleact.node import Node
 
 __all__ = [
     "SETTINGS",
@@ -49,7 +48,6 @@ __all__ = [
     "explain",
     "new_group",
     "number",
-    "on_graph",
     "only_one",
     "quoted",
     "reach",
@@ -192,31 +190,6 @@ def reach(connect: str | None, domain: str | None, config: str | None = None) ->
         name = "ROS_DOMAIN_ID"
         text = os.environ.get(name) or "0"
     return Reach(to, whole(name, text, most=MOST_DOMAIN), config)
-
-
-def on_graph(
-    look: Callable[[Node], Awaitable[int]],
-    connect: str | None,
-    domain: str | None,
-    config: str | None,
-) -> Job:
-    """The job of a verb that looks at the graph which these options mean.
-
-    Args:
-        look: Looks, and gives the exit status; what it needs is imported there.
-        connect: As for `reach`; likewise the others.
-
-    Raises:
-        UsageError: if one of them is not what it should be.
-    """
-    where = reach(connect, domain, config)
-
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import graph
-
-        return graph.run(where, look, interrupts)
-
-    return job
 
 
 def endpoints(option: str, text: str | None) -> tuple[str, ...]:

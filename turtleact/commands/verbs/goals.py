@@ -17,11 +17,11 @@ from turtleact.commands.verbs.arguments import (
     Job,
     Reach,
     Verb,
-    on_graph,
     only_one,
     quoted,
     reach,
 )
+from turtleact.commands.verbs.looking import Look, on_graph
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
@@ -81,34 +81,17 @@ app = typer.Typer()
 
 
 @app.command("goals", cls=Verb, help=VERBS["goals"])
-def goals(
-    name: _Name = None,
-    *,
-    json: _Json = False,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-) -> Job:
+@on_graph
+def goals(name: _Name = None, *, json: _Json = False) -> Look:
     """``goals``."""
+    from turtleact.commands import goals
 
-    async def look(node: Node) -> int:
-        from turtleact.commands import goals
-
-        return await goals.print_goals(node, name, as_json=json)
-
-    return on_graph(look, connect, domain, config)
+    return lambda node: goals.print_goals(node, name, as_json=json)
 
 
 @app.command("cancel", cls=Verb, help=VERBS["cancel"], epilog=_EXAMPLES)
-def cancel(
-    what: _Ids = None,
-    *,
-    all_: _All = False,
-    before: _Before = None,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-) -> Job:
+@on_graph
+def cancel(what: _Ids = None, *, all_: _All = False, before: _Before = None) -> Look:
     """``cancel``."""
     only_one("which goals are meant", all=all_, before=before is not None)
     given = what or []
@@ -127,7 +110,7 @@ def cancel(
             return await goals.cancel_many(node, given[0] if given else None, until)
         return await goals.cancel(node, ids)
 
-    return on_graph(look, connect, domain, config)
+    return look
 
 
 @app.command("watch", cls=Verb, help=VERBS["watch"])

@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.arguments import (
-    Config,
-    Connect,
-    Domain,
-    Job,
-    Verb,
-    new_group,
-    on_graph,
-)
-
-if TYPE_CHECKING:
-    from turtleact.node import Node
+from turtleact.commands.verbs.arguments import Verb, new_group
+from turtleact.commands.verbs.looking import Look, on_graph
 
 __all__ = ["app"]
 
@@ -38,38 +28,18 @@ app = new_group("node")
 
 
 @app.command("list", cls=Verb, help="List the nodes that there are.")
-def list_(
-    *,
-    hidden: _All = False,
-    count: _Count = False,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-) -> Job:
+@on_graph
+def list_(*, hidden: _All = False, count: _Count = False) -> Look:
     """``node list``."""
+    from turtleact.commands import listing
 
-    async def look(node: Node) -> int:
-        from turtleact.commands import listing
-
-        return await listing.print_nodes(node, count=count, hidden=hidden)
-
-    return on_graph(look, connect, domain, config)
+    return lambda node: listing.print_nodes(node, count=count, hidden=hidden)
 
 
 @app.command("info", cls=Verb, help="Print the topics, services and actions of a node.")
-def info(
-    name: _Name,
-    *,
-    hidden: _Hidden = False,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-) -> Job:
+@on_graph
+def info(name: _Name, *, hidden: _Hidden = False) -> Look:
     """``node info``."""
+    from turtleact.commands import listing
 
-    async def look(node: Node) -> int:
-        from turtleact.commands import listing
-
-        return await listing.print_node_info(node, name, hidden=hidden)
-
-    return on_graph(look, connect, domain, config)
+    return lambda node: listing.print_node_info(node, name, hidden=hidden)

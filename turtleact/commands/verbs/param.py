@@ -8,17 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.arguments import (
-    Config,
-    Connect,
-    Domain,
-    Job,
-    Verb,
-    new_group,
-    number,
-    on_graph,
-    quoted,
-)
+from turtleact.commands.verbs.arguments import Verb, new_group, number, quoted
+from turtleact.commands.verbs.looking import Look, on_graph
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
@@ -81,6 +72,7 @@ app = new_group("param")
 
 
 @app.command("list", cls=Verb, help="List the parameters that there are.")
+@on_graph
 def list_(
     node_name: _AnyNode = None,
     *,
@@ -88,10 +80,7 @@ def list_(
     filter_: _Filter = None,
     prefixes: _Prefixes = None,
     types: _ShowTypes = False,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-) -> Job:
+) -> Look:
     """``param list``."""
     from turtleact.commands import parameters
 
@@ -106,10 +95,11 @@ def list_(
             node, node_name, pattern=pattern, prefixes=prefixes or (), types=types, hidden=hidden
         )
 
-    return on_graph(look, connect, domain, config)
+    return look
 
 
 @app.command("get", cls=Verb, help="Print the value of a parameter.")
+@on_graph
 def get(
     node_name: _Node,
     name: _Name,
@@ -117,23 +107,16 @@ def get(
     hide_type: _HideType = False,
     hidden: _Hidden = False,
     timeout: _Timeout = "1",
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-) -> Job:
+) -> Look:
     """``param get``."""
     from turtleact.commands import parameters
 
     owner = _owner(node_name, timeout, hidden=hidden)
-    return on_graph(
-        lambda node: parameters.print_value(node, owner, name, hide_type=hide_type),
-        connect,
-        domain,
-        config,
-    )
+    return lambda node: parameters.print_value(node, owner, name, hide_type=hide_type)
 
 
 @app.command("set", cls=Verb, help="Set a parameter.")
+@on_graph
 def set_(
     node_name: _Node,
     name: _Name,
@@ -141,74 +124,51 @@ def set_(
     *,
     hidden: _Hidden = False,
     timeout: _Timeout = "1",
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-) -> Job:
+) -> Look:
     """``param set``."""
     from turtleact.commands import parameter_values, parameters
 
     owner = _owner(node_name, timeout, hidden=hidden)
     message = parameter_values.parameter_value(value)
-    return on_graph(
-        lambda node: parameters.set_value(node, owner, name, message), connect, domain, config
-    )
+    return lambda node: parameters.set_value(node, owner, name, message)
 
 
 @app.command("delete", cls=Verb, help="Delete a parameter.")
+@on_graph
 def delete(
-    node_name: _Node,
-    name: _Name,
-    *,
-    hidden: _Hidden = False,
-    timeout: _Timeout = "1",
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-) -> Job:
+    node_name: _Node, name: _Name, *, hidden: _Hidden = False, timeout: _Timeout = "1"
+) -> Look:
     """``param delete``."""
     from turtleact.commands import parameters
 
     owner = _owner(node_name, timeout, hidden=hidden)
-    return on_graph(lambda node: parameters.delete(node, owner, name), connect, domain, config)
+    return lambda node: parameters.delete(node, owner, name)
 
 
 @app.command("describe", cls=Verb, help="Print what parameters are for, and may be.")
+@on_graph
 def describe(
-    node_name: _Node,
-    names: _Names,
-    *,
-    hidden: _Hidden = False,
-    timeout: _Timeout = "1",
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-) -> Job:
+    node_name: _Node, names: _Names, *, hidden: _Hidden = False, timeout: _Timeout = "1"
+) -> Look:
     """``param describe``."""
     from turtleact.commands import parameters
 
     owner = _owner(node_name, timeout, hidden=hidden)
-    return on_graph(lambda node: parameters.describe(node, owner, names), connect, domain, config)
+    return lambda node: parameters.describe(node, owner, names)
 
 
 @app.command("dump", cls=Verb, help="Print all parameters of a node, as a file in YAML.")
-def dump(
-    node_name: _Node,
-    *,
-    hidden: _Hidden = False,
-    timeout: _Timeout = "1",
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-) -> Job:
+@on_graph
+def dump(node_name: _Node, *, hidden: _Hidden = False, timeout: _Timeout = "1") -> Look:
     """``param dump``."""
     from turtleact.commands import parameters
 
     owner = _owner(node_name, timeout, hidden=hidden)
-    return on_graph(lambda node: parameters.dump(node, owner), connect, domain, config)
+    return lambda node: parameters.dump(node, owner)
 
 
 @app.command("load", cls=Verb, help="Set the parameters of a node that a file has.")
+@on_graph
 def load(
     node_name: _Node,
     path: _File,
@@ -216,16 +176,13 @@ def load(
     no_wildcard: _NoWildcard = False,
     hidden: _Hidden = False,
     timeout: _Timeout = "1",
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-) -> Job:
+) -> Look:
     """``param load``."""
     from turtleact.commands import parameter_values, parameters
 
     owner = _owner(node_name, timeout, hidden=hidden)
     found = parameter_values.read_file(path, use_wildcard=not no_wildcard)
-    return on_graph(lambda node: parameters.load(node, owner, found, path), connect, domain, config)
+    return lambda node: parameters.load(node, owner, found, path)
 
 
 def _owner(name: str, timeout: str, *, hidden: bool) -> Owner:

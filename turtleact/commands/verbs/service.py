@@ -16,15 +16,14 @@ from turtleact.commands.verbs.arguments import (
     Verb,
     new_group,
     number,
-    on_graph,
     only_one,
     reach,
     type_and_text,
 )
+from turtleact.commands.verbs.looking import Look, on_graph
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
-    from turtleact.node import Node
 
 __all__ = ["app"]
 
@@ -73,71 +72,39 @@ app = new_group("service")
 
 
 @app.command("list", cls=Verb, help="List the services that there are.")
-def list_(
-    *,
-    types: _ShowTypes = False,
-    count: _Count = False,
-    hidden: _Hidden = False,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-) -> Job:
+@on_graph
+def list_(*, types: _ShowTypes = False, count: _Count = False, hidden: _Hidden = False) -> Look:
     """``service list``."""
+    from turtleact.commands import listing
 
-    async def look(node: Node) -> int:
-        from turtleact.commands import listing
-
-        return await listing.print_list(node, "service", types=types, count=count, hidden=hidden)
-
-    return on_graph(look, connect, domain, config)
+    return lambda node: listing.print_list(node, "service", types=types, count=count, hidden=hidden)
 
 
 @app.command("info", cls=Verb, help="Print the type of a service, and how many use it.")
-def info(
-    name: _Name, *, connect: Connect = None, domain: Domain = None, config: Config = None
-) -> Job:
+@on_graph
+def info(name: _Name) -> Look:
     """``service info``."""
+    from turtleact.commands import listing
 
-    async def look(node: Node) -> int:
-        from turtleact.commands import listing
-
-        return await listing.print_service_info(node, name)
-
-    return on_graph(look, connect, domain, config)
+    return lambda node: listing.print_service_info(node, name)
 
 
 @app.command("type", cls=Verb, help="Print the type of a service.")
-def type_(
-    name: _Name, *, connect: Connect = None, domain: Domain = None, config: Config = None
-) -> Job:
+@on_graph
+def type_(name: _Name) -> Look:
     """``service type``."""
+    from turtleact.commands import listing
 
-    async def look(node: Node) -> int:
-        from turtleact.commands import listing
-
-        return await listing.print_type(node, "service", name)
-
-    return on_graph(look, connect, domain, config)
+    return lambda node: listing.print_type(node, "service", name)
 
 
 @app.command("find", cls=Verb, help="List the services of a type.")
-def find(
-    type_name: _Type,
-    *,
-    count: _Count = False,
-    hidden: _Hidden = False,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-) -> Job:
+@on_graph
+def find(type_name: _Type, *, count: _Count = False, hidden: _Hidden = False) -> Look:
     """``service find``."""
+    from turtleact.commands import listing
 
-    async def look(node: Node) -> int:
-        from turtleact.commands import listing
-
-        return await listing.print_found(node, "service", type_name, count=count, hidden=hidden)
-
-    return on_graph(look, connect, domain, config)
+    return lambda node: listing.print_found(node, "service", type_name, count=count, hidden=hidden)
 
 
 @app.command("call", cls=Verb, help="Call a service, and print its response.")

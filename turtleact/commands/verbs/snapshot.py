@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from turtleact.commands import VERBS
-from turtleact.commands.verbs.arguments import (
-    Config,
-    Connect,
-    Domain,
-    Job,
-    Verb,
-    on_graph,
-    quoted,
-)
+from turtleact.commands.verbs.arguments import Verb, quoted
+from turtleact.commands.verbs.looking import Look, on_graph
 from turtleact.errors import UsageError
-
-if TYPE_CHECKING:
-    from turtleact.node import Node
 
 __all__ = ["app"]
 
@@ -35,9 +25,8 @@ app = typer.Typer()
 
 
 @app.command("snapshot", cls=Verb, help=VERBS["snapshot"], epilog=_EXAMPLES)
-def snapshot(
-    file: _File, *, connect: Connect = None, domain: Domain = None, config: Config = None
-) -> Job:
+@on_graph
+def snapshot(file: _File) -> Look:
     """``snapshot``."""
     from pathlib import Path
 
@@ -45,9 +34,6 @@ def snapshot(
     if path.suffix.lower() not in (".png", ".svg"):
         raise UsageError(f"FILE ends in .png or .svg, unlike {quoted(file)}")
 
-    async def look(node: Node) -> int:
-        from turtleact.commands.snapshot import take
+    from turtleact.commands.snapshot import take
 
-        return await take(node, path)
-
-    return on_graph(look, connect, domain, config)
+    return lambda node: take(node, path)

@@ -13,17 +13,16 @@ from turtleact.commands.verbs.arguments import (
     Domain,
     Interfaces,
     Job,
-    Reach,
     Verb,
     new_group,
     number,
-    on_graph,
     only_one,
     quoted,
     reach,
     type_and_text,
     whole,
 )
+from turtleact.commands.verbs.looking import Look, on_graph, on_known_graph
 from turtleact.commands.verbs.policies import Depth, Durability, Profile, Reliability, read_policies
 from turtleact.errors import UsageError
 
@@ -31,8 +30,6 @@ if TYPE_CHECKING:
     from types import CodeType
 
     from turtleact.commands.interrupts import Interrupts
-    from turtleact.commands.rate import Meter
-    from turtleact.node import Node
 
 __all__ = ["app"]
 
@@ -127,90 +124,51 @@ app = new_group("topic")
 
 
 @app.command("list", cls=Verb, help="List the topics that there are.")
+@on_graph
 def list_(
     *,
     types: _ShowTypes = False,
     count: _Count = False,
     hidden: _Hidden = False,
     verbose: _Verbose = False,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-) -> Job:
+) -> Look:
     """``topic list``."""
+    from turtleact.commands import listing
 
-    async def look(node: Node) -> int:
-        from turtleact.commands import listing
-
-        if verbose and not count:
-            return await listing.print_topics_in_full(node, hidden=hidden)
-        return await listing.print_list(node, "topic", types=types, count=count, hidden=hidden)
-
-    return on_graph(look, connect, domain, config)
+    if verbose and not count:
+        return lambda node: listing.print_topics_in_full(node, hidden=hidden)
+    return lambda node: listing.print_list(node, "topic", types=types, count=count, hidden=hidden)
 
 
 @app.command("info", cls=Verb, help="Print the type of a topic, and who uses it.")
-def info(
-    name: _Name,
-    *,
-    verbose: _Verbose = False,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-    interfaces: Interfaces = None,
-) -> Job:
+@on_known_graph
+def info(name: _Name, *, verbose: _Verbose = False) -> Look:
     """``topic info``."""
-    where = reach(connect, domain, config)
+    from turtleact.commands import listing
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import graph, listing
-        from turtleact.commands.interfaces import make_known
-
-        make_known(interfaces)
-        return graph.run(
-            where,
-            lambda node: listing.print_topic_info(node, name, verbose=verbose),
-            interrupts,
-        )
-
-    return job
+    return lambda node: listing.print_topic_info(node, name, verbose=verbose)
 
 
 @app.command("type", cls=Verb, help="Print the type of a topic.")
-def type_(
-    name: _Name, *, connect: Connect = None, domain: Domain = None, config: Config = None
-) -> Job:
+@on_graph
+def type_(name: _Name) -> Look:
     """``topic type``."""
+    from turtleact.commands import listing
 
-    async def look(node: Node) -> int:
-        from turtleact.commands import listing
-
-        return await listing.print_type(node, "topic", name)
-
-    return on_graph(look, connect, domain, config)
+    return lambda node: listing.print_type(node, "topic", name)
 
 
 @app.command("find", cls=Verb, help="List the topics of a type.")
-def find(
-    type_name: _Type,
-    *,
-    count: _Count = False,
-    hidden: _Hidden = False,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-) -> Job:
+@on_graph
+def find(type_name: _Type, *, count: _Count = False, hidden: _Hidden = False) -> Look:
     """``topic find``."""
+    from turtleact.commands import listing
 
-    async def look(node: Node) -> int:
-        from turtleact.commands import listing
-
-        return await listing.print_found(node, "topic", type_name, count=count, hidden=hidden)
-
-    return on_graph(look, connect, domain, config)
+    return lambda node: listing.print_found(node, "topic", type_name, count=count, hidden=hidden)
 
 
 @app.command("echo", cls=Verb, help="Print the messages of a topic.")
+@on_known_graph
 def echo(
     name: _Name,
     type_name: _AskedType = None,
@@ -230,13 +188,10 @@ def echo(
     reliability: Reliability = None,
     durability: Durability = None,
     depth: Depth = None,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-    interfaces: Interfaces = None,
-) -> Job:
+) -> Look:
     """``topic echo``."""
-    where = reach(connect, domain, config)
+    from turtleact.commands import echo
+
     length = whole("--truncate-length", truncate_length)
     seconds = None if timeout is None else number("--timeout", timeout)
     policies = read_policies(profile, reliability, durability, depth)
@@ -246,81 +201,52 @@ def echo(
     only_one("how messages are printed", raw=raw, csv=csv, flow_style=flow)
     only_one("what is printed", raw=raw, field=field is not None)
     wanted = None if filter_ is None else _compiled(filter_)
-
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import echo, graph
-        from turtleact.commands.interfaces import make_known
-
-        make_known(interfaces)
-        order = echo.Order(
-            name,
-            type_name,
-            () if field is None else tuple(field.split(".")),
-            once=once,
-            csv=csv,
-            flow=flow,
-            longest=None if full_length else length,
-            arrays=not no_arr,
-            strings=not no_str,
-            timeout=seconds,
-            wanted=wanted,
-            raw=raw,
-            policies=policies,
-        )
-        return graph.run(where, lambda node: echo.echo(node, order), interrupts)
-
-    return job
+    order = echo.Order(
+        name,
+        type_name,
+        () if field is None else tuple(field.split(".")),
+        once=once,
+        csv=csv,
+        flow=flow,
+        longest=None if full_length else length,
+        arrays=not no_arr,
+        strings=not no_str,
+        timeout=seconds,
+        wanted=wanted,
+        raw=raw,
+        policies=policies,
+    )
+    return lambda node: echo.echo(node, order)
 
 
 @app.command("hz", cls=Verb, help="Print how many messages come a second.")
-def hz(
-    name: _Name,
-    *,
-    window: _Window = "10000",
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-    interfaces: Interfaces = None,
-) -> Job:
+@on_known_graph
+def hz(name: _Name, *, window: _Window = "10000") -> Look:
     """``topic hz``."""
-    from turtleact.commands.rate import Rate
+    from turtleact.commands import rate
 
-    meter = Rate(whole("--window", window, least=1))
-    return _measure(name, meter, reach(connect, domain, config), interfaces)
+    meter = rate.Rate(whole("--window", window, least=1))
+    return lambda node: rate.measure(node, name, meter)
 
 
 @app.command("bw", cls=Verb, help="Print how many bytes come a second.")
-def bw(
-    name: _Name,
-    *,
-    window: _Window = "100",
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-    interfaces: Interfaces = None,
-) -> Job:
+@on_known_graph
+def bw(name: _Name, *, window: _Window = "100") -> Look:
     """``topic bw``."""
-    from turtleact.commands.rate import Bandwidth
+    from turtleact.commands import rate
 
-    meter = Bandwidth(whole("--window", window, least=1))
-    return _measure(name, meter, reach(connect, domain, config), interfaces)
+    meter = rate.Bandwidth(whole("--window", window, least=1))
+    return lambda node: rate.measure(node, name, meter)
 
 
 @app.command("delay", cls=Verb, help="Print how old messages with a header are.")
-def delay(
-    name: _Name,
-    *,
-    window: _Window = "10000",
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-    interfaces: Interfaces = None,
-) -> Job:
+@on_known_graph
+def delay(name: _Name, *, window: _Window = "10000") -> Look:
     """``topic delay``."""
-    from turtleact.commands.rate import Delay
+    from turtleact.commands import rate
 
-    meter = Delay(whole("--window", window, least=1))
-    return _measure(name, meter, reach(connect, domain, config), interfaces)
+    meter = rate.Delay(whole("--window", window, least=1))
+    return lambda node: rate.measure(node, name, meter)
 
 
 @app.command("pub", cls=Verb, help="Publish messages on a topic.")
@@ -373,17 +299,6 @@ def pub(
             policies=policies,
         )
         return graph.run(where, lambda node: publishing.publish(node, order), interrupts)
-
-    return job
-
-
-def _measure(name: str, meter: Meter, where: Reach, interfaces: str | None) -> Job:
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import graph, rate
-        from turtleact.commands.interfaces import make_known
-
-        make_known(interfaces)
-        return graph.run(where, lambda node: rate.measure(node, name, meter), interrupts)
 
     return job
 
