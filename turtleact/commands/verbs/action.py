@@ -8,7 +8,7 @@ import typer
 
 from turtleact.commands import VERBS
 from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.arguments import Verb, new_group
+from turtleact.commands.verbs.arguments import Verb, new_group, type_of
 from turtleact.commands.verbs.looking import Look, on_graph, on_known_graph
 from turtleact.commands.verbs.send_goal import EXAMPLES, send_goal
 
@@ -20,14 +20,7 @@ _Name = Annotated[
         metavar="NAME", help="The action, such as /patrol.", autocompletion=completing.actions
     ),
 ]
-_Type = Annotated[
-    str,
-    typer.Argument(
-        metavar="TYPE",
-        help="The type, pkg/action/Name.",
-        autocompletion=completing.types("action", of_name=False),
-    ),
-]
+_Type = Annotated[str, type_of("action")]
 _ShowTypes = Annotated[bool, typer.Option("--show-types", "-t", help="Show the types, too.")]
 _CountActions = Annotated[
     bool, typer.Option("--count-actions", "-c", help="Only print how many there are.")

@@ -27,10 +27,12 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from turtleact.commands.interrupts import Interrupts
+from turtleact.commands.verbs import completing
 from turtleact.commands.verbs.outside import without_daemon
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
+    from turtleact.commands.kinds import Kind
     from turtleact.commands.locks import Locks
 
 __all__ = [
@@ -46,6 +48,7 @@ __all__ = [
     "Verbs",
     "endpoints",
     "explain",
+    "message_of",
     "new_group",
     "number",
     "only_one",
@@ -53,6 +56,7 @@ __all__ = [
     "reach",
     "speed_factor",
     "type_and_text",
+    "type_of",
     "whole",
 ]
 
@@ -190,6 +194,25 @@ def reach(connect: str | None, domain: str | None, config: str | None = None) ->
         name = "ROS_DOMAIN_ID"
         text = os.environ.get(name) or "0"
     return Reach(to, whole(name, text, most=MOST_DOMAIN), config)
+
+
+def type_of(kind: Kind, *, is_asked: bool = False) -> Any:  # noqa: ANN401  # as of Typer's own
+    """The argument TYPE; the graph is asked for one that may be left out."""
+    name = f"pkg/{completing.SUFFIXES[kind]}/Name"
+    return typer.Argument(
+        metavar="TYPE",
+        help=f"Its type, {name}; asked of the graph." if is_asked else f"The type, {name}.",
+        autocompletion=completing.types(kind, of_name=is_asked),
+    )
+
+
+def message_of(what: str, metavar: str = "VALUES") -> Any:  # noqa: ANN401  # likewise
+    """The argument that is a message."""
+    return typer.Argument(
+        metavar=metavar,
+        help=f"The {what} as YAML or JSON; {{}} if left out.",
+        autocompletion=completing.messages,
+    )
 
 
 def endpoints(option: str, text: str | None) -> tuple[str, ...]:

@@ -15,11 +15,13 @@ from turtleact.commands.verbs.arguments import (
     Interfaces,
     Job,
     Verb,
+    message_of,
     number,
     only_one,
     reach,
     speed_factor,
     type_and_text,
+    type_of,
     whole,
 )
 
@@ -42,22 +44,8 @@ _Name = Annotated[
         metavar="NAME", help="The action, such as /patrol.", autocompletion=completing.actions
     ),
 ]
-_Type = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="TYPE",
-        help="Its type, pkg/action/Name; asked of the graph.",
-        autocompletion=completing.types("action"),
-    ),
-]
-_Goal = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="GOAL",
-        help="The goal as YAML or JSON; {} if left out.",
-        autocompletion=completing.messages,
-    ),
-]
+_Type = Annotated[str | None, type_of("action", is_asked=True)]
+_Goal = Annotated[str | None, message_of("goal", "GOAL")]
 _Feedback = Annotated[
     bool, typer.Option("--feedback", "-f", help="Print each feedback message, and let it stand.")
 ]

@@ -14,11 +14,13 @@ from turtleact.commands.verbs.arguments import (
     Interfaces,
     Job,
     Verb,
+    message_of,
     new_group,
     number,
     only_one,
     reach,
     type_and_text,
+    type_of,
 )
 from turtleact.commands.verbs.looking import Look, on_graph
 
@@ -33,30 +35,9 @@ _Name = Annotated[
         metavar="NAME", help="The service, such as /spawn.", autocompletion=completing.services
     ),
 ]
-_Type = Annotated[
-    str,
-    typer.Argument(
-        metavar="TYPE",
-        help="The type, pkg/srv/Name.",
-        autocompletion=completing.types("service", of_name=False),
-    ),
-]
-_CalledType = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="TYPE",
-        help="Its type, pkg/srv/Name; asked of the graph.",
-        autocompletion=completing.types("service"),
-    ),
-]
-_Values = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="VALUES",
-        help="The request as YAML or JSON; {} if left out.",
-        autocompletion=completing.messages,
-    ),
-]
+_Type = Annotated[str, type_of("service")]
+_CalledType = Annotated[str | None, type_of("service", is_asked=True)]
+_Values = Annotated[str | None, message_of("request")]
 _Stdin = Annotated[bool, typer.Option("--stdin", help="Read the request from stdin.")]
 _Rate = Annotated[
     str | None,

@@ -14,12 +14,14 @@ from turtleact.commands.verbs.arguments import (
     Interfaces,
     Job,
     Verb,
+    message_of,
     new_group,
     number,
     only_one,
     quoted,
     reach,
     type_and_text,
+    type_of,
     whole,
 )
 from turtleact.commands.verbs.looking import Look, on_graph, on_known_graph
@@ -39,30 +41,9 @@ _Name = Annotated[
         metavar="NAME", help="The topic, such as /turtle1/pose.", autocompletion=completing.topics
     ),
 ]
-_Type = Annotated[
-    str,
-    typer.Argument(
-        metavar="TYPE",
-        help="The type, pkg/msg/Name.",
-        autocompletion=completing.types("topic", of_name=False),
-    ),
-]
-_AskedType = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="TYPE",
-        help="Its type, pkg/msg/Name; asked of the graph.",
-        autocompletion=completing.types("topic"),
-    ),
-]
-_Values = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="VALUES",
-        help="The message as YAML or JSON; {} if left out.",
-        autocompletion=completing.messages,
-    ),
-]
+_Type = Annotated[str, type_of("topic")]
+_AskedType = Annotated[str | None, type_of("topic", is_asked=True)]
+_Values = Annotated[str | None, message_of("message")]
 _ShowTypes = Annotated[bool, typer.Option("--show-types", "-t", help="Show the types, too.")]
 _Count = Annotated[
     bool, typer.Option("--count-topics", "-c", help="Only print how many there are.")
