@@ -1134,9 +1134,7 @@ async def test_a_port_that_is_taken_is_said():
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         at = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
-        said = (
-            rf"cannot listen at {at}: .*\[.*Address already in use [^\[]*\]; is another router th"
-        )
+        said = rf"^cannot listen at {at}: Address already in use [^\[\]]*; is another router th"
         with pytest.raises(TurtleactError, match=said):
             await open_zenoh(mode="router", listen=[at]).__aenter__()
 

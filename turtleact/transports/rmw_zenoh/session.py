@@ -343,13 +343,17 @@ def _why_not_open(config: SessionConfig, words: str) -> str:
     if "listener" in words or (config.listen and not config.connect):
         at = ", ".join(config.listen) or "the configured endpoints"
         hint = "; is another router there already? connect to it" if "in use" in words else ""
-        return f"cannot listen at {at}: {words}{hint}"
+        inner = _INNER.fullmatch(words)
+        return f"cannot listen at {at}: {inner[1] if inner else words}{hint}"
     to = ", ".join(config.connect) or "the configured endpoints"
     more = "" if words.startswith("Unable to connect") else f" ({words})"
     return f"no ROS 2 graph in reach: nobody at {to} lets us in{more}; is a router running there?"
 
 
 _SOURCE_LINE = re.compile(r" at /\S+:[0-9]+\.?")
+
+#: In brackets stands what happened, behind the address; before them what was tried, with it, too.
+_INNER = re.compile(r".*\[(?:\S+: )?(.*)\]")
 
 #: What Zenoh's own configuration has where it is not null.
 _UNTOUCHED = {
