@@ -39,6 +39,11 @@ def test_one_line_says_that_no_graph_is_in_reach(turtleact, arguments, where):
     )
 
 
+def test_names_are_listed_in_their_order_and_once():
+    known = ["/turtlesim", "/chatter", "/turtlesim"]
+    assert graph.names_like("/zzz", known) == " (there are: /chatter, /turtlesim)"
+
+
 def test_a_signal_ends_the_opening_of_a_graph(turtleact, interrupts, monkeypatch):
     @asynccontextmanager
     async def open_transport(reach):

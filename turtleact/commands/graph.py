@@ -193,7 +193,7 @@ def chosen_class(
 
 def names_like(name: str, known: Iterable[str]) -> str:
     """The end of an error about an unknown name: the nearest one, or some of those there are."""
-    names = list(known)
+    names = sorted(set(known))
     shown = ", ".join([*names[:MOST_SHOWN], *(["…"] if len(names) > MOST_SHOWN else [])])
     return did_you_mean(name, names) or f" (there are: {shown or 'none'})"
 
