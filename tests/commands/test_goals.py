@@ -168,8 +168,7 @@ def test_a_goal_that_is_gone_when_its_result_is_asked_for_is_an_error(on_graph):
     ran = on_graph(peer(2), "result", STRANGER.hex())
     assert (ran.status, ran.out) == (1, "")
     assert ran.err == (
-        "turtleact: the goal is not known to the server: "
-        f"'/far' holds no goal {STRANGER.hex()} any more\n"
+        f"turtleact: action '/far': its server holds no goal {STRANGER.hex()} any more\n"
     )
 
 
@@ -357,7 +356,7 @@ def test_ctrl_c_lets_go_of_a_goal_that_is_watched(on_graph, graphs):
 def test_a_goal_that_nobody_holds_is_an_error(on_graph, graphs, verb):
     ran = on_graph(graphs.goals, verb, "abcdef")
     assert (ran.status, ran.out) == (1, "")
-    assert "no server in reach holds abcdef; 'turtleact goals' lists what is held" in ran.err
+    assert "no server in reach holds a goal abcdef; 'turtleact goals' lists what is held" in ran.err
 
 
 def test_feedback_that_has_come_with_the_result_is_printed_before_it(on_graph, graphs):
@@ -447,8 +446,7 @@ def test_a_goal_that_a_silent_server_may_hold_is_an_error_that_names_it(on_graph
     assert ran == (
         1,
         "",
-        "turtleact: the goal is not known to the server: no server in reach holds abcd; "
-        "server /peer does not answer\n",
+        "turtleact: no server in reach holds a goal abcd; server /peer does not answer\n",
     )
 
 

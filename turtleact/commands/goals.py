@@ -29,7 +29,7 @@ from turtleact.commands.held_goals import (
 )
 from turtleact.commands.stderr import note
 from turtleact.commands.transcript import Followed, say
-from turtleact.errors import ServerUnavailable, ServiceTimeout, UnknownGoal
+from turtleact.errors import ServerUnavailable, ServiceTimeout, TurtleactError
 from turtleact.goal import CancelCode, GoalStatus
 from turtleact.interfaces import Action, Implied, Message, implied, to_dict
 from turtleact.interfaces.stamps import SECOND, stamp_of
@@ -246,9 +246,8 @@ async def follow(node: Node, wanted: str, transcript: Transcript, *, hears_feedb
 
     Raises:
         UsageError: if several goals begin so.
-        UnknownGoal: if no server holds it.
         ServerUnavailable: if its server goes away.
-        TurtleactError: if the action's type is not known here.
+        TurtleactError: if no server holds it, or the action's type is not known here.
     """
     goal = await find_goal(node, wanted)
     action_type = interface_class(Action, goal.type_name, f"action '{goal.action}'")
@@ -274,7 +273,8 @@ async def follow(node: Node, wanted: str, transcript: Transcript, *, hears_feedb
                 await each.aclose()  # what has come is told, and then the telling ends
         status = watched.status = GoalStatus(response.status)
         if status is GoalStatus.UNKNOWN:
-            raise UnknownGoal(f"'{goal.action}' holds no goal {goal.goal_id.hex()} any more")
+            problem = f"its server holds no goal {goal.goal_id.hex()} any more"
+            raise TurtleactError(f"action '{goal.action}': {problem}")
         transcript.ended(Outcome(status, response.result))
         await transcript.drained()
         beside.cancel_scope.cancel()

@@ -24,7 +24,6 @@ from turtleact.errors import (
     ServerUnavailable,
     ServiceTimeout,
     TurtleactError,
-    UnknownGoal,
     UsageError,
 )
 from turtleact.goal import GoalStatus, status_of
@@ -151,13 +150,13 @@ async def find_goal(node: Node, wanted: str) -> HeldGoal:
 
     Raises:
         UsageError: if there are several.
-        UnknownGoal: if there is none.
+        TurtleactError: if there is none.
     """
     goals, silent = await held_goals(node, served_actions(node, None))
     found = find_goals(goals, wanted)
     if found is None:
         hint = silence(silent) if silent else "'turtleact goals' lists what is held"
-        raise UnknownGoal(f"no server in reach holds {wanted}; {hint}")
+        raise TurtleactError(f"no server in reach holds a goal {wanted}; {hint}")
     stuck = [server for server in _servers(node, {found.action: ""}) if server in silent]
     if stuck:
         note(f"{silence(stuck)}; waiting for it")
