@@ -291,7 +291,6 @@ async def test_a_checkpoint_lets_others_run():
     assert log == ["other"]
 
 
-@pytest.mark.skipif(sys.version_info >= (3, 12), reason="asyncio itself starts tasks eagerly")
 @ON_ASYNCIO
 async def test_the_first_step_does_not_take_a_turn_of_the_loop():
     turns: list[int] = []
