@@ -109,7 +109,7 @@ class FeedbackFormat(WireFormat):
     >>> from turtleact.interfaces.standard import Fibonacci
     >>> feedback = FeedbackFormat(Fibonacci)
     >>> feedback.read(feedback.write(bytes(16), Fibonacci.Feedback([0, 1])))
-    Feedback(sequence=[0, 1])
+    Feedback(partial_sequence=[0, 1])
     """
 
     def __init__(self, action: type[Action]) -> None:
