@@ -69,6 +69,14 @@ def follow(helm, pose, targets):
         pose = made.pose
 
 
+def holding(helm: Helm) -> Helm:
+    """A helm that holds a command, straight ahead from the start."""
+    helm.at = START
+    helm.command(START, AHEAD)
+    assert helm._left == 2
+    return helm
+
+
 def course(seed):
     uniform = random.Random(seed).uniform
     pose = (uniform(0.0, SIDE), uniform(0.0, SIDE), uniform(-math.pi, math.pi))
@@ -108,7 +116,7 @@ def test_no_hold_ends_behind_a_target(place, theta, target, style, limits):
 
 def test_a_command_that_stays_the_same_is_made_anew_twice_a_second():
     log = follow(Helm(Steering()), START, [AHEAD])
-    assert log.told[:3] == [0, 38, 70]  # a look that ends at 32 ticks or later is the last
+    assert log.told[:4] == [0, 1, 39, 71]  # a look that ends at 32 ticks or later is the last
     assert OLDEST + LONGEST < 62  # a command of turtlesim's lasts for a second
 
 
@@ -127,8 +135,7 @@ def test_each_look_ahead_is_twice_as_far_as_the_one_before_up_to_the_longest(mon
 
 @pytest.mark.parametrize("axis", range(3))
 def test_a_turtle_that_is_not_where_it_should_be_is_told_at_once(axis):
-    helm = Helm(Steering())
-    helm.command(START, AHEAD)
+    helm = holding(Helm(Steering()))
     pose = list(tick(START, *helm.speeds, 0.016).pose)
     pose[axis] += 1e-4
     assert not helm.holds(tuple(pose))
@@ -136,8 +143,7 @@ def test_a_turtle_that_is_not_where_it_should_be_is_told_at_once(axis):
 
 
 def test_a_pose_that_is_none_is_told_at_once():
-    helm = Helm(Steering())
-    helm.command(START, AHEAD)
+    helm = holding(Helm(Steering()))
     assert not helm.holds((math.nan, math.nan, math.nan))
 
 
@@ -146,8 +152,8 @@ def test_nothing_is_held_before_the_first_command():
 
 
 def test_another_target_is_heeded_where_a_hold_ends():
-    helm, pose = Helm(Steering(), longest=2), START
-    helm.command(pose, AHEAD)
+    helm = holding(Helm(Steering(), longest=2))
+    pose = START
     for _ in range(OLDEST):
         pose = tick(pose, *helm.speeds, 0.016).pose
         is_held = helm.holds(pose)
@@ -155,16 +161,22 @@ def test_another_target_is_heeded_where_a_hold_ends():
     assert helm.command(pose, (1.0, START[1]))[0] == -2.0
 
 
+def test_a_turtle_that_has_not_done_as_it_was_told_is_told_in_each_tick():
+    helm, x = Helm(Steering()), START[0]
+    for _ in range(10):
+        x -= 0.001
+        assert not helm.holds((x, *START[1:]))
+        helm.command((x, *START[1:]), AHEAD)
+
+
 def test_another_law_ends_what_is_held():
-    helm = Helm(Steering())
-    helm.command(START, AHEAD)
+    helm = holding(Helm(Steering()))
     helm.steering = Steering("forward")
     assert not helm.holds(tick(START, *helm.speeds, 0.016).pose)
 
 
 def test_a_turtle_that_is_stopped_is_told_at_once():
-    helm = Helm(Steering())
-    helm.command(START, AHEAD)
+    helm = holding(Helm(Steering()))
     helm.stop()
     assert helm.speeds == STILL
     assert not helm.holds(START)

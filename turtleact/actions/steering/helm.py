@@ -7,8 +7,9 @@ between, and is held so long; there it looks ahead anew, each time twice as far,
 most. The command that it found last is the one to go on with where that fails.
 
 Nothing is held any more from the tick on in which the turtle is not where it should be, so whatever
-moves it is answered at once. A hold ends before the target is reached, and no way that is held
-leaves the area. Speeds that change by and by, as accelerations are limited, are not held at all.
+moves it is answered at once; nor while commands come late, as it is then not where they lead. A
+hold ends before the target is reached, and no way that is held leaves the area. Speeds that change
+by and by, as accelerations are limited, are not held at all.
 
 Knows a pose each tick, of a turtle that first turns and then moves; no clock and no topic.
 """
@@ -99,6 +100,7 @@ class Helm:
     ) -> Speeds:
         """The speeds from here on, as `Steering.command` has them."""
         course = Course(target, next_target, theta)
+        is_obeyed = pose == self.at or self._is_foreseen(pose)
         if self._known is not None and self._known[0] == course and self.at == pose:
             self.speeds = self._known[1]
         else:
@@ -111,20 +113,14 @@ class Helm:
         self._age = 0
         limits = self._steering.limits
         self._step, self._turn = self.speeds[0] * limits.dt, self.speeds[1] * limits.dt
-        self._left = self._hold(course)
+        self._left = self._hold(course) if is_obeyed else 0
         return self.speeds
 
     def holds(self, pose: Pose) -> bool:
         """Whether the command stands at the next pose, too: nothing new is to be said there."""
         if not self._left:
             return False
-        (x, y, theta), (new_x, new_y, new_theta) = self.at, pose
-        off = abs(theta + self._turn - new_theta)
-        if not (
-            (off <= _ROUNDING or abs(wrap_angle(off)) <= _ROUNDING)
-            and abs(x + self._step * math.cos(new_theta) - new_x) <= _ROUNDING
-            and abs(y + self._step * math.sin(new_theta) - new_y) <= _ROUNDING
-        ):
+        if not self._is_foreseen(pose):
             self._let_go()
             return False
         self.at = pose
@@ -142,6 +138,16 @@ class Helm:
     def _let_go(self) -> None:
         self._left = 0
         self._known = None
+
+    def _is_foreseen(self, pose: Pose) -> bool:
+        """Whether the command leads from the pose before to this one."""
+        (x, y, theta), (new_x, new_y, new_theta) = self.at, pose
+        off = abs(theta + self._turn - new_theta)
+        return (
+            (off <= _ROUNDING or abs(wrap_angle(off)) <= _ROUNDING)
+            and abs(x + self._step * math.cos(new_theta) - new_x) <= _ROUNDING
+            and abs(y + self._step * math.sin(new_theta) - new_y) <= _ROUNDING
+        )
 
     def _ask(self, pose: Pose, course: Course) -> Speeds:
         target, next_target, theta = course
