@@ -88,7 +88,7 @@ class Yard(NamedTuple):
             self.poses.publish(TurtlePose(x=float(count)))
             await self.clock.sleep(seconds)
 
-    async def obey(self):
+    async def obey(self, pace=0.016):
         """Let the robot do as it is told, tick by tick, and say where it is."""
         while True:
             twist = self.twists.latest or Twist()
@@ -96,7 +96,7 @@ class Yard(NamedTuple):
             self.at[0] += math.cos(self.at[2]) * twist.linear.x * 0.016
             self.at[1] += math.sin(self.at[2]) * twist.linear.x * 0.016
             self.poses.publish(TurtlePose(*self.at))
-            await self.clock.sleep(0.016)
+            await self.clock.sleep(pace)
 
     async def keep_telling(self):
         await self.tell_every(0.016, 10_000)
@@ -124,9 +124,9 @@ async def telling(place):
 
 
 @asynccontextmanager
-async def obeying(place):
+async def obeying(place, pace=0.016):
     """The robot moves as a turtle of turtlesim does."""
-    async with aclosing(Background(place.obey(), "the robot")):
+    async with aclosing(Background(place.obey(pace), "the robot")):
         yield
 
 
@@ -236,6 +236,14 @@ async def test_a_turtle_is_told_only_what_is_new():
         assert drive.travelled == pytest.approx(38 * 0.032, abs=1e-5)
         assert drive.pose.x == pytest.approx(drive.travelled)
         assert len(place.twists.drain()) == 1
+
+
+async def test_a_turtle_whose_ticks_come_late_is_told_no_more_than_that():
+    async with yard() as place, obeying(place, pace=0.1), place.drive() as drive:
+        for _ in range(3):
+            await drive.towards(FAR)
+        assert drive.travelled > 80 * 0.032
+        assert len(place.twists.drain()) == 3
 
 
 async def test_a_command_that_holds_ends_with_the_tick_that_comes_at_a_time():

@@ -290,7 +290,7 @@ class Drive:
                 break
         self.travelled += distance(*self.seen.pose[:2], *seen.pose[:2])
         self._seen = seen
-        self._keep_pace()
+        self._keep_pace(is_a_tick=self._robot.keeps_commands and self._helm.foresees(seen.pose))
 
     async def aclose(self) -> None:
         """Stop the turtle where it is, and leave its topics."""
@@ -310,13 +310,17 @@ class Drive:
         self._taken_since += 1
         return True
 
-    def _keep_pace(self) -> None:
-        """See how long a pose lasts: they may come at another pace than was said."""
+    def _keep_pace(self, *, is_a_tick: bool) -> None:
+        """See how long a pose lasts: they may come at another pace than was said.
+
+        Where the turtle has moved as it does in its tick, that has passed for it, however late the
+        machine is.
+        """
         before, self._decided = self._decided, self._clock.time()
         poses, self._taken_since = 1 + self._taken_since, 0
         if before is None:
             return
-        lasted = (self._decided - before) / poses
+        lasted = self._robot.dt if is_a_tick else (self._decided - before) / poses
         change = min(lasted, 2.0 * self._pace) - self._pace
         self._pace += (1.0 - (1.0 - LEARNING) ** poses) * change
         limits = self._helm.steering.limits

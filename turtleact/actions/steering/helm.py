@@ -61,7 +61,7 @@ class Helm:
     """A turtle's helm.
 
     Args:
-        steering: The law.
+        steering: The law; its tick is the turtle's.
         longest: How many ticks a command may be held, 1 or more.
 
     Attributes:
@@ -73,6 +73,7 @@ class Helm:
         self.speeds: Speeds = STILL
         self.at: Pose = (0.0, 0.0, 0.0)
         self._steering = steering
+        self._dt = steering.limits.dt
         self._longest = longest
         self._left = 0
         self._tried = 1
@@ -82,7 +83,7 @@ class Helm:
 
     @property
     def steering(self) -> Steering:
-        """The law; another one ends what is held."""
+        """The law; another one ends what is held. The turtle's tick stays that of the first."""
         return self._steering
 
     @steering.setter
@@ -100,7 +101,7 @@ class Helm:
     ) -> Speeds:
         """The speeds from here on, as `Steering.command` has them."""
         course = Course(target, next_target, theta)
-        is_obeyed = pose == self.at or self._is_foreseen(pose)
+        is_obeyed = self.foresees(pose)
         if self._known is not None and self._known[0] == course and self.at == pose:
             self.speeds = self._known[1]
         else:
@@ -111,8 +112,7 @@ class Helm:
         self.at = pose
         self._known = None
         self._age = 0
-        limits = self._steering.limits
-        self._step, self._turn = self.speeds[0] * limits.dt, self.speeds[1] * limits.dt
+        self._step, self._turn = self.speeds[0] * self._dt, self.speeds[1] * self._dt
         self._left = self._hold(course) if is_obeyed else 0
         return self.speeds
 
@@ -120,7 +120,7 @@ class Helm:
         """Whether the command stands at the next pose, too: nothing new is to be said there."""
         if not self._left:
             return False
-        if not self._is_foreseen(pose):
+        if not self.foresees(pose):
             self._let_go()
             return False
         self.at = pose
@@ -130,6 +130,16 @@ class Helm:
             self._left = self._hold(self._known[0])
         return self._left > 0
 
+    def foresees(self, pose: Pose) -> bool:
+        """Whether it is the pose of the last command, or the one to which that leads in a tick."""
+        (x, y, theta), (new_x, new_y, new_theta) = self.at, pose
+        off = abs(theta + self._turn - new_theta)
+        return pose == self.at or (
+            (off <= _ROUNDING or abs(wrap_angle(off)) <= _ROUNDING)
+            and abs(x + self._step * math.cos(new_theta) - new_x) <= _ROUNDING
+            and abs(y + self._step * math.sin(new_theta) - new_y) <= _ROUNDING
+        )
+
     def stop(self) -> None:
         """Note that the turtle is told to stand still."""
         self.speeds = STILL
@@ -138,16 +148,6 @@ class Helm:
     def _let_go(self) -> None:
         self._left = 0
         self._known = None
-
-    def _is_foreseen(self, pose: Pose) -> bool:
-        """Whether the command leads from the pose before to this one."""
-        (x, y, theta), (new_x, new_y, new_theta) = self.at, pose
-        off = abs(theta + self._turn - new_theta)
-        return (
-            (off <= _ROUNDING or abs(wrap_angle(off)) <= _ROUNDING)
-            and abs(x + self._step * math.cos(new_theta) - new_x) <= _ROUNDING
-            and abs(y + self._step * math.sin(new_theta) - new_y) <= _ROUNDING
-        )
 
     def _ask(self, pose: Pose, course: Course) -> Speeds:
         target, next_target, theta = course
@@ -203,7 +203,7 @@ class Helm:
         limits, speeds = self._steering.limits, self.speeds
         if command[0] != speeds[0] or not speeds[0]:
             return command == speeds
-        lasts = ticks * limits.dt
+        lasts = ticks * self._dt
         aside = abs((command[1] - speeds[1]) * speeds[0]) * lasts * lasts / 2.0
         return aside <= _SAME * limits.tolerance
 
