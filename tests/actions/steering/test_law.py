@@ -126,6 +126,12 @@ def test_commands_that_come_late_still_arrive(late, theta, targets, style):
     drive(Steering(style), pose, targets, late=late, patience=2.0)
 
 
+def test_a_fast_turtle_reaches_two_targets_beside_each_other_by_late_commands():
+    fast = Limits(max_linear=8.88, max_angular=8.53)
+    targets = [(7.018, 3.852), (6.975, 3.711)]
+    drive(Steering("forward", fast), (6.012, 2.688, -1.491), targets, late=3, patience=2.0)
+
+
 @pytest.mark.parametrize("style", STYLES)
 def test_a_turtle_that_is_teleported_on_the_way_still_arrives(style):
     teleports = {50: (1.0, 1.0, 3.0), 150: (10.0, 10.0, -1.0)}

@@ -23,6 +23,7 @@ __all__ = [
     "is_clear",
     "landing",
     "late",
+    "leads_back",
     "reach",
     "room",
     "sway",
@@ -78,6 +79,12 @@ def sway(aside: float, limits: Limits) -> float:
         limits: What the turtle may do.
     """
     return min(_LATE * (limits.turn * aside + limits.step), math.pi / 8 * aside)
+
+
+def leads_back(frame: Frame, target: complex, after: complex, limits: Limits) -> bool:
+    """Whether the next target lies back from this one; no, where late commands drive past both."""
+    back = ((target - frame.at) * (after - target).conjugate()).real < 0.0
+    return back and _LATE * limits.step <= limits.tolerance
 
 
 def nearest(area: Area, point: complex, limits: Limits) -> complex:

@@ -55,6 +55,7 @@ from turtleact.actions.steering.aiming import (
     is_clear,
     landing,
     late,
+    leads_back,
     reach,
     room,
     sway,
@@ -188,8 +189,7 @@ class Steering(msgspec.Struct, frozen=True):
             # Both are reached from between them, unless it would have to back away for that; where
             # it may not, and the second lies back, turning to there is less than turning round.
             between, less = (goal + after) / 2, miss - abs(after - goal) / 2
-            back = ((goal - frame.at) * (after - goal).conjugate()).real < 0.0
-            turns = back and self.style == "forward"
+            turns = self.style == "forward" and leads_back(frame, goal, after, limits)
             if turns or is_clear(frame.see(between), limits, slack=less):
                 goal, after, miss = between, None, less
         clear = is_clear(frame.see(goal), limits, slack=miss)
