@@ -17,8 +17,9 @@ from typing import Any
 
 import pytest
 
+from turtleact import open_node
 from turtleact.commands import send_goal
-from turtleact.commands.transcript import JsonTranscript
+from turtleact.commands.transcript import JsonTranscript, PlainTranscript
 from turtleact.errors import ServerUnavailable
 from turtleact.goal import GoalStatus
 from turtleact.transports import QoS
@@ -277,7 +278,38 @@ def test_a_server_that_does_not_take_the_goal_in_time_is_given_up(on_stage, monk
     monkeypatch.setattr(send_goal, "PATIENCE", 0.01)
     ran = on_stage("send-goal", "consider", "-t", "0.02")
     assert (ran.status, ran.out.count("accepted")) == (124, 0)
-    assert ran.err.splitlines()[1:] == ["turtleact: no answer from the server after 0.02 s"]
+    assert ran.err.splitlines()[1:] == [
+        "turtleact: no answer from the server after 0.02 s; there is none"
+    ]
+
+
+def test_of_a_goal_that_a_server_elsewhere_may_take_yet_nothing_else_is_said(
+    on_graph, stage, monkeypatch
+):
+    @asynccontextmanager
+    async def nodes(transport):
+        async with open_node("stage", transport=transport) as node:
+            node.action_server(
+                stage.Fibonacci, "/consider", stage.now, goal_callback=stage.consider
+            )
+            yield
+
+    def note(transcript, text):
+        print(text, file=sys.stderr)
+        if "waiting for it" in text:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(send_goal, "PATIENCE", 0.01)
+    ran = on_graph(nodes, "send-goal", "consider", "-t", "0.01")
+    assert ran.err == (
+        "turtleact: no answer from the server after 0.01 s; the server may take it yet\n"
+    )
+    monkeypatch.setattr(PlainTranscript, "note", note)
+    ran = on_graph(nodes, "send-goal", "consider")
+    assert ran.err == (
+        "no answer from the server for 0.01 s; waiting for it\n"
+        "interrupted before the goal was accepted; the server may take it yet\n"
+    )
 
 
 def test_a_server_that_does_not_take_the_goal_is_told_of(start):

@@ -130,6 +130,7 @@ class _Sending:
         self._sent: Sent | None = None
         self._canceled_by: int | None = None
         self._is_embedded = False
+        self._is_silent = False
 
     async def run(self) -> int:
         """Open the world, and send the goal into it."""
@@ -232,8 +233,10 @@ class _Sending:
         await anyio.sleep(max(limit or 0.0, PATIENCE))
         if self._sent is not None:
             return
+        self._is_silent = True
         if limit:
-            self._transcript.note(f"no answer from the server after {max(limit, PATIENCE):g} s")
+            seconds = max(limit, PATIENCE)
+            self._transcript.note(f"no answer from the server after {seconds:g} s; {self._rest()}")
             beside.cancel_scope.cancel()
         else:
             self._transcript.note(f"no answer from the server for {PATIENCE:g} s; waiting for it")
@@ -276,8 +279,13 @@ class _Sending:
     def _interrupted(self) -> int:
         if not self._interrupts.received:
             return TIMEOUT
-        self._transcript.note("interrupted before the goal was accepted; there is none")
+        self._transcript.note(f"interrupted before the goal was accepted; {self._rest()}")
         return self._interrupts.status
+
+    def _rest(self) -> str:
+        """What becomes of a goal that was not accepted."""
+        may_come = self._is_silent and not self._is_embedded
+        return "the server may take it yet" if may_come else "there is none"
 
 
 def find_action(node: Node, name: str, type_name: str | None) -> type[Action]:
