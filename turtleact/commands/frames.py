@@ -1,7 +1,7 @@
 """How often a terminal is drawn on, and how large a frame may be.
 
-15 times a second by the wall at most, and never for more than a fifth of the time; what is shown
-knows nothing of it.
+15 times a second by the wall at most, and never for more than a fifth of the processor's time, but
+for the first frame, which imports what it takes; what is shown knows nothing of it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ PERIOD: Final = 1 / 15
 """Wall seconds from frame to frame, at least."""
 
 SHARE: Final = 0.2
-"""The part of the time that drawing may take."""
+"""The part of the processor's time that drawing may take; what others take meanwhile is not its."""
 
 FULL: Final = 2
 """Lines of a frame that fill the window, beside one that may: they become two if it shrinks."""
@@ -53,8 +53,10 @@ async def animate(region: Region, compose: Compose) -> None:
 
 async def keep_drawing(region: Region, compose: Compose) -> None:
     """The same of a terminal that is held."""
+    draw(region, compose)
+    await anyio.sleep(PERIOD)
     while True:
-        began = time.monotonic()
+        began = time.thread_time()
         draw(region, compose)
-        spent = time.monotonic() - began
+        spent = time.thread_time() - began
         await anyio.sleep(max(PERIOD, spent / SHARE) - spent)
