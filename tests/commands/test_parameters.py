@@ -108,6 +108,27 @@ def having(values, name="turtlesim"):
     return nodes
 
 
+@asynccontextmanager
+async def stuck(transport):
+    async def think(_):
+        await anyio.sleep_forever()
+
+    async with open_node("camera", transport=transport) as node:
+        for service in (ListParameters, GetParameters):
+            words = service.type_name.rpartition("/")[2].removesuffix("Parameters").lower()
+            node.service(service, f"~/{words}_parameters", think)
+        yield
+
+
+def test_a_node_that_does_not_answer_hides_no_other(on_graph, graphs):
+    nodes = graphs.in_turn(stuck, having({"yes": parameter_value("true")}))
+    assert on_graph(nodes, "param", "list") == (
+        1,
+        "/turtlesim:\n  yes\n",
+        "turtleact: service '/camera/list_parameters': no response within 5 s\n",
+    )
+
+
 @pytest.fixture
 def on_turtlesim(on_graph, graphs):
     """Runs ``param`` on the graph of turtlesim's parameters."""

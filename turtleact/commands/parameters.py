@@ -86,6 +86,8 @@ async def print_names(
 ) -> int:
     """Print the names of the parameters of a node, or of all nodes that have some.
 
+    Of all nodes, one that does not answer is noted, and is an error at the end.
+
     Args:
         node: A node on the graph.
         name: The node; None for all.
@@ -97,22 +99,32 @@ async def print_names(
     Raises:
         TurtleactError: if the node is not there or has none, or does not answer.
     """
-    owners = (
-        [await _find(node, Owner(name, hidden, 0))]
-        if name is not None
-        else [each for each in _nodes(node, hidden=hidden) if _has_parameters(node, each)]
-    )
-    for owner in sorted(owners):
+
+    async def lines(owner: str) -> list[str]:
         names = await _names(node, owner, prefixes)
         names = [each for each in names if pattern is None or pattern.match(each)]
-        if name is None and names:
-            say_names(f"{owner}:\n")
-        if types:
-            found = await _described(node, owner, names)
-            say_names("".join(f"  {one.name} (type: {kind_name(one.type)})\n" for one in found))
-        else:
-            say_names("".join(f"  {each}\n" for each in names))
-    return DONE
+        if not types:
+            return [f"  {each}" for each in names]
+        found = await _described(node, owner, names)
+        return [f"  {one.name} (type: {kind_name(one.type)})" for one in found]
+
+    if name is not None:
+        owner = await _find(node, Owner(name, hidden, 0))
+        say_names("".join(f"{line}\n" for line in await lines(owner)))
+        return DONE
+    status = DONE
+    for owner in sorted(_nodes(node, hidden=hidden)):
+        if not _has_parameters(node, owner):
+            continue
+        try:
+            shown = await lines(owner)
+        except TurtleactError as error:
+            note(str(error))
+            status = FAILED
+            continue
+        if shown:
+            say_names("".join(f"{line}\n" for line in (f"{owner}:", *shown)))
+    return status
 
 
 async def names_of(node: Node, name: str) -> list[str]:
