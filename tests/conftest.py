@@ -6,6 +6,7 @@ import functools
 import gc
 import inspect
 import os
+import signal
 import threading
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
@@ -29,17 +30,27 @@ SECONDS = 30.0
 
 os.environ["ROS_DOMAIN_ID"] = "231"  # no test is to see what else runs on this machine
 
-
-def pytest_collection_finish() -> None:
-    """Have no garbage collection look at the tests themselves: 400,000 objects that stay."""
-    gc.collect()
-    gc.freeze()
+# A shell without job control has what it starts in the background ignore these. The programs that
+# tests interrupt would inherit that.
+for number, usual in (
+    (signal.SIGINT, signal.default_int_handler),
+    (signal.SIGQUIT, signal.SIG_DFL),
+):
+    if signal.getsignal(number) is signal.SIG_IGN:
+        signal.signal(number, usual)
 
 
 @pytest.fixture(params=[pytest.param(BACKENDS[name], id=name) for name in INSTALLED])
 def anyio_backend(request: pytest.FixtureRequest) -> object:
     """Every async test runs once on each of them; a test may narrow it by its own parameters."""
     return request.param
+
+
+@pytest.fixture(scope="module")
+def small_heap() -> None:
+    """Leaves what is there already, most of it pytest's, out of garbage collections."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

@@ -6,6 +6,7 @@ import ast
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import sysconfig
@@ -191,6 +192,20 @@ def test_an_async_test_that_hangs_fails_on_every_loop(tmp_path):
         timeout=50,
     )
     assert re.search(r"=+ 3 failed in", outcome.stdout), outcome.stdout + outcome.stderr
+
+
+def ignore_interrupts() -> None:
+    """What a shell does to a program that it starts in the background."""
+    for number in (signal.SIGINT, signal.SIGQUIT):
+        signal.signal(number, signal.SIG_IGN)
+
+
+def test_what_is_run_in_the_background_can_be_interrupted():
+    code = "import signal, conftest; print(*map(signal.getsignal, (signal.SIGINT, signal.SIGQUIT)))"
+    said = subprocess.check_output(
+        [sys.executable, "-c", code], cwd=ROOT / "tests", text=True, preexec_fn=ignore_interrupts
+    )
+    assert said == f"{signal.default_int_handler} {signal.SIG_DFL}\n"
 
 
 # --- packaging ------------------------------------------------------------------------------
