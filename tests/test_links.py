@@ -67,7 +67,7 @@ def endpoint(kind: EndpointKind, name: str, type_name: str, qos: QoS | None = No
 
 def client(transport: MemoryTransport) -> Links:
     links = Links(transport, endpoint, NAMES, Count)
-    links.open(lambda feedback: None, ())
+    links.open(lambda feedback: None, {})
     return links
 
 
