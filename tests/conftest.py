@@ -17,8 +17,10 @@ import anyio.lowlevel
 import hypothesis
 import pytest
 
+from turtleact.commands.interrupts import SIGNALS
+
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Generator
+    from collections.abc import Awaitable, Callable, Generator, Iterator
 
 BACKENDS = {
     "asyncio": ("asyncio", {"use_uvloop": False}),
@@ -44,6 +46,15 @@ for number, usual in (
 def anyio_backend(request: pytest.FixtureRequest) -> object:
     """Every async test runs once on each of them; a test may narrow it by its own parameters."""
     return request.param
+
+
+@pytest.fixture
+def handlers() -> Iterator[None]:
+    """Gives a test in which the program has begun its signal handlers back."""
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ import pytest
 
 from turtleact import __version__, cli
 from turtleact.commands import verbs
-from turtleact.commands.interrupts import SIGNALS, Interrupts
+from turtleact.commands.interrupts import Interrupts
 from turtleact.errors import InvalidGoal, InvalidName, ServerUnavailable, SimError, UsageError
 
 ROOT = Path(__file__).parents[1]
@@ -293,15 +293,6 @@ def test_the_module_is_the_program(argument):
 def test_importing_the_module_runs_nothing(capsys):
     import_module("turtleact.__main__")
     assert capsys.readouterr() == ("", "")
-
-
-@pytest.fixture
-def handlers():
-    """Gives the test its signal handlers back."""
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
 
 
 @pytest.mark.usefixtures("handlers")

@@ -457,7 +457,7 @@ def test_a_place_that_cannot_be_written_is_told(turtleact, tmp_path, monkeypatch
     )
 
 
-@pytest.mark.usefixtures("patient")
+@pytest.mark.usefixtures("patient", "handlers")
 def test_main_completes_before_anything_else(monkeypatch, capsys):
     def leave(status):
         raise SystemExit(status)
