@@ -192,6 +192,15 @@ async def test_feedback_goes_to_all_who_listen_and_to_the_sender():
         assert [(each.goal_id, each.feedback) for each in other.drain()] == heard
 
 
+async def test_who_listens_before_there_is_a_server_hears_all():
+    transport = MemoryTransport()
+    async with turtleact.open_node("user", transport=transport) as user:
+        heard = Wire(user).listen()
+        async with lab(count, transport=transport) as served:
+            await served.client.send_goal(goal(2))
+        assert [each.feedback for each in heard.drain()] == [feedback(0), feedback(0, 1)]
+
+
 async def test_who_listens_late_or_no_more_hears_nothing():
     gate = Gate()
     async with lab(gate.stream) as served:

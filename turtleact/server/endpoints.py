@@ -161,6 +161,7 @@ class ActionEndpoints:
             "publisher", names.feedback, f"{server.action_type.type_name}_FeedbackMessage"
         )
         feedback.publication = transport.advertise(described, feedback.format, feedback)
+        server.execution.outlet = feedback.publication
         described = endpoint("publisher", names.status, GoalStatusArray.type_name, STATUS_QOS)
         format = WireFormat(GoalStatusArray)
         status.publication = transport.advertise(described, format, status)

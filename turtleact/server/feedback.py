@@ -28,7 +28,7 @@ class FeedbackSource:
         server: The server.
 
     Attributes:
-        publication: The topic's sending end, to be set at once.
+        publication: The topic's sending end, to be set once that is open.
         format: How its messages are written.
     """
 
@@ -51,10 +51,9 @@ class FeedbackSource:
         """Publish while somebody reads."""
         execution = self._server.execution
         if has_readers:
-            execution.also_feedback, execution.outlet = self._publish, self.publication
-            execution.emit = self._emit
+            execution.also_feedback, execution.emit = self._publish, self._emit
         else:
-            execution.also_feedback = execution.outlet = execution.emit = None
+            execution.also_feedback = execution.emit = None
 
     def read_last(self, goal: Goal) -> None:
         """Make a message of a goal's newest feedback, if it was kept as it was sent."""

@@ -185,7 +185,10 @@ class Source(Protocol):
         """The same as bytes, for readers in other processes."""
 
     def readers_changed(self, *, has_readers: bool) -> None:
-        """Called when the first reader has come, and when the last one has gone."""
+        """Called when the first reader has come, and when the last one has gone.
+
+        One may be there before the topic's sending end is, and is told of while that is opened.
+        """
 
 
 class Reply(msgspec.Struct, frozen=True):
