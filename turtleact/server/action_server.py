@@ -61,9 +61,7 @@ F = TypeVar("F", bound=Message)
 
 _ACCEPTED = GoalStatus.ACCEPTED
 _EXECUTING = GoalStatus.EXECUTING
-_CANCELING = GoalStatus.CANCELING
 _SUCCEEDED = GoalStatus.SUCCEEDED
-_AT_ONCE = ((_EXECUTING, 0),)  # the history of a goal that did not wait to be started
 
 SHUTDOWN = "shutdown"
 """Why goals end that a closing server has ended."""

@@ -47,7 +47,6 @@ BURST = 16
 """After so many messages in a row, a generator that never waits lets others run."""
 
 _ACCEPTED = GoalStatus.ACCEPTED
-_EXECUTING = GoalStatus.EXECUTING
 _CANCELING = GoalStatus.CANCELING
 _SUCCEED = GoalEvent.SUCCEED
 
