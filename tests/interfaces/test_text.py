@@ -187,6 +187,7 @@ def test_malformed_text_is_told_with_line_column_and_caret():
         ('{"x":' * 5000, "1:", "nested more than 100 levels deep"),
         ("\tx: 1", "1:1", "found character '\\t' that cannot start any token"),
         ("x: 'a\n", "1:6", "found unexpected end of stream\n  x: 'a\n       ^"),
+        ("x: 1\n\t\n", "2:1", "found character '\\t' that cannot start any token"),
         ("at: [1\n\n \n", "1:7", "expected ',' or ']', got the end\n  at: [1\n        ^"),
     ],
 )

@@ -131,7 +131,7 @@ class Document(msgspec.Struct, frozen=True):
             raise error(self.root, problem)
         number, column = place
         lines = self.text.splitlines() or [""]
-        if not any(line.strip() for line in lines[number:]):  # behind the end there is nothing
+        if not "".join(lines[number:])[column:]:  # the end: shown where the last word ends
             written = self.text.rstrip().splitlines() or [""]
             number, column = len(written) - 1, len(written[-1])
         line = lines[number]
