@@ -33,10 +33,7 @@ class Server:
         self._may_answer = anyio.Semaphore(0)
         kinds = (
             (NAMES.send_goal, f"{Count.type_name}_SendGoal"),
-            (
-                NAMES.cancel_goal,
-                CancelGoal.type_name,
-            ),
+            (NAMES.cancel_goal, CancelGoal.type_name),
         )
         self._opened: list[Closeable] = [
             transport.serve(
