@@ -245,7 +245,7 @@ class DistantServer:
 
     # topics
 
-    def _on_feedback(self, message: Any) -> None:  # noqa: ANN401  # of the action's own class
+    def _on_feedback(self, message: Any) -> None:  # noqa: ANN401  # see `Links.open`
         if message is None:
             return
         if type(message) is tuple:

@@ -80,7 +80,10 @@ EMPTY = "x"
 #: The largest alignment.
 WIDEST = 8
 
-#: Every place, modulo the largest alignment.
+#: Where something may stand, modulo the largest alignment.
+Places: TypeAlias = frozenset[int]
+
+#: Every place.
 ANYWHERE: Places = frozenset(range(WIDEST))
 
 #: So many numbers of values have a run of their own.
@@ -88,10 +91,6 @@ MOST_RUNS = 256
 
 #: A message of more fields than this, those of the messages in it included, is a function's call.
 MOST_INLINED = 64
-
-
-#: Where something may stand, modulo 8.
-Places: TypeAlias = frozenset[int]
 
 
 class Item(NamedTuple):

@@ -127,6 +127,7 @@ class Counter:
     def next(self) -> bytes:
         """The attachment of the next message."""
         self._sequence += 1
+        # as `write_attachment` does, without a call between: it is made for each message
         return LAYOUT.pack(self._sequence, time_ns(), GID_SIZE, self._gid)
 
 
