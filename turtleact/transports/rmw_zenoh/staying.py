@@ -10,16 +10,19 @@ from __future__ import annotations
 
 import ctypes
 import threading
+from functools import cached_property
 
 __all__ = ["HERE"]
 
 
 class _Here(threading.local):
-    """Made anew for each thread, when that looks at it first."""
+    """What is kept for each thread by itself."""
 
-    def __init__(self) -> None:
+    @cached_property
+    def stays(self) -> bool:
+        """True; made when a thread looks at it first."""
         ctypes.pythonapi.PyGILState_Ensure()
-        self.stays = True
+        return True
 
 
 HERE = _Here()
