@@ -31,7 +31,7 @@ from turtleact.interfaces import FeedbackFormat, Message, WireFormat, implied
 from turtleact.interfaces.standard import UUID, GoalStatusArray
 from turtleact.transports import QoS, ZenohTransport, open_zenoh
 from turtleact.transports.base import Endpoint, Reply
-from turtleact.transports.rmw_zenoh import calls
+from turtleact.transports.rmw_zenoh import asking, calls
 from turtleact.transports.rmw_zenoh.attachment import read_attachment, write_attachment
 from turtleact.transports.rmw_zenoh.calls import WireCaller
 from turtleact.transports.rmw_zenoh.config import session_config
@@ -879,6 +879,21 @@ async def test_a_server_is_told_of_a_client_that_is_closed_once_its_calls_are_ov
         assert called.value.message == Sum.Response(total=1)
         await peers.settle()
         assert adder.lost == adder.callers
+
+
+async def test_a_call_of_a_closed_client_ends_when_its_server_has_gone(address, monkeypatch):
+    monkeypatch.setattr(asking, "LOST", 0.0)
+    async with two(address) as peers:
+        peers.here.serve(service(), SERVING, Adder(gate=anyio.Event()))
+        caller = peers.there.join(client(), ASKING)
+        await peers.settle()
+        async with running(lambda: caller.call(numbers(1))) as called:
+            await peers.settle()
+            caller.close()
+            (token,) = peers.there._graph._tokens
+            peers.there._gone(token)  # and Zenoh says nothing of the call
+            await called.done.wait()
+        assert isinstance(called.error, ServerUnavailable)
 
 
 async def leave_the_graph(user: turtleact.Node, called: Any, settle: Any) -> None:

@@ -212,9 +212,8 @@ class WireCaller:
         if self._is_open:
             self._is_open = False
             self._near.close()
-            self._link.opened.discard(self)
             if not self._calls:
-                self._presence.close()
+                self._leave()
 
     def give_up(self) -> None:
         """Let all calls under way end: the transport is being closed."""
@@ -245,7 +244,11 @@ class WireCaller:
         if call in self._calls:
             self._calls.discard(call)
             if not self._is_open and not self._calls:
-                self._presence.close()
+                self._leave()
+
+    def _leave(self) -> None:
+        self._link.opened.discard(self)  # until now it is to be told of servers that go
+        self._presence.close()
 
     def _read(self, call: Call) -> Reply:
         """What came of a call; raises what its server raised."""
