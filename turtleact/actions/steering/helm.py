@@ -42,8 +42,8 @@ _SAME = 3e-3
 It is counted as if the turn rates differed all the while by what they differ at the end.
 """
 
-_FOR_GOOD = 64
-"""Ticks in which a turn that does not show counts as none: what a float32 turns is less by far."""
+_FOR_GOOD = 32 * LONGEST
+"""Ticks in which a turn that does not show counts as none: it is but the rounding of poses."""
 
 _ROUNDING = 1e-5
 """How far (m, rad) a turtle may be from where it should be after a tick: poses are float32."""
@@ -107,7 +107,7 @@ class Helm:
         else:
             self.speeds = self._ask(pose, course)
         straight = self.speeds[0], 0.0
-        if self._longest > 1 and self._is_same(straight, 32 * LONGEST):
+        if self._longest > 1 and self._is_same(straight, _FOR_GOOD):
             self.speeds = straight
         self.at = pose
         self._known = None
