@@ -114,7 +114,7 @@ def test_no_hold_ends_behind_a_target(place, theta, target, style, limits):
     assert not any(steering.is_reached(pose, target) for pose in poses[:-1])
 
 
-def test_a_command_that_stays_the_same_is_made_anew_twice_a_second():
+def test_a_command_that_stays_the_same_is_made_anew_long_before_it_ends():
     log = follow(Helm(Steering()), START, [AHEAD])
     assert log.told[:4] == [0, 1, 39, 71]  # a look that ends at 32 ticks or later is the last
     assert OLDEST + LONGEST < 62  # a command of turtlesim's lasts for a second

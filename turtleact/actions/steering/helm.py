@@ -31,7 +31,7 @@ LONGEST: Final = 8
 """Ticks that a command is held at most."""
 
 OLDEST: Final = 32
-"""Ticks after which a command is made anew, though it would be the same: it lasts a second."""
+"""Ticks after which a command is not held on: it lasts a second, though it would be the same."""
 
 STILL: Final = (0.0, 0.0)
 """The speeds of a turtle that stands."""
