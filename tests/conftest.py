@@ -58,10 +58,12 @@ def handlers() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def small_heap() -> None:
+def small_heap() -> Iterator[None]:
     """Leaves what is there already, most of it pytest's, out of garbage collections."""
     gc.collect()
     gc.freeze()
+    yield
+    gc.unfreeze()
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
