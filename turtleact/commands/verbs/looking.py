@@ -9,14 +9,17 @@ from __future__ import annotations
 import inspect
 from collections.abc import Awaitable, Callable
 from functools import partial, wraps
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.verbs.arguments import Config, Connect, Domain, Interfaces, Job, reach
 
+if TYPE_CHECKING:
+    from turtleact.node import Node
+
 __all__ = ["Look", "on_graph", "on_known_graph"]
 
-Look: TypeAlias = Callable[..., Awaitable[int]]
+Look: TypeAlias = Callable[["Node"], Awaitable[int]]
 """Looks at the graph that a node is on, and gives the exit status."""
 
 Runner: TypeAlias = Callable[[Look, Interrupts], int]
@@ -75,4 +78,5 @@ def _looking(function: Callable[..., Look], options: Callable[..., Runner]) -> C
 
     parameters = [*own.parameters.values(), *more.parameters.values()]
     command.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]  # Typer looks there
+    command.__annotations__ = {}  # and would look up there what only type checkers import
     return command
