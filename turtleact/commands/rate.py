@@ -1,6 +1,7 @@
 """``topic hz``, ``bw`` and ``delay``: how many messages of a topic come, how large and how old.
 
-A topic that has fallen silent is told of each second, and its last publisher when it goes.
+``hz`` and ``delay`` tell each second of a topic that has fallen silent, all three of its last
+publisher when it goes.
 
 Source: ros2cli ``ros2topic/verb/{hz,bw,delay}.py`` for what is measured, and for the words; ``hz``
 of ROS 2 says nothing of a silent topic, that of ROS 1 what ``delay`` says.
