@@ -98,6 +98,28 @@ async def test_what_was_published_is_what_is_read():
         assert (await anext(words.receiving)).letters == [1]
 
 
+async def test_a_publisher_is_told_when_the_first_reader_comes_and_the_last_one_goes():
+    async with turtleact.open_node("lab") as node:
+        told: list[bool] = []
+        sending = node.publisher(
+            Word, "words", on_matched=lambda: told.append(sending.has_subscriptions)
+        )
+        first, second = node.subscription(Word, "words"), node.subscription(Word, "words")
+        assert told == [True]
+        await first.aclose()
+        assert told == [True]
+        await second.aclose()
+        assert told == [True, False]
+
+
+async def test_a_publisher_is_told_of_a_reader_that_was_there_first():
+    async with turtleact.open_node("lab") as node:
+        node.subscription(Word, "words")
+        told: list[str] = []
+        node.publisher(Word, "words", on_matched=lambda: told.append("matched"))
+        assert told == ["matched"]
+
+
 async def test_a_publisher_knows_whether_anybody_listens():
     async with turtleact.open_node("lab") as node:
         sending = node.publisher(Word, "words")

@@ -32,7 +32,7 @@ from turtleact.server.hooks import Transition
 from turtleact.services import ServiceClient, ServiceServer, ServiceType
 from turtleact.slot import Rules, Slot
 from turtleact.tasks import current_tasks
-from turtleact.topics import Publisher, Subscription
+from turtleact.topics import Matching, Publisher, Subscription
 from turtleact.transports import MemoryTransport, QoS, Transport
 from turtleact.transports.base import Closeable, Endpoint, EndpointKind
 
@@ -203,7 +203,13 @@ class Node:
         return client
 
     def publisher(
-        self, message_type: type[M], topic: str, qos: QoS | None = None, *, on_demand: bool = False
+        self,
+        message_type: type[M],
+        topic: str,
+        qos: QoS | None = None,
+        *,
+        on_demand: bool = False,
+        on_matched: Callable[[], object] | None = None,
     ) -> Publisher[M]:
         """Open the sending end of a topic.
 
@@ -212,15 +218,16 @@ class Node:
             topic: The topic's name; a relative one is put below the node's namespace.
             qos: Quality of service; that of `QoS` if left out.
             on_demand: See `Node`; what is latched is there for all at once.
+            on_matched: Called when the topic has got its first reader, perhaps before this returns,
+                and when the last one has gone. Not for a latched topic.
 
         Raises:
             InvalidName: if the topic's name breaks ROS 2's rules.
         """
         name = resolve_name(topic, self.namespace, self.name)
-        endpoint = self._endpoint(
-            "publisher", name, message_type.type_name, qos, on_demand=on_demand
-        )
-        publication = self.transport.advertise(endpoint, WireFormat(message_type))
+        end = self._endpoint("publisher", name, message_type.type_name, qos, on_demand=on_demand)
+        matching = None if on_matched is None else Matching(on_matched)
+        publication = self.transport.advertise(end, WireFormat(message_type), matching)
         publisher = Publisher(name, message_type, publication)
         publisher.membership = self._own(publisher, publication)
         return publisher
@@ -234,12 +241,10 @@ class Node:
             InvalidName: if the topic's name breaks ROS 2's rules.
         """
         name = resolve_name(topic, self.namespace, self.name)
-        endpoint = self._endpoint(
-            "subscription", name, message_type.type_name, qos, on_demand=on_demand
-        )
-        subscription: Subscription[M] = Subscription(name, endpoint.qos.depth, self._tasks.signal())
+        end = self._endpoint("subscription", name, message_type.type_name, qos, on_demand=on_demand)
+        subscription: Subscription[M] = Subscription(name, end.qos.depth, self._tasks.signal())
         deliver = cast("Callable[[object], None]", subscription.deliver)
-        subscribed = self.transport.subscribe(endpoint, WireFormat(message_type), deliver)
+        subscribed = self.transport.subscribe(end, WireFormat(message_type), deliver)
         subscription.membership = self._own(subscription, subscribed)
         return subscription
 

@@ -8,7 +8,7 @@ Source: rclpy ``publisher.py`` and ``subscription.py`` for names and meaning.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Generic, Self, TypeVar
 
 from turtleact.errors import TurtleactError
@@ -16,7 +16,7 @@ from turtleact.interfaces import Message, snapshotter
 from turtleact.tasks import Signal
 from turtleact.transports.base import Closeable, Publication
 
-__all__ = ["Publisher", "Subscription"]
+__all__ = ["Matching", "Publisher", "Subscription"]
 
 M = TypeVar("M", bound=Message)
 
@@ -66,6 +66,28 @@ class Publisher(Generic[M]):
         """Leave the topic; a second time does nothing."""
         self.is_open = False
         self.membership.close()
+
+
+class Matching:
+    """Has a function called when a topic gets its first reader, and when the last one has gone.
+
+    To a transport it is a source that has nothing to tell those who come late.
+    """
+
+    def __init__(self, on_matched: Callable[[], object]) -> None:
+        self._on_matched = on_matched
+
+    def current(self) -> Sequence[object]:
+        """Nothing: what is published comes from the publisher."""
+        return ()
+
+    def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:  # noqa: ARG002
+        """Nothing either."""
+        return ()
+
+    def readers_changed(self, *, has_readers: bool) -> None:  # noqa: ARG002  # it can be asked for
+        """Pass it on."""
+        self._on_matched()
 
 
 class Subscription(Generic[M]):

@@ -417,6 +417,37 @@ async def test_a_turtle_that_is_killed_leaves_nothing_behind():
         assert here.world.names == ("turtle1",)
 
 
+async def test_a_turtle_is_told_where_it_is_whoever_comes_and_goes():
+    async with stage() as here:
+        for name in ("beta", "delta"):
+            await here.spawn(float(len(name)), 2.0, 0.0, name)
+        poses, colours = here.poses("delta"), here.colours("delta")
+        for name in ("alpha", "gamma", "beta", "alpha"):
+            if name in here.world.names:
+                await here.kill(name)
+            else:
+                await here.spawn(1.0, 1.0, 0.0, name)
+            poses.drain(), colours.drain()
+            await here.pass_ticks(2)
+            assert {pose.x for pose in poses.drain()} == {5.0}
+            assert colours.drain()
+
+
+async def test_a_turtle_of_an_earlier_name_is_told_to_the_readers_that_have_stayed():
+    async with stage() as here:
+        await here.spawn(4.0, 2.0, 0.0, "guest")
+        poses = here.poses("guest")
+        await here.pass_ticks(1)
+        await here.kill("guest")
+        poses.drain()
+        await here.pass_ticks(2)
+        assert poses.drain() == []
+        await here.spawn(6.0, 2.0, 0.0, "guest")
+        poses.drain()
+        await here.pass_ticks(2)
+        assert {pose.x for pose in poses.drain()} == {6.0}
+
+
 async def test_a_turtle_that_is_not_there_cannot_be_killed(caplog):
     async with stage() as here:
         await here.kill("bob")

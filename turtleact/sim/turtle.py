@@ -61,6 +61,7 @@ class Turtle:
         pens: What it draws with.
         name: Its name, by which the world knows it.
         on_work: Called with it when there is something to take up at the next tick.
+        on_read: Called with it when its pose or colour is read for the first time, or no more.
         on_demand: Whether other processes are told of it only when they ask; see `Node`.
 
     Raises:
@@ -81,6 +82,7 @@ class Turtle:
         pens: Pens,
         name: str,
         on_work: Callable[[Turtle], object],
+        on_read: Callable[[Turtle], object],
         *,
         on_demand: bool = False,
     ) -> None:
@@ -94,9 +96,10 @@ class Turtle:
         service = partial(node.service, on_demand=on_demand)
         self.commands = subscription(Twist, f"{name}/cmd_vel")
         self._on_work = on_work
+        self._on_read = on_read
         self.commands.notify = lambda: on_work(self)
-        self.poses = publisher(TurtlePose, f"{name}/pose")
-        self.colours = publisher(Color, f"{name}/color_sensor")
+        self.poses = publisher(TurtlePose, f"{name}/pose", on_matched=self._note_readers)
+        self.colours = publisher(Color, f"{name}/color_sensor", on_matched=self._note_readers)
         self._opened = (
             self.commands,
             self.poses,
@@ -130,6 +133,10 @@ class Turtle:
             await each.aclose()
 
     # the ticks
+
+    def _note_readers(self) -> None:
+        if not self._gone:
+            self._on_read(self)
 
     def take_up(self, twist: Twist) -> None:
         """Take up a command; it ends a rotation that it comes after."""

@@ -14,6 +14,7 @@ Source: turtlesim 1.8.2, ``turtle_frame.cpp``.
 from __future__ import annotations
 
 import logging
+from bisect import bisect_left
 from itertools import islice
 from typing import TYPE_CHECKING, Final
 
@@ -33,7 +34,6 @@ from turtleact.sim.snapshot import BACKGROUND, Figure, Snapshot, thumbnail
 from turtleact.sim.ticking import Ticking
 from turtleact.sim.turtle import TOPIC_QOS, Turtle
 from turtleact.sim.world import FEW
-from turtleact.tasks import Background
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -79,17 +79,18 @@ class Turtlesim:
         self._turtles: dict[str, Turtle] = {}
         self._spawned: set[str] = set()  # and are not on demand
         self._busy: dict[Turtle, None] = {}  # that have something to take up
+        self._read: dict[Turtle, None] = {}  # whose readers have come or gone since the last tick
+        self._heard: dict[str, Publisher[TurtlePose]] = {}
+        self._told: list[tuple[int, Publisher[TurtlePose]]] = []  # the same, by index
+        self._sensed: dict[str, None] = {}
+        self._is_roster_new = True
         self._poses = beside.publisher(Poses, "~/poses", TOPIC_QOS)
         self._welcome_all()
         node.service(Spawn, "spawn", self._spawn)
         node.service(Kill, "kill", self._kill)
         node.service(Empty, "clear", self._clear)
         node.service(Empty, "reset", self._reset)
-        self._told: list[tuple[int, Publisher[TurtlePose]]] = []
-        self._sensed: list[str] = []
-        self._is_graph_new = True
         self._tick()  # here, so that the world is a tick old before anybody can send a goal
-        self._watching = Background(self._watch(), "turtlesim's watch over the graph")
         self._ticking = Ticking(node.clock, self._tick, is_paused=is_paused)
         Simulation(beside, self._ticking, self._restart)
         Pictures(beside, self.snapshot)
@@ -140,22 +141,24 @@ class Turtlesim:
     async def aclose(self) -> None:
         """Stop ticking."""
         await self._ticking.aclose()
-        await self._watching.aclose()
-
-    async def _watch(self) -> None:
-        """Note changes of the graph: to ask a thousand turtles who reads them takes a while."""
-        while True:
-            self._is_graph_new = True
-            await self._node.transport.wait_for_change()
 
     def _look_around(self) -> None:
-        """See who is read."""
-        self._is_graph_new = False
-        turtles = self._turtles.values()
-        index_of = {name: index for index, name in enumerate(self._world.names)}
-        told = [turtle for turtle in turtles if turtle.poses.has_subscriptions]
-        self._told = [(index_of[turtle.name], turtle.poses) for turtle in told]
-        self._sensed = [turtle.name for turtle in turtles if turtle.colours.has_subscriptions]
+        """See who is read; only those are asked whose readers have come or gone."""
+        index, told = self._world.index, self._told
+        if self._is_roster_new:
+            self._is_roster_new = False
+            told[:] = sorted((index(name), poses) for name, poses in self._heard.items())
+        for turtle in self._read:
+            at = bisect_left(told, (index(turtle.name),))
+            if self._heard.pop(turtle.name, None) is not None:
+                del told[at]
+            if turtle.poses.has_subscriptions:
+                self._heard[turtle.name] = turtle.poses
+                told.insert(at, (index(turtle.name), turtle.poses))
+            self._sensed.pop(turtle.name, None)
+            if turtle.colours.has_subscriptions:
+                self._sensed[turtle.name] = None
+        self._read.clear()
 
     def _tick(self) -> None:
         world = self._world
@@ -173,7 +176,7 @@ class Turtlesim:
         hits = world.step()
         if hits:
             _warn(hits)
-        if self._is_graph_new:
+        if self._read or self._is_roster_new:
             self._look_around()
         self._tell_poses()
         if self._poses.has_subscriptions:
@@ -203,13 +206,22 @@ class Turtlesim:
 
     def _welcome(self, name: str, x: float, y: float, theta: float, *, is_shown: bool) -> None:
         self._turtles[name] = Turtle(
-            self._node, self._world, self._pens, name, self._call_on, on_demand=not is_shown
+            self._node,
+            self._world,
+            self._pens,
+            name,
+            self._call_on,
+            self._note_reading,
+            on_demand=not is_shown,
         )
-        self._is_graph_new = True
+        self._is_roster_new = True
         logger.info("Spawning turtle [%s] at x=[%f], y=[%f], theta=[%f]", *(name, x, y, theta))
 
     def _call_on(self, turtle: Turtle) -> None:
         self._busy[turtle] = None
+
+    def _note_reading(self, turtle: Turtle) -> None:
+        self._read[turtle] = None
 
     async def _spawn(self, request: Spawn.Request) -> Spawn.Response:
         async with self._roster:
@@ -270,9 +282,12 @@ class Turtlesim:
 
     async def _part_with(self, turtles: list[Turtle]) -> None:
         """Close turtles side by side: each may wait for the clean-up of a goal."""
-        self._look_around()
+        self._is_roster_new = True
         for turtle in turtles:
             self._busy.pop(turtle, None)
+            self._read.pop(turtle, None)
+            self._heard.pop(turtle.name, None)
+            self._sensed.pop(turtle.name, None)
             turtle.leave(f"turtle '{turtle.name}' was killed")
         with anyio.CancelScope(shield=True):
             async with anyio.create_task_group() as closing:
