@@ -77,7 +77,7 @@ class Execution:
         also_feedback: Told of each feedback message, with its goal; must not raise.
         emit: Takes feedback as a body gives it, if that can do without a copy, and answers whether
             it has; must not raise.
-        outlet: Where that goes: bodies wait while it is congested.
+        outlet: Where feedback goes besides: bodies wait while it is congested.
         watch: Told of each change of a goal's state, before and after; must not raise.
         release: Told of each goal that has ended; may answer what starts another.
         ended: Fires whenever a goal has ended. Like the five above None, until somebody wants it.

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "STATUS_QOS",
+    "Asked",
     "Caller",
     "CallerAware",
     "Closeable",
@@ -40,6 +41,7 @@ __all__ = [
     "EndpointKind",
     "Format",
     "MakeEndpoint",
+    "Prompt",
     "Publication",
     "QoS",
     "Reply",
