@@ -12,6 +12,8 @@ import pytest
 import turtleact
 from turtleact import CancelResponse, GoalResponse, GoalStatus
 from turtleact.errors import Abort, GoalAborted, GoalCanceled, GoalRejected, InvalidOption
+from turtleact.interfaces import implied
+from turtleact.interfaces.standard import UUID
 from turtleact.transports import MemoryTransport
 
 from .lab import Count, Gate, count, feedback, goal, lab, result, running, settle, take_turns
@@ -450,6 +452,37 @@ async def test_a_client_may_leave_while_its_goal_is_with_the_goal_callback(way, 
     else:
         assert isinstance(sent.error, GoalRejected)
         assert (str(sent.error), begun) == ("the goal was rejected: its client has gone", [])
+
+
+async def test_the_goal_of_a_client_elsewhere_that_goes_while_the_callback_is_asked_is_rejected():
+    begun: list[object] = []
+    opened = anyio.Event()
+    types = implied(Count)
+
+    async def act(request):
+        begun.append(request)
+        return result(0)
+
+    async def ask(_request):
+        await opened.wait()
+        return GoalResponse.ACCEPT
+
+    def send(number: int):
+        request = types.send_goal.Request(goal_id=UUID(bytes([number] * 16)), goal=goal(number))
+        return served.server.reply(request, bytes([number] * 16))
+
+    async with (
+        lab(act, goal_callback=ask, on_client_lost="cancel") as served,
+        running(lambda: send(1)) as gone,
+        running(lambda: send(2)) as other,
+    ):
+        served.server.caller_lost(bytes([1] * 16))
+        opened.set()
+        await gone.done.wait()
+        await other.done.wait()
+        await settle()
+        assert (gone.value.message.accepted, other.value.message.accepted) == (False, True)
+        assert begun == [goal(2)]
 
 
 async def test_the_goals_of_other_clients_go_on():

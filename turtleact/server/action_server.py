@@ -326,6 +326,7 @@ class ActionServer(Generic[G, R, F]):
     def client_lost(self, sender: object) -> None:
         """Note that a client has gone: its goals go on, unless ``on_client_lost`` is "cancel"."""
         if self._on_client_lost == "cancel":
+            self._reception.lose(sender)
             for goal in self._table.active:
                 if goal.sender == sender:
                     self._canceling.cancel(goal)

@@ -7,6 +7,7 @@ Source: rcl_action ``rcl_action_accept_new_goal``; `turtleact.slot` for the rest
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from contextvars import copy_context
 from functools import partial
@@ -83,6 +84,8 @@ class Reception:
         self._questions = questions
         self._tasks = tasks
         self._until_turn = IN_A_ROW
+        self._preparing: Counter[object] = Counter()  # how many goals, by their senders
+        self._lost: set[object] = set()  # which of these have gone
         self._table = table
         self._hooks = hooks
         self._now = now
@@ -106,16 +109,27 @@ class Reception:
             GoalRejected: if it is not taken; if its client has gone meanwhile, and its goals with
                 it.
         """
-        if self._until_turn <= 0:
-            self._until_turn = IN_A_ROW
-            await self._tasks.checkpoint()
-        if self._goal_callback is None:
+        self._preparing[sender] += 1
+        try:
+            if self._until_turn <= 0:
+                self._until_turn = IN_A_ROW
+                await self._tasks.checkpoint()
+            if self._goal_callback is not None:
+                request = self.check_goal(request)
+                await self._questions.may_start(self._goal_callback, request)
+            if sender in self._lost or not (self._keeps or getattr(sender, "is_open", True)):
+                raise GoalRejected("its client has gone")
             return request
-        message = self.check_goal(request)
-        await self._questions.may_start(self._goal_callback, message)
-        if not (self._keeps or getattr(sender, "is_open", True)):
-            raise GoalRejected("its client has gone")
-        return message
+        finally:
+            self._preparing[sender] -= 1
+            if not self._preparing[sender]:
+                del self._preparing[sender]
+                self._lost.discard(sender)
+
+    def lose(self, sender: object) -> None:
+        """Reject the goals of a client that has gone which are not admitted yet."""
+        if sender in self._preparing:
+            self._lost.add(sender)
 
     def admit(
         self,
