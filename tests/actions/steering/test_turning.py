@@ -24,8 +24,12 @@ def leg(angle, least, most=math.inf):
     return Leg(cmath.rect(1.0, angle), least, most)
 
 
-def loss(legs, *, half=math.pi, parts=4, **options):
-    return least_loss(1.0 + 0j, legs, half=half, tick=0.0, parts=parts, known={}, **options)
+def found(legs, *, half=math.pi, parts=4, **options):
+    return least_loss(1.0 + 0j, legs, half=half, tick=0.0, parts=parts, **options)
+
+
+def loss(legs, **options):
+    return found(legs, **options)[0]
 
 
 def test_a_long_leg_straight_ahead_takes_no_turning():
@@ -78,6 +82,11 @@ def test_a_leg_that_is_left_out_takes_what_it_turns():
     assert loss([left_out], last=2.0) == pytest.approx(2.0)
 
 
+def test_a_leg_that_is_left_out_never_gives_anything_back():
+    left_out = replace(leg(0.0, 0.5), is_left_out=True)
+    assert loss([left_out], last=0.1, slack=1.0) == 0.0
+
+
 @given(angles, angles, halves)
 def test_a_view_in_the_direction_of_its_leg_proves_nothing_new(first, second, half):
     legs = [leg(first, 0.5, 0.9), leg(second, 1.0, 1.4)]
@@ -105,9 +114,29 @@ def test_what_is_known_of_the_first_legs_is_used_again():
     legs = [leg(1.0, 1.0, 1.4), leg(2.0, 1.0, 1.4)]
 
     def least():
-        return least_loss(1.0 + 0j, legs, half=math.pi, tick=0.0, parts=1, known=known)
+        return loss(legs, parts=1, known=known)
 
     before = least()
     assert list(known) == [tuple(legs)]
     known[tuple(legs)] = [replace(cell, cost=cell.cost + 1.0) for cell in known[tuple(legs)]]
     assert least() == pytest.approx(before + 1.0)
+
+
+def test_the_headings_that_take_least_are_told():
+    _, headings = found([leg(0.0, 5.0), leg(1.0, 5.0), leg(2.0, 5.0)])
+    assert headings == pytest.approx([0.5, 1.5])
+
+
+@given(angles, angles, angles, halves)
+def test_headings_tried_first_change_no_answer(first, second, tried, half):
+    legs = [leg(first, 0.5, 0.9), leg(second, 1.0, 1.4), leg(0.0, 0.5, 0.9)]
+    least, headings = found(legs, half=half)
+    for near in (headings, [tried, tried]):
+        assert loss(legs, half=half, tried=near) == pytest.approx(least, abs=1e-9)
+
+
+def test_headings_that_take_little_enough_are_the_answer():
+    legs = [leg(0.0, 1.0, 1.4), leg(2.0, 1.0, 1.4)]
+    astray = loss(legs, tried=[-1.0], enough=9.0)
+    assert loss(legs) < astray < 9.0
+    assert loss(legs, tried=[-1.0], enough=astray - 1e-9) == loss(legs)

@@ -179,34 +179,40 @@ class _Tour:
     def prove(self, units: Sequence[complex]) -> tuple[float, float]:
         """The proven length (m) and time (s), by these directions or better ones."""
         if len(units) > _TUNED:
-            return self._length(units), self._time(units, _COARSE, {})
-        if any(leg.least < ROOM for leg in self._legs(units)):
-            units = self._better(list(units))
-        return self._length(units), self._time(units, _FINE, {}, views=_VIEWS)
+            return self._length(units), self._time(units, _COARSE)[0]
+        headings: list[float] | None = None
+        if any(leg.least < ROOM for leg in self._legs(units).values()):
+            units, headings = self._better(list(units))
+        proven = self._time(units, _FINE, views=_VIEWS, tried=headings)
+        return self._length(units), proven[0]
 
-    def _better(self, units: list[complex]) -> list[complex]:
-        """The directions turned, or left out, one by one for as long as they prove more."""
+    def _better(self, units: list[complex]) -> tuple[list[complex], list[float]]:
+        """The directions turned, or left out, one by one for as long as they prove more.
+
+        And the headings at the targets that they then allow.
+        """
         known: dict[tuple[Leg, ...], list[Cell]] = {}
-        best = self._time(units, _COARSE, known)
+        best, headings = self._time(units, _COARSE, known)
         for angle in _ANGLES:
             changes = cmath.rect(1.0, angle), cmath.rect(1.0, -angle), 0j
             for i, change in product(range(len(units)), changes):
-                while True:
+                while units[i]:
                     tried = [*units[:i], units[i] * change, *units[i + 1 :]]
-                    time = self._time(tried, _COARSE, known)
-                    if time <= best + _GAIN:
+                    enough = best + _GAIN
+                    time, found = self._time(tried, _COARSE, known, tried=headings, enough=enough)
+                    if time <= enough:
                         break
-                    best, units = time, tried
-        return units
+                    best, units, headings = time, tried, found
+        return units, headings
 
     def _length(self, units: Sequence[complex]) -> float:
         return _proven_length(self._start, self._centres, units, self._limits.tolerance)
 
-    def _legs(self, units: Sequence[complex], views: int = 0) -> list[Leg]:
-        """The legs that have a direction, or are seen in others."""
-        limits, off, legs = self._limits, self._limits.tolerance, []
+    def _legs(self, units: Sequence[complex], views: int = 0) -> dict[int, Leg]:
+        """The legs that have a direction, or are seen in others, by which they are."""
+        limits, off, legs = self._limits, self._limits.tolerance, dict[int, Leg]()
         stops = pairwise([self._start, *self._centres])
-        for (stop, target), unit in zip(stops, units, strict=True):
+        for i, ((stop, target), unit) in enumerate(zip(stops, units, strict=True)):
             way = target - stop
             own = self._view(way, unit or _unit(way), off)
             around: tuple[View, ...] = ()
@@ -214,7 +220,7 @@ class _Tour:
                 turns = (cmath.rect(1.0, math.tau * i / views) for i in range(views))
                 around = tuple(self._view(way, turn * _unit(way), off, unit) for turn in turns)
             if unit or around:
-                legs.append(Leg(unit or _unit(way), own.least, own.most, around, not unit))
+                legs[i] = Leg(unit or _unit(way), own.least, own.most, around, not unit)
             off = 2.0 * limits.tolerance
         return legs
 
@@ -231,23 +237,36 @@ class _Tour:
         self,
         units: Sequence[complex],
         parts: int,
-        known: dict[tuple[Leg, ...], list[Cell]],
+        known: dict[tuple[Leg, ...], list[Cell]] | None = None,
         *,
         views: int = 0,
-    ) -> float:
-        """The time (s) that the directions prove."""
+        tried: Sequence[float] | None = None,
+        enough: float = -math.inf,
+    ) -> tuple[float, list[float]]:
+        """The time (s) that the directions prove, and headings (rad) at the targets that take it.
+
+        No more than enough will do, if the tried headings take that.
+        """
         limits, driven = self._limits, self._length(units) / self._limits.max_linear
         legs = self._legs(units, views)
         if not legs:
-            return driven
-        turned = least_loss(
+            return driven, [cmath.phase(self._heading)] * len(units)
+        corners = list(legs)[:-1]  # each at the target of its leg
+        turned, headings = least_loss(
             self._heading,
-            legs,
+            list(legs.values()),
             half=self._half,
             tick=limits.turn,
             parts=parts,
             known=known,
             last=self._theta,
             slack=limits.heading_tolerance,
+            tried=tried and [tried[i] for i in corners],
+            enough=(enough - driven) * limits.max_angular,
         )
-        return driven + turned / limits.max_angular
+        found = dict(zip(corners, headings, strict=True))
+        heading, all_ = cmath.phase(self._heading), []
+        for i in range(len(units)):
+            heading = found.get(i, heading)
+            all_.append(heading)
+        return driven + turned / limits.max_angular, all_

@@ -28,9 +28,9 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import pairwise
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from itertools import chain, pairwise
+from typing import TypeAlias
 
 import msgspec
 
@@ -39,6 +39,7 @@ __all__ = ["ROOM", "Cell", "Leg", "View", "least_loss"]
 ROOM = 2.0
 """Radii in which there is room for both turns of a leg."""
 
+_RIGHT = math.pi / 2
 _ROUNDING = 1e-9  # Of angles: a cell that ends at a direction is on one side of it (rad).
 
 
@@ -68,19 +69,19 @@ class Leg(msgspec.Struct, frozen=True):
 
 
 class Cell(msgspec.Struct, frozen=True):
-    """Headings between two legs: the middle one (rad), their range, and the cost up to there."""
+    """Headings between two legs: the middle one (rad), their range, and the cost up to there.
+
+    Before it is the cell at the corner before, from which it costs least.
+    """
 
     heading: float
     width: float = 0.0
     cost: float = 0.0
+    before: Cell | None = None
 
 
-class _Sight(NamedTuple):
-    """An error, its side (1, -1, or 0 where it may be either), and what is made turning it off."""
-
-    error: float
-    side: int
-    made: float
+_Sight: TypeAlias = tuple[float, int, float]
+"""An error, its side (1, -1, or 0 where it may be either), and what is made turning it off."""
 
 
 def least_loss(
@@ -90,11 +91,15 @@ def least_loss(
     half: float,
     tick: float,
     parts: int,
-    known: dict[tuple[Leg, ...], list[Cell]],
+    known: dict[tuple[Leg, ...], list[Cell]] | None = None,
     last: float | None = None,
     slack: float = 0.0,
-) -> float:
-    """The least that turning takes over all legs, in rad of turning at full rate.
+    tried: Sequence[float] | None = None,
+    enough: float = -math.inf,
+) -> tuple[float, list[float]]:
+    """The least that turning takes over all legs, and the headings at the corners that take it.
+
+    In rad of turning at full rate, and in rad.
 
     Args:
         heading: At the start, a unit vector.
@@ -106,37 +111,76 @@ def least_loss(
             start and as many parts; more is added.
         last: The heading that is wanted at the end (rad); any if left out.
         slack: How far that may be off to either side (rad).
+        tried: Headings (rad), one a corner, that may be nearly the best: they are tried first, and
+            where nothing is known, what cannot be better is left out.
+        enough: If those take no more than this, they are the answer.
     """
-    tried = [Cell(cmath.phase(heading))]
-    for i, (leg, following) in enumerate(pairwise(legs)):
-        begun = tuple(legs[: i + 2])
-        if begun not in known:
-            turn = math.remainder(cmath.phase(following.unit * leg.unit.conjugate()), 2.0 * half)
-            if min(leg.least, following.least) >= ROOM:
-                corner = iter([_halved(leg, turn, tick)])
-            else:
-                corner = _corner(leg, turn, half, parts)
-            known[begun] = list(_pass(leg, tried, corner, half, tick))
-        tried = known[begun]
-    if last is None:
-        return min(cell.cost + _started(cell, legs[-1], half, tick) for cell in tried)
-    wanted = Cell(last, 2.0 * slack)
-    return min(cell.cost for cell in _pass(legs[-1], tried, [wanted], half, tick))
+    corners = [_corner(one, next_, half, tick, parts) for one, next_ in pairwise(legs)]
+    wanted = None if last is None else Cell(last, 2.0 * slack)
+    limit = math.inf, list[float]()
+    begun = [Cell(cmath.phase(heading))]
+    if tried is not None:
+        cells = begun
+        for leg, corner, near in zip(legs, corners, tried, strict=False):
+            cells = list(_pass(leg, cells, [_nearest(corner, near, half)], half, tick))
+        limit = _ended(cells, legs[-1], wanted, half, tick)
+        if limit[0] <= enough:
+            return limit
+    most = limit[0] if known is None else math.inf
+    known, cells = {} if known is None else known, begun
+    for i, (leg, corner) in enumerate(zip(legs, corners, strict=False)):
+        first = tuple(legs[: i + 2])
+        if first not in known:
+            ends = _pass(leg, cells, corner, half, tick, most, legs[i + 1]) if cells else ()
+            known[first] = list(ends)
+        cells = known[first]
+    found = _ended(cells, legs[-1], wanted, half, tick) if cells else limit
+    return min(found, limit) if most < math.inf else found
 
 
-def _corner(leg: Leg, turn: float, half: float, parts: int) -> Iterator[Cell]:
-    """All headings at a corner, cut at both directions and at the opposite ones."""
-    begun, rest = cmath.phase(leg.unit), math.copysign(half, turn) - turn
+def _ended(
+    cells: Sequence[Cell], leg: Leg, wanted: Cell | None, half: float, tick: float
+) -> tuple[float, list[float]]:
+    """The least cost at the end of the last leg, and the headings at all corners."""
+    if wanted is None:
+        costs = [cell.cost + _started(cell, leg, half, tick) for cell in cells]
+        cost = min(costs)
+        best: Cell | None = cells[costs.index(cost)]
+    else:
+        (end,) = _pass(leg, cells, [wanted], half, tick)
+        cost, best = end.cost, end.before
+    headings = []
+    while best and best.before:
+        headings.append(best.heading)
+        best = best.before
+    return cost, headings[::-1]
+
+
+def _nearest(corner: Sequence[Cell], heading: float, half: float) -> Cell:
+    """The cell that a heading is in."""
+    apart = [
+        abs(math.remainder(cell.heading - heading, 2.0 * half)) - cell.width / 2.0
+        for cell in corner
+    ]
+    return corner[apart.index(min(apart))]
+
+
+def _corner(leg: Leg, following: Leg, half: float, tick: float, parts: int) -> list[Cell]:
+    """All headings at a corner, cut at both directions and at the opposite ones.
+
+    Where there is room for both turns only the best: half before the target, half after.
+    """
+    begun = cmath.phase(leg.unit)
+    turn = math.remainder(cmath.phase(following.unit * leg.unit.conjugate()), 2.0 * half)
+    if min(leg.least, following.least) >= ROOM:
+        return [Cell(begun + math.copysign(max(0.0, abs(turn) - tick) / 2.0, turn))]
+    cells, rest = [], math.copysign(half, turn) - turn
     for length in (turn, rest, turn, rest):
         count = parts * max(1, round(8.0 * abs(length) / half))
-        for i in range(count):
-            yield Cell(begun + (i + 0.5) / count * length, abs(length) / count)
+        width = abs(length) / count
+        cells += [Cell(begun + (i + 0.5) / count * length, width) for i in range(count)]
         begun += length
-
-
-def _halved(leg: Leg, turn: float, tick: float) -> Cell:
-    """The best heading where there is room for both turns: half before the target, half after."""
-    return Cell(cmath.phase(leg.unit) + math.copysign(max(0.0, abs(turn) - tick) / 2.0, turn))
+    return cells
 
 
 def _views(leg: Leg) -> Sequence[View]:
@@ -154,37 +198,59 @@ def _sight(cell: Cell, view: View, half: float, tick: float = 0.0) -> _Sight:
         side = 0
     else:
         side = 1 if angle >= 0.0 else -1
-    least = max(0.0, error - off - tick)
-    return _Sight(least, side, _made(least))
+    least = error - off - tick
+    if least <= 0.0:
+        return 0.0, side, 0.0
+    return least, side, math.sin(least) if least < _RIGHT else 1.0
 
 
 def _pass(
-    leg: Leg, starts: Sequence[Cell], ends: Iterable[Cell], half: float, tick: float
+    leg: Leg,
+    starts: Sequence[Cell],
+    ends: Sequence[Cell],
+    half: float,
+    tick: float,
+    limit: float = math.inf,
+    following: Leg | None = None,
 ) -> Iterator[Cell]:
-    """The cells at the end of a leg, each with the least cost up to there."""
+    """The cells at the end of a leg, each with the least cost up to there.
+
+    But for those from where the following leg must lead to more than the limit.
+    """
     starts, views = _best(starts, half), _views(leg)
-    seen = [[_sight(start, view, half, tick) for view in views] for start in starts]
+    ways = [(start, [_sight(start, view, half, tick) for view in views]) for start in starts]
     if leg.least >= ROOM:
-        begun = min(
-            start.cost + _lost(sights[0].error) for start, sights in zip(starts, seen, strict=True)
-        )
+        costs = [start.cost + _lost(sights[0][0]) for start, sights in ways]
+        cost = min(costs)
+        best = starts[costs.index(cost)]
         for end in ends:
-            cost = begun + _lost(_sight(end, views[0], half).error)
-            yield Cell(end.heading, end.width, cost)
+            lost = _lost(_sight(end, views[0], half)[0])
+            yield Cell(end.heading, end.width, cost + lost, best)
         return
+    order, hint = list(range(len(views))), ways[:1]
     for end in ends:
-        cost, wanted = math.inf, [_sight(end, view, half) for view in views]
-        for start, sights in zip(starts, seen, strict=True):
-            if start.cost >= cost:
-                break
+        cost = math.inf
+        if following and limit < math.inf:
+            cost = limit + _ROUNDING - _started(end, following, half, tick)
+        most, wanted = cost, dict[int, _Sight]()
+        for way in chain(hint, ways):  # first that which is best for the cell before
+            start, sights = way
+            least = max(0.0, _turned(start, end, half) - tick) if leg.is_left_out else 0.0
+            if start.cost + least >= cost:
+                continue
             width = max(start.width + tick, end.width)
-            least = _turned(start, end, half) - tick if leg.is_left_out else 0.0
-            for view, from_, to in zip(views, sights, wanted, strict=True):
+            for nth, i in enumerate(order):  # first the view that ruled out the way before
+                view = views[i]
+                if i not in wanted:
+                    wanted[i] = _sight(end, view, half)
+                least = max(least, view.gain + _between(sights[i], wanted[i], view, half, width))
                 if start.cost + least >= cost:
+                    order.insert(0, order.pop(nth))
                     break
-                least = max(least, view.gain + _between(from_, to, view, half, width))
-            cost = min(cost, start.cost + least)
-        yield Cell(end.heading, end.width, cost)
+            else:
+                cost, hint = start.cost + least, [way]
+        if cost < most:
+            yield Cell(end.heading, end.width, cost, hint[0][0])
 
 
 def _best(cells: Sequence[Cell], half: float) -> list[Cell]:
@@ -212,10 +278,11 @@ def _turned(start: Cell, end: Cell, half: float) -> float:
 
 def _between(start: _Sight, end: _Sight, view: View, half: float, width: float) -> float:
     """What a way takes from an error to another, each more by a width at most."""
-    if start.side * end.side > 0:
+    sides = start[1] * end[1]
+    if sides > 0:
         return _on_one_side(start, end, view, width)
     least = _on_both_sides(start, end, view, half, width)
-    if start.side * end.side < 0:
+    if sides < 0:
         return least
     return min(least, _on_one_side(start, end, view, width))
 
@@ -228,10 +295,10 @@ def _on_both_sides(start: _Sight, end: _Sight, view: View, half: float, width: f
     whole = half - 1.0 - width
     away = max(0.0, half - error - width)
     if away + whole - wanted + made_wanted < least:
-        least = min(least, away + _on_one_side(_Sight(half, 0, 1.0), end, view, width))
+        least = min(least, away + _on_one_side((half, 0, 1.0), end, view, width))
     away = max(0.0, half - wanted - width)
     if away + whole - error + made < least:
-        least = min(least, away + _on_one_side(start, _Sight(half, 0, 1.0), view, width))
+        least = min(least, away + _on_one_side(start, (half, 0, 1.0), view, width))
     return least
 
 
@@ -248,7 +315,9 @@ def _on_one_side(one: _Sight, other: _Sight, view: View, width: float) -> float:
         least = lost
     elif sine < made_low:
         least = lost - 2.0 * (math.asin(sine) - sine)
-    if _made(high + width) - made_low >= view.least:  # the turn alone may be enough
+    made = made_high + width  # at most, and soon known
+    if made - made_low >= view.least and _made(high + width) - made_low >= view.least:
+        # The turn alone may be enough.
         turned = high - made_high - _lost(low + width)
         least = min(least, max(0.0, turned, high - low - width - view.most))
     return least
@@ -258,16 +327,16 @@ def _started(cell: Cell, leg: Leg, half: float, tick: float) -> float:
     """What the last leg takes from a cell, if its end may be in any heading."""
     least = 0.0
     for view in _views(leg):
-        error = _sight(cell, view, half, tick).error
-        rest = _made(error) - view.least
-        if rest < _made(error):
-            least = max(least, view.gain + _lost(error) - _lost(math.asin(max(0.0, rest))))
+        if view.least > 0.0:
+            error, _, made = _sight(cell, view, half, tick)
+            rest = math.asin(max(0.0, made - view.least))
+            least = max(least, view.gain + error - made - _lost(rest))
     return least
 
 
 def _made(error: float) -> float:
     """The way made in turning from an error to none (radii)."""
-    return math.sin(error) if error < math.pi / 2 else 1.0
+    return math.sin(error) if error < _RIGHT else 1.0
 
 
 def _lost(error: float) -> float:
