@@ -8,11 +8,12 @@ from contextlib import aclosing, asynccontextmanager
 from functools import partial
 from typing import NamedTuple
 
+import anyio.lowlevel
 import pytest
 
 from turtleact.actions.driving import PATIENCE, Turtles
 from turtleact.actions.robots import Robot, Sighting
-from turtleact.actions.steering import Area, Steering, time_bound
+from turtleact.actions.steering import Area, Steering, shortest_time, time_bound
 from turtleact.clock import VirtualClock
 from turtleact.errors import Abort, Reject
 from turtleact.interfaces.standard import Point, TurtlePose, Twist
@@ -413,3 +414,22 @@ async def test_nobody_watches_a_turtle_that_is_driven_no_more():
             assert tasks_alive() == before + 1
         await settle()
         assert tasks_alive() == before
+
+
+async def test_others_have_their_turn_while_the_shortest_time_is_found_out():
+    turns, stops = [], [(0.0, 1.0), (1.0, 1.0), (0.5, 1.5), (0.0, 0.0)]
+
+    async def take_turns():
+        while True:
+            await anyio.lowlevel.checkpoint()
+            turns.append(1)
+
+    async with (
+        yard() as place,
+        obeying(place),
+        place.drive() as drive,
+        aclosing(Background(take_turns(), "the others")),
+    ):
+        least = await drive.shortest_time([Point(*stop) for stop in stops])
+    assert least == shortest_time((0.0, 0.0, 0.0), stops, Steering())
+    assert len(turns) > 20

@@ -21,6 +21,7 @@ from contextlib import asynccontextmanager
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, cast
 
+import anyio.lowlevel
 from msgspec.structs import replace
 
 from turtleact.actions.robots import Robot, Sighting
@@ -30,7 +31,7 @@ from turtleact.actions.steering import (
     Helm,
     Limits,
     Steering,
-    shortest_time,
+    rising_times,
     time_bound,
 )
 from turtleact.errors import Abort, InvalidMessage, InvalidName, Reject
@@ -74,6 +75,7 @@ class Turtles:
         self._area = area
         self._robot = robot or Robot()
         self._driven: set[str] = set()
+        self._proving = anyio.Lock()
 
     def steering(
         self,
@@ -154,7 +156,7 @@ class Turtles:
         topic = self._topic(turtle)
         if topic in self._driven:  # two goals may have been accepted before either has begun
             raise Abort(_taken(turtle))
-        drive = Drive(self._node, self._robot, turtle, steering)
+        drive = Drive(self._node, self._robot, turtle, steering, self._proving)
         self._driven.add(topic)
         try:
             await drive.wait_for_pose()
@@ -177,8 +179,11 @@ class Drive:
         travelled: How far it has gone (m).
     """
 
-    def __init__(self, node: Node, robot: Robot, turtle: str, steering: Steering) -> None:
+    def __init__(
+        self, node: Node, robot: Robot, turtle: str, steering: Steering, proving: anyio.Lock
+    ) -> None:
         self.travelled = 0.0
+        self._proving = proving
         self._seen = Sighting((0.0, 0.0, 0.0))
         self._taken: TurtlePose | None = None
         self._taken_since = 0
@@ -226,10 +231,17 @@ class Drive:
         bound = time_bound(self.seen.pose, stops, self._helm.steering, theta=theta)
         return self._clock.time() + PATIENCE * bound
 
-    def shortest_time(self, targets: Sequence[Point], *, theta: float | None = None) -> float:
-        """How long (s) it takes from here through the targets at least, however it is driven."""
-        stops = [(target.x, target.y) for target in targets]
-        return shortest_time(self.seen.pose, stops, self._helm.steering, theta=theta)
+    async def shortest_time(self, targets: Sequence[Point], *, theta: float | None = None) -> float:
+        """How long (s) it takes from here through the targets at least, however it is driven.
+
+        Found out step by step, for one turtle at a time, so that others can have their turn.
+        """
+        stops, least = [(target.x, target.y) for target in targets], 0.0
+        async with self._proving:
+            for time in rising_times(self.seen.pose, stops, self._helm.steering, theta=theta):
+                least = max(least, time)
+                await anyio.lowlevel.checkpoint()
+        return least
 
     def too_late(self, target: str) -> Abort:
         """What to raise where a target was not reached in time, with what may be to blame."""

@@ -107,8 +107,9 @@ class _GoTo:
         theta = goal.theta if goal.heading_tolerance else None
         async with self._turtles.drive(goal.turtle, self._steering(goal)) as drive:
             deadline, due = drive.deadline(target, theta=theta), started
-            result = GoTo.Result(bound=drive.shortest_time([target], theta=theta))
+            result = GoTo.Result()
             try:
+                result.bound = await drive.shortest_time([target], theta=theta)
                 while not drive.has_reached(target, theta=theta):
                     if clock.time() > deadline:
                         raise drive.too_late(f"x: {goal.x:g}, y: {goal.y:g}")

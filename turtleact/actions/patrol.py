@@ -134,10 +134,10 @@ class _Tour:
         ahead = [self._legs[self.index(stop + leg)] for leg in range(legs)]
         return rounds * sum(self._legs) + sum(ahead)
 
-    def bound(self, drive: Drive, goal: Patrol.Goal) -> float:
+    async def bound(self, drive: Drive, goal: Patrol.Goal) -> float:
         """How long it takes at least (s): the first round, and the straight legs of the others."""
         straight = sum(max(0.0, leg - 2.0 * goal.tolerance) for leg in self._legs)
-        return drive.shortest_time(self._targets) + goal.loops * straight / goal.max_linear
+        return await drive.shortest_time(self._targets) + goal.loops * straight / goal.max_linear
 
 
 class _Patrol:
@@ -204,8 +204,8 @@ class _Patrol:
         result = Patrol.Result()
         started = clock.time()
         async with self._turtles.drive(goal.turtle, self._steering(goal)) as drive:
-            result.bound = tour.bound(drive, goal)
             try:
+                result.bound = await tour.bound(drive, goal)
                 for stop in range(tour.stops):
                     await anyio.lowlevel.checkpoint()  # a stop where it stands makes no other
                     leg = _Leg(tour, stop, drive, clock, result, tell)

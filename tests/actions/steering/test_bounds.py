@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from turtleact.actions.steering import Limits, Steering, shortest_time, time_bound
+from turtleact.actions.steering import Limits, Steering, rising_times, shortest_time, time_bound
 
 from .track import (
     PATROL,
@@ -100,6 +100,13 @@ def test_a_heading_at_the_end_costs_part_of_its_turn_on_the_way():
     turn = math.pi / 2 - 0.05
     added = shortest_time(pose, targets, theta=1.5707963) - shortest_time(pose, targets)
     assert added == pytest.approx((turn - math.sin(turn)) / 2.0, abs=1e-6)
+
+
+def test_the_shortest_time_of_short_legs_rises_in_many_steps():
+    pose, targets = (5.0, 5.0, 0.0), [(5.0, 6.0), (6.0, 6.0), (5.5, 6.5), (5.0, 5.0)]
+    times = list(rising_times(pose, targets, Steering()))
+    assert len(times) > 20
+    assert times[0] < max(times) == shortest_time(pose, targets)
 
 
 def test_a_heading_without_a_target_is_no_tour():

@@ -8,7 +8,7 @@ in `turning` what turns take of it.
 
 from __future__ import annotations
 
-from turtleact.actions.steering.bounds import shortest_time, time_bound
+from turtleact.actions.steering.bounds import rising_times, shortest_time, time_bound
 from turtleact.actions.steering.helm import STILL, Helm
 from turtleact.actions.steering.law import Steering
 from turtleact.actions.steering.limits import Area, Limits, Point, Pose, Speeds, Style
@@ -23,6 +23,7 @@ __all__ = [
     "Speeds",
     "Steering",
     "Style",
+    "rising_times",
     "shortest_time",
     "time_bound",
 ]

@@ -19,7 +19,7 @@ from turtleact.actions.steering.limits import Limits, Point, Pose, Style
 from turtleact.actions.steering.turning import ROOM, Cell, Leg, View, least_loss
 from turtleact.geometry import distance, wrap_angle
 
-__all__ = ["shortest_time", "time_bound"]
+__all__ = ["rising_times", "shortest_time", "time_bound"]
 
 # In half turns: what a style may spend on turning for one target.
 _TURNING: dict[Style, float] = {"arc": 1.0, "forward": 1.5, "rotate_then_drive": 1.0}
@@ -92,21 +92,32 @@ def shortest_time(
 
     Source: Boyd and Vandenberghe, Convex Optimization, section 5.2 (weak duality).
     """
+    return max(rising_times(pose, targets, steering or Steering(), theta=theta), default=0.0)
+
+
+def rising_times(
+    pose: Pose, targets: Sequence[Point], steering: Steering, *, theta: float | None = None
+) -> Iterator[float]:
+    """Times (s) below which no law of the style does it; the greatest is the `shortest_time`.
+
+    A few milliseconds pass between two of them at most, so that others can have their turn. None
+    where there are no targets.
+    """
     if not targets:
-        return 0.0
-    steering = steering or Steering()
+        return
     limits = steering.limits
     start, centres = complex(pose[0], pose[1]), [complex(*target) for target in targets]
     stops = [start, *_tour(start, centres, limits.tolerance)]
     units = [_unit(b - a) for a, b in pairwise(stops)]
     if steering.style == "rotate_then_drive":
         length = _proven_length(start, centres, units, limits.tolerance)
-        least = length / limits.max_linear + sum(_turns([start, *centres], pose[2], limits))
+        turns = sum(_turns([start, *centres], pose[2], limits))
+        proofs = iter([(length, length / limits.max_linear + turns)])
     else:
-        tour = _Tour(pose, centres, steering, theta)
-        length, least = tour.prove(units)
-    driven = max(least, ramp_time(length, limits.max_linear, limits.max_acceleration))
-    return driven if theta is None else max(driven, _turn_time(theta - pose[2], limits))
+        proofs = _Tour(pose, centres, steering, theta).proofs(units)
+    turned = 0.0 if theta is None else _turn_time(theta - pose[2], limits)
+    for length, least in proofs:
+        yield max(least, turned, ramp_time(length, limits.max_linear, limits.max_acceleration))
 
 
 def _turn_time(angle: float, limits: Limits) -> float:
@@ -176,20 +187,24 @@ class _Tour:
         self._half = math.pi / 2 if steering.style == "arc" else math.pi
         self._theta = theta
 
-    def prove(self, units: Sequence[complex]) -> tuple[float, float]:
-        """The proven length (m) and time (s), by these directions or better ones."""
+    def proofs(self, units: Sequence[complex]) -> Iterator[tuple[float, float]]:
+        """Proven lengths (m) and times (s), by these directions and better ones."""
         if len(units) > _TUNED:
-            return self._length(units), self._time(units, _COARSE)[0]
+            yield self._length(units), self._time(units, _COARSE)[0]
+            return
         headings: list[float] | None = None
         if any(leg.least < ROOM for leg in self._legs(units).values()):
-            units, headings = self._better(list(units))
-        proven = self._time(units, _FINE, views=_VIEWS, tried=headings)
-        return self._length(units), proven[0]
+            for better in self._better(list(units)):
+                time, units, headings = better
+                yield self._length(units), time
+        time, _ = self._time(units, _FINE, views=_VIEWS, tried=headings)
+        yield self._length(units), time
 
-    def _better(self, units: list[complex]) -> tuple[list[complex], list[float]]:
+    def _better(self, units: list[complex]) -> Iterator[tuple[float, list[complex], list[float]]]:
         """The directions turned, or left out, one by one for as long as they prove more.
 
-        And the headings at the targets that they then allow.
+        After each attempt the best so far: the time (s) that they prove, they themselves, and the
+        headings (rad) at the targets that they allow.
         """
         known: dict[tuple[Leg, ...], list[Cell]] = {}
         best, headings = self._time(units, _COARSE, known)
@@ -203,7 +218,7 @@ class _Tour:
                     if time <= enough:
                         break
                     best, units, headings = time, tried, found
-        return units, headings
+                yield best, units, headings
 
     def _length(self, units: Sequence[complex]) -> float:
         return _proven_length(self._start, self._centres, units, self._limits.tolerance)
