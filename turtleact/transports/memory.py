@@ -71,7 +71,7 @@ class MemoryTransport:
         topic = self._topic(endpoint)
         publication = _Publication(topic, endpoint.qos, source)
         topic.publications.append(publication)
-        leave = partial(self._leave, topic, topic.publications, publication)
+        leave = partial(self._withdraw, topic, publication)
         publication.on_close = self._appear_as(endpoint, leave)
         if source is not None and topic.readers:
             source.readers_changed(has_readers=True)
@@ -89,10 +89,10 @@ class MemoryTransport:
         if endpoint.qos.durability == "transient_local":
             for message in topic.latched():
                 reader.take(message)
-        topic.readers.append(reader)
+        topic.readers = (*topic.readers, reader)
         if len(topic.readers) == 1:
             topic.readers_changed()
-        leave = partial(self._leave, topic, topic.readers, reader)
+        leave = partial(self._leave, topic, reader)
         reader.on_close = self._appear_as(endpoint, leave)
         return reader
 
@@ -164,9 +164,14 @@ class MemoryTransport:
         key = _key(endpoint)
         return self._topics.setdefault(key, _Topic(key))
 
-    def _leave(self, topic: _Topic, members: list[T], member: T) -> None:
-        members.remove(member)
-        if members is topic.readers and not members:
+    def _withdraw(self, topic: _Topic, publication: _Publication) -> None:
+        topic.publications.remove(publication)
+        if topic.is_deserted:
+            del self._topics[topic.key]
+
+    def _leave(self, topic: _Topic, reader: _Reader) -> None:
+        topic.readers = tuple(each for each in topic.readers if each is not reader)
+        if not topic.readers:
             topic.readers_changed()
         if topic.is_deserted:
             del self._topics[topic.key]
@@ -213,11 +218,15 @@ class MemoryTransport:
 
 
 class _Topic:
-    """The publications and readers of one topic."""
+    """The publications and readers of one topic.
+
+    Attributes:
+        readers: Never changed but replaced, since readers come and go while one gets a message.
+    """
 
     def __init__(self, key: Key) -> None:
         self.key = key
-        self.readers: list[_Reader] = []
+        self.readers: tuple[_Reader, ...] = ()
         self.publications: list[_Publication] = []
 
     @property
@@ -270,8 +279,9 @@ class _Publication:
 
     def publish(self, message: object) -> None:
         if self._is_open:
-            self._latch.append(message)
-            for reader in tuple(self._topic.readers):
+            if self._keeps:
+                self._latch.append(message)
+            for reader in self._topic.readers:
                 reader.take(message)
 
     def send(self, data: bytes) -> None:
