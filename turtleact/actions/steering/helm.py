@@ -79,6 +79,7 @@ class Helm:
         self._tried = 1
         self._age = 0
         self._step = self._turn = 0.0
+        self._stride = (math.nan, 0.0, 0.0)
         self._known: tuple[Course, Speeds] | None = None
 
     @property
@@ -113,6 +114,7 @@ class Helm:
         self._known = None
         self._age = 0
         self._step, self._turn = self.speeds[0] * self._dt, self.speeds[1] * self._dt
+        self._stride = (math.nan, 0.0, 0.0)
         self._left = self._hold(course) if is_obeyed else 0
         return self.speeds
 
@@ -133,12 +135,16 @@ class Helm:
     def foresees(self, pose: Pose) -> bool:
         """Whether it is the pose of the last command, or the one to which that leads in a tick."""
         (x, y, theta), (new_x, new_y, new_theta) = self.at, pose
+        along, step_x, step_y = self._stride
+        if along != new_theta:  # else it goes straight on
+            step_x, step_y = self._step * math.cos(new_theta), self._step * math.sin(new_theta)
+            self._stride = new_theta, step_x, step_y
         off = abs(theta + self._turn - new_theta)
-        return pose == self.at or (
+        return (
             (off <= _ROUNDING or abs(wrap_angle(off)) <= _ROUNDING)
-            and abs(x + self._step * math.cos(new_theta) - new_x) <= _ROUNDING
-            and abs(y + self._step * math.sin(new_theta) - new_y) <= _ROUNDING
-        )
+            and abs(x + step_x - new_x) <= _ROUNDING
+            and abs(y + step_y - new_y) <= _ROUNDING
+        ) or pose == self.at
 
     def stop(self) -> None:
         """Note that the turtle is told to stand still."""
