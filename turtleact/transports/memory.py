@@ -10,7 +10,7 @@ import logging
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TypeAlias, TypeVar
+from typing import TypeAlias
 
 from turtleact.clock import Clock, WallClock
 from turtleact.errors import ServerUnavailable, ServiceError, TurtleactError
@@ -33,8 +33,6 @@ from turtleact.transports.base import (
 __all__ = ["MemoryTransport"]
 
 logger = logging.getLogger("turtleact.transport")
-
-T = TypeVar("T")
 
 Deliver: TypeAlias = Callable[[object], None]
 Key: TypeAlias = tuple[str, str]
@@ -138,7 +136,10 @@ class MemoryTransport:
 
     def enter(self, node: str) -> Closeable:
         """Appear in the graph as a node."""
-        return _Opened(self._appear(node, _nothing, self._nodes))
+        number = self._number()
+        self._nodes[number] = node
+        self.tell_change()
+        return _Opened(partial(self._depart, number))
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """All endpoints of the graph, or those of a name, in the order of their opening."""
@@ -183,33 +184,33 @@ class MemoryTransport:
             del self._handlers[key]
 
     def _appear_as(self, endpoint: Endpoint, leave: Callable[[], None]) -> Leave:
-        """Show an endpoint in the graph until what is given back is called."""
-        name = endpoint.name
-        namesakes = self._by_name.setdefault(name, {})
+        """Show an endpoint in the graph until what is given back is called.
 
-        def disappear() -> None:
-            if not namesakes:
-                del self._by_name[name]
-            leave()
-
-        return self._appear(endpoint, disappear, self._endpoints, namesakes)
-
-    def _appear(self, entry: T, leave: Callable[[], None], *tables: dict[int, T]) -> Leave:
-        """Show something in some tables of the graph until what is given back is called."""
-        self._opened += 1
-        number = self._opened
-        for table in tables:
-            table[number] = entry
+        There are thousands of them, so no closures are made, which are ten objects each.
+        """
+        number = self._number()
+        self._endpoints[number] = endpoint
+        self._by_name.setdefault(endpoint.name, {})[number] = endpoint
         self.tell_change()
+        return partial(self._disappear, number, leave)
 
-        def disappear() -> None:
-            if number in tables[0]:
-                for table in tables:
-                    del table[number]
-                leave()
-                self.tell_change()
+    def _disappear(self, number: int, leave: Leave) -> None:
+        endpoint = self._endpoints.pop(number, None)
+        if endpoint is not None:
+            namesakes = self._by_name[endpoint.name]
+            del namesakes[number]
+            if not namesakes:
+                del self._by_name[endpoint.name]
+            leave()
+            self.tell_change()
 
-        return disappear
+    def _depart(self, number: int) -> None:
+        if self._nodes.pop(number, None) is not None:
+            self.tell_change()
+
+    def _number(self) -> int:
+        self._opened += 1
+        return self._opened
 
     def _lose(self, caller: _Caller) -> None:
         for handler in self.handlers(caller.endpoint.name):
@@ -383,7 +384,3 @@ class _Opened:
 
 def _key(endpoint: Endpoint) -> Key:
     return endpoint.name, endpoint.type_name
-
-
-def _nothing() -> None:
-    """There is nothing else to undo."""
