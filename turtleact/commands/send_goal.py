@@ -62,8 +62,8 @@ class Order(NamedTuple):
         type_name: Its type, or None for whatever it is served with.
         text: The goal.
         feedback: Whether to print each feedback message.
-        timeout: Wall seconds after which the goal is canceled, or given up if no server has taken it;
-            0 leaves once it is accepted.
+        timeout: Wall seconds after which the goal is canceled, or given up if no server has taken
+            it; 0 leaves once it is accepted.
         view: How it is shown; ``auto`` is live on a terminal.
         speed: Of the embedded world.
         seed: Of the embedded world.
@@ -229,7 +229,7 @@ class _Sending:
         self._let_go(self._sent, self._interrupts.status)
 
     async def _heed_silence(self, beside: TaskGroup) -> None:
-        """Say that a server has not taken the goal in time; where the user has set a time, give up."""
+        """Say that a server has not taken the goal in time; give up if the user has set one."""
         limit = self._order.timeout
         await anyio.sleep(max(limit or 0.0, PATIENCE))
         if self._sent is not None:
