@@ -473,16 +473,29 @@ async def test_a_canceled_sleep_is_forgotten():
     async with running(lambda: clock.sleep(1)) as sleeper:
         assert len(clock._sleepers) == 1
         sleeper.scope.cancel()
-    assert clock._sleepers == []
+    assert len(clock._sleepers) == 0
+
+
+async def test_of_many_canceled_sleeps_few_are_kept():
+    clock = VirtualClock()
+    async with running(lambda: clock.sleep(1)) as other:
+        for _ in range(200):
+            async with running(lambda: clock.sleep(2)) as sleeper:
+                sleeper.scope.cancel()
+        assert len(clock._sleepers) == 1
+        assert len(clock._sleepers._items) < 20
+        other.scope.cancel()
 
 
 async def test_a_sleep_can_be_canceled_when_it_is_over_but_has_not_gone_on():
     clock = VirtualClock()
     async with running(lambda: clock.sleep(1)) as sleeper:
-        clock._sleepers.pop()[2].fire()
+        first = clock._sleepers.first
+        clock._sleepers.remove(first)
+        first[2].fire()
         sleeper.scope.cancel()
         await sleeper.done.wait()
-    assert (sleeper.error, clock._sleepers) == (None, [])
+    assert (sleeper.error, len(clock._sleepers)) == (None, 0)
 
 
 async def test_a_canceled_sleep_leaves_the_others_in_order():

@@ -23,7 +23,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 from numbers import Real
-from typing import Protocol, TypeVar, cast
+from typing import Generic, Protocol, TypeVar, cast
 
 import anyio
 
@@ -55,6 +55,7 @@ LEEWAY = 0.05
 
 
 _LAST = sys.float_info.max
+_SPARE = 16  # So many items of a heap may have been removed, however few there are.
 
 
 class Clock(Protocol):
@@ -110,7 +111,7 @@ class ScaledClock:
         self._wall_start = self._wall()
         self._ros_start = EPOCH + round(self._wall_start * 1e9) if leaping else time.time_ns()
         self._order = itertools.count()
-        self._sleepers: list[tuple[float, int]] = []  # a heap
+        self._sleepers: _Heap[tuple[float, int]] = _Heap()
         self._end = math.inf
         self._stands = False
         self._freed: Signal | None = None
@@ -120,7 +121,8 @@ class ScaledClock:
         if self._stands:
             return self._end
         seconds = (self._wall() - self._wall_start) * self.factor
-        if self._sleepers and seconds > (latest := self._sleepers[0][0] + LEEWAY):
+        first = self._sleepers.first
+        if first is not None and seconds > (latest := first[0] + LEEWAY):
             self._wall_start += (seconds - latest) / self.factor
             seconds = latest
         if seconds >= self._end:
@@ -154,14 +156,14 @@ class ScaledClock:
 
     async def _sleep(self, deadline: float, left: float) -> None:
         sleeper = (deadline, next(self._order))
-        heapq.heappush(self._sleepers, sleeper)
+        self._sleepers.push(sleeper)
         try:
             await self._wait(deadline, left)
         except BaseException:
-            _remove(self._sleepers, sleeper)
+            self._sleepers.remove(sleeper)
             raise
         # It holds the clock up until it waits again: what it does now takes wall time too.
-        current_tasks().soon(partial(_remove, self._sleepers, sleeper))
+        current_tasks().soon(partial(self._sleepers.remove, sleeper))
 
     async def _wait(self, deadline: float, left: float) -> None:
         while True:
@@ -216,7 +218,7 @@ class VirtualClock:
     def __init__(self) -> None:
         self._time = 0.0
         self._order = itertools.count()
-        self._sleepers: list[tuple[float, int, Signal]] = []
+        self._sleepers: _Heap[tuple[float, int, Signal]] = _Heap()
         self._end = _LAST
         self._wanted: Signal | None = None
         self._tasks: Tasks | None = None
@@ -243,13 +245,13 @@ class VirtualClock:
             return
         signal = tasks.signal()
         sleeper = (deadline, next(self._order), signal)
-        heapq.heappush(self._sleepers, sleeper)
+        self._sleepers.push(sleeper)
         if self._wanted is not None:
             self._wanted.fire()
         try:
             await signal.wait()
         except tasks.cancelled:
-            _remove(self._sleepers, sleeper)
+            self._sleepers.remove(sleeper)
             raise
 
     def stop_at(self, moment: float) -> None:
@@ -264,11 +266,13 @@ class VirtualClock:
         wait_until_idle, sleepers = idleness(), self._sleepers
         while True:
             await wait_until_idle()
-            if not sleepers or sleepers[0][0] > self._end:
+            first = sleepers.first
+            if first is None or first[0] > self._end:
                 await wanted.wait()
                 continue
-            self._time = max(self._time, sleepers[0][0])
-            heapq.heappop(sleepers)[2].fire()
+            self._time = max(self._time, first[0])
+            sleepers.remove(first)
+            first[2].fire()
 
 
 def make_clock(speed: float | str) -> ScaledClock | VirtualClock:
@@ -288,13 +292,38 @@ def make_clock(speed: float | str) -> ScaledClock | VirtualClock:
     return WallClock() if factor == 1.0 else ScaledClock(factor)
 
 
-def _remove(heap: list[T], item: T) -> None:
-    """Take an item out of a heap, if it is there still."""
-    if heap and heap[0] is item:
-        heapq.heappop(heap)
-    elif item in heap:
-        heap.remove(item)
-        heapq.heapify(heap)
+class _Heap(Generic[T]):
+    """Different items, the least of them first.
+
+    One that is removed before its turn stays where it is until it is the first, or until there are
+    more of its kind than others: to look for it takes long where a thousand sleep.
+
+    Attributes:
+        first: The least item; None if there is none.
+    """
+
+    def __init__(self) -> None:
+        self.first: T | None = None
+        self._items: list[T] = []
+        self._there: set[T] = set()
+
+    def __len__(self) -> int:
+        return len(self._there)
+
+    def push(self, item: T) -> None:
+        """Put an item in."""
+        heapq.heappush(self._items, item)
+        self._there.add(item)
+        self.first = self._items[0]
+
+    def remove(self, item: T) -> None:
+        """Take an item out, if it is there still."""
+        self._there.discard(item)
+        if len(self._items) > 2 * len(self._there) + _SPARE:
+            self._items = sorted(self._there)
+        while self._items and self._items[0] not in self._there:
+            heapq.heappop(self._items)
+        self.first = self._items[0] if self._items else None
 
 
 def _leaping_time() -> Callable[[], float] | None:
