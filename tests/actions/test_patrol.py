@@ -83,13 +83,20 @@ async def test_the_result_tells_how_long_it_takes_at_least(style):
     assert result.bound <= result.duration <= 1.1 * result.bound
 
 
-async def test_the_bound_of_extra_rounds_counts_their_straight_legs():
-    bounds = []
-    for loops in (0, 3):
-        async with arena() as stage:
-            goal = patrol((9.0, MIDDLE), (7.0, MIDDLE), loops=loops)
-            bounds.append((await client_of(stage).send_goal(goal)).bound)
-    assert bounds[1] - bounds[0] == pytest.approx(3 * 2 * 1.8 / 2.0)
+async def bound_of(**goal):
+    async with arena() as stage:
+        return (await client_of(stage).send_goal(patrol(*TARGETS[:2], **goal))).bound
+
+
+@pytest.mark.parametrize("style", STYLES)
+async def test_the_bound_of_extra_rounds_is_that_of_the_same_stops_written_out(style):
+    written_out = shortest_time((MIDDLE, MIDDLE, 0.0), 4 * TARGETS[:2], Steering(style))
+    assert await bound_of(loops=3, style=style) == pytest.approx(written_out)
+
+
+async def test_the_bound_of_many_rounds_counts_the_straight_legs_of_the_later_ones():
+    more = await bound_of(loops=13) - await bound_of(loops=11)
+    assert more == pytest.approx(4 * (math.dist(*TARGETS[:2]) - 0.2) / 2.0)
 
 
 async def test_the_duration_of_a_result_is_the_clocks():
