@@ -491,6 +491,7 @@ async def test_a_sleep_can_be_canceled_when_it_is_over_but_has_not_gone_on():
     clock = VirtualClock()
     async with running(lambda: clock.sleep(1)) as sleeper:
         first = clock._sleepers.first
+        assert first is not None
         clock._sleepers.remove(first)
         first[2].fire()
         sleeper.scope.cancel()
