@@ -1388,8 +1388,9 @@ class Hand(HandClock):
 
     async def pass_time(self, seconds: float) -> None:
         until = self._time + seconds
-        while self._sleepers and self._sleepers[0][0] <= until:
-            self._time, _, sleeper = heapq.heappop(self._sleepers)
+        while (first := self._sleepers.first) is not None and first[0] <= until:
+            self._sleepers.remove(first)
+            self._time, _, sleeper = first
             sleeper.fire()
             await wait_until_idle()
         self._time = until
