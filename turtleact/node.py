@@ -321,14 +321,14 @@ class Node:
 
     async def _close_servers(self, kind: type[object]) -> None:
         """Close all servers of a kind, and wait for those that somebody else is closing."""
+        servers = [each for each in reversed([*self._servers.values()]) if isinstance(each, kind)]
         async with anyio.create_task_group() as closing:
-            for server in reversed(list(self._servers.values())):
-                if not isinstance(server, kind):
-                    continue
-                if server.is_idle:  # it waits for nothing, and a task would cost more than that
-                    await server.aclose()
-                else:
+            for server in servers:
+                if not server.is_idle:
                     closing.start_soon(server.aclose)
+            for server in servers:  # the others wait for nothing, and a task costs more than that
+                if server.is_idle:
+                    await server.aclose()
 
     async def _close_rest(self) -> None:
         self.is_open = False
