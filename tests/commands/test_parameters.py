@@ -340,7 +340,7 @@ def test_what_is_of_no_kind_is_refused(text):
 
 
 def test_malformed_text_is_told_by_its_place():
-    with pytest.raises(InvalidMessage, match="value:1:5"):
+    with pytest.raises(InvalidMessage, match="value:1:4"):
         parameter_value("[1, ")
 
 

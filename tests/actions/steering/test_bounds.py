@@ -133,6 +133,8 @@ pieces = st.lists(st.tuples(speeds, st.integers(1, 45)), min_size=1, max_size=3)
 @given(st.lists(pieces, min_size=1, max_size=4), *[st.booleans()] * 2, st.sampled_from([0.01, 0.1]))
 # Short ways to and fro.
 @example([[((2.0, 2.0), 20)], [((0.0, 2.0), 90), ((2.0, -2.0), 20)]], False, True, 0.01)
+# A way so short that directions back along it prove something.
+@example([[((2.0, 2.0), 10)]], False, True, 0.1)
 def test_nobody_who_keeps_to_the_speeds_is_faster_than_the_shortest_time(
     legs, reverses, has_heading, tolerance
 ):

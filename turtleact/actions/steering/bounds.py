@@ -110,14 +110,15 @@ def rising_times(
     stops = [start, *_tour(start, centres, limits.tolerance)]
     units = [_unit(b - a) for a, b in pairwise(stops)]
     if steering.style == "rotate_then_drive":
-        length = _proven_length(start, centres, units, limits.tolerance)
+        length = max(0.0, _proven_length(start, centres, units, limits.tolerance))
         turns = sum(_turns([start, *centres], pose[2], limits))
         proofs = iter([(length, length / limits.max_linear + turns)])
     else:
         proofs = _Tour(pose, centres, steering, theta).proofs(units)
     turned = 0.0 if theta is None else _turn_time(theta - pose[2], limits)
     for length, least in proofs:
-        yield max(least, turned, ramp_time(length, limits.max_linear, limits.max_acceleration))
+        rising = ramp_time(max(0.0, length), limits.max_linear, limits.max_acceleration)
+        yield max(least, turned, rising)
 
 
 def _turn_time(angle: float, limits: Limits) -> float:
@@ -153,12 +154,16 @@ def _unit(leg: complex) -> complex:
 def _proven_length(
     start: complex, centres: Sequence[complex], units: Sequence[complex], tolerance: float
 ) -> float:
-    """The least sum of unit * leg; a point weighs by how much the units at its sides differ."""
+    """The least sum of unit * leg; a point weighs by how much the units at its sides differ.
+
+    It is negative where units lead back. What turning takes is more than the length by then, so
+    only the sum of both is no less than zero.
+    """
     total = -(start * units[0].conjugate()).real
     for centre, unit, leaving in zip(centres, units, [*units[1:], 0j], strict=True):
         pull = unit - leaving
         total += (centre * pull.conjugate()).real - tolerance * abs(pull)
-    return max(0.0, total)
+    return total
 
 
 def _turns(stops: Sequence[complex], theta: float, limits: Limits) -> Iterator[float]:
