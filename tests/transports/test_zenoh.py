@@ -10,12 +10,13 @@ import sys
 import threading
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import anyio
 import anyio.to_thread
 import msgspec
 import pytest
+import zenoh
 
 import turtleact
 from turtleact.clock import VirtualClock
@@ -1441,3 +1442,19 @@ async def test_a_graph_that_cannot_be_asked_is_not_waited_for(address, monkeypat
         monkeypatch.setattr(here._link.session, "tokens", fail)
         await here.explore()
     assert "Zenoh cannot" in caplog.text
+
+
+class Unending:
+    """A session of Zenoh that cannot be closed."""
+
+    def zid(self) -> str:
+        return "ab"
+
+    def close(self) -> None:
+        raise zenoh.ZError("close operation timed out! at /zenoh/close.rs:135.")
+
+
+def test_a_session_that_zenoh_cannot_close_is_left_behind_with_a_word(caplog):
+    Session(cast("zenoh.Session", Unending())).close()
+    said = "Zenoh cannot close its session: close operation timed out; it is left behind"
+    assert caplog.messages == [said]
