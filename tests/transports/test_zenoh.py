@@ -1261,6 +1261,21 @@ async def test_feedback_reaches_readers_here_and_in_another_process_alike(addres
             ]
 
 
+@asynccontextmanager
+async def counted(address: str, body: Any):
+    """A node that serves a body, and the handle of a goal that another process has sent to it."""
+    async with (
+        two(address) as peers,
+        turtleact.open_node("lab", transport=peers.there) as lab,
+        turtleact.open_node("user", transport=peers.here) as user,
+    ):
+        lab.action_server(Count, "count", body)
+        client = user.action_client(Count, "count")
+        assert await client.wait_for_server()
+        async with client.send_goal(goal(1)) as handle:
+            yield lab, handle
+
+
 async def test_odd_feedback_is_converted_or_refused_for_another_process_too(address):
     odd: Any = (1, 2)
     told: list[str] = []
@@ -1273,17 +1288,9 @@ async def test_odd_feedback_is_converted_or_refused_for_another_process_too(addr
             told.append(str(error))
         yield result(4)
 
-    async with (
-        two(address) as peers,
-        turtleact.open_node("lab", transport=peers.there) as lab,
-        turtleact.open_node("user", transport=peers.here) as user,
-    ):
-        lab.action_server(Count, "count", body)
-        client = user.action_client(Count, "count")
-        assert await client.wait_for_server()
-        async with client.send_goal(goal(1)) as handle:
-            assert [each async for each in handle] == [feedback(1, 2)]
-            assert await handle.result() == result(4)
+    async with counted(address, body) as (_, handle):
+        assert [each async for each in handle] == [feedback(1, 2)]
+        assert await handle.result() == result(4)
     assert told == ["feedback.so_far[1]: expected a whole number (int32), got True"]
 
 
@@ -1297,21 +1304,13 @@ async def test_who_attaches_itself_later_sees_the_last_feedback_sent_to_another_
         yield feedback(3)
         yield result(4)
 
-    async with (
-        two(address) as peers,
-        turtleact.open_node("lab", transport=peers.there) as lab,
-        turtleact.open_node("user", transport=peers.here) as user,
-    ):
-        lab.action_server(Count, "count", body)
-        client = user.action_client(Count, "count")
-        assert await client.wait_for_server()
-        async with client.send_goal(goal(1)) as handle:
-            assert [await anext(handle) for _ in range(2)] == [feedback(1), feedback(2)]
-            beside = await lab.action_client(Count, "count").attach(handle.goal_id)
-            assert beside.last_feedback == feedback(2)
-            gate.set()
-            assert await handle.result() == result(4)
-            assert beside.last_feedback == feedback(3)
+    async with counted(address, body) as (lab, handle):
+        assert [await anext(handle) for _ in range(2)] == [feedback(1), feedback(2)]
+        beside = await lab.action_client(Count, "count").attach(handle.goal_id)
+        assert beside.last_feedback == feedback(2)
+        gate.set()
+        assert await handle.result() == result(4)
+        assert beside.last_feedback == feedback(3)
 
 
 async def test_an_action_of_a_node_is_used_from_another_process(address):

@@ -169,7 +169,7 @@ class ActionEndpoints:
 
     @property
     def _implied(self) -> Implied:
-        return _implied(self._server)
+        return implied(cast("type[Action]", self._server.action_type))
 
     # the services
 
@@ -262,7 +262,3 @@ def _may_be_asked_for(goal: Goal) -> bool:
     """Whether a client elsewhere is about to ask for the end that the shutdown has brought."""
     is_sent_from_elsewhere = isinstance(goal.sender, bytes) and bool(goal.sender)
     return is_sent_from_elsewhere and goal.reason == SHUTDOWN and not goal.is_asked_for
-
-
-def _implied(server: ActionServer[Any, Any, Any]) -> Implied:
-    return implied(cast("type[Action]", server.action_type))
