@@ -156,8 +156,7 @@ def _proven_length(
 ) -> float:
     """The least sum of unit * leg; a point weighs by how much the units at its sides differ.
 
-    It is negative where units lead back. What turning takes is more than the length by then, so
-    only the sum of both is no less than zero.
+    It is negative where units lead back: what turning takes is counted from there, not from zero.
     """
     total = -(start * units[0].conjugate()).real
     for centre, unit, leaving in zip(centres, units, [*units[1:], 0j], strict=True):
