@@ -6,6 +6,8 @@ import asyncio
 import os
 import select
 import signal
+import time
+from math import inf
 from threading import Lock, Thread, get_ident
 
 import pytest
@@ -114,6 +116,18 @@ def spin() -> None:
     """Let no time pass unseen: a signal that comes before `signal.pause` would not end that."""
     while True:
         pass
+
+
+def heard_alarms(interrupts, monkeypatch) -> list[float]:
+    """When the alarm clock rings, which goes on to do what it does."""
+    rung, ring = [], interrupts._ring
+
+    def hear(*_):
+        rung.append(time.monotonic())
+        ring()
+
+    monkeypatch.setattr(interrupts, "_ring", hear)
+    return rung
 
 
 def in_the_loop(interrupts, steps):
@@ -271,12 +285,25 @@ def test_a_beginning_behind_a_signal_is_a_short_one(installed, monkeypatch):
     in_the_loop(installed, steps)
 
 
+def test_behind_the_first_signal_nothing_waits_for_long_without_an_alarm(installed, monkeypatch):
+    """A second one that comes in the moment before a write begins is told then."""
+    monkeypatch.setattr("turtleact.commands.interrupts.GRACE", 0.001)
+    rung = heard_alarms(installed, monkeypatch)
+
+    async def steps():
+        signal.raise_signal(SIGINT)
+        while len(rung) < 3:  # none of them ends the process
+            pass
+
+    in_the_loop(installed, steps)
+
+
 def test_a_beginning_that_is_soon_over_leaves_the_end_to_the_loop(installed):
     async def steps():
         with installed.beginning(7):
+            installed.end_within(60.0, 8)
             signal.raise_signal(SIGINT)
-            assert signal.getitimer(signal.ITIMER_REAL)[0] > 0
-        assert signal.getitimer(signal.ITIMER_REAL)[0] == 0
+        assert installed._due == inf
         await installed.wait(1)
 
     in_the_loop(installed, steps)

@@ -11,7 +11,8 @@ it depends on where the program stands:
 - in the event loop (`Interrupts.listening`): whoever waits in `Interrupts.wait`. Should the loop
   not come to the second signal within `GRACE`, or to a deadline (`Interrupts.end_within`), because
   it is stuck in a body or in writing to somebody who does not read, the system's alarm clock ends
-  the process. A third signal ends it at once.
+  the process. A third signal ends it at once. From the first signal on the clock also rings every
+  `GRACE`: one that comes in the moment before a write begins would be told after it only.
 - after the loop: nobody. What has ended has ended; at last they are ignored.
 
 One handler for all of this, set once: the loop's own signal handling would leave Python's default
@@ -29,6 +30,8 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from math import inf
+from time import monotonic
 from typing import TYPE_CHECKING, NoReturn
 
 if TYPE_CHECKING:
@@ -43,7 +46,7 @@ GRACE = 0.5
 """Wall seconds that the loop has for what it is late with."""
 
 LONGEST = 1e9
-"""Wall seconds that the system's alarm clock can be set to without harm: 31 years."""
+"""Seconds that the system's alarm clock can be set to without harm: 31 years."""
 
 CHUNK = 2**16
 """Bytes that are read at once: what a pipe holds on Linux."""
@@ -71,6 +74,8 @@ class Interrupts:
         self._endured = 1
         self._is_reading = False
         self._early: int | None = None
+        self._due = inf  # when the process is to end, by the monotonic clock (s)
+        self._late = 0  # the exit status then
         self._tell: Callable[[], object] | None = None
 
     @property
@@ -139,6 +144,7 @@ class Interrupts:
                 signal.setitimer(signal.ITIMER_REAL, 0)
                 signal.signal(signal.SIGALRM, before)
                 self._tell = None
+                self._due = inf
                 self._endured = sys.maxsize
 
     @contextmanager
@@ -159,20 +165,17 @@ class Interrupts:
         finally:
             self._early = None
             if len(self.received) < self._endured:
-                signal.setitimer(signal.ITIMER_REAL, 0)
+                self._due = inf
 
     def end_within(self, seconds: float, status: int) -> None:
         """Give the loop some wall seconds and `GRACE` to leave `listening`, or end the process.
 
         Of several deadlines the first counts. What has been printed stays; nothing is flushed.
-        The alarm comes again every `GRACE` until then: Python 3.11 may note a signal and yet not
-        tell a main thread that is in a loop of its own. So no spent alarm is taken for none.
         """
-        seconds += GRACE
-        left, _ = signal.getitimer(signal.ITIMER_REAL)
-        if not 0 < left <= seconds:
-            signal.signal(signal.SIGALRM, lambda *_: self._end(status))
-            signal.setitimer(signal.ITIMER_REAL, min(seconds, LONGEST), GRACE)
+        due = monotonic() + seconds + GRACE
+        if due < self._due:
+            self._due, self._late = due, status
+            self._set_alarm()
 
     async def wait(self, count: int) -> None:
         """Wait until ``count`` signals have come. Cancelling: safe."""
@@ -191,7 +194,26 @@ class Interrupts:
         if self._tell is not None:
             if len(self.received) == self._endured:
                 self.end_within(0.0, self.status)
+            self._set_alarm()
             self._tell()
+
+    def _set_alarm(self) -> None:
+        """Have the system's alarm clock ring when the process is to end, or in `GRACE`.
+
+        It rings every `GRACE` from then on, so that no alarm is the only one: Python 3.11 may note
+        a signal and yet not tell a main thread that is in a loop of its own.
+        """
+        seconds = self._due - monotonic()
+        if self.received:
+            seconds = min(seconds, GRACE)
+        signal.signal(signal.SIGALRM, self._ring)
+        signal.setitimer(signal.ITIMER_REAL, min(max(seconds, 1e-6), LONGEST), GRACE)
+
+    def _ring(self, *_: object) -> None:
+        if monotonic() >= self._due:
+            self._end(self._late)
+        else:
+            self._set_alarm()
 
     def _end(self, status: int) -> NoReturn:
         try:
