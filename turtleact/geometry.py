@@ -16,6 +16,7 @@ __all__ = [
     "curvature",
     "distance",
     "in_frame",
+    "phase",
     "saturate",
     "shortest_turn",
     "wrap_angle",
@@ -90,6 +91,22 @@ def bearing(x0: float, y0: float, x1: float, y1: float) -> float:
     if x0 == x1 and y0 == y1:
         return 0.0
     return wrap_angle(math.atan2(y1 - y0, x1 - x0))
+
+
+def phase(way: complex) -> float:
+    """The direction of a vector: an angle in [-pi, pi] (rad), and 0 for 0.
+
+    What ``cmath.phase`` is; but CPython's raises OverflowError for an angle that is too small for a
+    float.
+
+    Args:
+        way: The vector (m), ``x + yj``.
+
+    Example:
+        >>> phase(-1j), phase(complex(2.0, 5e-324))
+        (-1.5707963267948966, 0.0)
+    """
+    return math.atan2(way.imag, way.real)
 
 
 def in_frame(

@@ -79,6 +79,12 @@ def test_straight_ways_that_are_drawn_as_one_line_have_the_same_pixels(points):
     assert draw(Drawing(), points).pixels() == expected
 
 
+def test_a_turn_that_is_too_small_for_a_float_is_none():
+    points = [0j, 1 + 0j, complex(2.0, 5e-324)]
+    expected = pixels_of([(RED, start, end) for start, end in pairwise(points)])
+    assert draw(Drawing(), points).pixels() == expected
+
+
 def test_a_way_back_is_no_straight_way():
     points = [5 + 5j, 6 + 5j, 4 + 5j]
     expected = pixels_of([(RED, start, end) for start, end in pairwise(points)])

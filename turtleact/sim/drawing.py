@@ -19,7 +19,6 @@ Source: turtlesim 1.8.2, ``Turtle::update``; for leaving out points the cone int
 
 from __future__ import annotations
 
-import cmath
 import math
 import sys
 from array import array
@@ -313,12 +312,12 @@ class _Stroke:
             return True
         half = math.asin(TOLERANCE / distance)
         if self._reach:
-            off = math.remainder(cmath.phase(way) - self._axis, math.tau)
+            off = math.remainder(math.atan2(way.imag, way.real) - self._axis, math.tau)
             if not self._low <= off <= self._high:
                 return False
             self._low, self._high = max(self._low, off - half), min(self._high, off + half)
         else:
-            self._axis, self._low, self._high = cmath.phase(way), -half, half
+            self._axis, self._low, self._high = math.atan2(way.imag, way.real), -half, half
         self._reach = distance
         return True
 

@@ -111,6 +111,13 @@ def test_a_target_where_the_turtle_stands_is_reached_at_once(distance):
     assert drive(Steering(), (5.0, 5.0, 0.0), [(5.0, 5.0 + distance)]) == []
 
 
+@pytest.mark.parametrize("style", STYLES)
+def test_an_angle_that_is_too_small_for_a_float_is_none(style):
+    aside, straight = [(4.0, 5e-324), (6.0, 0.0)], [(4.0, 0.0), (6.0, 0.0)]
+    steering, start = Steering(style), (1.0, 0.0, 0.0)
+    assert drive(steering, start, aside) == drive(steering, start, straight)
+
+
 def test_a_turtle_at_its_target_stands_still():
     assert Steering().command((5.0, 5.0, 0.0), (5.0, 5.05), (9.0, 9.0)) == (0.0, 0.0)
 

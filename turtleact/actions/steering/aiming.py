@@ -13,7 +13,7 @@ import math
 import msgspec
 
 from turtleact.actions.steering.limits import Area, Limits
-from turtleact.geometry import saturate, wrap_angle
+from turtleact.geometry import phase, saturate, wrap_angle
 
 __all__ = [
     "MISS",
@@ -58,7 +58,7 @@ class Frame(msgspec.Struct, frozen=True):
 
 def turn_to(seen: complex, turning: float, limits: Limits) -> float:
     """The angle to a point (rad), the short way round; as before where that is a tie."""
-    error = wrap_angle(cmath.phase(seen))
+    error = wrap_angle(phase(seen))
     if error * turning < 0.0 and abs(error) > math.pi - late(limits):
         return math.copysign(math.pi, turning)
     return error
@@ -156,7 +156,7 @@ def approach(
     corner = aim - _arm(aim - frame.at, after - aim, limits.radius, sharpest)
     if nearest(area, corner, limits) != corner or not is_clear(frame.see(corner), limits):
         return aim
-    turned = frame.turned(saturate(cmath.phase(frame.see(corner)), limits.turn))
+    turned = frame.turned(saturate(phase(frame.see(corner)), limits.turn))
     return corner if is_clear(turned.see(aim) - limits.step, limits) else aim
 
 
@@ -166,12 +166,12 @@ def sweep(frame: Frame, target: complex, after: complex, limits: Limits, *, area
     It does if the turning circle cuts the target's disc within a quarter turn, before it leads to
     the next target. 0 if it does not, or if the next tick would leave the area.
     """
-    turn = wrap_angle(cmath.phase((after - target) * frame.heading.conjugate()))
+    turn = wrap_angle(phase((after - target) * frame.heading.conjugate()))
     side = math.copysign(1.0, turn)
     seen = frame.see(target)
     begun = complex(seen.real, side * seen.imag) * cmath.rect(1.0, -limits.turn / 2)
     out = complex(limits.radius - begun.imag, begun.real)  # from the centre of the circle
-    swept = cmath.phase(out)
+    swept = phase(out)
     if abs(abs(out) - limits.radius) > MISS * limits.tolerance:
         return 0.0
     if not limits.turn < swept <= min(abs(turn), math.pi / 2):
@@ -182,7 +182,7 @@ def sweep(frame: Frame, target: complex, after: complex, limits: Limits, *, area
 
 def _arm(way: complex, leg: complex, radius: float, sharpest: float) -> complex:
     """From corner to aim: halfway between arriving and leaving, as long as the arc needs."""
-    turn = cmath.phase(leg / way)
+    turn = phase(leg / way)
     if abs(turn) > sharpest:
         turn -= math.copysign(math.pi, turn)
     length = min(radius * math.tan(abs(turn) / 4), _SWING * abs(way))

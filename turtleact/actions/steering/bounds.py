@@ -17,7 +17,7 @@ from turtleact.actions.steering.easing import ramp_time
 from turtleact.actions.steering.law import Steering
 from turtleact.actions.steering.limits import Limits, Point, Pose, Style
 from turtleact.actions.steering.turning import ROOM, Cell, Leg, View, least_loss
-from turtleact.geometry import distance, wrap_angle
+from turtleact.geometry import distance, phase, wrap_angle
 
 __all__ = ["rising_times", "shortest_time", "time_bound"]
 
@@ -174,7 +174,7 @@ def _turns(stops: Sequence[complex], theta: float, limits: Limits) -> Iterator[f
             off += late(limits)
             continue
         leaves = math.asin(ends / abs(leg))
-        angle = abs(cmath.phase(leg * heading.conjugate()))
+        angle = abs(phase(leg * heading.conjugate()))
         yield max(0.0, angle - off - leaves - late(limits)) / limits.max_angular
         heading, off = leg, leaves
 
@@ -250,7 +250,7 @@ class _Tour:
         more = unit - (unit if own is None else own)
         gain = (way * more.conjugate()).real - off * abs(more)
         least, most = (along - ends) / limits.radius, (along + ends) / limits.radius
-        return View(cmath.phase(unit), least, most, gain / limits.radius)
+        return View(phase(unit), least, most, gain / limits.radius)
 
     def _time(
         self,
@@ -269,7 +269,7 @@ class _Tour:
         limits, driven = self._limits, self._length(units) / self._limits.max_linear
         legs = self._legs(units, views)
         if not legs:
-            return driven, [cmath.phase(self._heading)] * len(units)
+            return driven, [phase(self._heading)] * len(units)
         corners = list(legs)[:-1]  # each at the target of its leg
         turned, headings = least_loss(
             self._heading,
@@ -284,7 +284,7 @@ class _Tour:
             enough=(enough - driven) * limits.max_angular,
         )
         found = dict(zip(corners, headings, strict=True))
-        heading, all_ = cmath.phase(self._heading), []
+        heading, all_ = phase(self._heading), []
         for i in range(len(units)):
             heading = found.get(i, heading)
             all_.append(heading)

@@ -65,7 +65,7 @@ from turtleact.actions.steering.aiming import (
 from turtleact.actions.steering.easing import ramp, stopping_speed
 from turtleact.actions.steering.limits import Limits, Style
 from turtleact.errors import InvalidMessage
-from turtleact.geometry import distance, wrap_angle
+from turtleact.geometry import distance, phase, wrap_angle
 
 if TYPE_CHECKING:
     from turtleact.actions.steering.limits import Area, Point, Pose, Speeds
@@ -227,7 +227,7 @@ class Steering(msgspec.Struct, frozen=True):
     ) -> float:
         """The speed (m/s) from which it can still turn to its aim, and stop in time."""
         limits, seen = self.limits, frame.see(aim)
-        error = cmath.phase(seen)
+        error = phase(seen)
         if abs(error) >= facing:
             return 0.0
         rate = min(limits.max_angular, math.sqrt(limits.max_angular_acceleration * abs(error)))

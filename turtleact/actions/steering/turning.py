@@ -26,13 +26,14 @@ directions are the multipliers of the positions.
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections.abc import Iterator, Sequence
 from itertools import chain, pairwise
 from typing import TypeAlias
 
 import msgspec
+
+from turtleact.geometry import phase
 
 __all__ = ["ROOM", "Cell", "Leg", "View", "least_loss"]
 
@@ -118,7 +119,7 @@ def least_loss(
     corners = [_corner(one, next_, half, tick, parts) for one, next_ in pairwise(legs)]
     wanted = None if last is None else Cell(last, 2.0 * slack)
     limit = math.inf, list[float]()
-    begun = [Cell(cmath.phase(heading))]
+    begun = [Cell(phase(heading))]
     if tried is not None:
         cells = begun
         for leg, corner, near in zip(legs, corners, tried, strict=False):
@@ -170,8 +171,8 @@ def _corner(leg: Leg, following: Leg, half: float, tick: float, parts: int) -> l
 
     Where there is room for both turns only the best: half before the target, half after.
     """
-    begun = cmath.phase(leg.unit)
-    turn = math.remainder(cmath.phase(following.unit * leg.unit.conjugate()), 2.0 * half)
+    begun = phase(leg.unit)
+    turn = math.remainder(phase(following.unit * leg.unit.conjugate()), 2.0 * half)
     if min(leg.least, following.least) >= ROOM:
         return [Cell(begun + math.copysign(max(0.0, abs(turn) - tick) / 2.0, turn))]
     cells, rest = [], math.copysign(half, turn) - turn
@@ -187,7 +188,7 @@ def _views(leg: Leg) -> Sequence[View]:
     """Its own, if that counts, and the others."""
     if leg.is_left_out:
         return leg.views
-    return [View(cmath.phase(leg.unit), leg.least, leg.most), *leg.views]
+    return [View(phase(leg.unit), leg.least, leg.most), *leg.views]
 
 
 def _sight(cell: Cell, view: View, half: float, tick: float = 0.0) -> _Sight:
