@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gc
 import inspect
 from typing import ClassVar
 
@@ -88,6 +89,10 @@ def test_an_empty_part_says_where_it_belongs():
 
 def test_messages_compare_by_value():
     assert Point(x=1.0) == Point(x=1.0) != Point(x=2.0)
+
+
+def test_the_garbage_collector_need_not_look_at_messages():
+    assert not gc.is_tracked(Sample("a", Point(), [Point()], [1, 2]))
 
 
 def test_a_message_is_a_plain_struct():
