@@ -472,6 +472,7 @@ def test_the_last_turtle_may_be_killed():
     world = World()
     world.kill("turtle1")
     assert not world.step()
+    assert world.poses().shape == (0, 5)
     with pytest.raises(SimError, match=r"^there is no turtle 'turtle1', nor any other: spawn one$"):
         world.pose("turtle1")
 

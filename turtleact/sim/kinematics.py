@@ -238,7 +238,8 @@ class Handful:
 
     def columns(self) -> Sequence[npt.ArrayLike]:
         """The states of all turtles: N numbers for each field of `State`."""
-        return list(zip(*map(self.state, range(len(self))), strict=True))
+        columns = list(zip(*map(self.state, range(len(self))), strict=True))
+        return columns or [()] * len(State._fields)
 
     def places(self) -> Sequence[complex]:
         """Where all turtles are, as ``x + 1j * depth``; a copy."""
