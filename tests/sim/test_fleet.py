@@ -13,11 +13,13 @@ from turtleact.sim import fleet
 from turtleact.sim.fleet import Fleet
 from turtleact.sim.kinematics import (
     COMMAND_TICKS,
+    NEVER,
     SIDE,
     Command,
     Handful,
     Hit,
     Place,
+    State,
     StepRule,
     half_turn,
 )
@@ -189,3 +191,55 @@ def test_a_negative_zero_hits_nothing():
     turtles = Fleet([Place(-0.0, 1.0, 0.0)], StepRule.EULER)
     turtles.drive({0: Command(-0.0, 0.0, 0.0)}, 0)
     assert list(turtles.step(0)) == []
+
+
+def made_anew(turtles: Fleet, rule: StepRule) -> Fleet:
+    """The same turtles with the same commands, in a fleet of their own."""
+    orders = turtles.orders()
+    fresh = Fleet([Place(*state[:3]) for state, _ in orders], rule)
+    for index, (state, expiry) in enumerate(orders):
+        if expiry != NEVER:
+            fresh.drive({index: Command(*state[3:])}, expiry - COMMAND_TICKS)
+    return fresh
+
+
+@pytest.mark.usefixtures("_blocks")
+@pytest.mark.parametrize("rule", StepRule)
+@pytest.mark.parametrize("index", [0, 7, 20])
+def test_a_fleet_into_which_a_turtle_has_come_has_the_bits_of_one_made_anew(index, rule):
+    ours, place = Fleet(scattered(20), rule), Place(20.0, 3.0, 9.0)
+    ours.drive(dict(list(random_commands(20).items())[::2]), 0)
+    for tick in range(30):
+        ours.step(tick)
+    before = ours.orders()
+    ours.insert(index, place)
+    at_rest = State(*place, 0.0, 0.0, 0.0), NEVER
+    assert ours.orders() == [*before[:index], at_rest, *before[index:]]
+    fresh = made_anew(ours, rule)
+    for tick in range(30, 100):
+        assert list(ours.step(tick)) == list(fresh.step(tick))
+        assert states(ours) == states(fresh)
+
+
+@pytest.mark.usefixtures("_blocks")
+@pytest.mark.parametrize("rule", StepRule)
+@pytest.mark.parametrize("index", [0, 7, 19])
+def test_a_fleet_that_a_turtle_has_left_has_the_bits_of_one_made_anew(index, rule):
+    ours = Fleet(scattered(20), rule)
+    ours.drive(dict(list(random_commands(20).items())[::2]), 0)
+    for tick in range(30):
+        ours.step(tick)
+    before = ours.orders()
+    ours.remove(index)
+    assert ours.orders() == [*before[:index], *before[index + 1 :]]
+    fresh = made_anew(ours, rule)
+    for tick in range(30, 100):
+        assert list(ours.step(tick)) == list(fresh.step(tick))
+        assert states(ours) == states(fresh)
+
+
+def test_a_turtle_that_comes_to_a_fleet_at_rest_is_brought_inside_the_walls():
+    turtles = Fleet(scattered(3), StepRule.EULER)
+    turtles.step(0)
+    turtles.insert(1, Place(20.0, 1.0, 0.0))
+    assert list(turtles.step(1)) == [Hit(1, 20.0, 1.0)]

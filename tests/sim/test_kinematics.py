@@ -204,3 +204,26 @@ def test_the_columns_are_the_states_turned_over():
     turtles = Handful([MIDDLE, Place(1.0, 2.0, 3.0)], StepRule.EULER)
     assert list(zip(*turtles.columns(), strict=True)) == [turtles.state(0), turtles.state(1)]
     assert len(turtles) == 2
+
+
+def test_others_keep_their_bits_when_a_turtle_comes_and_goes():
+    alone, ours = (Handful([MIDDLE, Place(1.0, 2.0, 3.0)], StepRule.EULER) for _ in range(2))
+    for turtles in (alone, ours):
+        turtles.drive({0: Command(1.0, 0.0, 0.5), 1: Command(2.0, 0.0, 0.0)}, 0)
+    for tick in range(80):
+        if tick % 20 == 5:
+            ours.insert(1, Place(5.0, 6.0, 0.0))
+        assert [hit.x for hit in ours.step(tick)] == [hit.x for hit in alone.step(tick)]
+        if tick % 20 == 15:
+            assert ours.state(1) == (5.0, 6.0, 0.0, 0.0, 0.0, 0.0)
+            ours.remove(1)
+        if len(ours) == 2:
+            assert [ours.state(0), ours.state(1)] == [alone.state(0), alone.state(1)]
+
+
+def test_a_hit_has_the_index_that_a_turtle_has_now():
+    turtles = Handful([Place(-1.0, 2.0, 0.0), Place(-2.0, 2.0, 0.0)], StepRule.EULER)
+    turtles.remove(0)
+    turtles.insert(0, MIDDLE)
+    turtles.insert(2, Place(-3.0, 2.0, 0.0))
+    assert list(turtles.step(0)) == [Hit(1, -2.0, 2.0), Hit(2, -3.0, 2.0)]

@@ -458,6 +458,27 @@ def test_a_handful_keeps_its_bits_when_others_come_and_go():
         assert run(world, 1).pose("turtle1") == run(alone, 1).pose("turtle1")
 
 
+@pytest.mark.parametrize("turtles", [FEW, MANY])
+def test_all_turtles_are_not_made_anew_when_one_comes_or_goes(turtles):
+    world = World(turtles)
+    before = world._turtles
+    world.spawn(1.0, 1.0, 0.0, "guest")
+    world.kill("turtle2")
+    assert world._turtles is before
+
+
+@pytest.mark.parametrize("turtles", [FEW, MANY])
+def test_each_turtle_stays_where_it_is_whoever_comes_and_goes(turtles):
+    world = World(turtles)
+    before = {name: world.pose(name) for name in world.names}
+    for number, name in enumerate(("zoe", "alf", "turtle15")):
+        world.spawn(1.0, 1.0 + number, 0.0, name + "x")
+        world.kill(f"turtle{number + 1}")
+        del before[f"turtle{number + 1}"]
+    assert {name: world.pose(name) for name in before} == before
+    assert [world.pose(name).y for name in ("zoex", "alfx", "turtle15x")] == [1.0, 2.0, 3.0]
+
+
 def test_what_was_asked_before_a_spawn_is_not_lost():
     world = World(2)
     world.set_velocity("turtle1", 1.0)

@@ -84,9 +84,7 @@ class Fleet:
         self._expires = np.full(count, NEVER, np.int64)
         self._next_expiry = NEVER
         self._is_awake = self._is_disturbed = True
-        self._blocks = [
-            _Block(self, slice(start, start + _BLOCK)) for start in range(0, count, _BLOCK)
-        ]
+        self._divide()
 
     def __len__(self) -> int:
         return len(self._theta)
@@ -108,6 +106,16 @@ class Fleet:
         at = np.array([index])
         self._aim(at, self._theta[at] + self._turn[at])
         self._is_awake = self._is_disturbed = True
+
+    def insert(self, index: int, place: Place) -> None:
+        """Have one more turtle, at rest, that gets this index; as `place` otherwise."""
+        self._rearrange(np.insert(np.arange(len(self)), index, 0))  # a double of any, for its room
+        self.place(index, place)
+        self._rest(np.array([index]))
+
+    def remove(self, index: int) -> None:
+        """Have one turtle less."""
+        self._rearrange(np.delete(np.arange(len(self)), index))
 
     def state(self, index: int) -> State:
         """The state of one turtle."""
@@ -163,13 +171,34 @@ class Fleet:
         self._aim(at, self._theta[at] + turn)
 
     def _halt(self, tick: int) -> None:
-        due = np.flatnonzero(self._expires <= tick)
-        self._speeds[:, due] = 0.0
-        self._turn[due] = 0.0
-        self._step[due] = 0.0
-        self._spin[due] = 1.0
-        self._expires[due] = NEVER
+        self._rest(np.flatnonzero(self._expires <= tick))
         self._next_expiry = int(self._expires.min())
+
+    def _rest(self, at: _Indices) -> None:
+        self._speeds[:, at] = 0.0
+        self._turn[at] = 0.0
+        self._step[at] = 0.0
+        self._spin[at] = 1.0
+        self._expires[at] = NEVER
+
+    def _rearrange(self, order: _Indices) -> None:
+        """Have these turtles in this order; what they are doing is begun anew from where they are.
+
+        So a fleet is the same, to the last bit, however its turtles have come together.
+        """
+        self._place, self._theta = self._place[order], self._theta[order]
+        self._speeds, self._turn = self._speeds.take(order, axis=1), self._turn[order]
+        self._spin, self._expires = self._spin[order], self._expires[order]
+        self._step = np.zeros_like(self._spin)
+        (driven,) = (self._expires != NEVER).nonzero()
+        self._aim(driven, self._theta[driven] + self._turn[driven])
+        self._is_awake = self._is_disturbed = True
+        self._divide()
+
+    def _divide(self) -> None:
+        self._blocks = [
+            _Block(self, slice(start, start + _BLOCK)) for start in range(0, len(self), _BLOCK)
+        ]
 
     def _bring_into_range(self, at: _Indices) -> None:
         if self._is_disturbed:

@@ -126,6 +126,12 @@ class Turtles(Protocol):
     def place(self, index: int, place: Place) -> None:
         """Put a turtle somewhere; the next step wraps its angle and brings it inside the walls."""
 
+    def insert(self, index: int, place: Place) -> None:
+        """Have one more turtle, at rest, that gets this index; as `place` otherwise."""
+
+    def remove(self, index: int) -> None:
+        """Have one turtle less."""
+
     def state(self, index: int) -> State:
         """The state of one turtle."""
 
@@ -209,7 +215,8 @@ class Handful:
     """
 
     def __init__(self, places: Iterable[Place], rule: StepRule) -> None:
-        self._turtles = [_Turtle(index, place) for index, place in enumerate(places)]
+        self._turtles = [_Turtle(place) for place in places]
+        self._count()
         self._rule = rule
         self._half = _HALF_TURN[rule]
 
@@ -230,6 +237,16 @@ class Handful:
         turtle = self._turtles[index]
         turtle.x, turtle.depth, turtle.theta = place
         turtle.free_until = 0
+
+    def insert(self, index: int, place: Place) -> None:
+        """Have one more turtle, at rest, that gets this index; as `place` otherwise."""
+        self._turtles.insert(index, _Turtle(place))
+        self._count()
+
+    def remove(self, index: int) -> None:
+        """Have one turtle less."""
+        del self._turtles[index]
+        self._count()
 
     def state(self, index: int) -> State:
         """The state of one turtle."""
@@ -267,6 +284,10 @@ class Handful:
                 turtle.depth -= turtle.dy
         return hits
 
+    def _count(self) -> None:
+        for index, turtle in enumerate(self._turtles):
+            turtle.index = index
+
 
 class _Turtle:
     """One turtle: its state, and what follows from its command until something changes.
@@ -281,8 +302,9 @@ class _Turtle:
         "turn", "vx", "vy", "x",
     )  # fmt: skip
 
-    def __init__(self, index: int, place: Place) -> None:
-        self.index = index
+    index: int
+
+    def __init__(self, place: Place) -> None:
         self.x, self.depth, self.theta = place
         self.halt()
         self.free_until = 0

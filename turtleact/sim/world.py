@@ -28,6 +28,7 @@ from turtleact.sim.kinematics import (
     StepRule,
 )
 from turtleact.sim.placing import MIDDLE, Absolute, Relative, Spawn, check_finite, starts
+from turtleact.sim.roster import Roster
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -111,18 +112,18 @@ class World:
         self.on_jump: Callable[[str, complex, complex], None] | None = None
         self._rule = rule
         self._collide = collide
-        self._settle(list(self._first), list(self._first.values()))
-        self._count = turtles
         self._tick = 0
         self._is_asked = False
         self._commands: dict[int, Command] = {}
         self._fleet_command: npt.NDArray[np.float64] | None = None
         self._teleports: list[tuple[int, Teleport]] = []
+        self._turtles: Turtles
+        self._begin(self._first)
 
     @property
     def names(self) -> tuple[str, ...]:
         """The turtles in name order, which is the order of their indices."""
-        return self._names
+        return self._roster.names
 
     @property
     def tick(self) -> int:
@@ -150,9 +151,9 @@ class World:
         Raises:
             SimError: if there is no such turtle, or a speed is not finite.
         """
-        index = self.index(turtle)
+        index = self._roster.index(turtle)
         if not math.isfinite(vx + vy + omega):
-            check_finite(self._names[index], vx=vx, vy=vy, omega=omega)
+            check_finite(self.names[index], vx=vx, vy=vy, omega=omega)
         self._commands[index] = Command(vx, vy if self.holonomic else 0.0, omega)
         self._is_asked = True
 
@@ -171,7 +172,7 @@ class World:
         """
         import numpy as np
 
-        speeds = np.empty((3, len(self._names)))
+        speeds = np.empty((3, len(self._turtles)))
         for row, what, values in zip(speeds, Command._fields, (vx, vy, omega), strict=True):
             given = np.asarray(values, dtype=np.float64)
             if given.shape not in ((), row.shape):
@@ -179,7 +180,7 @@ class World:
             row[:] = given
         if not np.isfinite(speeds).all():
             index = int(np.isfinite(speeds).all(axis=0).argmin())
-            check_finite(self._names[index], **Command(*speeds[:, index].tolist())._asdict())
+            check_finite(self.names[index], **Command(*speeds[:, index].tolist())._asdict())
         if not self.holonomic:
             speeds[1] = 0.0
         self._commands.clear()
@@ -230,12 +231,10 @@ class World:
         """
         where = Spawn.of(x, y, theta)
         check_finite(name or "a new turtle", **where._asdict())
-        if name in self._index:
-            raise SimError("there is a turtle of this name: give another", turtle=name)
-        while not name or name in self._index:
-            self._count += 1
-            name = f"turtle{self._count}"
-        self._change([*self._names, name], {name: where.place})
+        name = self._roster.free_name(name)
+        self.take_up()  # what was asked for is kept by index
+        self._turtles.insert(self._roster.add(name), where.place)
+        self._turtles = _fitting(self._turtles, self._rule)
         return name
 
     def kill(self, turtle: str) -> None:
@@ -244,8 +243,11 @@ class World:
         Raises:
             SimError: if there is no such turtle.
         """
-        index = self.index(turtle)
-        self._change([*self._names[:index], *self._names[index + 1 :]], {})
+        index = self._roster.index(turtle)
+        self.take_up()
+        self._roster.remove(index)
+        self._turtles.remove(index)
+        self._turtles = _fitting(self._turtles, self._rule)
 
     def reset(self) -> None:
         """Leave nothing but a ``turtle1`` at the start; names are counted anew, time goes on."""
@@ -281,7 +283,7 @@ class World:
         Raises:
             SimError: if there is no such turtle.
         """
-        x, depth, theta, vx, vy, omega = self._turtles.state(self.index(turtle))
+        x, depth, theta, vx, vy, omega = self._turtles.state(self._roster.index(turtle))
         speed = math.sqrt(vx * vx + vy * vy)
         return Pose(*array("f", (x, SIDE - depth, theta, speed, omega)))
 
@@ -291,7 +293,7 @@ class World:
         Raises:
             SimError: if there is no such turtle.
         """
-        return self._turtles.state(self.index(turtle)).theta
+        return self._turtles.state(self._roster.index(turtle)).theta
 
     def places(self) -> Sequence[complex]:
         """Where all turtles are, by index, as ``x + 1j * depth`` (m); a list or an array."""
@@ -306,7 +308,7 @@ class World:
         import numpy as np
 
         x, depth, theta, vx, vy, omega = map(np.asarray, self._turtles.columns())
-        poses = np.empty((len(self._names), 5), np.float32)
+        poses = np.empty((len(self._turtles), 5), np.float32)
         with np.errstate(over="ignore"):  # beyond float32 a speed is infinite
             poses[:, 0] = x
             poses[:, 1] = SIDE - depth
@@ -321,42 +323,14 @@ class World:
         Raises:
             SimError: if there is no such turtle.
         """
-        index = self._index.get(turtle, -1) if isinstance(turtle, str) else turtle
-        if 0 <= index < len(self._names):
-            return index
-        last = len(self._names) - 1
-        if last < 0:
-            raise SimError(f"there is no turtle {turtle!r}, nor any other: spawn one")
-        known = ", ".join(self._names[:3]) + (", …" if last > 2 else "")
-        raise SimError(
-            f"there is no turtle {turtle!r}: give a name ({known}) or an index to {last}"
-        )
+        return self._roster.index(turtle)
 
     def _begin(self, turtles: dict[str, Place]) -> None:
         self._fleet_command = None
         self._commands.clear()
         self._teleports.clear()
-        self._settle(list(turtles), list(turtles.values()))
-        self._count = len(turtles)
-
-    def _settle(self, names: list[str], places: list[Place]) -> None:
-        self._names = tuple(names)
-        self._index = {name: index for index, name in enumerate(names)}
-        self._turtles = _turtles(places, self._rule)
-
-    def _change(self, names: list[str], new: dict[str, Place]) -> None:
-        """Have these turtles and no others; those that are there already go on as before."""
-        self.take_up()  # what was asked for is kept by index
-        before = dict(zip(self._names, self._turtles.orders(), strict=True))
-        names.sort()
-        self._settle(names, [new.get(name) or Place(*before[name][0][:3]) for name in names])
-        running: dict[int, dict[int, Command]] = {}
-        for index, name in enumerate(names):
-            if name not in new and before[name][1] != NEVER:
-                state, expiry = before[name]
-                running.setdefault(expiry - COMMAND_TICKS, {})[index] = Command(*state[3:])
-        for tick, commands in running.items():
-            self._turtles.drive(commands, tick)
+        self._roster = Roster(turtles)
+        self._turtles = _turtles(list(turtles.values()), self._rule)
 
     def _keep_apart(self, before: Sequence[complex]) -> None:
         from turtleact.sim.collisions import stopped
@@ -366,8 +340,8 @@ class World:
             self._turtles.place(index, Place(before[index].real, before[index].imag, theta))
 
     def _teleport(self, turtle: str | int, teleport: Teleport) -> None:
-        index = self.index(turtle)
-        check_finite(self._names[index], **teleport._asdict())
+        index = self._roster.index(turtle)
+        check_finite(self.names[index], **teleport._asdict())
         self._teleports.append((index, teleport))
         self._is_asked = True
 
@@ -385,7 +359,7 @@ class World:
             self._turtles.place(index, after)
             if self.on_jump is not None:
                 here, there = complex(before.x, before.depth), complex(after.x, after.depth)
-                self.on_jump(self._names[index], here, there)
+                self.on_jump(self.names[index], here, there)
         self._teleports.clear()
 
 
@@ -395,3 +369,15 @@ def _turtles(places: list[Place], rule: StepRule) -> Turtles:
     from turtleact.sim.fleet import Fleet  # numpy costs 0.1 s: only a fleet waits for it
 
     return Fleet(places, rule)
+
+
+def _fitting(turtles: Turtles, rule: StepRule) -> Turtles:
+    """The same turtles, as few or many, if there are so many now."""
+    if (len(turtles) <= FEW) == isinstance(turtles, Handful):
+        return turtles
+    orders = turtles.orders()
+    fitting = _turtles([Place(*state[:3]) for state, _ in orders], rule)
+    for index, (state, expiry) in enumerate(orders):
+        if expiry != NEVER:
+            fitting.drive({index: Command(*state[3:])}, expiry - COMMAND_TICKS)
+    return fitting
