@@ -244,7 +244,6 @@ def test_a_circle_has_a_third_of_its_points():
         pytest.param(lambda ours: draw(ours, [6 + 5j, 7 + 5j], pen=BLUE), id="another-pen"),
         pytest.param(lambda ours: draw(ours, [8 + 5j, 9 + 5j]), id="from-elsewhere"),
         pytest.param(lambda ours: draw(ours, [6 + 5j, 7 + 5j], turtle=2), id="another-turtle"),
-        pytest.param(lambda ours: (ours.lift(1), draw(ours, [6 + 5j, 7 + 5j])), id="lifted"),
     ],
 )
 def test_a_new_polyline_begins_with(more):
@@ -298,7 +297,6 @@ def test_a_turtle_that_dots_about_stays_within_the_bound(monkeypatch):
     for number in range(500):
         place = complex(number % 10, number // 50)
         ours.line(1, RED, place, place)
-        ours.lift(1)
     assert len(ours.polylines()) <= 50
 
 

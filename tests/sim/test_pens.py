@@ -22,6 +22,15 @@ def run(world, pens, ticks=1, sensed=()):
     return colours
 
 
+def spawn(world, pens, *where):
+    pens.hand_out(world.spawn(*where))
+
+
+def kill(world, pens, name):
+    world.kill(name)
+    pens.take_back(name)
+
+
 def strokes(pens):
     """The polylines in metres, rounded."""
     return [
@@ -48,9 +57,8 @@ def picture(*, at_once, odd=""):
         run(world, pens, 40)
         if odd:
             pens.set("turtle7", RED, 5, is_off=odd == "off")
-        world.kill(world.names[3])
-        world.spawn(2.0, 2.0, 1.0)
-        pens.take_stock()
+        kill(world, pens, world.names[3])
+        spawn(world, pens, 2.0, 2.0, 1.0)
     return pens.drawing.pixels()
 
 
@@ -152,8 +160,7 @@ def test_only_those_that_are_asked_for_are_looked_at():
 
 def test_a_new_turtle_has_a_pen_and_draws_from_where_it_was_put():
     world, pens = world_of()
-    world.spawn(1.0, 1.0, 0.0, "bob")
-    pens.take_stock()
+    spawn(world, pens, 1.0, 1.0, 0.0, "bob")
     world.set_velocity("bob", 1.0)
     run(world, pens)
     assert strokes(pens)[0][0] == 1 + 10.089j
@@ -162,22 +169,28 @@ def test_a_new_turtle_has_a_pen_and_draws_from_where_it_was_put():
 def test_a_turtle_of_the_same_name_draws_a_line_of_its_own():
     world, pens = world_of()
     for _ in range(2):
-        world.spawn(1.0, 1.0, 0.0, "bob")
-        pens.take_stock()
+        spawn(world, pens, 1.0, 1.0, 0.0, "bob")
         pens.set("bob", RED, 9)
         world.set_velocity("bob", 1.0)
         run(world, pens, 3)
-        world.kill("bob")
-        pens.take_stock()
+        kill(world, pens, "bob")
     assert [len(stroke) for stroke in strokes(pens)] == [2, 2]
     assert list(pens._holders) == ["turtle1"]
+
+
+def test_a_turtle_that_comes_in_the_place_of_another_has_a_pen_of_its_own():
+    world, pens = world_of()
+    spawn(world, pens, 1.0, 1.0, 0.0, "bob")
+    pens.set("bob", RED, 9)
+    kill(world, pens, "bob")
+    spawn(world, pens, 1.0, 1.0, 0.0, "bob")
+    assert pens.colour("bob") == Pen().colour
 
 
 def test_a_jump_of_a_turtle_that_is_killed_before_the_tick_is_not_drawn():
     world, pens = world_of(2)
     world.teleport_absolute("turtle2", 1.0, 1.0, 0.0)
-    world.kill("turtle2")
-    pens.take_stock()
+    kill(world, pens, "turtle2")
     run(world, pens)
     assert strokes(pens) == []
 
@@ -185,8 +198,7 @@ def test_a_jump_of_a_turtle_that_is_killed_before_the_tick_is_not_drawn():
 def test_a_jump_that_is_taken_up_when_another_comes_is_drawn_once():
     world, pens = world_of()
     world.teleport_absolute("turtle1", 1.0, 1.0, 0.0)
-    world.spawn(3.0, 3.0, 0.0)
-    pens.take_stock()
+    spawn(world, pens, 3.0, 3.0, 0.0)
     run(world, pens, 2)
     assert strokes(pens) == [[5.544 + 5.544j, 1 + 10.089j]]
 

@@ -107,11 +107,6 @@ class Drawing:
             self._fleet = Runs(pen, _STRAIGHT / METER)
         self._note(pen, self._fleet.take(who, start, end))
 
-    def lift(self, turtle: int) -> None:
-        """Forget who drew: nothing more comes from this turtle."""
-        self._read()
-        self._open.pop(turtle, None)
-
     def clear(self) -> None:
         """Erase everything."""
         self._unread = array("d")

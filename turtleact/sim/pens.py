@@ -49,7 +49,7 @@ class Pens:
         self._names: tuple[str, ...] = ()
         self._places: Sequence[complex] = ()
         world.on_jump = self._jump
-        self.take_stock()
+        self._provide_all()
 
     def set(self, turtle: str, colour: Colour, width: int = 0, *, is_off: bool = False) -> None:
         """Change a turtle's pen, from its next line on.
@@ -70,29 +70,23 @@ class Pens:
         """What a turtle draws in, or would if its pen were on."""
         return self._holders[turtle].pen.colour
 
-    def take_stock(self) -> None:
-        """Give new turtles a pen, and take it from those that are gone.
+    def hand_out(self, turtle: str) -> None:
+        """Give a turtle that has come a pen; to be called before the next step."""
+        self._provide(turtle)
+        self._take_stock()
 
-        To be called after each change of the turtles, before the next step.
-        """
-        names = self._world.names
-        for name in self._holders.keys() - set(names):
-            self.drawing.lift(self._holders.pop(name).number)
-            self._jumps.pop(name, None)
-        for name in names:
-            if name not in self._holders:
-                self._count += 1
-                self._holders[name] = _Holder(self._count)
-        self._names = names
-        self._fleet = None
-        self._places = self._world.places()
+    def take_back(self, turtle: str) -> None:
+        """Take the pen of a turtle that has gone; to be called before the next step."""
+        del self._holders[turtle]
+        self._jumps.pop(turtle, None)
+        self._take_stock()
 
     def forget_all(self) -> None:
-        """Erase the drawing, and give every turtle a new pen."""
+        """Erase the drawing, and give every turtle that there is now a new pen."""
         self._holders.clear()
         self._jumps.clear()
         self.drawing.clear()
-        self.take_stock()
+        self._provide_all()
 
     def follow(self, sensed: Collection[str] = ()) -> dict[str, Colour]:
         """Draw what the last step of the world made of the turtles.
@@ -126,6 +120,19 @@ class Pens:
             if start != end:
                 self._draw(name, start, end)
         return colours
+
+    def _provide_all(self) -> None:
+        for name in self._world.names:
+            self._provide(name)
+        self._take_stock()
+
+    def _provide(self, turtle: str) -> None:
+        self._count += 1
+        self._holders[turtle] = _Holder(self._count)
+
+    def _take_stock(self) -> None:
+        self._names, self._places = self._world.names, self._world.places()
+        self._fleet = None
 
     def _follow_fleet(self, before: Sequence[complex], now: Sequence[complex]) -> bool:
         """Draw the lines of many turtles at once, if all have one pen, and it is on."""

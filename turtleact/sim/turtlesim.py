@@ -237,7 +237,7 @@ class Turtlesim:
                 else:
                     logger.error("A turtle was not spawned: %s", error)
                 return Spawn.Response()
-            self._pens.take_stock()
+            self._pens.hand_out(name)
             is_shown = len(self._spawned) < MOST_SHOWN
             if is_shown:
                 self._spawned.add(name)
@@ -252,7 +252,7 @@ class Turtlesim:
                 return Kill.Response()
             self._spawned.discard(turtle.name)
             self._world.kill(turtle.name)
-            self._pens.take_stock()
+            self._pens.take_back(turtle.name)
             await self._part_with([turtle])
         return Kill.Response()
 
