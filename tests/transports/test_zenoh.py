@@ -702,6 +702,23 @@ async def test_a_latched_source_on_demand_tells_its_state_once_it_is_asked_for(a
         assert far.numbers[-1] == 5
 
 
+async def test_a_latched_source_on_demand_is_asked_for_nothing_before_somebody_else_reads(address):
+    class Asked(Numbers):
+        times = 0
+
+        def written(self, encode):
+            self.times += 1
+            return super().written(encode)
+
+    async with two(address) as peers:
+        source = Asked()
+        publication = peers.here.advertise(shy(publisher(qos=LATCHED)), SPEECH, source)
+        publication.refresh()
+        await peers.settle()
+        assert source.times == 0
+        assert peers.here._link.crew._running == {}
+
+
 async def test_nothing_is_asked_of_zenoh_for_what_is_on_demand_and_not_wanted(address, monkeypatch):
     async with two(address) as peers:
         with monkeypatch.context() as patched:

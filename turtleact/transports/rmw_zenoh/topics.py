@@ -191,6 +191,8 @@ class WirePublication:
 
     def _grow_stale(self) -> None:
         """Have the source's state sent, once for all changes until the loop's next turn."""
+        if self._presence.is_asleep:  # it is refreshed once it wakes
+            return
         self._is_stale = True
         if not self._is_watched:
             self._is_watched = True
