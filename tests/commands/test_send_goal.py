@@ -15,6 +15,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import anyio
 import pytest
 
 from turtleact import open_node
@@ -22,6 +23,7 @@ from turtleact.commands import send_goal
 from turtleact.commands.transcript import JsonTranscript, PlainTranscript
 from turtleact.errors import ServerUnavailable
 from turtleact.goal import GoalStatus
+from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.transports import QoS
 from turtleact.transports.base import Endpoint
 
@@ -308,8 +310,56 @@ def test_of_a_goal_that_a_server_elsewhere_may_take_yet_nothing_else_is_said(
     ran = on_graph(nodes, "send-goal", "consider")
     assert ran.err == (
         "no answer from the server for 0.01 s; waiting for it\n"
+        "waiting for the server's answer; Ctrl-C again leaves at once\n"
         "interrupted before the goal was accepted; the server may take it yet\n"
     )
+
+
+@asynccontextmanager
+async def late(transport):
+    """A server that answers late, even to a goal that is withdrawn."""
+
+    async def think(goal):
+        try:
+            await anyio.sleep_forever()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await anyio.sleep(0.05)
+
+    async with open_node("stage", transport=transport) as node:
+        node.action_server(Fibonacci, "/stuck", think, goal_callback=think)
+        yield
+
+
+@pytest.mark.parametrize(
+    ("grace", "rest"), [(0.01, "the server may take it yet"), (5.0, "there is none")]
+)
+def test_a_server_that_does_not_answer_is_told_from_one_that_takes_no_goal(
+    on_graph, monkeypatch, grace, rest
+):
+    monkeypatch.setattr(send_goal, "GRACE", grace)
+    monkeypatch.setattr(PlainTranscript, "sending", lambda *_: signal.raise_signal(signal.SIGINT))
+    ran = on_graph(late, "send-goal", "stuck")
+    assert (ran.status, ran.err) == (
+        130,
+        "turtleact: waiting for the server's answer; Ctrl-C again leaves at once\n"
+        f"turtleact: interrupted before the goal was accepted; {rest}\n",
+    )
+
+
+def test_a_second_signal_leaves_a_server_that_does_not_answer_at_once(on_graph, monkeypatch):
+    def note(transcript, text):
+        print(text)
+        if "waiting" in text:
+            signal.raise_signal(signal.SIGINT)
+
+    left = list[int]()
+    monkeypatch.setattr(send_goal, "leave", left.append)
+    monkeypatch.setattr(PlainTranscript, "sending", lambda *_: signal.raise_signal(signal.SIGINT))
+    monkeypatch.setattr(PlainTranscript, "note", note)
+    ran = on_graph(late, "send-goal", "stuck")
+    assert left == [130]
+    assert "interrupted before the goal was accepted; the server may take it yet\n" in ran.out
 
 
 def test_a_server_that_does_not_take_the_goal_is_told_of(start):

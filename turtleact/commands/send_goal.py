@@ -30,6 +30,7 @@ from turtleact.goal import GoalStatus
 from turtleact.interfaces import Action, from_text
 from turtleact.interfaces.definition import did_you_mean
 from turtleact.names import resolve_name
+from turtleact.tasks import GRACE
 
 if TYPE_CHECKING:
     from anyio.abc import TaskGroup
@@ -169,13 +170,15 @@ class _Sending:
         )
         status = None
         async with anyio.create_task_group() as beside:
-            beside.start_soon(self._heed_interrupts, beside)
-            beside.start_soon(self._heed_silence, beside)
+            sending = anyio.CancelScope()
+            beside.start_soon(self._heed_interrupts, sending, beside)
+            beside.start_soon(self._heed_silence, sending)
             try:
-                await client.wait_for_server(PATIENCE)
-                async with client.send_goal(goal) as handle:
-                    self._sent = Sent(node, self._name, action_type.type_name, goal, handle)
-                    status = await self._follow(self._sent, beside)
+                with sending:
+                    await client.wait_for_server(PATIENCE)
+                    async with client.send_goal(goal) as handle:
+                        self._sent = Sent(node, self._name, action_type.type_name, goal, handle)
+                        status = await self._follow(self._sent, beside)
             except ServerUnavailable:
                 if self._sent is not None and self._sent.handle.done:
                     self._transcript.note(f"if its server lives, {self._way_back(self._sent)}")
@@ -218,27 +221,39 @@ class _Sending:
 
     # what comes in between
 
-    async def _heed_interrupts(self, beside: TaskGroup) -> None:
+    async def _heed_interrupts(self, sending: anyio.CancelScope, beside: TaskGroup) -> None:
         """The first signal cancels the goal, or the sending of it; the second lets go of it."""
         await self._interrupts.wait(1)
         if self._sent is None:
-            beside.cancel_scope.cancel()
+            await self._withdraw(sending)
             return
         beside.start_soon(self._obey, self._sent, self._interrupts.status)
         await self._interrupts.wait(2)  # though the server may not answer
         self._let_go(self._sent, self._interrupts.status)
 
-    async def _heed_silence(self, beside: TaskGroup) -> None:
+    async def _withdraw(self, sending: anyio.CancelScope) -> None:
+        """Stop sending: the server's answer is waited for, as long as the client waits for it."""
+        sending.cancel()
+        if not self._is_embedded:
+            self._transcript.note("waiting for the server's answer; Ctrl-C again leaves at once")
+        with anyio.move_on_after(GRACE):
+            await self._interrupts.wait(2)
+        self._is_silent = True
+        if len(self._interrupts.received) > 1:
+            self._transcript.close()
+            leave(self._interrupted())
+
+    async def _heed_silence(self, sending: anyio.CancelScope) -> None:
         """Say that a server has not taken the goal in time; give up if the user has set one."""
         limit = self._order.timeout
         await anyio.sleep(max(limit or 0.0, PATIENCE))
-        if self._sent is not None:
+        if self._sent is not None or self._interrupts.received:
             return
         self._is_silent = True
         if limit:
             seconds = max(limit, PATIENCE)
             self._transcript.note(f"no answer from the server after {seconds:g} s; {self._rest()}")
-            beside.cancel_scope.cancel()
+            sending.cancel()
         else:
             self._transcript.note(f"no answer from the server for {PATIENCE:g} s; waiting for it")
 
