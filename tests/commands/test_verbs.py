@@ -139,9 +139,12 @@ def test_a_command_line_that_makes_no_sense_is_refused(arguments, problem):
         verbs.parse(arguments)
 
 
-def test_a_refusal_says_where_there_is_help():
+@pytest.mark.parametrize(
+    "arguments", [[], ["--fedback"], ["x", "--timeout"], ["x", "-t"], ["x", "--plain=1"]]
+)
+def test_a_refusal_says_where_there_is_help(arguments):
     with pytest.raises(UsageError, match=r"\nTry 'turtleact action send_goal --help'\.\Z"):
-        verbs.parse(["action", "send_goal"])
+        verbs.parse(["action", "send_goal", *arguments])
 
 
 @pytest.fixture

@@ -155,7 +155,12 @@ class Verb(TyperCommand):
             else arg
             for arg in args
         ]
-        return super().parse_args(ctx, marked)
+        try:
+            return super().parse_args(ctx, marked)
+        except ArgumentError as error:
+            if error.ctx is None:  # type: ignore[attr-defined]  # as of an option without its value
+                error.ctx = ctx  # type: ignore[attr-defined]
+            raise
 
 
 class Verbs(TyperGroup):
