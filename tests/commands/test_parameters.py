@@ -296,7 +296,11 @@ def test_loading_tells_what_was_not_taken(on_turtlesim, tmp_path):
     ("text", "problem"),
     [
         ("/other: {ros__parameters: {x: 1}}", "has no parameters for /turtlesim, but for /other"),
-        ("", "has no parameters for /turtlesim, but for nobody"),
+        ("", ": is empty: 'param dump' prints such a file\n"),
+        ("# {}", ": is empty: 'param dump'"),
+        ("hello", ": holds no nodes with their parameters: 'param dump' prints such a file\n"),
+        ("[/turtlesim]", ": holds no nodes with their parameters: 'param dump'"),
+        ("/turtlesim: {ros__parameters: {}}", ": has no parameters for /turtlesim\n"),
         ("/turtlesim: {x: 1}", "/turtlesim has no ros__parameters"),
         ("/turtlesim: {ros__parameters: {a: {b: null}}}", "a.b: a parameter is a bool, a number"),
         ("/turtlesim: {ros__parameters: {a: [1", "1:37: "),
@@ -312,6 +316,11 @@ def test_a_file_that_cannot_be_loaded_is_a_usage_error(on_turtlesim, tmp_path, t
     assert ran.status == 2
     assert ran.err.startswith(f"turtleact: {file}")
     assert problem in ran.err
+
+
+def test_a_file_without_a_name_is_a_usage_error(on_turtlesim):
+    ran = on_turtlesim("load", "/turtlesim", "")
+    assert (ran.status, ran.err) == (2, "turtleact: FILE: the path is empty\n")
 
 
 # --- values ---------------------------------------------------------------------------------

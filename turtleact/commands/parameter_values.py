@@ -96,14 +96,19 @@ def read_file(path: str, *, use_wildcard: bool) -> dict[str, dict[str, Parameter
         UsageError: if it cannot be read, or is no such file.
         InvalidMessage: if it is no YAML.
     """
+    if not path:
+        raise UsageError("FILE: the path is empty")
     try:
         text = Path(path).read_text("utf-8")
     except (OSError, ValueError) as error:
         problem = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
         raise UsageError(f"{path}: {problem}") from None
     tree = tree_of(Document(text, "parameters", path, allow_nonfinite=True))
+    if not tree or not isinstance(tree, dict):
+        problem = "is empty" if tree in ({}, None) else "holds no nodes with their parameters"
+        raise UsageError(f"{path}: {problem}: 'param dump' prints such a file")
     found: dict[str, dict[str, ParameterValue]] = {}
-    for name, below in (tree if isinstance(tree, dict) else {}).items():
+    for name, below in tree.items():
         values = below.get(BELOW) if isinstance(below, dict) else None
         if not isinstance(values, dict):
             raise UsageError(f"{path}: {name} has no {BELOW}: 'param dump' prints such a file")

@@ -208,8 +208,9 @@ async def load(
     for key in (WILDCARD, who[1:], who):
         wanted |= parameters.get(key, {})
     if not wanted:
-        known = ", ".join(parameters) or "nobody"
-        raise UsageError(f"{source}: has no parameters for {who}, but for {known}")
+        known = ", ".join(name for name, given in parameters.items() if given)
+        others = f", but for {known}" if known else ""
+        raise UsageError(f"{source}: has no parameters for {who}{others}")
     given = [Parameter(name, value) for name, value in wanted.items()]
     response = await _ask(node, SetParameters, who, SetParameters.Request(given))
     for name, result in zip(wanted, response.results, strict=True):
