@@ -241,8 +241,8 @@ def test_aliases_that_blow_up_are_refused():
 
 def test_too_much_yaml_is_refused():
     limits = rf"at most {MOST_YAML}; as JSON it may have {MOST_JSON}"
-    with pytest.raises(InvalidGoal, match=rf"of YAML are too many: {limits}"):
-        from_text(Sample, "x: 1 #" + " " * MOST_YAML)
+    with pytest.raises(InvalidGoal, match=rf"^a.yaml: [0-9]+ .* of YAML are too many: {limits}"):
+        from_text(Sample, "x: 1 #" + " " * MOST_YAML, source="a.yaml")
 
 
 def test_too_much_json_is_refused():

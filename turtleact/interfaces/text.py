@@ -128,7 +128,7 @@ class Document(msgspec.Struct, frozen=True):
         """Raises for a mistake in the text itself; its place is line and column from 0."""
         error = error_class(self.root)
         if place is None:
-            raise error(self.root, problem)
+            raise error(self.source, problem)
         number, column = place
         lines = self.text.splitlines() or [""]
         if not "".join(lines[number:])[column:]:  # the end: shown where the last word ends
