@@ -130,6 +130,9 @@ USAGE = [
     (["watch", "g" * 32], "is no goal id"),
     (["result", "0" * 33], "is no goal id"),
     (["action", "send_gaol"], "Did you mean 'send_goal'?"),
+    (["param", "set", "a", "\udcff\udcfe", "1"], r"PARAMETER is not UTF-8: b'\\xff\\xfe'\Z"),
+    (["topic", "echo", "x", "--field", "a\udce9"], r"--field is not UTF-8: b'a\\xe9'\Z"),
+    (["cancel", "-\udcff"], r"ID...|NAME is not UTF-8: b'-\\xff'\Z"),
 ]
 
 

@@ -79,6 +79,9 @@ SETTINGS: Final[dict[str, Any]] = {
 }
 """What every group of verbs has in common."""
 
+_FILES = ("FILE", "PATH", "DIR")
+"""What names of files are called, which the system takes as they are."""
+
 MOST_DIGITS = 18
 """A whole number has no more, so that it fits 64 bits."""
 
@@ -345,6 +348,8 @@ class _Parameter(Protocol):
     """What Typer's and click's parameters have in common."""
 
     required: bool
+    opts: Sequence[str]
+    metavar: str | None
     process_value: Callable[[typer.Context, object], object]
 
 
@@ -365,18 +370,31 @@ def explain(error: Exception) -> str:
 def _keep_as_typed(params: Iterable[object]) -> None:
     """Let no value pass through pydantic that needs no change."""
     for param in cast("Iterable[_Parameter]", params):
-        param.process_value = partial(_take, param.process_value, param.required)
+        param.process_value = partial(_take, param, param.process_value)
 
 
 def _take(
+    param: _Parameter,
     process: Callable[[typer.Context, object], object],
-    is_required: bool,
     ctx: typer.Context,
     value: object,
 ) -> object:
     if isinstance(value, str):
-        return value.removeprefix(_TEXT)
+        return _unmarked(value, param)
     if isinstance(value, list | tuple) and value:
-        return [str(each).removeprefix(_TEXT) for each in value]
-    is_left_out = value is None and (ctx.resilient_parsing or not is_required)
+        return [_unmarked(str(each), param) for each in value]
+    is_left_out = value is None and (ctx.resilient_parsing or not param.required)
     return None if is_left_out else process(ctx, value)
+
+
+def _unmarked(text: str, param: _Parameter) -> str:
+    """An argument as it was typed; only the name of a file may be of bytes that are no text."""
+    text = text.removeprefix(_TEXT)
+    if param.metavar not in _FILES:
+        try:
+            text.encode()
+        except UnicodeEncodeError:
+            option = max(param.opts, key=len)
+            name = option if option.startswith("-") else param.metavar
+            raise UsageError(f"{name} is not UTF-8: {os.fsencode(text)!r}") from None
+    return text
