@@ -395,7 +395,7 @@ def test_a_page_without_its_port_names_the_option_of_the_command_line(tmp_path):
 def test_an_empty_token_names_the_option_of_the_command_line(tmp_path):
     options = ("--no-sim", "--listen", free_endpoint(), "--web", "0.0.0.0:0", "--token", "")
     status, out, err = ended(start(tmp_path, "serve", *options))
-    assert (status, out) == (1, "")
+    assert (status, out) == (2, "")
     assert err.startswith("turtleact: --token: must not be empty where other machines come in")
 
 

@@ -59,7 +59,7 @@ USAGE = [
         ["serve", "--web", "0", "--allow-origin", "example.com"],
         "--allow-origin is an origin such as https://example.com, not 'example.com'",
     ),
-    (["serve", "--placing", "row"], "--placing is random, grid, ring, not 'row'"),
+    (["serve", "--placing", "row"], "--placing is random or grid or ring, not 'row'"),
     (["serve", "--turtles", "0"], "--turtles is a whole number, 1 to 10000"),
     (["serve", "--seed", "-1"], "--seed is a whole number"),
     (

@@ -20,7 +20,7 @@ from turtleact.commands.interrupts import leave
 from turtleact.commands.stderr import abandon, note, printable
 from turtleact.commands.targets import find_actions
 from turtleact.commands.terminal import can_move
-from turtleact.errors import InvalidOption, TurtleactError
+from turtleact.errors import InvalidOption, TurtleactError, UsageError
 from turtleact.node import Node, open_node
 from turtleact.tasks import Background
 from turtleact.transports import open_zenoh
@@ -155,7 +155,8 @@ async def _open_web(service: Service, at: tuple[str, int], node: Node) -> AsyncI
     """The page and rosbridge, and their address.
 
     Raises:
-        TurtleactError: if they cannot be opened; it names the option of the command line.
+        UsageError: if there is no token where one is needed.
+        TurtleactError: if they cannot be opened; both name the option of the command line.
     """
     from turtleact.web import open_web
 
@@ -166,8 +167,9 @@ async def _open_web(service: Service, at: tuple[str, int], node: Node) -> AsyncI
         try:
             web = await stack.enter_async_context(opening)
         except InvalidOption as error:
-            option = "--token" if error.name == "token" else "--web"
-            raise TurtleactError(f"{option}: {error.problem}") from None
+            if error.name == "token":
+                raise UsageError(f"--token: {error.problem}") from None
+            raise TurtleactError(f"--web: {error.problem}") from None
         yield web.url
 
 

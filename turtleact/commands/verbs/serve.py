@@ -228,6 +228,6 @@ def _fleet(speed: str, turtles: str, placing: str, seed: str) -> tuple[float, in
     from turtleact.sim.placing import PLACINGS
 
     if placing not in PLACINGS:
-        raise UsageError(f"--placing is {', '.join(PLACINGS)}, not {quoted(placing)}")
+        raise UsageError(f"--placing is {' or '.join(PLACINGS)}, not {quoted(placing)}")
     count = whole("--turtles", turtles, least=1, most=MOST_TURTLES)
     return float(speed_factor(speed)), count, placing, whole("--seed", seed)
