@@ -129,6 +129,20 @@ async def test_one_that_has_come_in_the_place_of_ours_is_sent_a_few_at_once(how)
         tasks.cancel_scope.cancel()
 
 
+async def test_one_of_ours_is_still_so_after_changes_elsewhere_on_the_graph():
+    transport = MemoryTransport()
+    server, links = Server(transport), client(transport)
+    server.note = OURS
+    server.answer()
+    await send(links)
+    transport.enter("/new")
+    assert links.is_of_our_kind
+    other = Server(transport, 1)
+    assert not links.is_of_our_kind
+    other.close()
+    assert links.is_of_our_kind
+
+
 async def test_one_that_answers_as_a_stranger_is_sent_a_few_at_once_from_then_on():
     transport = MemoryTransport()
     server, links = Server(transport), client(transport)

@@ -625,6 +625,28 @@ class TransportConformance:
                 await waiting.done.wait()
 
     @BOTH_WAYS
+    async def test_changes_are_counted(self, transport, end):
+        async with transport() as peers:
+            graph = getattr(peers, end)
+            before = graph.changes
+            opened = open_it(peers.here, of_kind("service"))
+            await peers.settle()
+            between = graph.changes
+            opened.close()
+            await peers.settle()
+            assert before < between < graph.changes
+
+    async def test_as_long_as_nothing_changes_no_change_is_counted(self, transport):
+        async with transport() as peers:
+            peers.here.serve(service(), SERVING, Adder())
+            caller = peers.there.join(client(), ASKING)
+            await peers.settle()
+            before = peers.here.changes, peers.there.changes
+            await caller.call(numbers(1))
+            await peers.settle()
+            assert (peers.here.changes, peers.there.changes) == before
+
+    @BOTH_WAYS
     async def test_a_node_that_comes_or_goes_is_a_change(self, transport, end):
         async with transport() as peers:
             async with running(getattr(peers, end).wait_for_change) as waiting:

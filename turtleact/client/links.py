@@ -73,6 +73,7 @@ class Links:
         self._watches_status = False
         self._sends, self._cancels = Pace(), Pace()
         self._ours: list[Endpoint] | None = None  # the servers, as they were known to be ours
+        self._seen = 0  # the changes of the graph by which they are still these
         self._send_goal = self._join(
             names.send_goal, "SendGoal", WireFormat(lambda: self.implied.send_goal, asks=True)
         )
@@ -93,12 +94,20 @@ class Links:
 
         If so, requests are not held back, and may be sent before the one before is answered.
         """
-        return self._ours is not None and self._ours == self._servers()
+        if self._ours is None:
+            return False
+        if self._seen != self._transport.changes:
+            if self._ours != self._servers():
+                return False
+            self._seen = self._transport.changes
+        return True
 
     def learn(self, reply: Reply) -> None:
         """Note of what kind the server is: ours have a note beside what they say of a goal."""
-        self._ours = self._servers() if reply.note else None
-        if self._ours is not None:
+        if not reply.note:
+            self._ours = None
+        elif not self.is_of_our_kind:
+            self._ours, self._seen = self._servers(), self._transport.changes
             self._sends.send_all()
             self._cancels.send_all()
 

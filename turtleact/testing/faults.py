@@ -173,6 +173,11 @@ class FaultyTransport:
         """The names of all nodes."""
         return self._transport.nodes()
 
+    @property
+    def changes(self) -> int:
+        """How often a node or endpoint has come or gone."""
+        return self._transport.changes
+
     async def wait_for_change(self) -> None:
         """Wait until a node or endpoint comes or goes. Cancelling: safe."""
         await self._transport.wait_for_change()

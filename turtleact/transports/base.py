@@ -312,6 +312,10 @@ class Transport(Protocol):
     def nodes(self) -> tuple[str, ...]:
         """The names of all nodes, in the order of their coming; a name may be there twice."""
 
+    @property
+    def changes(self) -> int:
+        """How often a node or endpoint has come or gone: as long as it stands, all is as it was."""
+
     async def wait_for_change(self) -> None:
         """Wait until a node or endpoint comes or goes. Cancelling: safe."""
 

@@ -57,6 +57,7 @@ class MemoryTransport:
         self._by_name: dict[str, dict[int, Endpoint]] = {}  # the same
         self._nodes: dict[int, str] = {}
         self._opened = 0
+        self.changes = 0
         self._changed: Signal | None = None
 
     def advertise(
@@ -157,7 +158,8 @@ class MemoryTransport:
         await self._changed.wait()
 
     def tell_change(self) -> None:
-        """Wake all who wait for a change: one was made elsewhere."""
+        """Note a change, and wake all who wait for one: it may have been made elsewhere."""
+        self.changes += 1
         if self._changed is not None:
             self._changed.fire()
 

@@ -135,6 +135,11 @@ class ZenohTransport:
         """The names of all nodes, in the same order; a name may be there twice."""
         return (*self._near.nodes(), *self._graph.nodes())
 
+    @property
+    def changes(self) -> int:
+        """How often a node or endpoint has come or gone, here or elsewhere."""
+        return self._near.changes
+
     async def wait_for_change(self) -> None:
         """Wait until a node or endpoint comes or goes, here or elsewhere. Cancelling: safe."""
         await self._near.wait_for_change()
