@@ -255,9 +255,9 @@ async def test_nothing_is_published_once_nobody_watches():
         wire = Wire(served.node)
         one, other = wire.watch(), wire.watch()
         await one.aclose()
-        assert served.server.hooks
+        assert served.server.execution.board is not None
         await other.aclose()
-        assert not served.server.hooks
+        assert served.server.execution.board is None
 
 
 async def test_goals_that_wait_are_told_of_too():

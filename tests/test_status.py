@@ -15,9 +15,14 @@ from .lab import Count, Lab, goal, lab, settle
 
 
 class Topic:
-    """Counts how often the state has changed."""
+    """Counts how often the state has changed.
+
+    Attributes:
+        has_near_readers: Whether it is read in this process.
+    """
 
     changes = 0
+    has_near_readers = False
 
     def refresh(self) -> None:
         self.changes += 1

@@ -17,7 +17,7 @@ from collections.abc import Callable, Container, Generator
 from contextvars import copy_context
 from functools import partial
 from time import monotonic
-from typing import TYPE_CHECKING, Generic, TypeVar, Unpack, cast
+from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar, Unpack, cast
 
 import anyio
 
@@ -58,6 +58,8 @@ logger = logging.getLogger("turtleact.server")
 G = TypeVar("G", bound=Message)
 R = TypeVar("R", bound=Message)
 F = TypeVar("F", bound=Message)
+
+MakeHandle: TypeAlias = Callable[[Goal], ServerGoalHandle[G, R, F]]
 
 _ACCEPTED = GoalStatus.ACCEPTED
 _EXECUTING = GoalStatus.EXECUTING
@@ -104,7 +106,7 @@ class ActionServer(Generic[G, R, F]):
         self._questions = Questions(name, tasks)
         self._can_borrow = tasks.can_borrow and cancel_callback is None
         self._table = GoalTable(options.get("result_timeout", 10.0))
-        make_handle = partial(ServerGoalHandle[G, R, F], self)
+        make_handle: MakeHandle[G, R, F] = partial(ServerGoalHandle, self)
         self.execution = Execution(
             name,
             action_type,

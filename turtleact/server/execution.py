@@ -15,7 +15,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Coroutine
 from contextvars import Context, ContextVar
-from typing import ClassVar, Protocol, TypeAlias, cast
+from typing import TYPE_CHECKING, ClassVar, TypeAlias, cast
 
 from turtleact.body import ActionType, Body, Steps
 from turtleact.clock import Clock
@@ -31,6 +31,10 @@ from turtleact.interfaces import Message, snapshotter
 from turtleact.server.stepping import Borrowed, Owned, finish
 from turtleact.summaries import STOPS, summary, text_of
 from turtleact.tasks import Scope, Signal, Tasks, is_cancellation
+
+if TYPE_CHECKING:
+    from turtleact.server.status import StatusSource
+    from turtleact.transports.base import Publication
 
 __all__ = ["CURRENT_GOAL", "Execution", "Watch"]
 
@@ -49,15 +53,6 @@ BURST = 16
 _ACCEPTED = GoalStatus.ACCEPTED
 _CANCELING = GoalStatus.CANCELING
 _SUCCEED = GoalEvent.SUCCEED
-
-
-class Outlet(Protocol):
-    """What feedback leaves by; see `turtleact.transports.base.Publication`."""
-
-    @property
-    def is_congested(self) -> bool: ...
-
-    async def drained(self) -> None: ...
 
 
 class Execution:
@@ -79,8 +74,9 @@ class Execution:
             it has; must not raise.
         outlet: Where feedback goes besides: bodies wait while it is congested.
         watch: Told of each change of a goal's state, before and after; must not raise.
+        board: Where others see how all goals stand; told of each change too.
         release: Told of each goal that has ended; may answer what starts another.
-        ended: Fires whenever a goal has ended. Like the five above None, until somebody wants it.
+        ended: Fires whenever a goal has ended. Like the six above None, until somebody wants it.
     """
 
     #: Whether a body's goal is noted as the parent of those that it sends: from the first slot on,
@@ -112,8 +108,9 @@ class Execution:
         self.check_result = cast("Check", snapshotter(self._result_type, root="result"))
         self.also_feedback: Callable[[Goal, object], object] | None = None
         self.emit: Callable[[Goal, object], bool] | None = None
-        self.outlet: Outlet | None = None
+        self.outlet: Publication | None = None
         self.watch: Watch | None = None
+        self.board: StatusSource | None = None
         self.release: Callable[[Goal], Callable[[], object] | None] | None = None
         self.ended: Signal | None = None
 
@@ -315,6 +312,8 @@ class Execution:
         """
         before = goal.status
         goal.apply(event)
+        if self.board is not None:
+            self.board.note(goal)
         if self.watch is not None:
             self.watch(goal, before, goal.status)
 
@@ -347,6 +346,8 @@ class Execution:
         goal.apply(event)
         self._table.end(goal, self._now())
         start_next = None if self.release is None else self.release(goal)
+        if self.board is not None:
+            self.board.note(goal)
         if self.watch is not None:
             self.watch(goal, before, goal.status)
         if start_next is not None:

@@ -163,9 +163,13 @@ class Reception:
         )
         if not self._table.add(goal):
             raise GoalRejected(f"the server still holds a goal of the id {goal.hex}")
-        if self.slot is not None or self.execution.watch is not None:
+        execution, board = self.execution, self.execution.board
+        shows_each = board is not None and board.shows_each
+        if self.slot is not None or execution.watch is not None or shows_each:
             goal.status, goal.history = _ACCEPTED, ()
             self._enter(goal)
+        elif board is not None:
+            board.note(goal)
         return goal
 
     def name_goal(self, goal: Goal) -> bytes:
@@ -197,6 +201,8 @@ class Reception:
         if entry is not None and entry.admission is Admission.REJECT:
             self._table.forget(goal)
             raise GoalRejected(entry.reason)
+        if self.execution.board is not None:
+            self.execution.board.note(goal)
         if self._hooks:
             self._hooks.tell(goal, GoalStatus.UNKNOWN, _ACCEPTED)
         if goal.ended:  # a hook has canceled it

@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from turtleact.goal import GoalStatus
+from turtleact.goal import Goal
 from turtleact.goal_states import pack_state, write_states
-from turtleact.interfaces.standard import GoalStatusArray, GoalStatusMessage, Time
+from turtleact.interfaces.stamps import SECOND
+from turtleact.interfaces.standard import GoalStatusArray, GoalStatusMessage
 from turtleact.server.action_server import ActionServer
-from turtleact.server.goal_handle import ServerGoalHandle
 from turtleact.transports.base import Publication
 
 __all__ = ["StatusSource"]
@@ -21,16 +21,22 @@ __all__ = ["StatusSource"]
 class StatusSource:
     """The source of an action's status topic.
 
+    Of a goal that changes, only this is noted; what is told of it is made when that is sent, once
+    for all changes until then.
+
     Args:
         server: The server.
+
+    Attributes:
+        publication: The topic's sending end, to be set once that is open.
     """
 
     publication: Publication
 
     def __init__(self, server: ActionServer[Any, Any, Any]) -> None:
         self._server = server
-        self._is_watching = False
-        self._entries: dict[bytes, bytes] = {}
+        self._changed: dict[Goal, None] = {}  # in the order of their acceptance
+        self._entries: dict[bytes, bytes] = {}  # likewise
 
     def current(self) -> Sequence[object]:
         """All goals that the server holds."""
@@ -42,27 +48,29 @@ class StatusSource:
 
     def written(self, _encode: Callable[[object], bytes]) -> Sequence[bytes]:
         """The same as bytes."""
+        changed, entries = self._changed, self._entries
+        self._changed = {}
+        for goal in changed:
+            goal_id = self._server.name_goal(goal)
+            entries[goal_id] = pack_state(goal_id, (*divmod(goal.stamp, SECOND), goal.status))
         held = self._server.held_ids()
-        entries = self._entries = {key: each for key, each in self._entries.items() if key in held}
+        entries = self._entries = {key: each for key, each in entries.items() if key in held}
         return (write_states(entries.values()),)
 
     def readers_changed(self, *, has_readers: bool) -> None:
         """Publish while somebody reads."""
-        if has_readers and not self._is_watching:
-            self._entries.clear()
-            for goal in self._server.held():
-                info = self._server.info(goal)
-                self._note(info.goal_id.uuid, info.stamp, goal.status)
-            self._server.hooks.add(self._publish)
-        elif self._is_watching and not has_readers:
-            self._server.hooks.remove(self._publish)
-        self._is_watching = has_readers
+        self._changed = dict.fromkeys(self._server.held()) if has_readers else {}
+        self._entries = {}
+        self._server.execution.board = self if has_readers else None
 
-    def _publish(
-        self, goal: ServerGoalHandle[Any, Any, Any], _before: GoalStatus, after: GoalStatus
-    ) -> None:
-        self._note(goal.goal_id, goal.stamp, after)
+    @property
+    def shows_each(self) -> bool:
+        """Whether somebody in this process reads: there, each change is a message."""
+        return self.publication.has_near_readers
+
+    def note(self, goal: Goal) -> None:
+        """Tell of a goal, which has changed."""
+        if goal.id is None:  # or it would be forgotten at its end
+            self._server.name_goal(goal)
+        self._changed[goal] = None
         self.publication.refresh()
-
-    def _note(self, goal_id: bytes, stamp: Time, status: GoalStatus) -> None:
-        self._entries[goal_id] = pack_state(goal_id, (stamp.sec, stamp.nanosec, status))
