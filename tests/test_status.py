@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 from typing import Any
 
 import anyio
 
 from turtleact import Abort, GoalStatus
+from turtleact.goal import Goal
 from turtleact.interfaces import WireFormat, decode
 from turtleact.interfaces.standard import GoalStatusArray
 from turtleact.server.status import StatusSource
@@ -97,3 +99,13 @@ async def test_goals_that_are_not_held_any_more_are_left_out():
         await send(served, 2)
         await send(served, 0)
         check(source, GoalStatus.EXECUTING)
+
+
+async def test_no_goal_is_kept_for_those_who_do_not_read_bytes():
+    async with lab(act, result_timeout=0.0) as served:
+        source = source_of(served.server)
+        for _ in range(3):
+            await send(served, 0)
+        gc.collect()
+        assert not any(type(each) is Goal for each in gc.get_objects())
+        check(source)

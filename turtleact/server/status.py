@@ -35,8 +35,8 @@ class StatusSource:
 
     def __init__(self, server: ActionServer[Any, Any, Any]) -> None:
         self._server = server
-        self._changed: dict[Goal, None] = {}  # in the order of their acceptance
-        self._entries: dict[bytes, bytes] = {}  # likewise
+        self._changed: dict[Goal, None] | None = None  # in order; None if all is to be written
+        self._entries: dict[bytes, bytes] = {}  # in the order of their acceptance
 
     def current(self) -> Sequence[object]:
         """All goals that the server holds."""
@@ -49,18 +49,17 @@ class StatusSource:
     def written(self, _encode: Callable[[object], bytes]) -> Sequence[bytes]:
         """The same as bytes."""
         changed, entries = self._changed, self._entries
-        self._changed = {}
-        for goal in changed:
+        for goal in self._server.held() if changed is None else changed:
             goal_id = self._server.name_goal(goal)
             entries[goal_id] = pack_state(goal_id, (*divmod(goal.stamp, SECOND), goal.status))
+        self._changed = {}
         held = self._server.held_ids()
         entries = self._entries = {key: each for key, each in entries.items() if key in held}
         return (write_states(entries.values()),)
 
     def readers_changed(self, *, has_readers: bool) -> None:
         """Publish while somebody reads."""
-        self._changed = dict.fromkeys(self._server.held()) if has_readers else {}
-        self._entries = {}
+        self._changed, self._entries = None, {}
         self._server.execution.board = self if has_readers else None
 
     @property
@@ -72,5 +71,6 @@ class StatusSource:
         """Tell of a goal, which has changed."""
         if goal.id is None:  # or it would be forgotten at its end
             self._server.name_goal(goal)
-        self._changed[goal] = None
+        if self._changed is not None:  # or it would be kept for nobody
+            self._changed[goal] = None
         self.publication.refresh()
