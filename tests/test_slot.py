@@ -14,7 +14,7 @@ from hypothesis.stateful import (
 
 from turtleact.errors import InvalidOption
 from turtleact.goal import Goal
-from turtleact.slot import Admission, Rules, Slot
+from turtleact.slot import Admission, Rules, Slot, Slots
 
 START, WAIT, REFUSE = Admission.START, Admission.WAIT, Admission.REJECT
 
@@ -472,3 +472,32 @@ class Comparison(RuleBasedStateMachine):
 
 
 TestComparison = Comparison.TestCase
+
+
+# --- slots by name --------------------------------------------------------------------------
+
+
+def test_servers_that_give_one_name_share_a_slot():
+    slots = Slots[Wish]()
+    shared = slots.find(QUEUE, "arm")
+    assert slots.find(Rules("queue"), "arm") is shared
+    assert slots.find(QUEUE, "base") is not shared
+    assert slots.find(QUEUE, None) is not slots.find(QUEUE, None)
+
+
+def test_goals_that_never_have_to_do_with_each_other_need_no_slot():
+    assert Slots[Wish]().find(PARALLEL, None) is None
+
+
+def test_a_shared_slot_for_goals_that_need_none_is_refused():
+    with pytest.raises(InvalidOption, match="goes with another policy than 'parallel', or max_a"):
+        Slots[Wish]().find(PARALLEL, "arm")
+
+
+def test_a_slot_is_shared_under_one_set_of_rules_for_as_long_as_it_is_used():
+    slots = Slots[Wish]()
+    shared = slots.find(QUEUE, "arm")
+    with pytest.raises(InvalidOption, match="'arm' is shared under other rules: policy='queue'"):
+        slots.find(REJECT, "arm")
+    del shared
+    assert slots.find(REJECT, "arm") is not None

@@ -21,7 +21,7 @@ from turtleact.client import ActionClient
 from turtleact.client.distant_server import DistantServer
 from turtleact.client.links import Links
 from turtleact.clock import Clock
-from turtleact.errors import InvalidOption, TurtleactError
+from turtleact.errors import TurtleactError
 from turtleact.graph import Graph, graph_of
 from turtleact.interfaces import Message, Service, WireFormat
 from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
@@ -30,7 +30,7 @@ from turtleact.server.claim import Claim
 from turtleact.server.endpoints import ActionEndpoints
 from turtleact.server.hooks import Transition
 from turtleact.services import ServiceClient, ServiceServer, ServiceType
-from turtleact.slot import Rules, Slot
+from turtleact.slot import Rules, Slot, Slots
 from turtleact.tasks import current_tasks
 from turtleact.topics import Matching, Publisher, Subscription
 from turtleact.transports import MemoryTransport, QoS, Transport
@@ -93,7 +93,7 @@ class Node:
         self._count = 0
         self._opened: dict[int, _Closing] = {}
         self._servers: WeakValueDictionary[int, _Serving] = WeakValueDictionary()
-        self._slots: WeakValueDictionary[str, Slot[Claim]] = WeakValueDictionary()
+        self._slots = Slots[Claim]()
         self._hooks: list[Transition] = []
         self._membership = transport.enter(self.fully_qualified_name)
 
@@ -163,7 +163,7 @@ class Node:
             names.name,
             execute,
             tasks=self._tasks,
-            place=self._slot(options),
+            place=self._place(options),
             **options,
         )
         for hook in self._hooks:
@@ -345,20 +345,11 @@ class Node:
             self._servers[number] = thing
         return _Membership(opened, lambda: self._opened.pop(number, None))
 
-    def _slot(self, options: ServerOptions) -> Slot[Claim] | None:
+    def _place(self, options: ServerOptions) -> Slot[Claim] | None:
         """The slot that a server with these options uses; None if its goals need none."""
-        rules = Rules(
-            options.get("policy", "parallel"), options.get("max_active"), options.get("queue_limit")
-        )
-        name = options.get("slot")
-        if name is None:
-            return None if rules.is_free else Slot(rules)
-        if rules.is_free:
-            raise InvalidOption("slot", "goes with another policy than 'parallel', or max_active")
-        slot = self._slots.setdefault(name, Slot(rules))
-        if slot.rules != rules:
-            raise InvalidOption("slot", f"'{name}' is shared under other rules: {slot.rules}")
-        return slot
+        policy = options.get("policy", "parallel")
+        rules = Rules(policy, options.get("max_active"), options.get("queue_limit"))
+        return self._slots.find(rules, options.get("slot"))
 
     def _action_names(self, name: str) -> ActionNames:
         return action_names(resolve_name(name, self.namespace, self.name))

@@ -21,13 +21,14 @@ from __future__ import annotations
 
 from enum import Enum
 from typing import Generic, Literal, Protocol, TypeAlias, TypeVar, get_args
+from weakref import WeakValueDictionary
 
 import msgspec
 
 from turtleact.errors import InvalidOption
 from turtleact.goal import Goal
 
-__all__ = ["Admission", "Claim", "Entry", "Policy", "Rules", "Slot"]
+__all__ = ["Admission", "Claim", "Entry", "Policy", "Rules", "Slot", "Slots"]
 
 Policy: TypeAlias = Literal["parallel", "reject", "queue", "preempt"]
 
@@ -224,6 +225,32 @@ class Slot(Generic[C]):
                 kin.append(self._places[parent][parent])
             parent = parent.parent
         return kin
+
+
+class Slots(Generic[C]):
+    """Slots that several actions share, by name, each for as long as somebody uses it."""
+
+    def __init__(self) -> None:
+        self._named: WeakValueDictionary[str, Slot[C]] = WeakValueDictionary()
+
+    def find(self, rules: Rules, name: str | None) -> Slot[C] | None:
+        """The slot for goals under these rules; None if they need none.
+
+        Args:
+            rules: The rules.
+            name: The slot's name; None for a slot that nobody shares.
+
+        Raises:
+            InvalidOption: if a shared one has other rules, or these need none.
+        """
+        if name is None:
+            return None if rules.is_free else Slot(rules)
+        if rules.is_free:
+            raise InvalidOption("slot", "goes with another policy than 'parallel', or max_active")
+        slot = self._named.setdefault(name, Slot(rules))
+        if slot.rules != rules:
+            raise InvalidOption("slot", f"'{name}' is shared under other rules: {slot.rules}")
+        return slot
 
 
 def _check_count(name: str, count: object, least: int) -> None:
