@@ -34,7 +34,7 @@ VIOLATIONS = [
     pytest.param("World", "sim/world.py", "import turtleact.names", id="names-in-world"),
     pytest.param("World", "sim/kinematics.py", "import time", id="clock-in-kinematics"),
     pytest.param("Doors", "app.py", "import rich", id="rich-outside-render"),
-    pytest.param("Doors", "node.py", "import numpy", id="numpy-outside-sim"),
+    pytest.param("Doors", "node/node.py", "import numpy", id="numpy-outside-sim"),
     pytest.param("Doors", "cli.py", "import yaml", id="yaml-outside-text"),
     pytest.param("Doors", "transports/memory.py", "import zenoh", id="zenoh-in-memory"),
 ]

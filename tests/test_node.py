@@ -557,7 +557,7 @@ async def test_what_is_closed_early_is_not_held_by_the_node():
     async with turtleact.open_node("lab") as node:
         for open_it in OPENINGS.values():
             await open_it(node, "it").aclose()
-        assert not node._opened
+        assert not node._belongings._opened
 
 
 # --- canceled at every point ----------------------------------------------------------------

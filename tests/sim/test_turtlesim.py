@@ -406,13 +406,13 @@ async def test_a_turtle_is_not_spawned_at_no_place(caplog):
 async def test_a_turtle_that_is_killed_leaves_nothing_behind():
     async with stage() as here:
         sim = here.sim._node
-        before = (here.node.transport.endpoints(), len(sim._opened), tasks_alive())
+        before = (here.node.transport.endpoints(), len(sim._belongings._opened), tasks_alive())
         for _ in range(3):
             await here.spawn(1.0, 1.0, 0.0, "guest")
             await here.pass_ticks(2)
             await here.kill("guest")
         await here.pass_ticks(1)
-        after = (here.node.transport.endpoints(), len(sim._opened), tasks_alive())
+        after = (here.node.transport.endpoints(), len(sim._belongings._opened), tasks_alive())
         assert after == before
         assert here.world.names == ("turtle1",)
 

@@ -9,12 +9,9 @@ Source: rclpy ``node.py`` for names and meaning.
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import asynccontextmanager
 from functools import partial
-from typing import Protocol, TypeVar, Unpack, cast
-from weakref import WeakValueDictionary
-
-import anyio
+from typing import TypeVar, Unpack, cast
 
 from turtleact.body import ActionDeclaration, ActionType, ServerOptions
 from turtleact.client import ActionClient
@@ -25,6 +22,7 @@ from turtleact.errors import TurtleactError
 from turtleact.graph import Graph, graph_of
 from turtleact.interfaces import Message, Service, WireFormat
 from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
+from turtleact.node.belongings import Belongings
 from turtleact.server import ActionServer
 from turtleact.server.claim import Claim
 from turtleact.server.endpoints import ActionEndpoints
@@ -34,7 +32,7 @@ from turtleact.slot import Rules, Slot, Slots
 from turtleact.tasks import current_tasks
 from turtleact.topics import Matching, Publisher, Subscription
 from turtleact.transports import MemoryTransport, QoS, Transport
-from turtleact.transports.base import Closeable, Endpoint, EndpointKind
+from turtleact.transports.base import Endpoint, EndpointKind
 
 __all__ = ["Node", "open_node"]
 
@@ -44,27 +42,6 @@ F = TypeVar("F", bound=Message)
 M = TypeVar("M", bound=Message)
 Req = TypeVar("Req", bound=Message)
 Res = TypeVar("Res", bound=Message)
-
-
-class _Closing(Protocol):
-    async def aclose(self) -> None: ...
-
-
-class _Serving(_Closing, Protocol):
-    @property
-    def is_idle(self) -> bool: ...
-
-
-class _Membership:
-    """A node's hold on something it has opened: closing it lets go of it on both sides."""
-
-    def __init__(self, opened: Closeable, forget: Callable[[], object]) -> None:
-        self._opened = opened
-        self._forget = forget
-
-    def close(self) -> None:
-        self._opened.close()
-        self._forget()
 
 
 class Node:
@@ -79,7 +56,6 @@ class Node:
         namespace: What its relative names begin with.
         clock: The time of its graph: what a body that waits should wait by.
         transport: How it talks with others.
-        is_open: Whether something can be opened on it.
     """
 
     def __init__(self, name: str, namespace: str, transport: Transport) -> None:
@@ -88,11 +64,8 @@ class Node:
         self.namespace = resolve_name(namespace) if namespace != "/" else "/"
         self.clock: Clock = transport.clock
         self.transport = transport
-        self.is_open = True
         self._tasks = current_tasks()
-        self._count = 0
-        self._opened: dict[int, _Closing] = {}
-        self._servers: WeakValueDictionary[int, _Serving] = WeakValueDictionary()
+        self._belongings = Belongings()
         self._slots = Slots[Claim]()
         self._hooks: list[Transition] = []
         self._membership = transport.enter(self.fully_qualified_name)
@@ -101,6 +74,11 @@ class Node:
     def fully_qualified_name(self) -> str:
         """The namespace and the name."""
         return f"{self.namespace.rstrip('/')}/{self.name}"
+
+    @property
+    def is_open(self) -> bool:
+        """Whether something can be opened on it."""
+        return self._belongings.is_open
 
     def serve(
         self,
@@ -171,7 +149,7 @@ class Node:
         endpoint = partial(self._endpoint, on_demand=on_demand)
         endpoints = ActionEndpoints(server, names, self.transport, endpoint, self._tasks)
         server.endpoints = endpoints
-        server.registration = self._own(server, endpoints)
+        server.registration = self._belongings.add(server, endpoints)
         return server
 
     def on_transition(self, hook: Transition) -> None:
@@ -184,9 +162,8 @@ class Node:
             hook: Takes the goal's `ServerGoalHandle` and two `GoalStatus`.
         """
         self._hooks.append(hook)
-        for server in self._servers.values():
-            if isinstance(server, ActionServer):
-                server.hooks.add(hook)
+        for server in self._belongings.servers(ActionServer):
+            server.hooks.add(hook)
 
     def action_client(self, action_type: ActionType[G, R, F], name: str) -> ActionClient[G, R, F]:
         """Open a client of an action; it need not be served yet.
@@ -199,7 +176,7 @@ class Node:
         goal_type = cast("type[Message]", action_type.Goal)
         distant = DistantServer(links, goal_type, self._tasks, self.clock.now)
         client = ActionClient(self.transport, action_type, names, distant)
-        client.membership = self._own(client, links)
+        client.membership = self._belongings.add(client, links)
         return client
 
     def publisher(
@@ -229,7 +206,7 @@ class Node:
         matching = None if on_matched is None else Matching(on_matched)
         publication = self.transport.advertise(end, WireFormat(message_type), matching)
         publisher = Publisher(name, message_type, publication)
-        publisher.membership = self._own(publisher, publication)
+        publisher.membership = self._belongings.add(publisher, publication)
         return publisher
 
     def subscription(
@@ -245,7 +222,7 @@ class Node:
         subscription: Subscription[M] = Subscription(name, end.qos.depth, self._tasks.signal())
         deliver = cast("Callable[[object], None]", subscription.deliver)
         subscribed = self.transport.subscribe(end, WireFormat(message_type), deliver)
-        subscription.membership = self._own(subscription, subscribed)
+        subscription.membership = self._belongings.add(subscription, subscribed)
         return subscription
 
     def service(
@@ -274,7 +251,7 @@ class Node:
         endpoint = self._endpoint("service", full_name, service_type.type_name, on_demand=on_demand)
         format = WireFormat(cast("type[Service]", service_type))
         registration = self.transport.serve(endpoint, format, server)
-        server.registration = self._own(server, registration)
+        server.registration = self._belongings.add(server, registration)
         return server
 
     def service_client(
@@ -290,7 +267,7 @@ class Node:
         format = WireFormat(cast("type[Service]", service_type), asks=True)
         client = ServiceClient(self.transport, service_type, full_name, tasks=self._tasks)
         client.caller = self.transport.join(endpoint, format)
-        client.membership = self._own(client, client.caller)
+        client.membership = self._belongings.add(client, client.caller)
         return client
 
     def count_publishers(self, topic: str) -> int:
@@ -312,38 +289,10 @@ class Node:
         First the actions, all at once: their bodies have the rest for their clean-up. Then the
         services, then the rest, the newest first. A body or handler must not await this.
         """
-        with anyio.CancelScope(shield=True):
-            async with AsyncExitStack() as last_first:  # each is done, whatever becomes of others
-                last_first.callback(self._membership.close)
-                last_first.push_async_callback(self._close_rest)
-                last_first.push_async_callback(self._close_servers, ServiceServer)
-                last_first.push_async_callback(self._close_servers, ActionServer)
-
-    async def _close_servers(self, kind: type[object]) -> None:
-        """Close all servers of a kind, and wait for those that somebody else is closing."""
-        servers = [each for each in reversed([*self._servers.values()]) if isinstance(each, kind)]
-        async with anyio.create_task_group() as closing:
-            for server in servers:
-                if not server.is_idle:
-                    closing.start_soon(server.aclose)
-            for server in servers:  # the others wait for nothing, and a task costs more than that
-                if server.is_idle:
-                    await server.aclose()
-
-    async def _close_rest(self) -> None:
-        self.is_open = False
-        async with AsyncExitStack() as newest_first:
-            for thing in self._opened.values():
-                newest_first.push_async_callback(thing.aclose)
-
-    def _own(self, thing: _Closing, opened: Closeable) -> Closeable:
-        """Keep something until it is closed, with the node at the latest."""
-        self._count += 1
-        number = self._count
-        self._opened[number] = thing
-        if isinstance(thing, ActionServer | ServiceServer):
-            self._servers[number] = thing
-        return _Membership(opened, lambda: self._opened.pop(number, None))
+        try:
+            await self._belongings.aclose()
+        finally:
+            self._membership.close()
 
     def _place(self, options: ServerOptions) -> Slot[Claim] | None:
         """The slot that a server with these options uses; None if its goals need none."""
