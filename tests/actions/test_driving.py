@@ -3,205 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncIterator
-from contextlib import aclosing, asynccontextmanager
-from functools import partial
-from typing import NamedTuple
+from contextlib import aclosing
 
 import anyio.lowlevel
 import pytest
 
-from turtleact.actions.driving import PATIENCE, Turtles
-from turtleact.actions.robots import Robot, Sighting
-from turtleact.actions.steering import Area, Steering, shortest_time, time_bound
-from turtleact.clock import VirtualClock
-from turtleact.errors import Abort, Reject
+from turtleact.actions.driving import PATIENCE
+from turtleact.actions.robots import Sighting
+from turtleact.actions.steering import Steering, shortest_time, time_bound
+from turtleact.errors import Abort
 from turtleact.interfaces.standard import Point, TurtlePose, Twist
-from turtleact.node import Node, open_node
 from turtleact.tasks import Background
-from turtleact.topics import Publisher, Subscription
-from turtleact.transports import MemoryTransport
 
 from ..lab import settle
 from .arena import tasks_alive
-
-AREA = Area(0.0, 0.0, 10.0, 8.0)
-FAR = Point(x=10_000.0)
-
-
-class Yard(NamedTuple):
-    """A robot that the test moves by hand.
-
-    Attributes:
-        clock: Virtual time.
-        node: Where its topics are opened by those who drive it.
-        turtles: What is tested.
-        poses: Says where the robot is.
-        twists: What the robot was told.
-        at: Where it is while it obeys: x, y, theta.
-    """
-
-    clock: VirtualClock
-    node: Node
-    turtles: Turtles
-    poses: Publisher[TurtlePose]
-    twists: Subscription[Twist]
-    at: list[float]
-
-    def told(self):
-        """How fast the robot was last told to go."""
-        twist = self.twists.latest
-        return None if twist is None else twist.linear.x
-
-    def drive(self, robot="robot"):
-        return self.turtles.drive(robot, Steering())
-
-    def endpoints(self, name=""):
-        """The topics that are open on the driving node."""
-        node = self.node.fully_qualified_name
-        return [each.name for each in self.node.transport.endpoints() if each.node == node]
-
-    async def drive_on(self, until=lambda: False):
-        """Drive the robot far away."""
-        async with self.drive() as drive:
-            while True:
-                await drive.towards(FAR)
-                if until():
-                    return
-
-    async def drive_until_it_is_killed(self):
-        telling = Background(self.keep_telling(), "the robot")
-        async with aclosing(telling), self.drive() as drive:
-            await telling.aclose()
-            await self.poses.aclose()
-            await drive.towards(FAR)
-
-    @asynccontextmanager
-    async def drive_beside(self):
-        """Drive the robot far away, in a task of its own."""
-        async with aclosing(Background(self.drive_on(), "the driver")):
-            await settle()
-            yield
-
-    async def tell_every(self, seconds, times):
-        """Let the robot say where it is, now and then: from ``x=5`` on."""
-        for count in range(5, times + 5):
-            self.poses.publish(TurtlePose(x=float(count)))
-            await self.clock.sleep(seconds)
-
-    async def obey(self, pace=0.016):
-        """Let the robot do as it is told, tick by tick, and say where it is."""
-        while True:
-            twist = self.twists.latest or Twist()
-            self.at[2] += twist.angular.z * 0.016
-            self.at[0] += math.cos(self.at[2]) * twist.linear.x * 0.016
-            self.at[1] += math.sin(self.at[2]) * twist.linear.x * 0.016
-            self.poses.publish(TurtlePose(*self.at))
-            await self.clock.sleep(pace)
-
-    async def keep_telling(self):
-        await self.tell_every(0.016, 10_000)
-
-
-@asynccontextmanager
-async def yard(namespace: str = "/") -> AsyncIterator[Yard]:
-    clock = VirtualClock()
-    transport = MemoryTransport(clock)
-    async with (
-        aclosing(Background(clock.run(), "the clock")),
-        open_node("robot", namespace=namespace, transport=transport) as robot,
-        open_node("driver", namespace=namespace, transport=transport) as node,
-    ):
-        poses = robot.publisher(TurtlePose, "robot/pose")
-        twists = robot.subscription(Twist, "robot/cmd_vel")
-        yield Yard(clock, node, Turtles(node, AREA), poses, twists, [0.0, 0.0, 0.0])
-
-
-@asynccontextmanager
-async def telling(place):
-    """The robot says where it is 62.5 times a second."""
-    async with aclosing(Background(place.keep_telling(), "the robot")):
-        yield
-
-
-@asynccontextmanager
-async def obeying(place, pace=0.016):
-    """The robot moves as a turtle of turtlesim does."""
-    async with aclosing(Background(place.obey(pace), "the robot")):
-        yield
-
-
-# What is driven
-
-
-async def test_a_turtle_that_has_a_pose_can_be_driven():
-    async with yard() as place:
-        place.turtles.check_turtle("robot")
-
-
-async def test_a_turtle_whose_pose_is_gone_cannot_be_driven():
-    async with yard() as place:
-        await place.poses.aclose()
-        with pytest.raises(Reject, match="there is no turtle 'robot': nobody publishes robot/pose"):
-            place.turtles.check_turtle("robot")
-
-
-async def test_names_are_those_of_the_drivers_namespace():
-    async with yard("/lab") as place, telling(place):
-        async with place.drive():
-            assert place.endpoints() == ["/lab/robot/pose", "/lab/robot/cmd_vel"]
-            with pytest.raises(Reject, match="being driven by another goal"):
-                place.turtles.check_turtle("/lab/robot")
-        place.turtles.check_turtle("/lab/robot")
-
-
-async def test_a_turtle_is_driven_by_one_at_a_time():
-    async with yard() as place, telling(place), place.drive():
-        with pytest.raises(Abort, match=r"^turtle '/robot' is being driven by another goal$"):
-            async with place.drive("/robot"):
-                pytest.fail("it has two drivers")
-        with pytest.raises(Reject, match="being driven by another goal"):
-            place.turtles.check_turtle("robot")
-
-
-@pytest.mark.parametrize("corner", [(0.0, 0.0), (10.0, 8.0)])
-async def test_a_target_may_be_on_the_edge(corner):
-    async with yard() as place:
-        place.turtles.check_target(Point(*corner))
-
-
-@pytest.mark.parametrize(
-    ("target", "problem"),
-    [
-        ((10.5, 4.0), "x is 10.5, outside the world: from 0 to 10"),
-        ((4.0, 8.25), "y is 8.25, outside the world: from 0 to 8"),
-        ((-1.0, -1.0), "x is -1.0, outside the world: from 0 to 10"),
-        ((4.0, math.nan), "y is nan, outside the world: from 0 to 8"),
-    ],
-)
-async def test_a_target_outside_is_rejected_by_its_coordinate(target, problem):
-    async with yard() as place:
-        with pytest.raises(Reject, match=rf"^targets\[3\]\.{problem}$"):
-            place.turtles.check_target(Point(*target), path="targets[3].")
-
-
-async def test_the_law_of_steering_gets_the_options_of_the_goal_and_the_area():
-    async with yard() as place:
-        steering = place.turtles.steering(
-            style="forward", max_linear=1.0, max_angular=0.5, tolerance=0.25
-        )
-    limits = steering.limits
-    assert (steering.style, limits.max_linear, limits.max_angular) == ("forward", 1.0, 0.5)
-    assert (limits.tolerance, limits.area) == (0.25, AREA)
-
-
-async def test_the_fastest_turn_is_the_last_that_the_law_of_steering_takes():
-    async with yard() as place:
-        steering = partial(place.turtles.steering, style="arc", max_linear=2.0, tolerance=0.1)
-        steering(max_angular=Robot().fastest)
-        with pytest.raises(Reject, match=r"^max_angular: must be 98\.17 rad/s at most, not 98\.2$"):
-            steering(max_angular=98.2)
-
+from .yard import FAR, obeying, telling, yard
 
 # Poses
 
