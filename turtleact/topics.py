@@ -8,13 +8,13 @@ Source: rclpy ``publisher.py`` and ``subscription.py`` for names and meaning.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Generic, Self, TypeVar
 
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import Message, snapshotter
 from turtleact.tasks import Signal
-from turtleact.transports.base import Closeable, Publication
+from turtleact.transports.base import Closeable, Publication, Source
 
 __all__ = ["Matching", "Publisher", "Subscription"]
 
@@ -68,22 +68,11 @@ class Publisher(Generic[M]):
         self.membership.close()
 
 
-class Matching:
-    """Has a function called when a topic gets its first reader, and when the last one has gone.
-
-    To a transport it is a source that has nothing to tell those who come late.
-    """
+class Matching(Source):
+    """Has a function called when a topic gets its first reader, and when the last one has gone."""
 
     def __init__(self, on_matched: Callable[[], object]) -> None:
         self._on_matched = on_matched
-
-    def current(self) -> Sequence[object]:
-        """Nothing: what is published comes from the publisher."""
-        return ()
-
-    def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:  # noqa: ARG002
-        """Nothing either."""
-        return ()
 
     def readers_changed(self, *, has_readers: bool) -> None:  # noqa: ARG002  # it can be asked for
         """Pass it on."""

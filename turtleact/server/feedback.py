@@ -6,14 +6,13 @@ checked on the way, and the bytes are the copy that is kept.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
 from turtleact.goal import Goal
 from turtleact.interfaces import Action, FeedbackFormat, implied
 from turtleact.interfaces.standard import UUID
-from turtleact.transports.base import Publication
+from turtleact.transports.base import Publication, Source
 
 if TYPE_CHECKING:
     from turtleact.server.action_server import ActionServer
@@ -21,8 +20,8 @@ if TYPE_CHECKING:
 __all__ = ["FeedbackSource"]
 
 
-class FeedbackSource:
-    """The source of the feedback topic.
+class FeedbackSource(Source):
+    """The source of the feedback topic, which is for those who are there.
 
     Args:
         server: The server.
@@ -38,14 +37,6 @@ class FeedbackSource:
         self._server = server
         self._action = cast("type[Action]", server.action_type)
         self.format = FeedbackFormat(self._action)
-
-    def current(self) -> Sequence[object]:
-        """Feedback is for those who are there."""
-        return ()
-
-    def written(self, _encode: Callable[[object], bytes]) -> Sequence[bytes]:
-        """Likewise."""
-        return ()
 
     def readers_changed(self, *, has_readers: bool) -> None:
         """Publish while somebody reads."""

@@ -178,13 +178,18 @@ class Publication(Closeable, Protocol):
 
 
 class Source(Protocol):
-    """What publishes only while somebody reads, and tells a late reader how things stand."""
+    """What publishes only while somebody reads, and tells a late reader how things stand.
+
+    A subclass that says nothing of that has nothing to tell.
+    """
 
     def current(self) -> Sequence[object]:
         """What a late reader of a transient-local topic gets first, made when it comes."""
+        return ()
 
-    def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:
+    def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:  # noqa: ARG002
         """The same as bytes, for readers in other processes."""
+        return ()
 
     def readers_changed(self, *, has_readers: bool) -> None:
         """Called when the first reader has come, and when the last one has gone.
