@@ -21,12 +21,15 @@ import heapq
 from collections.abc import Callable, Container, Iterable, Mapping
 from enum import IntEnum
 from types import MappingProxyType
-from typing import Final, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 
 import msgspec
 
 from turtleact.errors import GoalAborted, GoalCanceled, InvalidTransition, TurtleactError
 from turtleact.feedback import FeedbackLog, Listener
+
+if TYPE_CHECKING:
+    from turtleact.interfaces import Message
 
 __all__ = [
     "TRANSITIONS",
@@ -191,7 +194,7 @@ class Goal(msgspec.Struct, eq=False):
     on_feedback: OnFeedback | None = None
     is_streamed: bool = False
     feedback: FeedbackLog | None = None
-    last_feedback: object = None
+    last_feedback: Message | bytes | None = None
     result: object = None
     reason: str = ""
     listener: Listener | None = None

@@ -13,6 +13,7 @@ from turtleact.goal import Cancelable, Goal, GoalEvent, GoalStatus
 from turtleact.summaries import STOPS
 
 if TYPE_CHECKING:
+    from turtleact.interfaces import Message
     from turtleact.transports.base import Asked
 
 __all__ = ["Followed", "move"]
@@ -55,7 +56,7 @@ class Followed:
             self.asked.drop()
             self.asked = None
 
-    def take(self, feedback: object) -> None:
+    def take(self, feedback: Message) -> None:
         """Note a feedback message, and tell the sender's callback."""
         goal, log = self.goal, self.log
         if goal.status < _EXECUTING:

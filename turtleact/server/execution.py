@@ -264,7 +264,7 @@ class Execution:
         message = self._check_feedback(feedback)
         self._hand_on(goal, message)
 
-    def _hand_on(self, goal: Goal, message: object) -> None:
+    def _hand_on(self, goal: Goal, message: Message) -> None:
         if goal.ended or goal.status is _ACCEPTED:
             raise InvalidTransition(goal.status, "feedback", goal.hex)
         goal.last_feedback = message
