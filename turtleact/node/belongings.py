@@ -5,7 +5,6 @@ Knows no names and no types of messages.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import AsyncExitStack
 from typing import Protocol, TypeVar
 from weakref import WeakValueDictionary
@@ -56,7 +55,7 @@ class Belongings:
         self._opened[number] = thing
         if isinstance(thing, ActionServer | ServiceServer):
             self._servers[number] = thing
-        return _Membership(opened, lambda: self._opened.pop(number, None))
+        return _Membership(opened, self._opened, number)
 
     def servers(self, kind: type[S]) -> list[S]:
         """The servers of a kind, those too that are being closed; the oldest first."""
@@ -92,12 +91,18 @@ class Belongings:
 
 
 class _Membership:
-    """A hold on something that is open: closing it lets go of it on both sides."""
+    """A hold on something that is open: closing it lets go of it on both sides.
 
-    def __init__(self, opened: Closeable, forget: Callable[[], object]) -> None:
+    There are thousands of them, so no closure is made, which is four objects each.
+    """
+
+    __slots__ = ("_number", "_opened", "_things")
+
+    def __init__(self, opened: Closeable, things: dict[int, _Closing], number: int) -> None:
         self._opened = opened
-        self._forget = forget
+        self._things = things
+        self._number = number
 
     def close(self) -> None:
         self._opened.close()
-        self._forget()
+        self._things.pop(self._number, None)

@@ -88,7 +88,7 @@ STATUS_QOS = QoS(depth=1, durability="transient_local")
 """That of an action's status topic."""
 
 
-class Endpoint(msgspec.Struct, frozen=True):
+class Endpoint(msgspec.Struct, frozen=True, gc=False):
     """One end of a topic or service.
 
     Attributes:
