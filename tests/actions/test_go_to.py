@@ -54,7 +54,7 @@ async def test_a_target_where_the_turtle_stands_is_reached_at_once_and_in_silenc
 
 
 @pytest.mark.parametrize("style", STYLES)
-@pytest.mark.parametrize("theta", [0.0, 2.0, -math.pi, 10.0])
+@pytest.mark.parametrize("theta", [0.0, 2.0, -math.pi, 10.0, 1e14])
 async def test_a_turtle_ends_in_the_heading_that_is_wanted(style, theta):
     goal = GoTo.Goal(x=7.0, y=7.0, theta=theta, heading_tolerance=0.02, style=style)
     async with arena() as stage:
@@ -107,6 +107,15 @@ REFUSED = [
     ({"max_linear": 0.0}, f"max_linear: {NO} 0.0"),
     ({"heading_tolerance": -1.0}, f"heading_tolerance: {NO} -1.0"),
     ({"theta": float("inf")}, "theta is inf: it is an angle in rad"),
+    (
+        {"theta": -1e16, "heading_tolerance": 0.1},
+        "theta is -1e+16: angles so large are 2 rad apart, more than heading_tolerance",
+    ),
+    (
+        {"theta": 1e12, "heading_tolerance": 1e-4},
+        "theta is 1000000000000.0: angles so large are 0.00012 rad apart, "
+        "more than heading_tolerance",
+    ),
 ]
 
 

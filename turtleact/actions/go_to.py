@@ -39,8 +39,8 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
             max_linear: Highest speed (m/s), above zero.
             max_angular: Highest turn rate (rad/s), above zero.
             style: ``arc``, ``forward`` or ``rotate_then_drive``.
-            theta: In which heading it shall be there (rad), any angle; if `heading_tolerance` is
-                given.
+            theta: In which heading it shall be there (rad), any angle that is exact to
+                `heading_tolerance`; if that is given.
             heading_tolerance: How far off the heading may be (rad), above zero; if it is 0, any
                 heading will do.
         """
@@ -94,6 +94,10 @@ class _GoTo:
         self._steering(goal)
         if not math.isfinite(goal.theta):
             raise Reject(f"theta is {goal.theta}: it is an angle in rad")
+        apart = math.ulp(goal.theta)
+        if abs(goal.theta) > math.pi and 0.0 < goal.heading_tolerance < apart:
+            problem = f"is {goal.theta}: angles so large are {apart:.2g} rad apart"
+            raise Reject(f"theta {problem}, more than heading_tolerance")
         self._turtles.check_turtle(goal.turtle)
         self._turtles.check_target(Point(x=goal.x, y=goal.y))
         return GoalResponse.ACCEPT
