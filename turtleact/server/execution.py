@@ -286,10 +286,11 @@ class Execution:
             self.also_feedback(goal, message)
 
     def report_blocking(self, goal: Goal, seconds: float) -> None:
-        """Warn of a body that has kept everybody else from running."""
+        """Warn of a step that kept all others from running; a process that was stopped looks so."""
         logger.warning(
-            "the body of %s has blocked the event loop for %.1f s (goal %s): nothing else could run"
-            " meanwhile; await what waits, and move long work to anyio.to_thread.run_sync",
+            "a step of the body of %s took %.1f s (goal %s): nothing else could run meanwhile;"
+            " unless the process was stopped, await what waits, and move long work to"
+            " anyio.to_thread.run_sync",
             self._name,
             seconds,
             goal.hex,

@@ -1,7 +1,7 @@
 """Coroutines run step by step: in the caller's own task, and with an eye on the clock.
 
-A step is what happens between two waits. One that takes long has blocked the event loop, and
-everybody in it. A cancellation that finds a coroutine in a shielded scope is kept until the end of
+A step is what happens between two waits. One that takes long keeps everybody else in the event loop
+from running. A cancellation that finds a coroutine in a shielded scope is kept until the end of
 the step in which it leaves that scope; trio does so by itself.
 
 Source: ``asyncio.timeout`` for how a cancellation of one's own is told from that of others;
