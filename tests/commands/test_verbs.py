@@ -257,6 +257,7 @@ def test_only_the_group_that_is_asked_for_is_imported(verb):
     shared = {
         "turtleact.commands.policies",
         "turtleact.commands.verbs.completing",
+        "turtleact.commands.verbs.grouping",
         "turtleact.commands.verbs.looking",
         "turtleact.commands.verbs.policies",
     }

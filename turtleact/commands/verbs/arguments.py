@@ -190,7 +190,7 @@ def new_group(name: str) -> typer.Typer:
 # what the arguments mean
 
 
-def reach(connect: str | None, domain: str | None, config: str | None = None) -> Reach:
+def reach(connect: Connect = None, domain: Domain = None, config: Config = None) -> Reach:
     """The graph that ``--connect`` and ``--domain``, or ROS_DOMAIN_ID, mean.
 
     Raises:

@@ -9,24 +9,11 @@ import typer
 
 from turtleact.commands import VERBS
 from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.arguments import (
-    Config,
-    Connect,
-    Domain,
-    Interfaces,
-    Job,
-    Reach,
-    Verb,
-    only_one,
-    quoted,
-    reach,
-)
-from turtleact.commands.verbs.looking import Look, on_graph
+from turtleact.commands.verbs.arguments import Verb, only_one, quoted
+from turtleact.commands.verbs.looking import Look, Plan, on_graph, planned_on_known_graph
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable
-
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.transcript import View
     from turtleact.node import Node
@@ -114,32 +101,17 @@ def cancel(what: _Ids = None, *, all_: _All = False, before: _Before = None) -> 
 
 
 @app.command("watch", cls=Verb, help=VERBS["watch"])
-def watch(
-    goal_id: _Id,
-    *,
-    plain: _Plain = False,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-    interfaces: Interfaces = None,
-) -> Job:
+@planned_on_known_graph
+def watch(goal_id: _Id, *, plain: _Plain = False) -> Plan:
     """``watch``."""
-    view: View = "plain" if plain else "auto"
-    return _follow(goal_id, reach(connect, domain, config), interfaces, view, hears_feedback=True)
+    return _follow(goal_id, "plain" if plain else "auto", hears_feedback=True)
 
 
 @app.command("result", cls=Verb, help=VERBS["result"])
-def result(
-    goal_id: _Id,
-    *,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-    interfaces: Interfaces = None,
-) -> Job:
+@planned_on_known_graph
+def result(goal_id: _Id) -> Plan:
     """``result``."""
-    where = reach(connect, domain, config)
-    return _follow(goal_id, where, interfaces, "plain", hears_feedback=False)
+    return _follow(goal_id, "plain", hears_feedback=False)
 
 
 def moment(text: str) -> int:
@@ -185,27 +157,23 @@ def _goal_id(text: str) -> str:
     return digits
 
 
-def _follow(
-    goal_id: str, where: Reach, interfaces: str | None, view: View, *, hears_feedback: bool
-) -> Job:
+def _follow(goal_id: str, view: View, *, hears_feedback: bool) -> Plan:
     wanted = _goal_id(goal_id)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import goals, graph, transcript
-        from turtleact.commands.interfaces import make_known
+    def plan(interrupts: Interrupts) -> Look:
+        from turtleact.commands import goals, transcript
 
-        make_known(interfaces)
         telling = transcript.choose_transcript(
             view, wants_feedback=hears_feedback, wants_feedback_live=False
         )
         interrupts.restore = telling.close
 
-        def look(node: Node) -> Awaitable[int]:
-            return goals.follow(node, wanted, telling, hears_feedback=hears_feedback)
+        async def look(node: Node) -> int:
+            try:
+                return await goals.follow(node, wanted, telling, hears_feedback=hears_feedback)
+            finally:
+                telling.close()
 
-        try:
-            return graph.run(where, look, interrupts)
-        finally:
-            telling.close()
+        return look
 
-    return job
+    return plan

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Callable
+from typing import Annotated, TypeAlias
 
 import typer
 
+from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.verbs import completing
 from turtleact.commands.verbs.arguments import Interfaces, Job, Verb, new_group, only_one
-
-if TYPE_CHECKING:
-    from turtleact.commands.interrupts import Interrupts
+from turtleact.commands.verbs.grouping import grouped, then
 
 __all__ = ["app"]
 
@@ -49,106 +49,86 @@ _NoComments = Annotated[
 ]
 _NoQuotes = Annotated[bool, typer.Option("--no-quotes", help="No quotes around it.")]
 
+Act: TypeAlias = Callable[[Interrupts], None]
+"""Prints what the verb is for."""
+
 app = new_group("interface")
 
 
+def _kinds(
+    *, msgs: _Messages = False, srvs: _Services = False, actions: _Actions = False
+) -> list[str]:
+    given = {"msg": msgs, "srv": srvs, "action": actions}
+    return [kind for kind, is_wanted in given.items() if is_wanted]
+
+
+def _known(*, interfaces: Interfaces = None) -> Callable[[Act], Job]:
+    """What makes a job of what is printed once the interfaces are known."""
+
+    def job_of(act: Act) -> Job:
+        def job(interrupts: Interrupts) -> int:
+            from turtleact.commands.interfaces import make_known
+
+            make_known(interfaces)
+            act(interrupts)
+            return 0
+
+        return job
+
+    return job_of
+
+
 @app.command("list", cls=Verb, help="List the interfaces that there are.")
-def list_(
-    *,
-    msgs: _Messages = False,
-    srvs: _Services = False,
-    actions: _Actions = False,
-    interfaces: Interfaces = None,
-) -> Job:
+@then(_known)
+@grouped(kinds=_kinds)
+def list_(*, kinds: list[str]) -> Act:
     """``interface list``."""
+    from turtleact.commands import interfaces
 
-    def job(_: Interrupts) -> int:
-        from turtleact.commands.interfaces import make_known, print_list
-
-        make_known(interfaces)
-        print_list(_kinds(msgs=msgs, srvs=srvs, actions=actions))
-        return 0
-
-    return job
+    return lambda _: interfaces.print_list(kinds)
 
 
 @app.command("package", cls=Verb, help="List the interfaces of a package.")
-def package(
-    name: _Package,
-    *,
-    msgs: _Messages = False,
-    srvs: _Services = False,
-    actions: _Actions = False,
-    interfaces: Interfaces = None,
-) -> Job:
+@then(_known)
+@grouped(kinds=_kinds)
+def package(name: _Package, *, kinds: list[str]) -> Act:
     """``interface package``."""
+    from turtleact.commands import interfaces
 
-    def job(_: Interrupts) -> int:
-        from turtleact.commands.interfaces import make_known, print_package
-
-        make_known(interfaces)
-        print_package(name, _kinds(msgs=msgs, srvs=srvs, actions=actions))
-        return 0
-
-    return job
+    return lambda _: interfaces.print_package(name, kinds)
 
 
 @app.command("packages", cls=Verb, help="List the packages that have interfaces.")
-def packages(
-    *,
-    msgs: _Messages = False,
-    srvs: _Services = False,
-    actions: _Actions = False,
-    interfaces: Interfaces = None,
-) -> Job:
+@then(_known)
+@grouped(kinds=_kinds)
+def packages(*, kinds: list[str]) -> Act:
     """``interface packages``."""
+    from turtleact.commands import interfaces
 
-    def job(_: Interrupts) -> int:
-        from turtleact.commands.interfaces import make_known, print_packages
-
-        make_known(interfaces)
-        print_packages(_kinds(msgs=msgs, srvs=srvs, actions=actions))
-        return 0
-
-    return job
+    return lambda _: interfaces.print_packages(kinds)
 
 
 @app.command("proto", cls=Verb, help="Print a message to begin with, as YAML.")
-def proto(type_name: _Type, *, no_quotes: _NoQuotes = False, interfaces: Interfaces = None) -> Job:
+@then(_known)
+def proto(type_name: _Type, *, no_quotes: _NoQuotes = False) -> Act:
     """``interface proto``."""
+    from turtleact.commands import interfaces
 
-    def job(_: Interrupts) -> int:
-        from turtleact.commands.interfaces import make_known, print_prototype
-
-        make_known(interfaces)
-        print_prototype(type_name, quotes=not no_quotes)
-        return 0
-
-    return job
+    return lambda _: interfaces.print_prototype(type_name, quotes=not no_quotes)
 
 
 @app.command("show", cls=Verb, help="Print the definition of an interface.")
+@then(_known)
 def show(
-    type_name: _ShownType,
-    *,
-    all_comments: _AllComments = False,
-    no_comments: _NoComments = False,
-    interfaces: Interfaces = None,
-) -> Job:
+    type_name: _ShownType, *, all_comments: _AllComments = False, no_comments: _NoComments = False
+) -> Act:
     """``interface show``."""
     only_one("what to do with comments", all_comments=all_comments, no_comments=no_comments)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import interfaces as verbs
+    def act(interrupts: Interrupts) -> None:
+        from turtleact.commands import interfaces
 
-        verbs.make_known(interfaces)
-        name = verbs.read_type(type_name, interrupts)
-        verbs.show(name, comments=not no_comments, nested_comments=all_comments)
-        return 0
+        name = interfaces.read_type(type_name, interrupts)
+        interfaces.show(name, comments=not no_comments, nested_comments=all_comments)
 
-    return job
-
-
-def _kinds(*, msgs: bool, srvs: bool, actions: bool) -> list[str]:
-    given = {"msg": msgs, "srv": srvs, "action": actions}
-    return [kind for kind, is_wanted in given.items() if is_wanted]
+    return act

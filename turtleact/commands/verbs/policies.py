@@ -14,7 +14,7 @@ from turtleact.errors import UsageError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["Depth", "Durability", "Profile", "Reliability", "read_policies"]
+__all__ = ["read_policies"]
 
 P = TypeVar("P")
 
@@ -38,7 +38,7 @@ _PROFILES: dict[str, policies.Policies] = {
 }
 """Source: rmw ``qos_profiles.h``."""
 
-Profile = Annotated[
+_Profile = Annotated[
     str | None,
     typer.Option(
         "--qos-profile",
@@ -47,7 +47,7 @@ Profile = Annotated[
         autocompletion=completing.words(*_PROFILES),
     ),
 ]
-Reliability = Annotated[
+_Reliability = Annotated[
     str | None,
     typer.Option(
         "--qos-reliability",
@@ -56,7 +56,7 @@ Reliability = Annotated[
         autocompletion=completing.words(*_RELIABILITIES),
     ),
 ]
-Durability = Annotated[
+_Durability = Annotated[
     str | None,
     typer.Option(
         "--qos-durability",
@@ -65,13 +65,16 @@ Durability = Annotated[
         autocompletion=completing.words(*_DURABILITIES),
     ),
 ]
-Depth = Annotated[
+_Depth = Annotated[
     str | None, typer.Option("--qos-depth", metavar="N", help="How many messages are kept.")
 ]
 
 
 def read_policies(
-    profile: str | None, reliability: str | None, durability: str | None, depth: str | None
+    profile: _Profile = None,
+    reliability: _Reliability = None,
+    durability: _Durability = None,
+    depth: _Depth = None,
 ) -> policies.Policies:
     """The policies that are asked for; a single one counts more than the profile.
 

@@ -8,21 +8,15 @@ import typer
 
 from turtleact.commands.verbs import completing
 from turtleact.commands.verbs.arguments import (
-    Config,
-    Connect,
-    Domain,
-    Interfaces,
-    Job,
     Verb,
     message_of,
     new_group,
     number,
     only_one,
-    reach,
     type_and_text,
     type_of,
 )
-from turtleact.commands.verbs.looking import Look, on_graph
+from turtleact.commands.verbs.looking import Look, Plan, on_graph, planned_on_known_graph
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
@@ -89,6 +83,7 @@ def find(type_name: _Type, *, count: _Count = False, hidden: _Hidden = False) ->
 
 
 @app.command("call", cls=Verb, help="Call a service, and print its response.")
+@planned_on_known_graph
 def call(
     name: _Name,
     type_name: _CalledType = None,
@@ -96,28 +91,19 @@ def call(
     *,
     stdin: _Stdin = False,
     rate: _Rate = None,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-    interfaces: Interfaces = None,
-) -> Job:
+) -> Plan:
     """``service call``."""
     type_name, values = type_and_text(type_name, values, "request")
     only_one("the request", VALUES=values is not None, stdin=stdin)
     hertz = (
         None if rate is None else number("--rate", rate, unit="calls a second", is_positive=True)
     )
-    where = reach(connect, domain, config)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import calling, graph
+    def plan(interrupts: Interrupts) -> Look:
+        from turtleact.commands import calling
         from turtleact.commands.goal_text import GoalText
-        from turtleact.commands.interfaces import make_known
 
         text = GoalText.read(values, stdin=stdin, path=None, interrupts=interrupts, what="request")
-        make_known(interfaces)
-        return graph.run(
-            where, lambda node: calling.call(node, name, type_name, text, rate=hertz), interrupts
-        )
+        return lambda node: calling.call(node, name, type_name, text, rate=hertz)
 
-    return job
+    return plan

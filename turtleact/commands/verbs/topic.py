@@ -6,26 +6,28 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from turtleact.commands.policies import Policies
 from turtleact.commands.verbs import completing
 from turtleact.commands.verbs.arguments import (
-    Config,
-    Connect,
-    Domain,
-    Interfaces,
-    Job,
     Verb,
     message_of,
     new_group,
     number,
     only_one,
     quoted,
-    reach,
     type_and_text,
     type_of,
     whole,
 )
-from turtleact.commands.verbs.looking import Look, on_graph, on_known_graph
-from turtleact.commands.verbs.policies import Depth, Durability, Profile, Reliability, read_policies
+from turtleact.commands.verbs.grouping import grouped
+from turtleact.commands.verbs.looking import (
+    Look,
+    Plan,
+    on_graph,
+    on_known_graph,
+    planned_on_known_graph,
+)
+from turtleact.commands.verbs.policies import read_policies
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
@@ -150,6 +152,7 @@ def find(type_name: _Type, *, count: _Count = False, hidden: _Hidden = False) ->
 
 @app.command("echo", cls=Verb, help="Print the messages of a topic.")
 @on_known_graph
+@grouped(policies=read_policies)
 def echo(
     name: _Name,
     type_name: _AskedType = None,
@@ -165,17 +168,13 @@ def echo(
     timeout: _Timeout = None,
     filter_: _Filter = None,
     raw: _Raw = False,
-    profile: Profile = None,
-    reliability: Reliability = None,
-    durability: Durability = None,
-    depth: Depth = None,
+    policies: Policies,
 ) -> Look:
     """``topic echo``."""
     from turtleact.commands import echo
 
     length = whole("--truncate-length", truncate_length)
     seconds = None if timeout is None else number("--timeout", timeout)
-    policies = read_policies(profile, reliability, durability, depth)
     if field is not None and not all(field.split(".")):
         raise UsageError(f"--field is names with dots between, such as linear.x, not '{field}'")
 
@@ -231,6 +230,8 @@ def delay(name: _Name, *, window: _Window = "10000") -> Look:
 
 
 @app.command("pub", cls=Verb, help="Publish messages on a topic.")
+@planned_on_known_graph
+@grouped(policies=read_policies)
 def pub(
     name: _Name,
     type_name: _AskedType = None,
@@ -242,17 +243,9 @@ def pub(
     print_each: _PrintEach = "1",
     wait: _Wait = None,
     stdin: _Stdin = False,
-    profile: Profile = None,
-    reliability: Reliability = None,
-    durability: Durability = None,
-    depth: Depth = None,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
-    interfaces: Interfaces = None,
-) -> Job:
+    policies: Policies,
+) -> Plan:
     """``topic pub``."""
-    where = reach(connect, domain, config)
     type_name, values = type_and_text(type_name, values, "message")
     only_one("the message", VALUES=values is not None, stdin=stdin)
     only_one("how often", once=once, times=times is not None)
@@ -260,15 +253,12 @@ def pub(
     count = 1 if once else 0 if times is None else whole("--times", times)
     least = int(count > 0) if wait is None else whole("--wait-matching-subscriptions", wait)
     every = whole("--print", print_each)
-    policies = read_policies(profile, reliability, durability, depth)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands import graph, publishing
+    def plan(interrupts: Interrupts) -> Look:
+        from turtleact.commands import publishing
         from turtleact.commands.goal_text import GoalText
-        from turtleact.commands.interfaces import make_known
 
         text = GoalText.read(values, stdin=stdin, path=None, interrupts=interrupts, what="message")
-        make_known(interfaces)
         order = publishing.Order(
             name,
             type_name,
@@ -279,9 +269,9 @@ def pub(
             wait=least,
             policies=policies,
         )
-        return graph.run(where, lambda node: publishing.publish(node, order), interrupts)
+        return lambda node: publishing.publish(node, order)
 
-    return job
+    return plan
 
 
 def _compiled(expression: str) -> CodeType:
