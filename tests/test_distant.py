@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -23,12 +23,16 @@ from turtleact.errors import (
     InvalidGoal,
     Reject,
     ServerUnavailable,
+    TurtleactError,
     UnknownGoal,
 )
 from turtleact.goal import CancelCode
+from turtleact.goal_note import GoalNote
 from turtleact.interfaces import Action, Message, implied, int32
 from turtleact.interfaces.standard import CancelGoal, Time
+from turtleact.tasks import current_tasks
 from turtleact.transports import MemoryTransport
+from turtleact.transports.base import Reply
 
 from .lab import Count, Gate, Lab, count, feedback, goal, result, running, settle
 from .test_execution import awaited, entered
@@ -38,7 +42,13 @@ ID = bytes(range(16))
 
 
 class Apart:
-    """A graph whose servers are all elsewhere: nobody is handed the server itself."""
+    """A graph whose servers are all elsewhere: nobody is handed the server itself.
+
+    Attributes:
+        is_prompt: Whether requests are sent without waiting, as over a wire.
+    """
+
+    is_prompt = False
 
     def __init__(self, transport: MemoryTransport) -> None:
         self._transport = transport
@@ -48,6 +58,68 @@ class Apart:
 
     def local(self, name: str, type_name: str) -> None:
         """There is none in this process."""
+
+    def join(self, endpoint: Any, format: Any) -> Any:
+        caller: Any = self._transport.join(endpoint, format)
+        if self.is_prompt:
+            caller.ask = lambda request: Early(lambda: caller.call(request))
+        return caller
+
+
+class Early:
+    """A request that is under way by itself.
+
+    Args:
+        call: Sends it.
+    """
+
+    def __init__(self, call: Callable[[], Awaitable[Reply]]) -> None:
+        self.is_over = False
+        self._call = call
+        self._over = anyio.Event()
+        self._told: Callable[[], object] = lambda: None
+        self._came: Reply | Exception
+        current_tasks().spawn(self._run(), "an early request")
+
+    def tell(self, told: Callable[[], object]) -> None:
+        self._told = told
+
+    def take(self) -> Reply:
+        assert self.is_over
+        if isinstance(self._came, Exception):
+            raise self._came
+        return self._came
+
+    async def reply(self) -> Reply:
+        await self._over.wait()
+        return self.take()
+
+    def drop(self) -> None:
+        self._told = lambda: None
+
+    async def _run(self) -> None:
+        await anyio.lowlevel.checkpoint()
+        try:
+            self._came = await self._call()
+        except Exception as error:
+            self._came = error
+        self.is_over = True
+        self._over.set()
+        self._told()
+
+
+@pytest.fixture(autouse=True, params=["one by one", "both at once"])
+def is_prompt(request, monkeypatch) -> None:
+    """How the two requests of a goal are sent to a server of turtleact."""
+    monkeypatch.setattr(Apart, "is_prompt", request.param == "both at once")
+
+
+def client_of(node: turtleact.Node) -> turtleact.ActionClient[Any, Any, Any]:
+    """A client that knows its server."""
+    client = node.action_client(Count, "count")
+    if Apart.is_prompt:
+        client._distant._links.learn(Reply(None, GoalNote().write()))
+    return client
 
 
 @asynccontextmanager
@@ -60,7 +132,7 @@ async def apart(execute: Any, **options: Any) -> AsyncIterator[Lab]:
         turtleact.open_node("near", transport=near) as node,
     ):
         server = far.action_server(Count, "count", execute, **options)
-        yield Lab(node, server, node.action_client(Count, "count"))
+        yield Lab(node, server, client_of(node))
         assert node.transport.local("/count/_action/send_goal", "") is None
 
 
@@ -375,6 +447,44 @@ async def test_a_closed_client_sends_nothing(send):
             await send(served, goal())
 
 
+async def test_who_waits_hears_that_its_client_was_closed(send):
+    gate = Gate()
+    async with apart(gate.wait) as served, running(lambda: send(served, goal())) as sent:
+        await gate.started.wait()
+        await served.client.aclose()
+        await sent.done.wait()
+        assert str(sent.error) == "action '/count': the client was closed"
+
+
+async def test_who_waits_for_acceptance_hears_that_its_client_was_closed(send):
+    opened = anyio.Event()
+
+    async def ask(request):
+        await opened.wait()
+        return GoalResponse.ACCEPT
+
+    async with (
+        apart(count, goal_callback=ask) as served,
+        running(lambda: send(served, goal())) as sent,
+    ):
+        await settle()
+        await served.client.aclose()
+        await sent.done.wait()
+        assert str(sent.error) == "action '/count': the client was closed"
+        opened.set()
+
+
+async def test_what_goes_wrong_with_a_reply_is_logged_and_ends_the_goal(send, monkeypatch, caplog):
+    def learn(_links: object, _reply: object) -> None:
+        raise RuntimeError("mine")
+
+    async with apart(count) as served:
+        monkeypatch.setattr("turtleact.client.links.Links.learn", learn)
+        with pytest.raises(TurtleactError, match="cannot be followed: RuntimeError: mine"):
+            await send(served, goal())
+    assert "of /count cannot be followed" in caplog.text
+
+
 async def test_nothing_is_left_of_goals_that_have_ended(send):
     async with apart(count) as served:
         for _ in range(20):
@@ -412,8 +522,8 @@ async def test_the_errors_of_a_failed_goal(kind):
 # --- servers that die ---------------------------------------------------------------------------
 
 
-class Cut:
-    """A graph like `Apart`, whose servers can die without a word.
+class Cut(Apart):
+    """One whose servers can die without a word.
 
     Attributes:
         is_cut: Whether they have: no call finds a server.
@@ -423,18 +533,12 @@ class Cut:
     """
 
     def __init__(self, transport: MemoryTransport) -> None:
-        self._transport = transport
+        super().__init__(transport)
         self._dying: list[anyio.CancelScope] = []
         self.is_cut = False
         self.returns = False
         self.withholds = 0
         self.delays = False
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._transport, name)
-
-    def local(self, name: str, type_name: str) -> None:
-        """There is none in this process."""
 
     def cut(self) -> None:
         """Let the servers die: calls that wait for an answer get none."""
@@ -474,8 +578,8 @@ class CutCaller:
     def is_served(self) -> bool:
         return not self._graph.is_cut and self._caller.is_served
 
-    def ask(self, _request: object) -> None:
-        """Nothing is asked early here."""
+    def ask(self, request: object) -> Early | None:
+        return Early(lambda: self.call(request)) if self._graph.is_prompt else None
 
     async def call(self, request: object) -> Any:
         if self._graph.delays and self._name.endswith("get_result"):
@@ -497,7 +601,7 @@ async def cut(execute: Any, **options: Any) -> AsyncIterator[tuple[Lab, Cut]]:
         turtleact.open_node("near", transport=graph) as node,
     ):
         server = far.action_server(Count, "count", execute, **options)
-        yield Lab(node, server, node.action_client(Count, "count")), graph
+        yield Lab(node, server, client_of(node)), graph
 
 
 async def test_a_server_that_dies_is_told_to_all_who_wait(send):
@@ -569,7 +673,7 @@ async def test_leaving_the_block_of_a_lost_goal_does_not_hang():
 async def test_lost_feedback_is_waited_for_and_then_logged(caplog, monkeypatch):
     async with cut(count) as (served, graph):
         graph.withholds = 2
-        monkeypatch.setattr("turtleact.client.distant_server.LATE_FEEDBACK", 0.0)
+        monkeypatch.setattr("turtleact.client.following.LATE_FEEDBACK", 0.0)
         assert await served.client.send_goal(goal(5)) == result(0, 1, 2, 3, 4)
     assert "2 feedback messages of goal" in caplog.text
 

@@ -98,6 +98,7 @@ async def ask(requests: Requests) -> Any:
     """Have one goal done; how it ended."""
     followed = Followed(Goal(goal(), 0, id=bytes(16)), is_sender=True)
     try:
+        requests.begin(followed)
         await requests.send(followed)
         return await requests.result(followed)
     finally:

@@ -1385,6 +1385,27 @@ async def test_feedback_of_the_goals_of_others_is_not_read(address, monkeypatch)
         assert told == [feedback(0), feedback(0, 1), feedback(0, 1, 2)]
 
 
+async def test_the_second_goal_is_sent_with_the_request_for_its_result_and_takes_no_task(
+    address, monkeypatch
+):
+    def see_to(_following: object, _followed: object) -> None:
+        raise AssertionError
+
+    async with (
+        two(address) as (here, there, _),
+        turtleact.open_node("robot", transport=here) as robot,
+        turtleact.open_node("guest", transport=there) as guest,
+    ):
+        robot.action_server(Count, "count", count)
+        action_client = guest.action_client(Count, "count")
+        assert await action_client.wait_for_server(5)
+        assert await action_client.send_goal(goal(2)) == result(0, 1)
+        monkeypatch.setattr("turtleact.client.following.Following._see_to", see_to)
+        assert await action_client.send_goal(goal(0)) == result()
+        async with action_client.send_goal(goal(0)) as handle:
+            assert await handle.result() == result()
+
+
 async def test_a_goal_may_take_longer_than_zenoh_waits(address, monkeypatch):
     monkeypatch.setattr("turtleact.transports.rmw_zenoh.session.PATIENCE", 0.1)
     gate, asked = Gate(), []

@@ -1,7 +1,7 @@
 """A server in another process, as its clients see it: goals that messages keep up to date.
 
-For each goal that it sends or follows it holds a `Goal` of its own, and a task that sends the
-request, waits for the result, and makes both known in the goal. Feedback and status come by topic.
+For each goal that it sends or follows it holds a `Goal` of its own; what becomes of it is seen to
+in `turtleact.client.following`. Feedback and status come by topic.
 
 - The topics are open before the first request is sent, so no feedback can come too early.
 - A result that overtakes feedback waits for it: the server says how much there is (`GoalNote`).
@@ -16,13 +16,13 @@ import logging
 from collections.abc import Callable, Generator
 from contextvars import copy_context
 from functools import partial
-from typing import Any, Final, cast
+from typing import Any, cast
 
 import anyio
 
 from turtleact.client.followed import Followed, move
+from turtleact.client.following import Following
 from turtleact.client.links import Links
-from turtleact.client.requests import Requests
 from turtleact.errors import (
     GoalRejected,
     ServerUnavailable,
@@ -39,15 +39,11 @@ from turtleact.interfaces.standard import (
     GoalInfo,
     GoalStatusArray,
 )
-from turtleact.summaries import summary
-from turtleact.tasks import GRACE, Signal, Tasks
+from turtleact.tasks import GRACE, Tasks
 
 __all__ = ["DistantServer"]
 
 logger = logging.getLogger("turtleact.client")
-
-LATE_FEEDBACK: Final = 1.0
-"""Feedback that is behind its goal's result is waited for so long (s)."""
 
 
 class DistantServer:
@@ -69,11 +65,11 @@ class DistantServer:
     ) -> None:
         self.from_anywhere = tasks.from_anywhere
         self._links = links
-        self._requests = Requests(links)
+        self._following = Following(links, tasks, now, self.cancel_goal)
+        self._followed = self._following.goals
+        self.signal = self._following.signal
         self._check_goal = cast("Callable[[object], Message]", snapshotter(goal_type, root="goal"))
         self._tasks = tasks
-        self._now = now
-        self._followed: dict[bytes, Followed] = {}
         self._status = tasks.signal()
         self._last_told: dict[bytes, State] = {}
         self._held: dict[bytes, State] | None = None  # the last status, if one has come
@@ -170,15 +166,7 @@ class DistantServer:
         if on_feedback is not None:  # in the sender's context, not in that of the topic
             on_feedback = partial(copy_context().run, on_feedback)  # type: ignore[call-arg]
         goal = Goal(message, 0, id=goal_id, on_feedback=on_feedback, sender=sender)
-        return self._follow(goal, is_sender=True)
-
-    def _follow(self, goal: Goal, *, is_sender: bool) -> Followed:
-        """Keep a goal up to date until it has ended."""
-        followed = Followed(goal, is_sender=is_sender)
-        self._followed[cast("bytes", goal.id)] = followed
-        running = self._run(followed)
-        followed.task = self._tasks.spawn(running, f"a goal of {self._links.name}")
-        return followed
+        return self._following.send(goal)
 
     async def _give_up(self, followed: Followed) -> None:
         """Have a goal canceled whose sender has gone, and wait for its end, `GRACE` s at most."""
@@ -187,61 +175,6 @@ class DistantServer:
             if followed.is_accepted:
                 await self.cancel_goal(followed.goal)
             await self.wait_for_end(followed.goal)
-
-    # what becomes of a goal
-
-    async def _run(self, followed: Followed) -> None:
-        """Send a goal, unless somebody else has, and see it to its end."""
-        goal = followed.goal
-        try:
-            if not followed.is_accepted:
-                await self._requests.send(followed)
-                self.signal(goal).fire()
-            if followed.is_given_up:
-                await self.cancel_goal(goal)
-            await self._await_result(followed)
-        except ServerUnavailable as error:
-            self._lose(goal, self._unavailable(error.problem))
-        except TurtleactError as error:
-            self._lose(goal, error)
-        except self._tasks.cancelled:
-            self._lose(goal, self._unavailable("the client was closed"))
-            raise
-        except Exception as error:
-            logger.exception("goal %s of %s cannot be followed", goal.hex, self._links.name)
-            self._lose(goal, TurtleactError(f"the goal cannot be followed: {summary(error)}"))
-        finally:
-            followed.drop()
-            self._followed.pop(cast("bytes", goal.id), None)
-
-    async def _await_result(self, followed: Followed) -> None:
-        goal = followed.goal
-        answer = await self._requests.result(followed)
-        if followed.is_sender:
-            await self._await_feedback(followed, answer.note.feedback)
-        goal.result, goal.reason = answer.result, answer.note.reason
-        goal.ended = self._now()
-        move(goal, answer.status)
-
-    async def _await_feedback(self, followed: Followed, count: int) -> None:
-        """Wait for the feedback that the result has overtaken."""
-        if followed.received >= count:
-            return
-        with anyio.move_on_after(LATE_FEEDBACK):
-            while followed.received < count:
-                await self.signal(followed.goal).wait()
-        if followed.received < count:
-            lost = count - followed.received
-            logger.warning("%d feedback messages of goal %s were lost", lost, followed.goal.hex)
-
-    def _unavailable(self, problem: str) -> ServerUnavailable:
-        return ServerUnavailable(self._links.name, problem)
-
-    def _lose(self, goal: Goal, error: TurtleactError) -> None:
-        """End a goal of which nothing more will be heard."""
-        if not goal.ended:
-            goal.error, goal.status, goal.ended = error, GoalStatus.UNKNOWN, self._now()
-            self.signal(goal).fire()
 
     # topics
 
@@ -283,19 +216,14 @@ class DistantServer:
             return None
         goal = Goal(None, 0, id=goal_id)
         _update(goal, self._held[goal_id])
-        return self._follow(goal, is_sender=False).goal
+        self._following.attach(goal)
+        return goal
 
     async def wait_for_end(self, goal: Goal) -> None:
         """Wait until a goal has ended. Cancelling: safe, the goal goes on."""
         signal = self.signal(goal)
         while not goal.ended:
             await signal.wait()
-
-    def signal(self, goal: Goal) -> Signal:
-        """The signal that fires at each change of a goal."""
-        if goal.listener is None:
-            goal.listener = self._tasks.signal()
-        return goal.listener  # type: ignore[return-value]  # nobody else puts one there
 
     def name_goal(self, goal: Goal) -> bytes:
         """The id of a goal; it has had one from the start."""
@@ -319,7 +247,7 @@ class DistantServer:
         try:
             reply = await self._links.cancel(request)
         except ServerUnavailable as error:
-            raise self._unavailable(error.problem) from None
+            raise self._following.unavailable(error.problem) from None
         response = cast("CancelGoal.Response", reply.message)
         for info in response.goals_canceling:
             followed = self._followed.get(bytes(info.goal_id.uuid))
@@ -349,8 +277,7 @@ class DistantServer:
 
     def client_lost(self, sender: object) -> None:  # noqa: ARG002  # it has this one alone
         """Follow no goal any more, and leave the graph."""
-        for followed in list(self._followed.values()):
-            followed.task.cancel()
+        self._following.close()
         self._links.close()
 
 

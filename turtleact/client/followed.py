@@ -34,11 +34,10 @@ class Followed:
         is_accepted: Whether the server has taken it.
         is_given_up: Whether it is to be canceled as soon as that is possible.
         received: How many feedback messages have come.
+        sent: The request that has it taken, if that was sent early.
         asked: The request for its result, if that was sent together with the goal.
-        task: What keeps it up to date.
+        task: What keeps it up to date, where that takes waiting.
     """
-
-    task: Cancelable
 
     def __init__(self, goal: Goal, *, is_sender: bool) -> None:
         self.goal = goal
@@ -48,13 +47,16 @@ class Followed:
         self.is_accepted = not is_sender
         self.is_given_up = False
         self.received = 0
+        self.sent: Asked | None = None
         self.asked: Asked | None = None
+        self.task: Cancelable | None = None
 
     def drop(self) -> None:
         """Want no answer to what was asked early."""
-        if self.asked is not None:
-            self.asked.drop()
-            self.asked = None
+        for early in (self.sent, self.asked):
+            if early is not None:
+                early.drop()
+        self.sent = self.asked = None
 
     def take(self, feedback: Message) -> None:
         """Note a feedback message, and tell the sender's callback."""

@@ -22,7 +22,7 @@ from turtleact.goal_note import GoalNote
 from turtleact.interfaces import Message
 from turtleact.interfaces.stamps import nanoseconds
 from turtleact.interfaces.standard import UUID
-from turtleact.transports.base import Reply
+from turtleact.transports.base import Asked, Reply
 
 __all__ = ["Answer", "Requests"]
 
@@ -58,24 +58,44 @@ class Requests:
         self._links = links
         self._knows_late = False  # it knew nothing of a goal when it was asked for the end
 
+    def begin(self, followed: Followed) -> bool:
+        """Send a goal, and the request for its result too, to a server known to take both at once.
+
+        Answers whether both are on their way; else `send` is to be awaited.
+
+        Raises:
+            InvalidMessage: if a value does not fit its type; nothing was sent.
+        """
+        links = self._links
+        if self._knows_late or not links.is_of_our_kind:
+            return False
+        followed.sent = links.ask(self._order(followed))
+        if followed.sent is not None:
+            followed.asked = links.get_result.ask(self._question(followed))
+        return followed.asked is not None
+
     async def send(self, followed: Followed) -> None:
-        """Send a goal, and wait for its acceptance.
+        """Send a goal, unless `begin` has, and wait for its acceptance.
 
         Raises:
             GoalRejected: if it is not taken.
             ServerUnavailable: if nobody serves the action, or its server goes away.
         """
-        goal, links = followed.goal, self._links
-        request = links.implied.send_goal.Request(
-            UUID(cast("bytes", goal.id)), cast("Message", goal.request)
-        )
-        reply = await self._reply(followed, request)
-        self._links.learn(reply)
-        response: Any = reply.message
-        if not response.accepted:
-            raise GoalRejected(GoalNote.read(reply.note).reason)
-        goal.stamp = nanoseconds(response.stamp)
-        followed.is_accepted = True
+        sent, followed.sent = followed.sent, None
+        reply = await (self._links.send(self._order(followed)) if sent is None else sent.reply())
+        self._accept(followed, reply)
+
+    def accept(self, followed: Followed) -> None:
+        """Note what the server has said to a goal, once it has; raises as `send`, each time."""
+        self._accept(followed, cast("Asked", followed.sent).take())
+        followed.sent = None
+
+    def answer(self, followed: Followed) -> Answer | None:
+        """What has come of the early request for a goal's end; None if it is to be asked again.
+
+        Raises as the request does, each time.
+        """
+        return self._answer(followed, cast("Asked", followed.asked).take(), is_early=True)
 
     async def result(self, followed: Followed) -> Answer:
         """Wait for the end of a goal.
@@ -84,7 +104,7 @@ class Requests:
             UnknownGoal: if the server does not hold it.
             ServerUnavailable: if the server goes away, and does not come back at once.
         """
-        goal, lost = followed.goal, list[ServerUnavailable]()
+        lost = list[ServerUnavailable]()
         while True:
             try:
                 is_early = followed.asked is not None
@@ -96,31 +116,41 @@ class Requests:
                 if len(lost) == ATTEMPTS or not await self._is_back():
                     raise lost[0] from None
                 continue
-            response: Any = reply.message
-            status = status_of(response.status)
-            self._links.learn(reply)
-            if status.is_terminal:
-                return Answer(status, response.result, GoalNote.read(reply.note))
-            if not is_early:
-                name = self._links.name
-                raise UnknownGoal(f"'{name}' holds no goal {goal.hex}, or not any more")
-            self._knows_late = bool(reply.note)  # else it is not one of ours at all
+            answer = self._answer(followed, reply, is_early=is_early)
+            if answer is not None:
+                return answer
 
-    async def _reply(self, followed: Followed, request: object) -> Reply:
-        """Send a goal, and the request for its result too if the server is known to take both."""
-        links = self._links
-        if links.is_of_our_kind and not self._knows_late:
-            asked = links.ask(request)
-            if asked is not None:
-                followed.asked = links.get_result.ask(self._question(followed))
-                return await asked.reply()
-        return await links.send(request)
+    def _accept(self, followed: Followed, reply: Reply) -> None:
+        self._links.learn(reply)
+        response: Any = reply.message
+        if not response.accepted:
+            raise GoalRejected(GoalNote.read(reply.note).reason)
+        followed.goal.stamp = nanoseconds(response.stamp)
+        followed.is_accepted = True
+
+    def _answer(self, followed: Followed, reply: Reply, *, is_early: bool) -> Answer | None:
+        response: Any = reply.message
+        status = status_of(response.status)
+        self._links.learn(reply)
+        if status.is_terminal:
+            return Answer(status, response.result, GoalNote.read(reply.note))
+        if not is_early:
+            name, goal = self._links.name, followed.goal
+            raise UnknownGoal(f"'{name}' holds no goal {goal.hex}, or not any more")
+        self._knows_late = bool(reply.note)  # else it is not one of ours at all
+        return None
 
     async def _end(self, followed: Followed) -> Reply:
         asked, followed.asked = followed.asked, None
         if asked is not None:
             return await asked.reply()
         return await self._links.get_result.call(self._question(followed))
+
+    def _order(self, followed: Followed) -> object:
+        goal = followed.goal
+        return self._links.implied.send_goal.Request(
+            UUID(cast("bytes", goal.id)), cast("Message", goal.request)
+        )
 
     def _question(self, followed: Followed) -> object:
         return self._links.implied.get_result.Request(UUID(cast("bytes", followed.goal.id)))

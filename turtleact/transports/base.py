@@ -211,13 +211,23 @@ class Reply(msgspec.Struct, frozen=True):
 
 
 class Asked(Protocol):
-    """A request that is under way; one of the two is called, or it goes on for nobody."""
+    """A request that is under way: taken at last, or dropped, or it goes on for nobody."""
+
+    @property
+    def is_over(self) -> bool:
+        """Whether there is a reply, or will be none."""
+
+    def tell(self, told: Callable[[], object]) -> None:
+        """Have something called in the event loop, once or more, when it is over."""
+
+    def take(self) -> Reply:
+        """The reply, once it is over; raises as `Caller.call`, each time."""
 
     async def reply(self) -> Reply:
-        """Wait for the reply; as `Caller.call`."""
+        """Wait for the reply; as `take` then."""
 
     def drop(self) -> None:
-        """Want no reply any more; behind `reply`, this does nothing."""
+        """Want no reply any more; once it was taken, this does nothing."""
 
 
 class Caller(Closeable, Protocol):

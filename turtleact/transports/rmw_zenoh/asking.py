@@ -10,6 +10,7 @@ import anyio
 from turtleact.errors import TurtleactError
 
 if TYPE_CHECKING:
+    from turtleact.tasks import Signal
     from turtleact.transports.base import Reply
     from turtleact.transports.rmw_zenoh.link import Link
     from turtleact.transports.rmw_zenoh.session import Querier
@@ -52,13 +53,23 @@ class Call:
         self._over = over
         self._read = read
         self._is_wanted = True
-        self._changed = link.tasks.signal()
+        self._changed: Signal | None = None  # made for who waits
+        self._told: Callable[[], object] | None = None
         self._give_up: Callable[[], None] | None = None
 
     @property
     def is_over(self) -> bool:
         """Whether there is a reply or an error, or the end without either."""
         return self._has_ended or self.answer is not None or self.error is not None
+
+    def tell(self, told: Callable[[], object]) -> None:
+        """Have something called when it is over; see `turtleact.transports.base.Asked`."""
+        self._told = told
+
+    def take(self) -> Reply:
+        """The reply, once it is over; see `turtleact.transports.base.Asked`."""
+        self.drop()
+        return self._read(self)
 
     async def reply(self) -> Reply:
         """Wait for the reply; see `turtleact.transports.base.Asked`."""
@@ -85,10 +96,18 @@ class Call:
     def end(self) -> None:
         """Nothing more comes."""
         self._has_ended = True
-        self._changed.fire()
+        self._tell()
+
+    def _tell(self) -> None:
+        if self._changed is not None:
+            self._changed.fire()
+        if self._told is not None and self._is_wanted:
+            self._told()
 
     async def _wait(self) -> None:
         while not self.is_over:
+            if self._changed is None:
+                self._changed = self._link.tasks.signal()
             await self._changed.wait()
 
     # in the outbox
@@ -119,12 +138,12 @@ class Call:
     def _replied(self, payload: bytes, attachment: bytes) -> None:
         if not self.is_over:  # of several servers the quickest is heard
             self.answer = payload, attachment
-            self._link.inbox.push(self._changed.fire)
+            self._link.inbox.push(self._tell)
 
     def _failed(self, text: str, kind: str) -> None:
         if not self.is_over:
             self.error = text, kind
-            self._link.inbox.push(self._changed.fire)
+            self._link.inbox.push(self._tell)
 
     def _ended(self) -> None:
         if not self.is_over:  # else the loop has been told
