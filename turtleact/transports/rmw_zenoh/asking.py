@@ -30,6 +30,7 @@ class Call:
         attachment: What goes beside it.
         over: Told once nobody waits for it any more.
         read: Makes a reply of it, or raises.
+        is_cancelable: Whether Zenoh forgets it at once if it is dropped, not with its client.
 
     Attributes:
         answer: Payload and attachment of the reply.
@@ -43,6 +44,8 @@ class Call:
         attachment: bytes,
         over: Callable[[Call], object],
         read: Callable[[Call], Reply],
+        *,
+        is_cancelable: bool,
     ) -> None:
         self.answer: tuple[bytes, bytes] | None = None
         self.error: tuple[str, str] | None = None
@@ -52,6 +55,7 @@ class Call:
         self._attachment = attachment
         self._over = over
         self._read = read
+        self._is_cancelable = is_cancelable
         self._is_wanted = True
         self._changed: Signal | None = None  # made for who waits
         self._told: Callable[[], object] | None = None
@@ -83,7 +87,7 @@ class Call:
         """Want no reply any more; a second time does nothing."""
         if self._is_wanted:
             self._is_wanted = False
-            if not self.is_over:
+            if self._is_cancelable and not self.is_over:
                 self._link.outbox.post(self._cancel)
             self._over(self)
 
@@ -124,6 +128,7 @@ class Call:
                 replied=self._replied,
                 failed=self._failed,
                 ended=self._ended,
+                is_cancelable=self._is_cancelable,
             )
         except TurtleactError:
             self._ended()

@@ -196,12 +196,14 @@ class WireCaller:
             await self._wait_for_route()
         if not self._is_matching or not self._link.is_open:
             raise self._unavailable(self._why_not_served())
-        return await self._send(payload).reply()
+        return await self._send(payload, is_cancelable=True).reply()
 
     def ask(self, request: object) -> Asked | None:
         """Send a request now; None if it would not go to another process, or has to wait."""
         is_far = self._is_matching and self._link.is_open and not self._near.is_served
-        return self._send(self._format.encode(request)) if is_far and self._is_open else None
+        if not is_far or not self._is_open:
+            return None
+        return self._send(self._format.encode(request), is_cancelable=False)
 
     def close(self) -> None:
         """Leave the graph, but others are told only when the calls under way are over.
@@ -234,8 +236,15 @@ class WireCaller:
             while not self._is_matching and any(map(self._fits, self._servers())):
                 await self._link.near.wait_for_change()
 
-    def _send(self, payload: bytes) -> Call:
-        call = Call(self._link, payload, self._counter.next(), self._is_over, self._read)
+    def _send(self, payload: bytes, *, is_cancelable: bool) -> Call:
+        call = Call(
+            self._link,
+            payload,
+            self._counter.next(),
+            self._is_over,
+            self._read,
+            is_cancelable=is_cancelable,
+        )
         self._calls.add(call)
         self._link.outbox.post(lambda: call.send(self._querier))
         return call
