@@ -80,6 +80,25 @@ def test_a_value_that_does_not_fit_is_refused_by_its_path():
         WireFormat(Time).encode(Time(sec="one"))  # type: ignore[arg-type]  # that is the test
 
 
+def test_a_value_that_can_be_converted_is():
+    sums = WireFormat(Sum, asks=True)
+    request = Sum.Request(numbers=(1, 2))  # type: ignore[arg-type]  # that is the test
+    assert sums.encode(request) == sums.encode(REQUEST)
+
+
+def test_bytes_in_either_order_are_read():
+    assert WireFormat(Time).decode(bytes.fromhex("00000000 00000001 00000002")) == Time(1, 2)
+
+
+def test_bytes_without_a_header_are_refused():
+    class Nothing(Message, type_name="lab_interfaces/msg/Nothing"):
+        """No fields."""
+
+    for data in (b"", STAMP[:3]):
+        with pytest.raises(InvalidMessage, match="header"):
+            WireFormat(Nothing).decode(data)
+
+
 def test_bytes_that_hold_no_message_are_refused():
     with pytest.raises(InvalidMessage, match="nanosec"):
         WireFormat(Time).decode(STAMP[:8])

@@ -59,11 +59,14 @@ class WireFormat:
         Raises:
             InvalidMessage: if it is of another class, or a value does not fit its type.
         """
-        if not isinstance(message, self._classes[0]):
+        if type(message) is not self._classes[0]:
             problem = f"expected {self._classes[0].type_name}, not {type(message).__name__}"
             raise InvalidMessage("message", problem)
-        data: bytes = self._cdr.encode(message)
-        return data
+        try:
+            return self._encoded(message, self._header)
+        except self._cdr.UNFIT:
+            data: bytes = self._cdr.encode(message)  # converts it, or says what is wrong
+            return data
 
     def decode(self, data: bytes) -> Message:
         """What was received, as a message.
@@ -71,6 +74,11 @@ class WireFormat:
         Raises:
             InvalidMessage: if the bytes hold none; it says where.
         """
+        if data[:2] == self._order and len(data) >= len(self._header):
+            try:
+                return self._decoded(data)
+            except self._cdr.MISREAD:
+                pass  # it is said below where that is
         message: Message = self._cdr.decode(self._classes[1], data)
         return message
 
@@ -79,6 +87,28 @@ class WireFormat:
         from turtleact.interfaces import cdr  # only who sends bytes waits for its import
 
         return cdr
+
+    @cached_property
+    def _header(self) -> bytes:
+        return cast("bytes", self._cdr.HEADER)
+
+    @cached_property
+    def _order(self) -> bytes:
+        return self._header[:2]
+
+    @cached_property
+    def _encoded(self) -> Callable[[object, bytes], bytes]:
+        found: Callable[[object, bytes], bytes] = self._cdr.writer_behind(
+            self._classes[0], len(self._header)
+        )
+        return found
+
+    @cached_property
+    def _decoded(self) -> Callable[[bytes], Message]:
+        found: Callable[[bytes], Message] = self._cdr.reader_behind(
+            self._classes[1], len(self._header)
+        )
+        return found
 
     @cached_property
     def _found(self) -> Interface:
@@ -151,14 +181,6 @@ class FeedbackFormat(WireFormat):
                 pass  # it is said below where that is
         message: Any = WireFormat.decode(self, data)
         return cast("Message", message.feedback)
-
-    @cached_property
-    def _header(self) -> bytes:
-        return cast("bytes", self._cdr.HEADER)
-
-    @cached_property
-    def _order(self) -> bytes:
-        return self._header[:2]
 
     @cached_property
     def _write(self) -> Callable[[object, bytes], bytes]:

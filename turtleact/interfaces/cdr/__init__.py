@@ -112,7 +112,7 @@ def writer_behind(
 
     Args:
         cls: The class.
-        place: Where the message begins: behind the header, and a multiple of eight bytes.
+        place: Where the message begins: behind the header, at once or by a multiple of eight bytes.
         is_strict: Whether it is to take only what ``snapshot`` would copy as it is.
     """
     return encoder(cls, place, is_strict=is_strict)
