@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Any, cast
 
 from turtleact.body import ActionType
@@ -78,7 +79,7 @@ class Links:
             names.send_goal, "SendGoal", WireFormat(lambda: self.implied.send_goal, asks=True)
         )
 
-    @property
+    @cached_property
     def implied(self) -> Implied:
         """The services and the message that the action is sent in."""
         return implied(cast("type[Action]", self._action_type))

@@ -20,6 +20,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from typing import Any, cast
 
 from turtleact.errors import GoalRejected
@@ -167,7 +168,7 @@ class ActionEndpoints:
         status.publication = transport.advertise(described, format, status)
         return [feedback.publication, status.publication]
 
-    @property
+    @cached_property
     def _implied(self) -> Implied:
         return implied(cast("type[Action]", self._server.action_type))
 

@@ -75,6 +75,8 @@ def read_attachment(data: bytes) -> Attachment:
         raise _invalid(f"expected a gid of {GID_SIZE} bytes, not of {size}")
     if sequence < 0 or stamp < 0:
         raise _invalid(f"a sequence number and a time are not negative: {sequence}, {stamp}")
+    if len(data) == LAYOUT.size:
+        return Attachment(sequence, stamp, gid)
     note = data[LAYOUT.size : LAYOUT.size + LONGEST_NOTE].decode(errors="replace")
     return Attachment(sequence, stamp, gid, note)
 
