@@ -24,7 +24,12 @@ def main() -> int:
     router = f"tcp/127.0.0.1:{port}"
     serve.ROUTER = router
     config.CONNECT = dict.fromkeys(("peer", "client"), (router,)) | {"router": ()}
-    serve.run = lambda service, interrupts: run(service._replace(speed=SPEED), interrupts)
+
+    def run_fast(service, interrupts):
+        fleet = service.fleet and service.fleet._replace(speed=SPEED)
+        return run(service._replace(fleet=fleet), interrupts)
+
+    serve.run = run_fast
     return cli.main()
 
 

@@ -19,6 +19,8 @@ import pytest
 
 from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.serve import Service, _listed, run
+from turtleact.commands.verbs.arguments import Reach
+from turtleact.commands.verbs.serve import Page
 from turtleact.errors import TurtleactError
 
 LAB = """
@@ -351,25 +353,7 @@ def test_what_the_page_needs_is_named_with_its_cure(monkeypatch):
     for name in [name for name in sys.modules if name.startswith("turtleact.web")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "cbor2", None)
-    service = Service(
-        (),
-        (),
-        (),
-        domain=0,
-        has_world=False,
-        speed=1.0,
-        turtles=1,
-        placing="random",
-        seed=0,
-        collide=False,
-        paused=False,
-        config={},
-        web=("127.0.0.1", 0),
-        token=None,
-        hosts=(),
-        origins=(),
-        is_live=False,
-    )
+    service = Service((), (), Reach((), 0), None, Page("127.0.0.1", 0), {}, is_live=False)
     with pytest.raises(TurtleactError, match=r"web needs cbor2: pip install 'turtleact\[web\]'"):
         run(service, Interrupts())
 

@@ -17,6 +17,8 @@ from turtleact.commands.targets import find_actions
 from turtleact.commands.verbs.arguments import Reach, reach
 from turtleact.commands.verbs.goals import moment
 from turtleact.commands.verbs.policies import read_policies
+from turtleact.commands.verbs.send_goal import Place
+from turtleact.commands.verbs.serve import Fleet
 from turtleact.errors import UsageError
 
 USAGE = [
@@ -173,12 +175,10 @@ def test_what_is_left_out_has_its_default(order):
         name="patrol",
         type_name=None,
         text=GoalText("{}", "goal"),
+        place=Place(speed=1.0, seed=0, reach=Reach((), 231)),
         feedback=False,
         timeout=None,
         view="auto",
-        speed=1.0,
-        seed=0,
-        reach=Reach((), 231),
     )
 
 
@@ -210,12 +210,12 @@ def test_options_stand_anywhere(order, arguments):
 
 def test_options_reach_the_order(order):
     made = order("x", "-ft0.5", "--json", "--speed", "max", "--seed=7", "--embedded")
-    assert made[3:] == (True, 0.5, "json", "max", 7, None)
+    assert made[3:] == (Place("max", 7, None), True, 0.5, "json")
 
 
 @pytest.mark.parametrize("option", ["--embedded", "--speed=2", "--seed=3"])
 def test_an_embedded_world_is_asked_for(order, option):
-    assert order("x", option).reach is None
+    assert order("x", option).place.reach is None
 
 
 @pytest.mark.parametrize("endpoint", ["tcp/0.0.0.0:7447", "tcp/127.0.0.1:1,tls/[::]:2"])
@@ -227,7 +227,7 @@ def test_nobody_is_let_in_from_beyond_unasked(endpoint, interrupts):
 
 def test_where_to_look_reaches_the_order(order):
     made = order("x", "--connect", "tcp/robot:7447,tcp/arm:7447", "--domain", "7", "--config", "f")
-    assert made.reach == Reach(("tcp/robot:7447", "tcp/arm:7447"), 7, "f")
+    assert made.place.reach == Reach(("tcp/robot:7447", "tcp/arm:7447"), 7, "f")
 
 
 def test_plain_is_a_view(order):
@@ -372,7 +372,8 @@ def test_programs_of_ros2_are_services_here(turtleact, monkeypatch, program, tar
     monkeypatch.setattr(serve, "run", run)
     assert turtleact("run", *program, "--domain", "3").status == 0
     [service] = ran
-    assert (service.targets, service.has_world, service.domain) == (targets, has_world, 3)
+    fleet = Fleet() if has_world else None
+    assert (service.targets, service.fleet, service.reach) == (targets, fleet, Reach((), 3))
 
 
 def test_the_fibonacci_server_serves_both_types():

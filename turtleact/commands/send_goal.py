@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from turtleact.client import Outcome
     from turtleact.commands.goal_text import GoalText
     from turtleact.commands.interrupts import Interrupts
-    from turtleact.commands.verbs.arguments import Reach
+    from turtleact.commands.verbs.send_goal import Place
     from turtleact.interfaces import Message
     from turtleact.node import Node
 
@@ -62,24 +62,20 @@ class Order(NamedTuple):
         name: The action.
         type_name: Its type, or None for whatever it is served with.
         text: The goal.
+        place: Where it is sent.
         feedback: Whether to print each feedback message.
         timeout: Wall seconds after which the goal is canceled, or given up if no server has taken
             it; 0 leaves once it is accepted.
         view: How it is shown; ``auto`` is live on a terminal.
-        speed: Of the embedded world.
-        seed: Of the embedded world.
-        reach: Where to look for a server first; None means in the embedded world alone.
     """
 
     name: str
     type_name: str | None
     text: GoalText
+    place: Place
     feedback: bool
     timeout: float | None
     view: View
-    speed: float | str
-    seed: int
-    reach: Reach | None
 
 
 def run(order: Order, interrupts: Interrupts) -> int:
@@ -148,18 +144,18 @@ class _Sending:
     @asynccontextmanager
     async def _find_node(self) -> AsyncIterator[Node]:
         """A node on the graph in reach, if there are actions, else one in an embedded world."""
-        order = self._order
+        speed, seed, reach = self._order.place
         async with AsyncExitStack() as stack:
-            if order.reach is not None:
-                opened = graph.open_graph(order.reach)
-                there = await graph.enter_if_there(stack, order.reach, opened)
+            if reach is not None:
+                opened = graph.open_graph(reach)
+                there = await graph.enter_if_there(stack, reach, opened)
                 if there is not None:
-                    if order.reach.connect or there.graph().actions:
+                    if reach.connect or there.graph().actions:
                         yield there
                         return
                     await stack.aclose()
             self._is_embedded = True
-            node = await stack.enter_async_context(embedded_world(order.speed, order.seed))
+            node = await stack.enter_async_context(embedded_world(speed, seed))
             self._transcript.note("started an embedded world in this process")
             yield node
 

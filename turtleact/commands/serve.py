@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from turtleact.clock import Clock
     from turtleact.commands.dashboard import Dashboard
     from turtleact.commands.interrupts import Interrupts
+    from turtleact.commands.verbs.arguments import Reach
+    from turtleact.commands.verbs.serve import Fleet, Page
     from turtleact.goal import GoalStatus
     from turtleact.server import ServerGoalHandle
     from turtleact.transports import Transport, ZenohTransport
@@ -51,39 +53,19 @@ class Service(NamedTuple):
     Attributes:
         targets: The user's actions, as `find_actions` reads them.
         listen: The endpoints to listen at; none means as the module says.
-        connect: The endpoints to connect to.
-        domain: The ROS domain.
-        has_world: Whether there are turtles, and the built-in actions.
-        speed: How fast time passes in the world.
-        turtles: How many there are.
-        placing: How they are placed.
-        seed: What its random choices begin with.
-        collide: Whether they stop each other.
-        paused: Whether time stands still there at first.
+        reach: The endpoints to connect to, and the domain.
+        fleet: The turtles; None for none, and no built-in actions.
+        page: The page and rosbridge; None for neither.
         config: Paths and values of Zenoh's configuration, such as those of its locks.
-        web: The host and port of the page and of rosbridge; None for neither.
-        token: What its clients must know; None means as `turtleact.web.open_web` says.
-        hosts: What its clients may call this machine.
-        origins: Whose pages may be its clients.
         is_live: Whether a terminal shows a dashboard.
     """
 
     targets: tuple[str, ...]
     listen: tuple[str, ...]
-    connect: tuple[str, ...]
-    domain: int
-    has_world: bool
-    speed: float
-    turtles: int
-    placing: str
-    seed: int
-    collide: bool
-    paused: bool
+    reach: Reach
+    fleet: Fleet | None
+    page: Page | None
     config: dict[str, object]
-    web: tuple[str, int] | None
-    token: str | None
-    hosts: tuple[str, ...]
-    origins: tuple[str, ...]
     is_live: bool
 
 
@@ -94,7 +76,7 @@ def run(service: Service, interrupts: Interrupts) -> int:
         UsageError: if a target means no action.
         TurtleactError: if the graph cannot be opened.
     """
-    if service.web is not None:
+    if service.page is not None:
         _check_for_web()
     declared = [each for target in service.targets for each in find_actions(target)]
     if not (service.is_live and can_move(sys.stdout)):
@@ -136,13 +118,13 @@ async def _serve(
                 node = await stack.enter_async_context(_open_node(service, graph, log))
             for each in declared:
                 node.serve(each)
-            if service.web is not None:
-                url = await stack.enter_async_context(_open_web(service, service.web, node))
+            if service.page is not None:
+                url = await stack.enter_async_context(_open_web(service.page, node))
                 log.say(f"web page, and rosbridge, at {url}")
             (transport, where), *_ = opened
             await transport.flush()
             actions = _listed(list(node.graph().actions))
-            log.say(f"ready at {where}, domain {service.domain}: {actions}")
+            log.say(f"ready at {where}, domain {service.reach.domain}: {actions}")
             await interrupts.wait(1)
             note("no new goals are taken; those that run are ended")
         if len(asyncio.all_tasks()) > 1:  # a body that does not end, and has been left behind
@@ -151,7 +133,7 @@ async def _serve(
 
 
 @asynccontextmanager
-async def _open_web(service: Service, at: tuple[str, int], node: Node) -> AsyncIterator[str]:
+async def _open_web(page: Page, node: Node) -> AsyncIterator[str]:
     """The page and rosbridge, and their address.
 
     Raises:
@@ -161,9 +143,8 @@ async def _open_web(service: Service, at: tuple[str, int], node: Node) -> AsyncI
     from turtleact.web import open_web
 
     async with AsyncExitStack() as stack:
-        opening = open_web(
-            node, *at, token=service.token, hosts=service.hosts, origins=service.origins
-        )
+        host, port, token, hosts, origins = page
+        opening = open_web(node, host, port, token=token, hosts=hosts, origins=origins)
         try:
             web = await stack.enter_async_context(opening)
         except InvalidOption as error:
@@ -185,16 +166,11 @@ async def _open_node(
 ) -> AsyncIterator[Node]:
     """The node that serves the targets, on a graph with a world or without."""
     async with AsyncExitStack() as stack:
-        if service.has_world:
+        if service.fleet is not None:
             from turtleact.app import open_world
 
             world = open_world(
-                speed=service.speed,
-                seed=service.seed,
-                turtles=service.turtles,
-                placing=service.placing,
-                collide=service.collide,
-                paused=service.paused,
+                **service.fleet._asdict(),
                 graph=graph,
                 on_transition=log.tell,
                 on_start=None if log.board is None else log.board.begin,
@@ -220,17 +196,18 @@ async def _open_graph(
         opened: Gets the graph, and where it is.
         clock: Its time.
     """
-    opening = partial(open_zenoh, domain=service.domain, config=service.config, clock=clock)
+    connect, domain, _ = service.reach
+    opening = partial(open_zenoh, domain=domain, config=service.config, clock=clock)
     async with AsyncExitStack() as stack:
-        if service.listen or service.connect:
+        if service.listen or connect:
             transport = await stack.enter_async_context(
                 opening(
                     mode="router" if service.listen else "peer",
                     listen=service.listen or None,
-                    connect=service.connect,
+                    connect=connect,
                 )
             )
-            where = ", ".join(service.listen or service.connect)
+            where = ", ".join(service.listen or connect)
         else:
             try:
                 router = opening(mode="router", listen=[ROUTER])
@@ -242,9 +219,9 @@ async def _open_graph(
                     raise taken from None
             where = ROUTER
         await transport.explore()
-        if service.has_world and "/turtlesim" in transport.nodes():
+        if service.fleet is not None and "/turtlesim" in transport.nodes():
             raise TurtleactError(
-                f"there is a world already in domain {service.domain} at {where}: give another "
+                f"there is a world already in domain {domain} at {where}: give another "
                 "--domain, or --no-sim to serve your own actions beside it"
             )
         opened.append((transport, where))

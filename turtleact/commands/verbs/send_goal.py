@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -14,6 +14,7 @@ from turtleact.commands.verbs.arguments import (
     Domain,
     Interfaces,
     Job,
+    Reach,
     Verb,
     message_of,
     number,
@@ -24,12 +25,13 @@ from turtleact.commands.verbs.arguments import (
     type_of,
     whole,
 )
+from turtleact.commands.verbs.grouping import grouped
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.transcript import View
 
-__all__ = ["EXAMPLES", "app", "send_goal"]
+__all__ = ["EXAMPLES", "Place", "app", "send_goal"]
 
 EXAMPLES = """\b
 Examples:
@@ -88,7 +90,41 @@ _Embedded = Annotated[
 app = typer.Typer()
 
 
+class Place(NamedTuple):
+    """Where a goal is sent.
+
+    Attributes:
+        speed: Of the embedded world.
+        seed: Of the embedded world.
+        reach: Where to look for a server first; None means in the embedded world alone.
+    """
+
+    speed: float | str = 1.0
+    seed: int = 0
+    reach: Reach | None = None
+
+
+def _place(
+    *,
+    speed: _Speed = None,
+    seed: _Seed = None,
+    embedded: _Embedded = False,
+    connect: Connect = None,
+    domain: Domain = None,
+    config: Config = None,
+) -> Place:
+    is_embedded = embedded or speed is not None or seed is not None
+    way = "speed" if speed is not None else "seed" if seed is not None else "embedded"
+    only_one("where to send it", **{way: is_embedded}, connect=connect is not None)
+    return Place(
+        speed_factor("1" if speed is None else speed, or_max=True),
+        whole("--seed", seed or "0"),
+        None if is_embedded else reach(connect, domain, config),
+    )
+
+
 @app.command("send-goal", cls=Verb, help=VERBS["send-goal"], epilog=EXAMPLES)
+@grouped(place=_place)
 def send_goal(
     name: _Name,
     type_name: _Type = None,
@@ -100,12 +136,7 @@ def send_goal(
     goal_file: _GoalFile = None,
     json: _Json = False,
     plain: _Plain = False,
-    speed: _Speed = None,
-    seed: _Seed = None,
-    embedded: _Embedded = False,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
+    place: Place,
     interfaces: Interfaces = None,
 ) -> Job:
     """``send-goal`` and ``action send_goal``."""
@@ -113,12 +144,6 @@ def send_goal(
     only_one("how it is shown", json=json, plain=plain)
     view: View = "json" if json else "plain" if plain else "auto"
     seconds = None if timeout is None else number("--timeout", timeout)
-    factor = speed_factor("1" if speed is None else speed, or_max=True)
-    first = whole("--seed", seed or "0")
-    is_embedded = embedded or speed is not None or seed is not None
-    way = "speed" if speed is not None else "seed" if seed is not None else "embedded"
-    only_one("where to send it", **{way: is_embedded}, connect=connect is not None)
-    where = None if is_embedded else reach(connect, domain, config)
     only_one("the goal", GOAL=goal is not None, stdin=stdin, goal_file=goal_file is not None)
 
     def job(interrupts: Interrupts) -> int:
@@ -128,17 +153,7 @@ def send_goal(
 
         text = GoalText.read(goal, stdin=stdin, path=goal_file, interrupts=interrupts)
         make_known(interfaces)
-        order = Order(
-            name,
-            type_name,
-            text,
-            feedback=feedback,
-            timeout=seconds,
-            view=view,
-            speed=factor,
-            seed=first,
-            reach=where,
-        )
+        order = Order(name, type_name, text, place, feedback, seconds, view)
         return run(order, interrupts)
 
     return job

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
 from turtleact.commands import VERBS
 from turtleact.commands.verbs import completing
 from turtleact.commands.verbs.arguments import (
-    Config,
-    Connect,
-    Domain,
     Interfaces,
     Job,
+    Reach,
     Verb,
     endpoints,
     quoted,
@@ -21,25 +19,16 @@ from turtleact.commands.verbs.arguments import (
     speed_factor,
     whole,
 )
+from turtleact.commands.verbs.grouping import grouped
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
 
-__all__ = ["app", "serve"]
+__all__ = ["Fleet", "Page", "app", "serve"]
 
 MOST_TURTLES = 10_000
 """A node cannot tell more of them in time."""
-
-OF_A_WORLD = {
-    "--speed": 1.0,
-    "--turtles": 1,
-    "--placing": "random",
-    "--seed": 0,
-    "--collide": False,
-    "--paused": False,
-}
-"""What means nothing without a world, and its value if it is left out."""
 
 _Targets = Annotated[
     list[str] | None,
@@ -116,36 +105,99 @@ Examples:
 app = typer.Typer()
 
 
-@app.command("serve", cls=Verb, help=VERBS["serve"], epilog=_EXAMPLES)
-def serve(
-    targets: _Targets = None,
+class Fleet(NamedTuple):
+    """The turtles of a world, and its time.
+
+    Attributes:
+        speed: How fast time passes.
+        turtles: How many there are.
+        placing: How they are placed.
+        seed: What random choices begin with.
+        collide: Whether they stop each other.
+        paused: Whether time stands still at first.
+    """
+
+    speed: float = 1.0
+    turtles: int = 1
+    placing: str = "random"
+    seed: int = 0
+    collide: bool = False
+    paused: bool = False
+
+
+class Page(NamedTuple):
+    """Where the page and rosbridge are, and who may be their client.
+
+    Attributes:
+        host: The address or name to bind.
+        port: The port; any free one if 0.
+        token: What clients must know; None means as `turtleact.web.open_web` says.
+        hosts: What clients may call this machine.
+        origins: Whose pages may be clients.
+    """
+
+    host: str
+    port: int
+    token: str | None = None
+    hosts: tuple[str, ...] = ()
+    origins: tuple[str, ...] = ()
+
+
+def _page(
     *,
-    listen: _Listen = None,
-    connect: Connect = None,
-    domain: Domain = None,
-    config: Config = None,
     web: _Web = None,
     token: _Token = None,
     allow_host: _Hosts = None,
     allow_origin: _Origins = None,
-    insecure: _Insecure = False,
-    no_sim: _NoSim = False,
-    headless: _Headless = False,
-    plain: _Plain = False,
+) -> Page | None:
+    hosts, origins = _listed(allow_host), _listed(allow_origin)
+    if web is None and (token is not None or hosts or origins):
+        raise UsageError("--token, --allow-host and --allow-origin are for --web: give that, too")
+    for origin in origins:
+        if "://" not in origin and origin != "null":
+            raise UsageError(
+                f"--allow-origin is an origin such as https://example.com, not {quoted(origin)}"
+            )
+    return None if web is None else Page(*_host_and_port(web), token, hosts, origins)
+
+
+def _fleet(
+    *,
     speed: _Speed = "1",
     turtles: _Turtles = "1",
     placing: _Placing = "random",
     seed: _Seed = "0",
     collide: _Collide = False,
     paused: _Paused = False,
+) -> Fleet:
+    from turtleact.sim.placing import PLACINGS
+
+    if placing not in PLACINGS:
+        raise UsageError(f"--placing is {' or '.join(PLACINGS)}, not {quoted(placing)}")
+    count = whole("--turtles", turtles, least=1, most=MOST_TURTLES)
+    factor = float(speed_factor(speed))
+    return Fleet(factor, count, placing, whole("--seed", seed), collide, paused)
+
+
+@app.command("serve", cls=Verb, help=VERBS["serve"], epilog=_EXAMPLES)
+@grouped(where=reach, page=_page, fleet=_fleet)
+def serve(
+    targets: _Targets = None,
+    *,
+    listen: _Listen = None,
+    where: Reach,
+    page: Page | None,
+    insecure: _Insecure = False,
+    no_sim: _NoSim = False,
+    headless: _Headless = False,
+    plain: _Plain = False,
+    fleet: Fleet,
     interfaces: Interfaces = None,
 ) -> Job:
     """``serve``."""
-    where = reach(connect, domain, config)
     at = endpoints("--listen", listen)
-    page, token, hosts, origins = _page(web, token, allow_host, allow_origin)
-    factor, count, placing, first = _fleet(speed, turtles, placing, seed)
-    _check_world(factor, count, placing, first, collide, paused, is_there=not no_sim)
+    if no_sim:
+        _check_for_nothing_of_a_world(fleet)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known
@@ -157,21 +209,11 @@ def serve(
             _check_loopback(at)
         service = Service(
             tuple(targets or ()),
-            listen=at,
-            connect=where.connect,
-            domain=where.domain,
-            has_world=not no_sim,
-            speed=factor,
-            turtles=count,
-            placing=placing,
-            seed=first,
-            collide=collide,
-            paused=paused,
-            config=locks.settings(),
-            web=page,
-            token=token,
-            hosts=hosts,
-            origins=origins,
+            at,
+            where,
+            None if no_sim else fleet,
+            page,
+            locks.settings(),
             is_live=not (headless or plain),
         )
         return run(service, interrupts)
@@ -179,12 +221,11 @@ def serve(
     return job
 
 
-def _check_world(*asked: object, is_there: bool) -> None:
-    """Refuse what is asked of a world where there is none: values in the order of `OF_A_WORLD`."""
-    options = zip(OF_A_WORLD.items(), asked, strict=True)
-    names = [name for (name, unasked), value in options if value != unasked]
-    if names and not is_there:
-        raise UsageError(f"{', '.join(names)} and --no-sim: without a world there is no such thing")
+def _check_for_nothing_of_a_world(fleet: Fleet) -> None:
+    said = zip(Fleet._fields, fleet, Fleet(), strict=True)
+    options = ", ".join(f"--{name}" for name, value, unasked in said if value != unasked)
+    if options:
+        raise UsageError(f"{options} and --no-sim: without a world there is no such thing")
 
 
 def _check_loopback(listen: tuple[str, ...]) -> None:
@@ -198,21 +239,6 @@ def _check_loopback(listen: tuple[str, ...]) -> None:
         )
 
 
-def _page(
-    web: str | None, token: str | None, allow_host: str | None, allow_origin: str | None
-) -> tuple[tuple[str, int] | None, str | None, tuple[str, ...], tuple[str, ...]]:
-    """Where the page is, the token, and which hosts and origins are let in."""
-    hosts, origins = _listed(allow_host), _listed(allow_origin)
-    if web is None and (token is not None or hosts or origins):
-        raise UsageError("--token, --allow-host and --allow-origin are for --web: give that, too")
-    for origin in origins:
-        if "://" not in origin and origin != "null":
-            raise UsageError(
-                f"--allow-origin is an origin such as https://example.com, not {quoted(origin)}"
-            )
-    return None if web is None else _host_and_port(web), token, hosts, origins
-
-
 def _host_and_port(text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
@@ -222,12 +248,3 @@ def _host_and_port(text: str) -> tuple[str, int]:
 def _listed(text: str | None) -> tuple[str, ...]:
     """Names with commas between, as browsers write them."""
     return () if text is None else tuple(each.lower().rstrip("/") for each in text.split(","))
-
-
-def _fleet(speed: str, turtles: str, placing: str, seed: str) -> tuple[float, int, str, int]:
-    from turtleact.sim.placing import PLACINGS
-
-    if placing not in PLACINGS:
-        raise UsageError(f"--placing is {' or '.join(PLACINGS)}, not {quoted(placing)}")
-    count = whole("--turtles", turtles, least=1, most=MOST_TURTLES)
-    return float(speed_factor(speed)), count, placing, whole("--seed", seed)
