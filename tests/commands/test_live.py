@@ -165,6 +165,14 @@ def test_before_the_acceptance_there_is_nothing_to_draw(transcript, stream):
     assert stream.getvalue() == "Sending goal:\n     order: 5\n\nGoal was rejected.\n"
 
 
+def test_a_goal_of_many_lines_does_not_flood_the_terminal(transcript, stream):
+    transcript.sending(Drive(targets=[Point()] * 100))
+    lines = stream.getvalue().splitlines()
+    assert len(lines) == 1 + live.MOST_LINES + 1 + 1
+    assert "     … 263 more lines …" in lines
+    assert lines[-2:] == ["     turtle: turtle1", ""]
+
+
 def test_a_note_does_not_stand_in_the_display(transcript, stream, capsys):
     transcript._region.draw(["one"])
     transcript.note("by the way")

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 __all__ = ["LiveTranscript"]
 
+MOST_LINES = 40
+"""A goal is printed on so many lines at most; the display shows where it leads."""
+
 
 class LiveTranscript:
     """A display while the goal runs, the plain transcript above it and when it has ended.
@@ -41,7 +44,9 @@ class LiveTranscript:
     def __init__(self, stream: TextIO, *, wants_feedback: bool) -> None:
         self.wants_feedback = wants_feedback
         self._region = Region(stream)
-        self._plain = PlainTranscript(wants_feedback=wants_feedback, say=self._region.say)
+        self._plain = PlainTranscript(
+            wants_feedback=wants_feedback, say=self._region.say, most_lines=MOST_LINES
+        )
 
     def sending(self, goal: Message) -> None:
         """The goal is about to be sent."""

@@ -174,15 +174,27 @@ class PlainTranscript:
     Args:
         wants_feedback: Whether each feedback message is printed.
         say: Prints a block.
+        most_lines: Of a goal that has more, the middle is left out.
     """
 
-    def __init__(self, *, wants_feedback: bool, say: Callable[[str], None] = say) -> None:
+    def __init__(
+        self,
+        *,
+        wants_feedback: bool,
+        say: Callable[[str], None] = say,
+        most_lines: int = sys.maxsize,
+    ) -> None:
         self.wants_feedback = wants_feedback
         self._say = say
+        self._most_lines = most_lines
 
     def sending(self, goal: Message) -> None:
         """The goal is about to be sent."""
-        self._say(f"Sending goal:\n{_indented(goal, 5)}\n")
+        lines = _indented(goal, 5).removesuffix("\n").split("\n")
+        if (more := len(lines) - self._most_lines) > 0:
+            half = self._most_lines // 2
+            lines[half:-half] = [f"     … {more} more lines …"]
+        self._say("\n".join(("Sending goal:", *lines, "\n")))
 
     def rejected(self, reason: str) -> None:  # noqa: ARG002  # ros2 does not tell it here
         """The server did not take the goal."""
