@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from turtleact.errors import InvalidMessage
 from turtleact.transports.rmw_zenoh.attachment import (
     Attachment,
+    note_in,
     read_attachment,
     write_attachment,
 )
@@ -51,6 +52,15 @@ def test_a_long_note_is_cut_between_two_characters():
 
 def test_half_a_character_does_not_keep_a_note_from_being_written():
     assert read_attachment(write_attachment(1, 0, GID, "a\ud800b")).note == "a?b"
+
+
+@pytest.mark.parametrize("data", [b"", WRITTEN[:32], WRITTEN])
+def test_there_may_be_no_note(data):
+    assert note_in(data) == ""
+
+
+def test_a_note_is_read_by_itself():
+    assert note_in(WRITTEN + b"too far") == "too far"
 
 
 def test_a_note_that_is_no_text_is_read_all_the_same():

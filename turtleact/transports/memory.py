@@ -339,11 +339,15 @@ class _Caller:
         self.gid = gid
         self._transport = transport
         self._is_open = True
+        self._is_served = False
+        self._seen = -1  # the changes of the graph by which that is so
 
     @property
     def is_served(self) -> bool:
-        handler = self._handler()
-        return handler is not None and isinstance(handler, Replying)
+        if self._seen != self._transport.changes:
+            self._is_served = isinstance(self._handler(), Replying)
+            self._seen = self._transport.changes
+        return self._is_served
 
     async def call(self, request: object) -> Reply:
         name, handler = self.endpoint.name, self._handler()

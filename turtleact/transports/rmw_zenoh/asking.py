@@ -35,7 +35,16 @@ class Call:
     Attributes:
         answer: Payload and attachment of the reply.
         error: The text of an error, and its kind.
+        is_over: Whether there is a reply or an error, or the end without either.
     """
+
+    answer: tuple[bytes, bytes] | None = None
+    error: tuple[str, str] | None = None
+    is_over = False
+    _is_wanted = True
+    _changed: Signal | None = None  # made for who waits
+    _told: Callable[[], object] | None = None
+    _give_up: Callable[[], None] | None = None
 
     def __init__(
         self,
@@ -47,24 +56,12 @@ class Call:
         *,
         is_cancelable: bool,
     ) -> None:
-        self.answer: tuple[bytes, bytes] | None = None
-        self.error: tuple[str, str] | None = None
-        self._has_ended = False
         self._link = link
         self._payload = payload
         self._attachment = attachment
         self._over = over
         self._read = read
         self._is_cancelable = is_cancelable
-        self._is_wanted = True
-        self._changed: Signal | None = None  # made for who waits
-        self._told: Callable[[], object] | None = None
-        self._give_up: Callable[[], None] | None = None
-
-    @property
-    def is_over(self) -> bool:
-        """Whether there is a reply or an error, or the end without either."""
-        return self._has_ended or self.answer is not None or self.error is not None
 
     def tell(self, told: Callable[[], object]) -> None:
         """Have something called when it is over; see `turtleact.transports.base.Asked`."""
@@ -99,7 +96,7 @@ class Call:
 
     def end(self) -> None:
         """Nothing more comes."""
-        self._has_ended = True
+        self.is_over = True
         self._tell()
 
     def _tell(self) -> None:
@@ -143,11 +140,13 @@ class Call:
     def _replied(self, payload: bytes, attachment: bytes) -> None:
         if not self.is_over:  # of several servers the quickest is heard
             self.answer = payload, attachment
+            self.is_over = True
             self._link.inbox.push(self._tell)
 
     def _failed(self, text: str, kind: str) -> None:
         if not self.is_over:
             self.error = text, kind
+            self.is_over = True
             self._link.inbox.push(self._tell)
 
     def _ended(self) -> None:

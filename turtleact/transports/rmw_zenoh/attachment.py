@@ -24,7 +24,15 @@ import msgspec
 
 from turtleact.errors import InvalidMessage
 
-__all__ = ["GID_SIZE", "LAYOUT", "Attachment", "gid_in", "read_attachment", "write_attachment"]
+__all__ = [
+    "GID_SIZE",
+    "LAYOUT",
+    "Attachment",
+    "gid_in",
+    "note_in",
+    "read_attachment",
+    "write_attachment",
+]
 
 GID_SIZE = 16
 
@@ -75,10 +83,14 @@ def read_attachment(data: bytes) -> Attachment:
         raise _invalid(f"expected a gid of {GID_SIZE} bytes, not of {size}")
     if sequence < 0 or stamp < 0:
         raise _invalid(f"a sequence number and a time are not negative: {sequence}, {stamp}")
-    if len(data) == LAYOUT.size:
-        return Attachment(sequence, stamp, gid)
-    note = data[LAYOUT.size : LAYOUT.size + LONGEST_NOTE].decode(errors="replace")
-    return Attachment(sequence, stamp, gid, note)
+    return Attachment(sequence, stamp, gid, note_in(data))
+
+
+def note_in(data: bytes) -> str:
+    """The note alone, of bytes that may be anything."""
+    if len(data) <= LAYOUT.size:
+        return ""
+    return data[LAYOUT.size : LAYOUT.size + LONGEST_NOTE].decode(errors="replace")
 
 
 def gid_in(data: bytes) -> bytes:

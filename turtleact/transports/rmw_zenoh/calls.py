@@ -38,6 +38,7 @@ from turtleact.transports.base import (
 from turtleact.transports.rmw_zenoh.asking import Call
 from turtleact.transports.rmw_zenoh.attachment import (
     Attachment,
+    note_in,
     read_attachment,
     write_attachment,
 )
@@ -271,7 +272,7 @@ class WireCaller:
         except InvalidMessage as error:
             problem = f"its response cannot be read: {error}"
             raise ServiceError(self._endpoint.name, problem) from error
-        return Reply(message, read_attachment(attachment).note if attachment else "")
+        return Reply(message, note_in(attachment))
 
     # servers
 
