@@ -29,6 +29,8 @@ class GoalNote(msgspec.Struct, frozen=True, omit_defaults=True):
 
     def write(self) -> str:
         """The note as text; the shortest part of a long reason that can still be of use."""
+        if len(self.reason) <= LONGEST_REASON:
+            return msgspec.json.encode(self).decode()
         short = msgspec.structs.replace(self, reason=self.reason[:LONGEST_REASON])
         return msgspec.json.encode(short).decode()
 
