@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+from typing import cast
 
 import pytest
 from hypothesis import given
@@ -139,3 +140,8 @@ def test_any_text_is_a_name_or_told_why_not(name):
     else:
         position = 0
     assert 0 <= position <= len(name)
+
+
+def test_what_is_no_text_is_no_name():
+    with pytest.raises(InvalidName, match=r"^invalid name: expected text such as '/patrol'\n  7\n"):
+        resolve_name(cast("str", 7))

@@ -20,6 +20,7 @@ from typing import Any, Generic, Literal, ParamSpec, Protocol, TypedDict, TypeVa
 from turtleact.errors import InvalidBody, InvalidOption
 from turtleact.goal import CancelResponse, GoalResponse
 from turtleact.interfaces import Message
+from turtleact.names import validate_name
 from turtleact.slot import Policy
 
 __all__ = ["ActionDeclaration", "ActionType", "Body", "ServerOptions", "Steps", "action"]
@@ -102,7 +103,8 @@ class ActionDeclaration(Generic[P, T]):
         execute: Callable[P, T],
         options: ServerOptions,
     ) -> None:
-        Body(name, execute)  # complains here, at the function, not when it is served
+        validate_name(name)  # complains here, at the function, not when it is served
+        Body(name, execute)  # likewise
         functools.update_wrapper(self, execute)  # first: it copies the attributes of an object
         self.action_type = action_type
         self.name = name
@@ -127,6 +129,7 @@ def action(
         **options: As for `Node.action_server`.
 
     Raises:
+        InvalidName: if the name breaks ROS 2's rules.
         InvalidBody: if the function is neither a coroutine function nor an async generator, or
             takes neither one parameter nor two.
     """

@@ -126,6 +126,8 @@ def action_names(name: str) -> ActionNames:
 
 def refuse(name: str, faults: tuple[tuple[re.Pattern[str], str], ...]) -> None:
     """Raises for the fault that comes first in the name."""
+    if not isinstance(name, str):  # a type and a name may have been mixed up
+        raise InvalidName(repr(name), "expected text such as '/patrol'", 0)
     found = [(match.start(), problem) for fault, problem in faults if (match := fault.search(name))]
     if found:
         position, problem = min(found)

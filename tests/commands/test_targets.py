@@ -108,3 +108,20 @@ def test_a_module_that_fails_is_told_with_its_line(folder, text, problem):
         find_actions("broken")
     assert str(caught.value).startswith("module 'broken' cannot be imported: ")
     assert str(caught.value).endswith(problem.format(file=file))
+
+
+@pytest.mark.parametrize(
+    ("declared", "problem"),
+    [
+        ("Fibonacci, 'f'", "the body of action 'f' must be an 'async def', not a plain function"),
+        ("Fibonacci, '1'", "invalid name: a part begins with a digit\n  1\n  ^"),
+        ("'f', int", "invalid name: expected text such as '/patrol'\n  <class 'int'>\n  ^"),
+    ],
+)
+def test_a_declaration_that_is_wrong_is_told_with_its_line(folder, declared, problem):
+    file = folder / "wrong.py"
+    imports = "import turtleact\nfrom turtleact.interfaces.standard import Fibonacci\n"
+    file.write_text(f"{imports}@turtleact.action({declared})\ndef f(goal): ...\n")
+    with pytest.raises(TurtleactError) as caught:
+        find_actions("wrong")
+    assert str(caught.value) == f"{file}, line 3: {problem}"

@@ -10,6 +10,7 @@ import importlib.util
 import os
 import sys
 import traceback
+from pathlib import Path
 from types import ModuleType
 
 from turtleact.body import ActionDeclaration
@@ -18,6 +19,9 @@ from turtleact.interfaces.definition import did_you_mean
 from turtleact.summaries import summary
 
 __all__ = ["find_actions"]
+
+OURS = str(Path(__file__).parents[1]) + os.sep
+"""Where our own modules are."""
 
 
 def find_actions(target: str) -> list[ActionDeclaration[..., object]]:
@@ -75,7 +79,9 @@ def _failed(name: str, error: Exception) -> TurtleactError:
     else:
         frames = traceback.extract_tb(error.__traceback__)
         outside = [each for each in frames if "importlib" not in each.filename]
-        own = [each for each in outside if each.filename != __file__]
+        own = [each for each in outside if not each.filename.startswith(OURS)]
         last = (own or frames)[-1]
         where = f"{last.filename}, line {last.lineno}"
+    if isinstance(error, TurtleactError):  # it says what is wrong
+        return TurtleactError(f"{where}: {error}")
     return TurtleactError(f"module '{name}' cannot be imported: {summary(error)} ({where})")
