@@ -213,10 +213,8 @@ def test_ctrl_c_cancels_the_goal_on_the_server(served):
 def test_a_goal_that_was_left_can_be_found_again(served):
     status, out, err = served.run("send-goal", "endless", "--timeout", "0", "--json")
     goal_id = json.loads(out.splitlines()[0])["goal_id"]
-    assert (status, err) == (
-        0,
-        f"turtleact: the goal goes on; 'turtleact watch {goal_id}' gets back to it\n",
-    )
+    way_back = f"turtleact watch {goal_id} --connect {served.at}"
+    assert (status, err) == (0, f"turtleact: the goal goes on; '{way_back}' gets back to it\n")
     watcher = served.start("watch", goal_id)
     status, out, _ = served.run("goals")
     assert (goal_id in out, "EXECUTING" in out) == (True, True)

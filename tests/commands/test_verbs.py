@@ -226,8 +226,11 @@ def test_nobody_is_let_in_from_beyond_unasked(endpoint, interrupts):
 
 
 def test_where_to_look_reaches_the_order(order):
-    made = order("x", "--connect", "tcp/robot:7447,tcp/arm:7447", "--domain", "7", "--config", "f")
-    assert made.place.reach == Reach(("tcp/robot:7447", "tcp/arm:7447"), 7, "f")
+    made = order("x", "--connect", "tcp/robot:7447,tcp/arm:7447", "--domain", "7", "--config=a b")
+    assert made.place.reach == Reach(("tcp/robot:7447", "tcp/arm:7447"), 7, "a b")
+    assert made.place.options == (
+        " --connect tcp/robot:7447,tcp/arm:7447 --domain 7 --config 'a b'"
+    )
 
 
 def test_plain_is_a_view(order):

@@ -144,7 +144,7 @@ class _Sending:
     @asynccontextmanager
     async def _find_node(self) -> AsyncIterator[Node]:
         """A node on the graph in reach, if there are actions, else one in an embedded world."""
-        speed, seed, reach = self._order.place
+        speed, seed, reach, _ = self._order.place
         async with AsyncExitStack() as stack:
             if reach is not None:
                 opened = graph.open_graph(reach)
@@ -286,7 +286,8 @@ class _Sending:
         """How to get back to a goal that goes on."""
         if self._is_embedded:
             return ENDED_WITH_WORLD
-        return f"the goal goes on; 'turtleact watch {sent.handle.goal_id.hex()}' gets back to it"
+        command = f"turtleact watch {sent.handle.goal_id.hex()}{self._order.place.options}"
+        return f"the goal goes on; '{command}' gets back to it"
 
     def _interrupted(self) -> int:
         if not self._interrupts.received:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
@@ -97,11 +98,13 @@ class Place(NamedTuple):
         speed: Of the embedded world.
         seed: Of the embedded world.
         reach: Where to look for a server first; None means in the embedded world alone.
+        options: Those that say so, as other verbs take them, a space before each.
     """
 
     speed: float | str = 1.0
     seed: int = 0
     reach: Reach | None = None
+    options: str = ""
 
 
 def _place(
@@ -116,10 +119,12 @@ def _place(
     is_embedded = embedded or speed is not None or seed is not None
     way = "speed" if speed is not None else "seed" if seed is not None else "embedded"
     only_one("where to send it", **{way: is_embedded}, connect=connect is not None)
+    said = {"connect": connect, "domain": domain, "config": config}.items()
     return Place(
         speed_factor("1" if speed is None else speed, or_max=True),
         whole("--seed", seed or "0"),
         None if is_embedded else reach(connect, domain, config),
+        "".join(f" --{name} {shlex.quote(text)}" for name, text in said if text is not None),
     )
 
 
