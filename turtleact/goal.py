@@ -18,7 +18,7 @@ Source: the ROS 2 design article "Actions"; rcl_action ``goal_state_machine.c`` 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Container, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from enum import IntEnum
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
@@ -344,7 +344,7 @@ class GoalTable:
         self.expire(now)
         return self._named.get(goal_id)
 
-    def ids(self, now: int) -> Container[bytes]:
+    def ids(self, now: int) -> Collection[bytes]:
         """The ids of all goals held that have one."""
         self.expire(now)
         return self._named.keys()

@@ -13,7 +13,7 @@ Source: rclpy ``action/server.py`` for names and meaning.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Container, Generator
+from collections.abc import Callable, Collection, Generator
 from contextvars import copy_context
 from functools import partial
 from time import monotonic
@@ -270,7 +270,7 @@ class ActionServer(Generic[G, R, F]):
                 self.endpoints.read_last(goal)
         return goal
 
-    def held_ids(self) -> Container[bytes]:
+    def held_ids(self) -> Collection[bytes]:
         """The ids of those of the goals held that have one."""
         return self._table.ids(self._now())
 

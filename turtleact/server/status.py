@@ -54,7 +54,8 @@ class StatusSource:
             entries[goal_id] = pack_state(goal_id, (*divmod(goal.stamp, SECOND), goal.status))
         self._changed = {}
         held = self._server.held_ids()
-        entries = self._entries = {key: each for key, each in entries.items() if key in held}
+        if len(entries) > len(held):  # each goal held has one
+            entries = self._entries = {key: each for key, each in entries.items() if key in held}
         return (write_states(entries.values()),)
 
     def readers_changed(self, *, has_readers: bool) -> None:
