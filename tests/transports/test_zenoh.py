@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import Any, NamedTuple, cast
@@ -17,6 +18,7 @@ import anyio.to_thread
 import msgspec
 import pytest
 import zenoh
+from zenoh.handlers import Callback
 
 import turtleact
 from turtleact.clock import VirtualClock
@@ -1496,3 +1498,24 @@ def test_a_session_that_zenoh_cannot_close_is_left_behind_with_a_word(caplog):
     Session(cast("zenoh.Session", Unending())).close()
     said = "Zenoh cannot close its session: close operation timed out; it is left behind"
     assert caplog.messages == [said]
+
+
+def test_a_latched_publisher_is_closed_though_zenoh_waits_to_call_python():
+    session = Session.open(session_config([], [], "peer", 0, ""))
+    called, goes_on = threading.Event(), threading.Event()
+    latched = session.declare_latched_publisher("latched", is_reliable=True, depth=1)
+    watched = session._session.declare_publisher("watched")
+
+    def keep_busy(status: zenoh.MatchingStatus) -> None:
+        called.set()
+        goes_on.wait(10)
+
+    watched.declare_matching_listener(Callback(keep_busy, indirect=False))
+    reader = session._session.declare_subscriber("watched")
+    assert called.wait(10)
+    began = time.perf_counter()
+    goes_on.set()  # it goes on once it gets the GIL, and its thread ends the task of the publisher
+    latched.undeclare()
+    assert time.perf_counter() - began < 5
+    reader.undeclare()
+    session.close()

@@ -86,8 +86,7 @@ class Session:
     def close(self) -> None:
         """End it; what was declared on it must have been taken back.
 
-        Blocks for ten seconds at most. One that does not end by then is left behind, and said so:
-        Zenoh 1.10 takes that long now and then, for one with access control.
+        Blocks for ten seconds at most. One that does not end by then is left behind, and said so.
         """
         session = self._session
         # Given up here, where it may block: the garbage collector would do it in any thread.
@@ -223,9 +222,13 @@ class Publisher:
             raise _error("publish", error) from error
 
     def undeclare(self) -> None:
-        """Take it back, and what it has kept."""
-        with _mapped("close a publisher"):
-            self._publisher.undeclare()  # type: ignore[no-untyped-call]  # zenoh leaves it so
+        """Take it back, and what it has kept; to be called once.
+
+        It is dropped, which leaves the GIL to others. ``undeclare`` of an advanced one holds it and
+        waits for a task in a thread of Zenoh, which may be waiting for the GIL: for ten seconds
+        nothing of Python runs (eclipse-zenoh 1.10).
+        """
+        del self._publisher
 
 
 class Querier:
