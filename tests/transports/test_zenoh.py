@@ -39,7 +39,7 @@ from turtleact.transports.rmw_zenoh.attachment import read_attachment, write_att
 from turtleact.transports.rmw_zenoh.calls import WireCaller
 from turtleact.transports.rmw_zenoh.config import session_config
 from turtleact.transports.rmw_zenoh.keys import data_key, endpoint_token, gid_of
-from turtleact.transports.rmw_zenoh.session import Publisher, Query, Session
+from turtleact.transports.rmw_zenoh.session import Declared, Publisher, Query, Session
 from turtleact.transports.rmw_zenoh.topics import WirePublication
 
 from ..lab import Count, Gate, count, feedback, goal, result, running, settle
@@ -217,9 +217,10 @@ class Bare:
         self.queries: list[Query] = []
         self.tokens: list[str] = []
         self.came = threading.Event()
+        self._readers: list[Declared] = []
 
     def read(self, key: str) -> None:
-        self.session.declare_latched_subscriber(key, self._take, depth=1)
+        self._readers.append(self.session.declare_latched_subscriber(key, self._take, depth=1))
 
     def serve(self, key: str) -> None:
         self.session.declare_queryable(key, self._asked)
@@ -239,6 +240,11 @@ class Bare:
         )
         assert ended.wait(10)
 
+    def close(self) -> None:
+        for reader in self._readers:
+            reader.undeclare()
+        self.session.close()
+
     def _take(self, payload: bytes, attachment: bytes) -> None:
         self.samples.append((payload, attachment))
         self.came.set()
@@ -251,11 +257,11 @@ class Bare:
 @asynccontextmanager
 async def bare(address: str) -> AsyncIterator[Bare]:
     settings = session_config([address], [], "peer", 0, "")
-    session = await anyio.to_thread.run_sync(Session.open, settings)
+    opened = Bare(await anyio.to_thread.run_sync(Session.open, settings))
     try:
-        yield Bare(session)
+        yield opened
     finally:
-        await anyio.to_thread.run_sync(session.close)
+        await anyio.to_thread.run_sync(opened.close)
 
 
 @asynccontextmanager
@@ -1519,3 +1525,16 @@ def test_a_latched_publisher_is_closed_though_zenoh_waits_to_call_python():
     assert time.perf_counter() - began < 5
     reader.undeclare()
     session.close()
+
+
+async def test_nothing_stays_of_a_latched_subscription_that_is_closed(address):
+    async with two(address) as (here, there, settle):
+
+        async def parts() -> list[str]:
+            await settle()
+            return await anyio.to_thread.run_sync(here._link.session.tokens, "**/@adv/**")
+
+        reader = there.subscribe(subscription(qos=LATCHED), SPEECH, Inbox().deliver)
+        assert len(await parts()) == 1
+        reader.close()
+        assert await parts() == []

@@ -166,16 +166,18 @@ class Session:
     def declare_latched_subscriber(self, key: str, take: Take, *, depth: int) -> Declared:
         """Read a topic, the last messages of its publishers first: payload and attachment."""
         with _mapped(f"declare {key}"):
-            subscriber: Declared = ext.declare_advanced_subscriber(
-                self._session,
-                key,
-                _direct(lambda sample: take(*_parts(sample))),
-                allowed_origin=REMOTE,
-                subscriber_detection=True,
-                history=ext.HistoryConfig(detect_late_publishers=True, max_samples=depth),
-                recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+            return _LatchedSubscriber(
+                ext.declare_advanced_subscriber(
+                    self._session,
+                    key,
+                    # With None beside it, or parts of it would stay for as long as the session.
+                    (_direct(lambda sample: take(*_parts(sample))), None),
+                    allowed_origin=REMOTE,
+                    subscriber_detection=True,
+                    history=ext.HistoryConfig(detect_late_publishers=True, max_samples=depth),
+                    recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+                )
             )
-            return subscriber
 
     def declare_queryable(self, key: str, take: Callable[[Query], object]) -> Declared:
         """Serve a service."""
@@ -229,6 +231,17 @@ class Publisher:
         nothing of Python runs (eclipse-zenoh 1.10).
         """
         del self._publisher
+
+
+class _LatchedSubscriber:
+    """The receiving end of a latched topic."""
+
+    def __init__(self, subscriber: ext.AdvancedSubscriber[None]) -> None:
+        self._subscriber = subscriber
+
+    def undeclare(self) -> None:
+        """Take it back; dropped, as what it is made of is undeclared with the GIL held else."""
+        del self._subscriber
 
 
 class Querier:
