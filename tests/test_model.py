@@ -338,6 +338,16 @@ class Process:
             self.is_canceled = self._is_stopped = True
             self._model.soon(self._stop)
 
+    def leave_behind(self) -> None:
+        """Stop, though it be shielded."""
+        self.is_canceled = True
+        self._model.soon(self._break)
+
+    def _break(self) -> None:
+        if self._wait is not None:
+            self._is_stopped = False
+            self._go(partial(self._steps.throw, StopError()))
+
     def _stop(self) -> None:
         if self._is_stopped and self._wait is not None and not self._wait.is_shielded:
             self._is_stopped = False
@@ -375,6 +385,7 @@ class ModelGoal:
         self.asked = 0
         self.is_asked_for = False
         self.process: Process | None = None
+        self.is_lent = False
         self.end = Moment()
         self.end_of_body = Moment()
 
@@ -663,7 +674,10 @@ class Model:
                     yield Wait(self.now + span(0.0, "after", goal.number, index))
             verdict = script.verdict
         except StopError:
-            verdict = yield from self.recover(goal)
+            try:
+                verdict = yield from self.recover(goal)
+            except StopError:
+                verdict = "out"
         self.log.append((self.now, "over", goal.number))
         self.finish(goal, verdict)
         self.come(goal.end_of_body)
@@ -758,6 +772,7 @@ class Model:
         if how == "enter" and send is not None and send.is_canceled_at_once and not asks:
             self.cancel(goal)
         is_lent = how == "await" and self.loop.can_borrow and not asks and bool(goal.history)
+        goal.is_lent = is_lent
         if how == "await":
             goal.kept_from = -1
         leaves = self.now + span(0.5, "leave", script.number) if how == "leave" else math.inf
@@ -786,7 +801,7 @@ class Model:
             goal.process.cancel()
             yield Wait(self.now + self.loop.grace, goal.end_of_body, is_shielded=True)
             if not goal.end_of_body.has_come:
-                goal.process.cancel()
+                goal.process.leave_behind()
         elif goal.is_active:
             slot = goal.server.slot
             if goal in slot.waiting and any(
@@ -882,7 +897,10 @@ class Model:
         yield Wait(self.now + self.loop.grace)
         for goal in server.goals:
             if goal.is_active and goal.process is not None:
-                goal.process.cancel()
+                if goal.is_lent:
+                    goal.process.leave_behind()
+                else:
+                    goal.process.cancel()
             self.end(goal, "ABORTED", None, goal.reason or "shutdown")
 
 

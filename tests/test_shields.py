@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import anyio
@@ -11,6 +12,7 @@ import pytest
 import turtleact
 from turtleact import GoalStatus
 from turtleact.errors import GoalAborted, GoalError
+from turtleact.server.stepping import _ABANDONED
 from turtleact.tasks import DEEPEST
 
 from .lab import ON_ASYNCIO, Count, feedback, goal, lab, result, running, settle, take_turns
@@ -339,3 +341,42 @@ async def test_a_goal_too_deep_to_start_at_once_can_be_canceled_before_its_first
         assert len(was) == 2
         assert was[1] not in log
         assert served.active == []
+
+
+@ON_ASYNCIO
+async def test_a_body_that_is_left_behind_in_its_scopes_leaves_its_caller_those_outside(
+    monkeypatch, caplog
+):
+    for module in ("action_server", "stepping"):
+        monkeypatch.setattr(f"turtleact.server.{module}.GRACE", 0.01)
+    ended: list[str] = []
+
+    async def body(_: Count.Goal) -> None:
+        try:
+            async with anyio.create_task_group() as group:
+                group.start_soon(anyio.sleep_forever)
+                group.cancel_scope.cancel()
+                with anyio.CancelScope(shield=True):
+                    await anyio.sleep_forever()
+        finally:
+            ended.append("the body")
+
+    async def call() -> None:
+        with anyio.CancelScope():
+            try:
+                await served.client.send_goal(goal())
+            except GoalAborted:
+                with anyio.move_on_after(0.0):
+                    await anyio.sleep_forever()
+                ended.append("the caller's scope")
+
+    async with lab(body) as served:
+        calling = asyncio.create_task(call())
+        await settle()
+        await served.server.aclose()
+        await calling
+        await settle()
+        assert calling.cancelling() == 0
+    assert not _ABANDONED
+    assert sorted(ended) == ["the body", "the caller's scope"]
+    assert "different task" not in caplog.text

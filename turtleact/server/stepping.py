@@ -270,8 +270,12 @@ class Borrowed:
 
     def _part(self, body: Coroutine[object, object, object]) -> None:
         """Go on with the coroutine, which waits, in a task of its own: its first step cancels."""
+        from turtleact.tasks.on_asyncio import hand_over  # trio need not wait for its import
+
         loop = asyncio.get_running_loop()
         task = asyncio.Task(body, loop=loop, context=self._context)
+        caller = cast("asyncio.Task[object]", self._task)
+        hand_over(caller, list(self._tasks.scopes(caller, self._outer)), task)  # type: ignore[arg-type]  # asyncio's
         task.cancel()
         self._goal.body = task
         _ABANDONED.add(task)

@@ -20,7 +20,7 @@ from anyio._backends import _asyncio as backend
 from turtleact.goal import Cancelable
 from turtleact.tasks.base import DEEPEST, Scope
 
-__all__ = ["AsyncioSignal", "AsyncioTasks"]
+__all__ = ["AsyncioSignal", "AsyncioTasks", "hand_over"]
 
 if sys.version_info < (3, 12):  # what eager tasks of asyncio use: the way to run one inside another
     _current_tasks = asyncio.tasks._current_tasks  # type: ignore[attr-defined]  # in no stub
@@ -32,6 +32,36 @@ def _scopes_of(task: object) -> backend.TaskState | None:
     """What anyio knows of a task; None if it has entered no scope, or is none yet."""
     known = backend._task_states.data  # type: ignore[attr-defined]  # past a slow `get`
     return known.get(ref(task)) if task is not None else None
+
+
+def hand_over(
+    task: asyncio.Task[object], scopes: list[backend.CancelScope], heir: asyncio.Task[object]
+) -> None:
+    """Let a task be in the cancel scopes that another has entered, and the other be outside.
+
+    Cancellations that these scopes have sent the other are taken back there.
+
+    Args:
+        task: The other; it must be in the first of the scopes.
+        scopes: The scopes, the innermost first; no other is inside them.
+        heir: A task that has entered none.
+    """
+    state = _scopes_of(task)
+    if state is None or not scopes:
+        return
+    for scope in scopes:
+        scope._host_task = heir
+        for _ in range(scope._pending_uncancellations or 0):
+            task.uncancel()
+        scope._pending_uncancellations = 0
+    scopes[0]._tasks.discard(task)
+    scopes[0]._tasks.add(heir)
+    backend._task_states[heir] = backend.TaskState(state.parent_id, scopes[0])
+    outer, scopes[-1]._parent_scope = scopes[-1]._parent_scope, None
+    state.cancel_scope = outer
+    if outer is not None:
+        outer._child_scopes.discard(scopes[-1])
+        outer._tasks.add(task)
 
 
 def _nothing() -> None:
