@@ -62,6 +62,27 @@ async def send(served: Lab, upto: int) -> None:
     await settle()
 
 
+async def test_many_changes_are_told_of_once_until_they_are_written():
+    async with lab(act) as served:
+        source = source_of(served.server)
+        topic: Any = source.publication
+        await send(served, 0)
+        await send(served, 0)
+        assert topic.changes == 1
+        check(source, GoalStatus.SUCCEEDED, GoalStatus.SUCCEEDED)
+        await send(served, 2)
+        assert topic.changes == 2
+
+
+async def test_a_reader_in_this_process_is_told_of_each_change():
+    async with lab(act) as served:
+        source = source_of(served.server)
+        topic: Any = source.publication
+        topic.has_near_readers = True
+        await send(served, 0)
+        assert topic.changes == len(("ACCEPTED", "EXECUTING", "SUCCEEDED"))
+
+
 async def test_no_goal_is_an_empty_array():
     async with lab(act) as served:
         check(source_of(served.server))

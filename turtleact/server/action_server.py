@@ -159,7 +159,7 @@ class ActionServer(Generic[G, R, F]):
 
     def reply_now(self, request: object, caller: bytes) -> Reply | None:
         """The same if it takes no waiting."""
-        return cast("ActionEndpoints", self.endpoints).reply_now(request, caller)
+        return None if self.endpoints is None else self.endpoints.reply_now(request, caller)
 
     def begin(
         self,

@@ -74,6 +74,7 @@ class ActionEndpoints:
         self._names = names
         self._transport = transport
         self._tasks = tasks
+        self._expects_readers = False
         self._taken_up: list[bytes] = []
         self._taken = tasks.signal()
         self._send_goal = LazyService(
@@ -130,13 +131,19 @@ class ActionEndpoints:
 
     async def reply(self, request: object, caller: bytes) -> Reply:
         """Answer a ``SendGoal`` request that came over a wire."""
-        self._feedback.publication.expect_readers()  # who sends goals reads, known yet or not
+        self._expect_readers()
         return await self._send_goal.reply(request, caller)
 
     def reply_now(self, request: object, caller: bytes) -> Reply | None:
         """The same if it takes no waiting."""
-        self._feedback.publication.expect_readers()
+        self._expect_readers()
         return self._send_goal.reply_now(request, caller)
+
+    def _expect_readers(self) -> None:
+        """Publish feedback from now on: who sends goals reads it, known yet or not."""
+        if not self._expects_readers:
+            self._expects_readers = True
+            self._feedback.publication.expect_readers()
 
     async def aclose(self) -> None:
         """Answer all who still wait; with results, as the goals have ended."""
@@ -248,7 +255,9 @@ class ActionEndpoints:
     def _end(self, goal: Goal) -> Reply:
         response = self._implied.get_result.Response
         message = response(status=int(goal.status), result=cast("Message", goal.result))
-        return Reply(message, GoalNote(goal.reason, goal.published).write())
+        if goal.reason or goal.published:
+            return Reply(message, GoalNote(goal.reason, goal.published).write())
+        return Reply(message, OURS)
 
 
 def _named(request: Any) -> bytes:  # noqa: ANN401  # of the action's own class

@@ -37,6 +37,7 @@ class StatusSource:
         self._server = server
         self._changed: dict[Goal, None] | None = None  # in order; None if all is to be written
         self._entries: dict[bytes, bytes] = {}  # in the order of their acceptance
+        self._is_stale = False  # since it was written last
 
     def current(self) -> Sequence[object]:
         """All goals that the server holds."""
@@ -52,7 +53,7 @@ class StatusSource:
         for goal in self._server.held() if changed is None else changed:
             goal_id = self._server.name_goal(goal)
             entries[goal_id] = pack_state(goal_id, (*divmod(goal.stamp, SECOND), goal.status))
-        self._changed = {}
+        self._changed, self._is_stale = {}, False
         held = self._server.held_ids()
         if len(entries) > len(held):  # each goal held has one
             entries = self._entries = {key: each for key, each in entries.items() if key in held}
@@ -60,7 +61,7 @@ class StatusSource:
 
     def readers_changed(self, *, has_readers: bool) -> None:
         """Publish while somebody reads."""
-        self._changed, self._entries = None, {}
+        self._changed, self._entries, self._is_stale = None, {}, False
         self._server.execution.board = self if has_readers else None
 
     @property
@@ -74,4 +75,6 @@ class StatusSource:
             self._server.name_goal(goal)
         if self._changed is not None:  # or it would be kept for nobody
             self._changed[goal] = None
-        self.publication.refresh()
+        if not self._is_stale or self.shows_each:
+            self._is_stale = True
+            self.publication.refresh()
