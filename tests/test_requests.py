@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -83,6 +84,10 @@ class Asked:
     def __init__(self, server: Server, name: str) -> None:
         self.server = server
         self.name = name
+        self.told: Callable[[], object] | None = None
+
+    def tell(self, told: Callable[[], object]) -> None:
+        self.told = told
 
     async def reply(self) -> Reply:
         answer = self.server.answers.pop(0)
@@ -98,7 +103,7 @@ async def ask(requests: Requests) -> Any:
     """Have one goal done; how it ended."""
     followed = Followed(Goal(goal(), 0, id=bytes(16)), is_sender=True)
     try:
-        requests.begin(followed)
+        requests.begin(followed, lambda: None)
         await requests.send(followed)
         return await requests.result(followed)
     finally:
@@ -151,6 +156,20 @@ async def test_what_was_asked_early_of_a_rejected_goal_is_dropped():
     with pytest.raises(GoalRejected, match="no"):
         await ask(requests)
     assert server.story == [*ONE_BY_ONE, *TOGETHER, "result dropped"]
+
+
+async def test_who_sends_both_at_once_is_told_of_either_reply():
+    server = Server(ACCEPTED, SUCCEEDED)
+    requests = of(server)
+    await ask(requests)
+    followed = Followed(Goal(goal(), 0, id=bytes(16)), is_sender=True)
+    told: list[int] = []
+    assert requests.begin(followed, lambda: told.append(1))
+    for early in (followed.sent, followed.asked):
+        assert isinstance(early, Asked)
+        assert early.told is not None
+        early.told()
+    assert told == [1, 1]
 
 
 async def test_where_sending_takes_waiting_one_is_sent_after_the_other():

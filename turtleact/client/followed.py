@@ -6,7 +6,7 @@ Source: rcl_action ``goal_state_machine.c`` for the steps between states.
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, cast
 
 from turtleact.feedback import FeedbackLog
 from turtleact.goal import Cancelable, Goal, GoalEvent, GoalStatus
@@ -29,6 +29,7 @@ class Followed:
 
     Attributes:
         goal: The goal.
+        goal_id: Its id.
         log: Its feedback.
         is_sender: Whether it was sent from here.
         is_accepted: Whether the server has taken it.
@@ -41,6 +42,7 @@ class Followed:
 
     def __init__(self, goal: Goal, *, is_sender: bool) -> None:
         self.goal = goal
+        self.goal_id = cast("bytes", goal.id)
         self.log = goal.feedback = FeedbackLog()
         goal.is_streamed = True
         self.is_sender = is_sender

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Awaitable, Callable
 from functools import partial
-from typing import Any, Final, cast
+from typing import Final
 
 import anyio
 
@@ -60,18 +60,16 @@ class Following:
     def send(self, goal: Goal) -> Followed:
         """Send a goal, and follow it."""
         followed = Followed(goal, is_sender=True)
-        is_on_its_way = self._requests.begin(followed)
-        self.goals[cast("bytes", goal.id)] = followed
-        if is_on_its_way:
-            for early in (followed.sent, followed.asked):
-                cast("Any", early).tell(partial(self._go_on, followed))
-        else:
+        is_on_its_way = self._requests.begin(followed, partial(self._go_on, followed))
+        self.goals[followed.goal_id] = followed
+        if not is_on_its_way:
             self._see_to(followed)
         return followed
 
     def attach(self, goal: Goal) -> None:
         """Follow a goal that somebody else has sent."""
-        followed = self.goals[cast("bytes", goal.id)] = Followed(goal, is_sender=False)
+        followed = Followed(goal, is_sender=False)
+        self.goals[followed.goal_id] = followed
         self._see_to(followed)
 
     def signal(self, goal: Goal) -> Signal:
@@ -182,7 +180,7 @@ class Following:
 
     def _let_go(self, followed: Followed) -> None:
         followed.drop()
-        self.goals.pop(cast("bytes", followed.goal.id), None)
+        self.goals.pop(followed.goal_id, None)
 
     def _closed(self) -> ServerUnavailable:
         return self.unavailable("the client was closed")

@@ -10,6 +10,7 @@ Source: rcl_action ``action_client.c``, ``rcl_action_process_result_request``.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Final, NamedTuple, cast
 
 import anyio
@@ -19,7 +20,6 @@ from turtleact.client.links import Links
 from turtleact.errors import GoalRejected, ServerUnavailable, ServiceTimeout, UnknownGoal
 from turtleact.goal import GoalStatus, status_of
 from turtleact.goal_note import GoalNote
-from turtleact.interfaces import Message
 from turtleact.interfaces.stamps import nanoseconds
 from turtleact.interfaces.standard import UUID
 from turtleact.transports.base import Asked, Reply
@@ -58,10 +58,15 @@ class Requests:
         self._links = links
         self._knows_late = False  # it knew nothing of a goal when it was asked for the end
 
-    def begin(self, followed: Followed) -> bool:
+    def begin(self, followed: Followed, told: Callable[[], object]) -> bool:
         """Send a goal, and the request for its result too, to a server known to take both at once.
 
-        Answers whether both are on their way; else `send` is to be awaited.
+        Args:
+            followed: The goal.
+            told: Called when either is over, if both are on their way.
+
+        Returns:
+            Whether they are; else `send` is to be awaited.
 
         Raises:
             InvalidMessage: if a value does not fit its type; nothing was sent.
@@ -69,10 +74,15 @@ class Requests:
         links = self._links
         if self._knows_late or not links.is_of_our_kind:
             return False
-        followed.sent = links.ask(self._order(followed))
-        if followed.sent is not None:
-            followed.asked = links.get_result.ask(self._question(followed))
-        return followed.asked is not None
+        sent = followed.sent = links.ask(self._order(followed))
+        if sent is None:
+            return False
+        asked = followed.asked = links.get_result.ask(self._question(followed))
+        if asked is None:
+            return False
+        sent.tell(told)
+        asked.tell(told)
+        return True
 
     async def send(self, followed: Followed) -> None:
         """Send a goal, unless `begin` has, and wait for its acceptance.
@@ -147,13 +157,11 @@ class Requests:
         return await self._links.get_result.call(self._question(followed))
 
     def _order(self, followed: Followed) -> object:
-        goal = followed.goal
-        return self._links.implied.send_goal.Request(
-            UUID(cast("bytes", goal.id)), cast("Message", goal.request)
-        )
+        goal: Any = followed.goal.request
+        return self._links.implied.send_goal.Request(UUID(followed.goal_id), goal)
 
     def _question(self, followed: Followed) -> object:
-        return self._links.implied.get_result.Request(UUID(cast("bytes", followed.goal.id)))
+        return self._links.implied.get_result.Request(UUID(followed.goal_id))
 
     async def _is_back(self) -> bool:
         """Whether the server was out of reach for a moment only."""
