@@ -13,6 +13,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 import anyio
@@ -83,7 +84,7 @@ class WireService:
 
     def _take(self, query: Query) -> None:
         """Called in a thread of the session."""
-        self._link.inbox.push(lambda: self._begin(query))
+        self._link.inbox.push(partial(self._begin, query))
 
     def _begin(self, query: Query) -> None:
         try:
@@ -126,7 +127,7 @@ class WireService:
     def _respond(self, query: Query, beside: Attachment, reply: Reply) -> None:
         payload = self._format.encode(reply.message)
         attachment = write_attachment(beside.sequence, time.time_ns(), beside.gid, reply.note)
-        self._link.outbox.post(lambda: query.reply(payload, attachment))
+        self._link.outbox.post(partial(query.reply, payload, attachment))
 
     def _failure(self, error: Exception) -> TurtleactError:
         """What a client is told of what a handler has raised."""
