@@ -131,6 +131,8 @@ class Following:
         """Send a goal, unless that is done, and see it to its end."""
         goal = followed.goal
         try:
+            if followed.asked is not None:  # what comes with a reply may say why it is none
+                await self._tasks.checkpoint()
             if not followed.is_accepted:
                 await self._requests.send(followed)
                 self.signal(goal).fire()
