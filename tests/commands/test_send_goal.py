@@ -96,14 +96,21 @@ def test_one_line_on_stderr_says_that_a_world_was_started(on_stage):
 # --- which action, which type ---------------------------------------------------------------
 
 
-def test_an_unknown_action_is_an_error_that_names_those_there_are(turtleact):
-    ran = turtleact("send-goal", "fibonaci", "--speed", "max")
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("fibonaci", ", did you mean '/fibonacci'?"),
+        (
+            "zzz",
+            " (there are: /command_turtle, /fibonacci, /go_to, /patrol, /turtle1/rotate_absolute, "
+            "/world/simulate_steps)",
+        ),
+    ],
+)
+def test_an_unknown_action_is_an_error_that_names_the_nearest_or_all(turtleact, name, hint):
+    ran = turtleact("send-goal", name, "--speed", "max")
     assert ran.status == 1
-    assert ran.err.splitlines()[-1] == (
-        "turtleact: action '/fibonaci': nobody serves it, did you mean '/fibonacci'? "
-        "(there are: /command_turtle, /fibonacci, /go_to, /patrol, /turtle1/rotate_absolute, "
-        "/world/simulate_steps)"
-    )
+    assert ran.err.splitlines()[-1] == f"turtleact: action '/{name}': nobody serves it{hint}"
 
 
 def test_a_type_with_which_the_action_is_not_served_is_named_with_the_one_it_is(on_stage):

@@ -28,7 +28,6 @@ from turtleact.commands.transcript import (
 from turtleact.errors import GoalRejected, ServerUnavailable
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import Action, from_text
-from turtleact.interfaces.definition import did_you_mean
 from turtleact.names import resolve_name
 from turtleact.tasks import GRACE
 
@@ -312,9 +311,7 @@ def find_action(node: Node, name: str, type_name: str | None) -> type[Action]:
     actions = node.graph().actions
     types = actions.get(name, ())
     if not types:
-        there_are = ", ".join(actions) or "none"
-        hint = did_you_mean(name, actions)
-        raise ServerUnavailable(name, f"nobody serves it{hint} (there are: {there_are})")
+        raise ServerUnavailable(name, f"nobody serves it{graph.names_like(name, actions)}")
     if type_name is None:
         return graph.interface_class(Action, types[0], f"action '{name}'")
     found = graph.interface_class(Action, type_name)
