@@ -113,6 +113,10 @@ def test_a_name_is_given_once():
         message(Field("x", INT32), Field("x", INT32))
 
 
+def test_a_word_in_other_letters_is_alike():
+    assert did_you_mean("X", ["y", "x"]) == ", did you mean 'x'?"
+
+
 def test_nothing_alike_gives_no_hint():
     assert did_you_mean("zebra", ["int32"]) == ""
 

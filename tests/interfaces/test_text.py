@@ -166,7 +166,12 @@ def test_malformed_text_is_told_with_line_column_and_caret():
 @pytest.mark.parametrize(
     ("text", "place", "problem"),
     [
-        ("x: : 5", "1:4", "mapping values are not allowed here"),
+        ("x: : 5", "1:4", "a colon too many"),
+        (
+            "x: 3 y: 4",
+            "1:7",
+            "a colon too many: fields stand in braces, {x: 1, y: 2}, or below each",
+        ),
         ("x: 1\nx: 2", "2:1", "'x' is given twice"),
         ('{"x": 1, "x": 2}', "1:10", "'x' is given twice"),
         ("at: {x: 1, x: 1}", "1:12", "'x' is given twice"),

@@ -310,7 +310,10 @@ def nearest(word: str, known: Iterable[str]) -> str:
     """The known word that looks most like this one, or an empty string."""
     import difflib  # only errors need it
 
-    return next(iter(difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)), "")
+    words = list(known)
+    folded = {each.casefold(): each for each in words}
+    found = difflib.get_close_matches(word, words, n=1)
+    return found[0] if found else folded.get(word.casefold(), "")
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

@@ -253,6 +253,8 @@ def said(error: yaml.MarkedYAMLError) -> str:
     """What PyYAML found wrong, in a few words."""
     if error.context == "expected a single document in the stream":
         return "more than one document"
+    if error.problem == "mapping values are not allowed here":
+        return "a colon too many: fields stand in braces, {x: 1, y: 2}, or below each other"
     problem = (error.problem or "malformed").replace(", but got", ", got")
     return problem.replace("'<stream end>'", "the end")
 
