@@ -270,6 +270,7 @@ def test_only_the_group_that_is_asked_for_is_imported(verb):
         "turtleact.commands.verbs",
         "turtleact.commands.verbs.arguments",
         "turtleact.commands.verbs.outside",
+        "turtleact.commands.verbs.reading",
         f"turtleact.commands.verbs.{home.replace('-', '_')}",
         "turtleact.errors",
     }

@@ -16,8 +16,8 @@ import typer
 from typer.main import get_command
 
 from turtleact.commands import VERBS
-from turtleact.commands.verbs.arguments import SETTINGS, ArgumentError, Verbs, explain
 from turtleact.commands.verbs.outside import NO_DAEMON, problem_of_outside
+from turtleact.commands.verbs.reading import SETTINGS, ArgumentError, Verbs, explain
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:

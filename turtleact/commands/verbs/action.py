@@ -8,8 +8,9 @@ import typer
 
 from turtleact.commands import VERBS
 from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.arguments import Verb, new_group, type_of
+from turtleact.commands.verbs.arguments import type_of
 from turtleact.commands.verbs.looking import Look, on_graph, on_known_graph
+from turtleact.commands.verbs.reading import Verb, new_group
 from turtleact.commands.verbs.send_goal import EXAMPLES, send_goal
 
 __all__ = ["app"]

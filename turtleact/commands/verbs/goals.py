@@ -9,8 +9,9 @@ import typer
 
 from turtleact.commands import VERBS
 from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.arguments import Verb, only_one, quoted
+from turtleact.commands.verbs.arguments import only_one, quoted
 from turtleact.commands.verbs.looking import Look, Plan, on_graph, planned_on_known_graph
+from turtleact.commands.verbs.reading import Verb
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:

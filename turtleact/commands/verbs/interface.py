@@ -9,8 +9,9 @@ import typer
 
 from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.arguments import Interfaces, Job, Verb, new_group, only_one
+from turtleact.commands.verbs.arguments import Interfaces, Job, only_one
 from turtleact.commands.verbs.grouping import grouped, then
+from turtleact.commands.verbs.reading import Verb, new_group
 
 __all__ = ["app"]
 

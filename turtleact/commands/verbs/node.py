@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 
 from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.arguments import Verb, new_group
 from turtleact.commands.verbs.looking import Look, on_graph
+from turtleact.commands.verbs.reading import Verb, new_group
 
 __all__ = ["app"]
 

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.arguments import Verb, new_group, number, quoted
+from turtleact.commands.verbs.arguments import number, quoted
 from turtleact.commands.verbs.looking import Look, on_graph
+from turtleact.commands.verbs.reading import Verb, new_group
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:

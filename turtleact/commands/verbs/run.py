@@ -8,7 +8,8 @@ import typer
 
 from turtleact.commands import VERBS
 from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.arguments import Domain, Job, Verb, quoted
+from turtleact.commands.verbs.arguments import Domain, Job, quoted
+from turtleact.commands.verbs.reading import Verb
 from turtleact.errors import UsageError
 
 __all__ = ["app"]

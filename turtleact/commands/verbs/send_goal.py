@@ -16,7 +16,6 @@ from turtleact.commands.verbs.arguments import (
     Interfaces,
     Job,
     Reach,
-    Verb,
     message_of,
     number,
     only_one,
@@ -27,6 +26,7 @@ from turtleact.commands.verbs.arguments import (
     whole,
 )
 from turtleact.commands.verbs.grouping import grouped
+from turtleact.commands.verbs.reading import Verb
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts

@@ -12,7 +12,6 @@ from turtleact.commands.verbs.arguments import (
     Interfaces,
     Job,
     Reach,
-    Verb,
     endpoints,
     quoted,
     reach,
@@ -20,6 +19,7 @@ from turtleact.commands.verbs.arguments import (
     whole,
 )
 from turtleact.commands.verbs.grouping import grouped
+from turtleact.commands.verbs.reading import Verb
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:

@@ -7,16 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.arguments import (
-    Verb,
-    message_of,
-    new_group,
-    number,
-    only_one,
-    type_and_text,
-    type_of,
-)
+from turtleact.commands.verbs.arguments import message_of, number, only_one, type_and_text, type_of
 from turtleact.commands.verbs.looking import Look, Plan, on_graph, planned_on_known_graph
+from turtleact.commands.verbs.reading import Verb, new_group
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts

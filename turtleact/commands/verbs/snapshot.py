@@ -7,8 +7,9 @@ from typing import Annotated
 import typer
 
 from turtleact.commands import VERBS
-from turtleact.commands.verbs.arguments import Verb, quoted
+from turtleact.commands.verbs.arguments import quoted
 from turtleact.commands.verbs.looking import Look, on_graph
+from turtleact.commands.verbs.reading import Verb
 from turtleact.errors import UsageError
 
 __all__ = ["app"]

@@ -9,16 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from turtleact.commands import VERBS
-from turtleact.commands.verbs.arguments import (
-    Config,
-    Connect,
-    Domain,
-    Job,
-    Verb,
-    only_one,
-    quoted,
-    reach,
-)
+from turtleact.commands.verbs.arguments import Config, Connect, Domain, Job, only_one, quoted, reach
+from turtleact.commands.verbs.reading import Verb
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:

@@ -9,9 +9,7 @@ import typer
 from turtleact.commands.policies import Policies
 from turtleact.commands.verbs import completing
 from turtleact.commands.verbs.arguments import (
-    Verb,
     message_of,
-    new_group,
     number,
     only_one,
     quoted,
@@ -28,6 +26,7 @@ from turtleact.commands.verbs.looking import (
     planned_on_known_graph,
 )
 from turtleact.commands.verbs.policies import read_policies
+from turtleact.commands.verbs.reading import Verb, new_group
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
