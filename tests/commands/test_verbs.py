@@ -281,6 +281,29 @@ def test_the_help_of_a_verb_shows_examples(capsys, interrupts):
     assert '  turtleact send-goal fibonacci "order: 5" --feedback\n' in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("verb", "usage", "line"),
+    [
+        (
+            "send-goal",
+            "NAME [TYPE] [GOAL]",
+            "  TYPE  Its type, pkg/action/Name; asked of the graph.",
+        ),
+        ("serve", "[TARGET]...", "  TARGET  Your actions: module:object, or module for all in it."),
+        (
+            "cancel",
+            "[ID...|NAME]",
+            "  ID...|NAME  The goals' ids; with --all or --before the action.",
+        ),
+    ],
+)
+def test_the_help_of_a_verb_names_its_arguments_plainly(capsys, interrupts, verb, usage, line):
+    assert verbs.parse([verb, "-h"])(interrupts) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == f"Usage: turtleact {verb} [OPTIONS] {usage}"
+    assert line in lines
+
+
 def test_the_table_of_verbs_names_what_typer_knows():
     command = get_command(verbs.assemble(VERBS))
     assert isinstance(command, TyperGroup)

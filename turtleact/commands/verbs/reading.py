@@ -49,6 +49,7 @@ class Verb(TyperCommand):
         """Mark such arguments, so that they are not taken for options."""
         params = self.get_params(ctx)
         _keep_as_typed(params)
+        _name_plainly(params)
         known = {option for param in params for option in param.opts} | {"--"}
         if "--connect" in known:
             args = without_daemon(args)
@@ -99,9 +100,12 @@ class _Parameter(Protocol):
     """What Typer's and click's parameters have in common."""
 
     required: bool
+    nargs: int
     opts: Sequence[str]
     metavar: str | None
     process_value: Callable[[typer.Context, object], object]
+    get_usage_pieces: Callable[[typer.Context], list[str]]
+    get_help_record: Callable[[typer.Context], tuple[str, str] | None]
 
 
 def explain(error: Exception) -> str:
@@ -122,6 +126,31 @@ def _keep_as_typed(params: Iterable[object]) -> None:
     """Let no value pass through pydantic that needs no change."""
     for param in cast("Iterable[_Parameter]", params):
         param.process_value = partial(_take, param, param.process_value)
+
+
+def _name_plainly(params: Iterable[object]) -> None:
+    """Let ``--help`` write arguments as it has always been done: NAME and [NAME]."""
+    for param in cast("Iterable[_Parameter]", params):
+        if param.opts[0].startswith("-"):
+            continue
+        name = str(param.metavar)
+        more = "..." if param.nargs != 1 and "..." not in name else ""
+        usage = (name if param.required else f"[{name}]") + more
+        param.get_usage_pieces = partial(_usage, usage)
+        param.get_help_record = partial(_record, name, param.get_help_record)
+
+
+def _usage(piece: str, _: typer.Context) -> list[str]:
+    return [piece]
+
+
+def _record(
+    name: str,
+    record: Callable[[typer.Context], tuple[str, str] | None],
+    ctx: typer.Context,
+) -> tuple[str, str]:
+    _, text = record(ctx) or ("", "")
+    return name, text
 
 
 def _take(
