@@ -18,6 +18,7 @@ from turtleact.commands import calling, echo, goals, graph, listing, publishing
 from turtleact.commands.goal_text import GoalText
 from turtleact.commands.policies import Policies
 from turtleact.commands.transcript import PlainTranscript
+from turtleact.transports.rmw_zenoh import config
 
 GRAPHS = Path(__file__).with_name("graphs.py")
 
@@ -27,15 +28,18 @@ GRAPHS = Path(__file__).with_name("graphs.py")
     [
         (("--connect", "tcp/127.0.0.1:1"), "tcp/127.0.0.1:1"),
         (("--connect", "tcp/127.0.0.1:1,tcp/127.0.0.1:2"), "tcp/127.0.0.1:1, tcp/127.0.0.1:2"),
+        ((), "tcp/127.0.0.1:3"),
     ],
 )
-def test_one_line_says_that_no_graph_is_in_reach(turtleact, arguments, where):
+def test_one_line_says_that_no_graph_is_in_reach(turtleact, arguments, where, monkeypatch):
+    monkeypatch.setitem(config.CONNECT, "client", ("tcp/127.0.0.1:3",))
+    hint = "" if arguments else " 'turtleact serve' starts one"
     ran = turtleact("topic", "list", *arguments)
     assert (ran.status, ran.out, ran.err) == (
         1,
         "",
         f"turtleact: no ROS 2 graph in reach: nobody at {where} lets us in; "
-        "is a router running there?\n",
+        f"is a router running there?{hint}\n",
     )
 
 

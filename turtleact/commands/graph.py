@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import anyio
@@ -23,7 +23,7 @@ from turtleact.interfaces.definition import did_you_mean
 from turtleact.node import Node, open_node
 
 if TYPE_CHECKING:
-    from contextlib import AbstractAsyncContextManager, AsyncExitStack
+    from contextlib import AbstractAsyncContextManager
 
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.verbs.arguments import Reach
@@ -64,7 +64,13 @@ async def open_transport(reach: Reach) -> AsyncIterator[Transport]:
 
     settings = reach.locks().settings()
     opened = open_zenoh(reach.connect or None, mode="client", domain=reach.domain, config=settings)
-    async with opened as transport:
+    async with AsyncExitStack() as stack:
+        try:
+            transport = await stack.enter_async_context(opened)
+        except TurtleactError as error:
+            if reach.connect:
+                raise
+            raise TurtleactError(f"{error} 'turtleact serve' starts one") from None
         await transport.explore()
         yield transport
 
