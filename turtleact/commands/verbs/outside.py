@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Final
+
+from turtleact.commands import VERBS
 
 __all__ = ["NO_DAEMON", "problem_of_outside", "without_daemon"]
 
@@ -27,13 +30,25 @@ _OUTSIDE: Final = {
 }
 """The verbs, and what there is instead."""
 
+_WORDS: Final = re.compile(r"\b[a-z]+(?=[,.])")
+"""The verbs of a group, as `VERBS` lists them behind a colon; ``send_goal`` is one of ours too."""
+
 
 def problem_of_outside(arguments: Sequence[str]) -> str:
-    """What a command line of ``ros2`` asks for that turtleact has not; empty if it has all."""
+    """What a command line asks for that ``ros2`` has, and turtleact not, or elsewhere; else empty.
+
+    >>> problem_of_outside(["hz", "/turtle1/pose"])
+    "no such command 'hz', did you mean 'topic hz'?"
+    """
     for verb, instead in _OUTSIDE.items():
         if tuple(arguments[: len(verb)]) == verb:
             return f"'{' '.join(verb)}' is not part of turtleact: {instead}"
-    return ""
+    first = arguments[0]
+    groups = [
+        each for each, text in VERBS.items() if first in _WORDS.findall(text.partition(":")[2])
+    ]
+    meant = " or ".join(f"'{each} {first}'" for each in groups)
+    return f"no such command '{first}', did you mean {meant}?" if meant else ""
 
 
 def without_daemon(args: Sequence[str]) -> list[str]:
