@@ -288,38 +288,9 @@ def test_a_server_that_does_not_take_the_goal_in_time_is_given_up(on_stage, monk
     ran = on_stage("send-goal", "consider", "-t", "0.02")
     assert (ran.status, ran.out.count("accepted")) == (124, 0)
     assert ran.err.splitlines()[1:] == [
-        "turtleact: no answer from the server after 0.02 s; there is none"
+        "turtleact: no answer from the server after 0.02 s; giving it up",
+        "turtleact: given up before the goal was accepted; there is none",
     ]
-
-
-def test_of_a_goal_that_a_server_elsewhere_may_take_yet_nothing_else_is_said(
-    on_graph, stage, monkeypatch
-):
-    @asynccontextmanager
-    async def nodes(transport):
-        async with open_node("stage", transport=transport) as node:
-            node.action_server(
-                stage.Fibonacci, "/consider", stage.now, goal_callback=stage.consider
-            )
-            yield
-
-    def note(transcript, text):
-        print(text, file=sys.stderr)
-        if "waiting for it" in text:
-            signal.raise_signal(signal.SIGINT)
-
-    monkeypatch.setattr(send_goal, "PATIENCE", 0.01)
-    ran = on_graph(nodes, "send-goal", "consider", "-t", "0.01")
-    assert ran.err == (
-        "turtleact: no answer from the server after 0.01 s; the server may take it yet\n"
-    )
-    monkeypatch.setattr(PlainTranscript, "note", note)
-    ran = on_graph(nodes, "send-goal", "consider")
-    assert ran.err == (
-        "no answer from the server for 0.01 s; waiting for it\n"
-        "waiting for the server's answer; Ctrl-C again leaves at once\n"
-        "interrupted before the goal was accepted; the server may take it yet\n"
-    )
 
 
 @asynccontextmanager
@@ -336,6 +307,38 @@ async def late(transport):
     async with open_node("stage", transport=transport) as node:
         node.action_server(Fibonacci, "/stuck", think, goal_callback=think)
         yield
+
+
+@pytest.mark.parametrize(
+    ("grace", "rest"), [(0.01, "the server may take it yet"), (5.0, "there is none")]
+)
+def test_a_server_that_does_not_answer_in_time_is_told_from_one_that_takes_no_goal(
+    on_graph, monkeypatch, grace, rest
+):
+    monkeypatch.setattr(send_goal, "PATIENCE", 0.01)
+    monkeypatch.setattr(send_goal, "GRACE", grace)
+    ran = on_graph(late, "send-goal", "stuck", "-t", "0.01")
+    assert (ran.status, ran.err) == (
+        124,
+        "turtleact: no answer from the server after 0.01 s; giving it up\n"
+        f"turtleact: given up before the goal was accepted; {rest}\n",
+    )
+
+
+def test_a_server_that_does_not_answer_is_waited_for_until_a_signal(on_graph, monkeypatch):
+    def note(transcript, text):
+        print(text, file=sys.stderr)
+        if "waiting for it" in text:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(send_goal, "PATIENCE", 0.01)
+    monkeypatch.setattr(PlainTranscript, "note", note)
+    ran = on_graph(late, "send-goal", "stuck")
+    assert ran.err == (
+        "no answer from the server for 0.01 s; waiting for it\n"
+        "waiting for the server's answer; Ctrl-C again leaves at once\n"
+        "interrupted before the goal was accepted; there is none\n"
+    )
 
 
 @pytest.mark.parametrize(

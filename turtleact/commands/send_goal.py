@@ -244,13 +244,14 @@ class _Sending:
         await anyio.sleep(max(limit or 0.0, PATIENCE))
         if self._sent is not None or self._interrupts.received:
             return
-        self._is_silent = True
+        seconds = max(limit or 0.0, PATIENCE)
         if limit:
-            seconds = max(limit, PATIENCE)
-            self._transcript.note(f"no answer from the server after {seconds:g} s; {self._rest()}")
+            self._transcript.note(f"no answer from the server after {seconds:g} s; giving it up")
             sending.cancel()
+            await anyio.sleep(GRACE)
+            self._is_silent = True
         else:
-            self._transcript.note(f"no answer from the server for {PATIENCE:g} s; waiting for it")
+            self._transcript.note(f"no answer from the server for {seconds:g} s; waiting for it")
 
     async def _obey(self, sent: Sent, status: int) -> None:
         if not await self._cancel(sent, status):
@@ -289,15 +290,11 @@ class _Sending:
         return f"the goal goes on; '{command}' gets back to it"
 
     def _interrupted(self) -> int:
-        if not self._interrupts.received:
-            return TIMEOUT
-        self._transcript.note(f"interrupted before the goal was accepted; {self._rest()}")
-        return self._interrupts.status
-
-    def _rest(self) -> str:
-        """What becomes of a goal that was not accepted."""
         may_come = self._is_silent and not self._is_embedded
-        return "the server may take it yet" if may_come else "there is none"
+        rest = "the server may take it yet" if may_come else "there is none"
+        how = "interrupted" if self._interrupts.received else "given up"
+        self._transcript.note(f"{how} before the goal was accepted; {rest}")
+        return self._interrupts.status if self._interrupts.received else TIMEOUT
 
 
 def find_action(node: Node, name: str, type_name: str | None) -> type[Action]:
