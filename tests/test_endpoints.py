@@ -26,6 +26,7 @@ from .lab import Count, Gate, count, feedback, goal, lab, result, running, settl
 
 IMPLIED = implied(Count)
 LATCHED = QoS(depth=10, durability="transient_local")
+TOPICS = ("/count/_action/feedback", "/count/_action/status")
 ID = UUID(bytes(range(16)))
 OTHER = UUID(bytes(range(16, 32)))
 
@@ -314,9 +315,17 @@ async def test_what_goes_over_a_wire_has_the_hashes_of_its_types():
     transport = Notebook()
     async with lab(count, transport=transport):
         hashed = [transport.formats[name].type_hash for name in transport.formats]
-        known = (IMPLIED.send_goal, CancelGoal, IMPLIED.get_result)
+        known = (CancelGoal, IMPLIED.get_result, IMPLIED.send_goal)
         topics = (IMPLIED.feedback_message, GoalStatusArray)
         assert hashed == [type_hash(each) for each in (*known, *topics)]
+
+
+async def test_who_finds_the_service_that_takes_goals_finds_the_others_too():
+    transport = Notebook()
+    async with lab(count, transport=transport):
+        served = [name for name in transport.formats if name not in TOPICS]
+        assert served[-1] == "/count/_action/send_goal"
+        assert len(served) == 3
 
 
 class Notebook(MemoryTransport):

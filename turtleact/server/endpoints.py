@@ -104,9 +104,10 @@ class ActionEndpoints:
                 endpoint("service", each.name, type_name), WireFormat(each.find_type), handler
             )
             for each, type_name, handler in (
-                (self._send_goal, f"{action}_SendGoal", server),
                 (self._cancel_goal, CancelGoal.type_name, self._cancel_goal),
                 (self._get_result, f"{action}_GetResult", self._get_result),
+                # last, as who sees it takes the others to be there
+                (self._send_goal, f"{action}_SendGoal", server),
             )
         ]
         self._feedback = FeedbackSource(server)
@@ -119,7 +120,7 @@ class ActionEndpoints:
 
     def close(self) -> None:
         """Take no more goals; those that there are can be canceled and waited for."""
-        self._opened[0].close()
+        self._opened[-1].close()
 
     def read_last(self, goal: Goal) -> None:
         """Make a message of a goal's newest feedback, if it was kept as it was sent."""
