@@ -190,6 +190,34 @@ async def test_other_options_than_the_declared_ones_can_be_given():
         assert closed_today.options.keys() == {"goal_callback"}
 
 
+async def test_a_function_that_is_not_declared_cannot_be_served():
+    async with turtleact.open_node("lab") as node:
+        with pytest.raises(
+            TypeError, match=r"^count is no action: declare it by @turtleact.action$"
+        ):
+            node.serve(count)  # type: ignore[arg-type]  # that is the test
+
+
+@pytest.mark.parametrize(
+    ("open_one", "kind", "given"),
+    [
+        (lambda node, given: node.action_server(given, "a", count), "Action", Count.Goal),
+        (lambda node, given: node.action_client(given, "a"), "Action", Word),
+        (lambda node, given: node.publisher(given, "a"), "Message", Count),
+        (lambda node, given: node.subscription(given, "a"), "Message", "Word"),
+        (lambda node, given: node.service(given, "a", double), "Service", Word),
+        (lambda node, given: node.service_client(given, "a"), "Service", Count),
+    ],
+)
+async def test_an_interface_of_another_kind_is_refused(open_one, kind, given):
+    name = given.__qualname__ if isinstance(given, type) else repr(given)
+    async with turtleact.open_node("lab") as node:
+        with pytest.raises(TypeError) as refused:
+            open_one(node, given)
+        assert node.transport.endpoints() == ()
+    assert str(refused.value) == f"expected a subclass of turtleact.{kind}, not {name}"
+
+
 async def test_an_option_that_there_is_not_is_refused():
     async with turtleact.open_node("lab") as node:
         options: Any = {"result_timeuot": 1.0}

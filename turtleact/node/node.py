@@ -20,7 +20,7 @@ from turtleact.client.links import Links
 from turtleact.clock import Clock
 from turtleact.errors import TurtleactError
 from turtleact.graph import Graph, graph_of
-from turtleact.interfaces import Message, Service, WireFormat
+from turtleact.interfaces import Action, Message, Service, WireFormat
 from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
 from turtleact.node.belongings import Belongings
 from turtleact.server import ActionServer
@@ -47,7 +47,8 @@ Res = TypeVar("Res", bound=Message)
 class Node:
     """One participant; made by `open_node`.
 
-    Whatever opens something raises `TurtleactError` once the node is closed. With ``on_demand``,
+    Whatever opens something raises `TurtleactError` once the node is closed, and TypeError if what
+    it is given is no interface of the kind. With ``on_demand``,
     other processes are told of it only once one of them has an endpoint of its name: for things by
     the thousand, few of which are ever used.
 
@@ -94,6 +95,8 @@ class Node:
             name: Another name than the declared one.
             **overrides: Other options than the declared ones; as for `action_server`.
         """
+        if not isinstance(definition, ActionDeclaration):
+            raise TypeError(f"{_named(definition)} is no action: declare it by @turtleact.action")
         options = cast("ServerOptions", {**definition.options, **overrides})
         return self.action_server(
             definition.action_type, name or definition.name, definition.execute, **options
@@ -132,6 +135,7 @@ class Node:
             InvalidOption: if an option has a value that it cannot have.
             TypeError: if there is no such option.
         """
+        _expect(Action, action_type)
         for unknown in options.keys() - ServerOptions.__annotations__.keys():
             raise TypeError(f"an action server has no option '{unknown}'")
         names = self._action_names(name)
@@ -171,6 +175,7 @@ class Node:
         Raises:
             InvalidName: if the name breaks ROS 2's rules.
         """
+        _expect(Action, action_type)
         names = self._action_names(name)
         links = Links(self.transport, self._endpoint, names, action_type)
         goal_type = cast("type[Message]", action_type.Goal)
@@ -201,6 +206,7 @@ class Node:
         Raises:
             InvalidName: if the topic's name breaks ROS 2's rules.
         """
+        _expect(Message, message_type)
         name = resolve_name(topic, self.namespace, self.name)
         end = self._endpoint("publisher", name, message_type.type_name, qos, on_demand=on_demand)
         matching = None if on_matched is None else Matching(on_matched)
@@ -217,6 +223,7 @@ class Node:
         Raises:
             InvalidName: if the topic's name breaks ROS 2's rules.
         """
+        _expect(Message, message_type)
         name = resolve_name(topic, self.namespace, self.name)
         end = self._endpoint("subscription", name, message_type.type_name, qos, on_demand=on_demand)
         subscription: Subscription[M] = Subscription(name, end.qos.depth, self._tasks.signal())
@@ -246,6 +253,7 @@ class Node:
         Raises:
             InvalidName: if the name breaks ROS 2's rules.
         """
+        _expect(Service, service_type)
         full_name = resolve_name(name, self.namespace, self.name)
         server = ServiceServer(service_type, full_name, handler, tasks=self._tasks)
         endpoint = self._endpoint("service", full_name, service_type.type_name, on_demand=on_demand)
@@ -262,6 +270,7 @@ class Node:
         Raises:
             InvalidName: if the name breaks ROS 2's rules.
         """
+        _expect(Service, service_type)
         full_name = resolve_name(name, self.namespace, self.name)
         endpoint = self._endpoint("client", full_name, service_type.type_name)
         format = WireFormat(cast("type[Service]", service_type), asks=True)
@@ -316,6 +325,15 @@ class Node:
             raise TurtleactError(f"node '{self.fully_qualified_name}' is closed: open another")
         own, qos = self.fully_qualified_name, qos or QoS()
         return Endpoint(kind, name, type_name, own, qos, on_demand=on_demand)
+
+
+def _expect(kind: type, given: object) -> None:
+    if not (isinstance(given, type) and issubclass(given, kind)):
+        raise TypeError(f"expected a subclass of turtleact.{kind.__name__}, not {_named(given)}")
+
+
+def _named(given: object) -> str:
+    return getattr(given, "__qualname__", "") or repr(given)
 
 
 @asynccontextmanager
