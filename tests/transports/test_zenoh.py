@@ -908,6 +908,23 @@ async def test_a_server_is_told_of_a_client_that_is_closed_once_its_calls_are_ov
         assert adder.lost == adder.callers
 
 
+async def test_replies_that_come_with_the_news_that_their_server_has_gone_are_all_taken(address):
+    async with two(address) as peers:
+        peers.here.serve(service(), SERVING, Adder(gate=anyio.Event()))
+        caller: Any = peers.there.join(client(), ASKING)
+        await peers.settle()
+        taken: list[Any] = []
+        for number in (1, 2):
+            call = caller.ask(numbers(number))
+            call.tell(lambda call=call: taken.append(call.take().message))
+            # as in a thread of Zenoh; the loop hears of it behind the news
+            call._replied(SERVING.encode(Sum.Response(total=number)), b"")
+        (token,) = peers.there._graph._tokens
+        peers.there._gone(token)
+        await settle()
+        assert sorted(each.total for each in taken) == [1, 2]
+
+
 async def test_a_call_of_a_closed_client_ends_when_its_server_has_gone(address, monkeypatch):
     monkeypatch.setattr(asking, "LOST", 0.0)
     async with two(address) as peers:

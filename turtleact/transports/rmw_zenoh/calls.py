@@ -229,7 +229,7 @@ class WireCaller:
         """A server has gone: give calls to it a moment to end, or to be answered by another."""
         if server != self._endpoint.name:
             return
-        for call in self._calls:
+        for call in tuple(self._calls):  # one that is over is taken at once
             self._link.crew.run(call.end_soon(), f"a call of {self._endpoint.name}")
 
     async def _wait_for_route(self) -> None:
