@@ -142,6 +142,8 @@ def test_any_text_is_a_name_or_told_why_not(name):
     assert 0 <= position <= len(name)
 
 
-def test_what_is_no_text_is_no_name():
-    with pytest.raises(InvalidName, match=r"^invalid name: expected text such as '/patrol'\n  7\n"):
-        resolve_name(cast("str", 7))
+@pytest.mark.parametrize("validate", [validate_name, validate_node_name, resolve_name])
+def test_what_is_no_text_is_refused_with_what_would_be_a_name(validate):
+    with pytest.raises(InvalidName, match=r"^invalid name: expected text such as 'patrol'\n  7\n"):
+        validate(cast("str", 7))
+    validate("patrol")

@@ -125,9 +125,9 @@ def action_names(name: str) -> ActionNames:
 
 
 def refuse(name: str, faults: tuple[tuple[re.Pattern[str], str], ...]) -> None:
-    """Raises for the fault that comes first in the name."""
+    """Raises for the fault that comes first in the name, or if it is no text at all."""
     if not isinstance(name, str):  # a type and a name may have been mixed up
-        raise InvalidName(repr(name), "expected text such as '/patrol'", 0)
+        raise InvalidName(repr(name), "expected text such as 'patrol'", 0)
     found = [(match.start(), problem) for fault, problem in faults if (match := fault.search(name))]
     if found:
         position, problem = min(found)

@@ -115,7 +115,7 @@ def test_a_module_that_fails_is_told_with_its_line(folder, text, problem):
     [
         ("Fibonacci, 'f'", "the body of action 'f' must be an 'async def', not a plain function"),
         ("Fibonacci, '1'", "invalid name: a part begins with a digit\n  1\n  ^"),
-        ("'f', int", "invalid name: expected text such as '/patrol'\n  <class 'int'>\n  ^"),
+        ("'f', int", "invalid name: expected text such as 'patrol'\n  <class 'int'>\n  ^"),
     ],
 )
 def test_a_declaration_that_is_wrong_is_told_with_its_line(folder, declared, problem):
