@@ -28,7 +28,7 @@ class GoalNote(msgspec.Struct, frozen=True, omit_defaults=True):
     feedback: int = 0
 
     def write(self) -> str:
-        """The note as text; the shortest part of a long reason that can still be of use."""
+        """The note as text; of a long reason the first `LONGEST_REASON` characters."""
         if len(self.reason) <= LONGEST_REASON:
             return msgspec.json.encode(self).decode()
         short = msgspec.structs.replace(self, reason=self.reason[:LONGEST_REASON])
