@@ -133,5 +133,5 @@ async def test_no_goal_is_kept_for_those_who_do_not_read_bytes():
         source = source_of(served.server)
         for _ in range(3):
             await send(served, 0)
-        assert goals_in_memory() == before
+        assert goals_in_memory() <= before
         check(source)
