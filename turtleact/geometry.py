@@ -94,7 +94,7 @@ def bearing(x0: float, y0: float, x1: float, y1: float) -> float:
 
 
 def phase(way: complex) -> float:
-    """The direction of a vector: an angle in [-pi, pi] (rad), and 0 for 0.
+    """The direction of a vector: an angle in [-pi, pi] (rad); 0 and pi by its signs for 0.
 
     What ``cmath.phase`` is; but CPython's raises OverflowError for an angle that is too small for a
     float.
