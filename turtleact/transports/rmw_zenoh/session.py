@@ -12,7 +12,6 @@ Source: rmw_zenoh_cpp ``rmw_publisher_data.cpp``, ``rmw_subscription_data.cpp``,
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol, TypeAlias
@@ -22,6 +21,7 @@ from zenoh import ext
 from zenoh.handlers import Callback
 
 from turtleact.errors import InvalidOption, TurtleactError
+from turtleact.transports.rmw_zenoh.complaints import why_not_open, words
 from turtleact.transports.rmw_zenoh.config import PATIENCE, SessionConfig
 from turtleact.transports.rmw_zenoh.staying import HERE
 
@@ -77,11 +77,11 @@ class Session:
                 if settings.get_json(path) in ("null", _UNTOUCHED.get(path)):
                     settings.insert_json5(path, value)
         except zenoh.ZError as error:
-            raise InvalidOption("config", f"Zenoh says: {_words(error)}") from error
+            raise InvalidOption("config", f"Zenoh says: {words(str(error))}") from error
         try:
             return cls(zenoh.open(settings))
         except zenoh.ZError as error:
-            raise TurtleactError(_why_not_open(config, _words(error))) from error
+            raise TurtleactError(why_not_open(config, words(str(error)))) from error
 
     def close(self) -> None:
         """End it; what was declared on it must have been taken back.
@@ -240,7 +240,7 @@ class _LatchedSubscriber:
         self._subscriber = subscriber
 
     def undeclare(self) -> None:
-        """Take it back; dropped, as what it is made of is undeclared with the GIL held else."""
+        """Take it back, once; it is dropped, as `Publisher` is, and for the same reason."""
         del self._subscriber
 
 
@@ -367,29 +367,8 @@ def _mapped(what: str) -> Iterator[None]:
 
 
 def _error(what: str, error: zenoh.ZError) -> TurtleactError:
-    return TurtleactError(f"Zenoh cannot {what}: {_words(error)}")
+    return TurtleactError(f"Zenoh cannot {what}: {words(str(error))}")
 
-
-def _words(error: zenoh.ZError) -> str:
-    """What Zenoh says, without the lines of its source that it names, in brackets or behind."""
-    return _SOURCE_LINE.sub("", str(error)).rstrip(".!")
-
-
-def _why_not_open(config: SessionConfig, words: str) -> str:
-    if "listener" in words or (config.listen and not config.connect):
-        at = ", ".join(config.listen) or "the configured endpoints"
-        hint = "; is another router there already? connect to it" if "in use" in words else ""
-        inner = _INNER.fullmatch(words)
-        return f"cannot listen at {at}: {inner[1] if inner else words}{hint}"
-    to = ", ".join(config.connect) or "the configured endpoints"
-    more = "" if words.startswith("Unable to connect") else f" ({words})"
-    return f"no ROS 2 graph in reach: nobody at {to} lets us in{more}; is a router running there?"
-
-
-_SOURCE_LINE = re.compile(r" at /\S+:[0-9]+\.?")
-
-#: In brackets stands what happened, behind the address; before them what was tried, with it, too.
-_INNER = re.compile(r".*\[(?:\S+: )?(.*)\]")
 
 #: What Zenoh's own configuration has where it is not null.
 _UNTOUCHED = {

@@ -1,0 +1,72 @@
+"""The texts are those of eclipse-zenoh 1.10, with shorter paths."""
+
+from __future__ import annotations
+
+import pytest
+
+from turtleact.transports.rmw_zenoh.complaints import why_not_open, words
+from turtleact.transports.rmw_zenoh.config import SessionConfig, session_config
+
+AT = "tcp/127.0.0.1:7447"
+TAKEN = (
+    f"Can not create a new TCP listener bound to {AT}: [127.0.0.1:7447: Address already in use "
+    "(os error 98) at /io/src/tcp.rs:61.] at /io/src/unicast.rs:338."
+)
+REFUSED = (
+    f"Can not create a new TCP link bound to {AT}: [127.0.0.1:7447: Connection refused (os error "
+    "111) at /io/src/tcp.rs:105.] at /io/src/tcp.rs:133. at /io/src/unicast.rs:287."
+)
+NO_KEY = (
+    "Cannot create a new TLS listener on 127.0.0.1:0. Missing TLS private key. at /io/src/utils.rs"
+    ":532. at /io/src/unicast.rs:426."
+)
+
+
+def config(connect: list[str], listen: list[str]) -> SessionConfig:
+    return session_config(connect, listen, "peer", 0, "")
+
+
+@pytest.mark.parametrize("text", [TAKEN, REFUSED, NO_KEY])
+def test_the_lines_of_zenohs_source_are_left_out(text):
+    assert ".rs" in text
+    assert ".rs" not in words(text)
+
+
+def test_what_names_no_line_is_told_as_it_is():
+    said = "unknown variant `boat`, expected one of `router`, `peer`, `client`"
+    assert words(said) == said
+
+
+def test_where_an_address_is_taken_somebody_else_may_be_the_router():
+    assert why_not_open(config([], [AT]), words(TAKEN)) == (
+        f"cannot listen at {AT}: Address already in use (os error 98); "
+        "is another router there already? connect to it"
+    )
+
+
+def test_what_keeps_it_from_listening_is_told_though_it_connects_too():
+    at = "tls/127.0.0.1:0"
+    assert why_not_open(config([AT], [at]), words(NO_KEY)) == (
+        f"cannot listen at {at}: Cannot create a new TLS listener on 127.0.0.1:0. "
+        "Missing TLS private key"
+    )
+
+
+def test_where_nobody_is_there_may_be_no_router():
+    assert why_not_open(config([AT], []), words(REFUSED)) == (
+        f"no ROS 2 graph in reach: nobody at {AT} lets us in (Can not create a new TCP link bound "
+        f"to {AT}: [127.0.0.1:7447: Connection refused (os error 111)]); is a router running there?"
+    )
+
+
+def test_that_nobody_lets_it_in_is_not_said_twice():
+    said = why_not_open(config([AT], []), "Unable to connect to any of the given peers")
+    assert said == (
+        f"no ROS 2 graph in reach: nobody at {AT} lets us in; is a router running there?"
+    )
+
+
+def test_a_file_may_say_where_it_connects_or_listens():
+    at_file = session_config(None, None, "peer", 0, "{}")
+    assert why_not_open(at_file, words(TAKEN)).startswith("cannot listen at the configured endpoi")
+    assert "nobody at the configured endpoints" in why_not_open(at_file, words(REFUSED))
