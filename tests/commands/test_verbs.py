@@ -137,7 +137,7 @@ USAGE = [
     (["action", "send_gaol"], "Did you mean 'send_goal'?"),
     (["param", "set", "a", "\udcff\udcfe", "1"], r"PARAMETER is not UTF-8: b'\\xff\\xfe'\Z"),
     (["topic", "echo", "x", "--field", "a\udce9"], r"--field is not UTF-8: b'a\\xe9'\Z"),
-    (["cancel", "-\udcff"], r"ID...|NAME is not UTF-8: b'-\\xff'\Z"),
+    (["cancel", "-\udcff"], r"ID\.\.\.\|NAME is not UTF-8: b'-\\xff'\Z"),
 ]
 
 
@@ -234,6 +234,10 @@ def test_where_to_look_reaches_the_order(order):
     assert made.place.options == (
         " --connect tcp/robot:7447,tcp/arm:7447 --domain 7 --config 'a b'"
     )
+
+
+def test_the_way_back_to_a_goal_knows_the_same_interfaces(order, tmp_path):
+    assert order("x", "--interfaces", str(tmp_path)).place.options == f" --interfaces {tmp_path}"
 
 
 def test_plain_is_a_view(order):

@@ -143,7 +143,7 @@ class _Sending:
     @asynccontextmanager
     async def _find_node(self) -> AsyncIterator[Node]:
         """A node on the graph in reach, if there are actions, else one in an embedded world."""
-        speed, seed, reach, _ = self._order.place
+        place, reach = self._order.place, self._order.place.reach
         async with AsyncExitStack() as stack:
             if reach is not None:
                 opened = graph.open_graph(reach)
@@ -154,7 +154,7 @@ class _Sending:
                         return
                     await stack.aclose()
             self._is_embedded = True
-            node = await stack.enter_async_context(embedded_world(speed, seed))
+            node = await stack.enter_async_context(embedded_world(place.speed, place.seed))
             self._transcript.note("started an embedded world in this process")
             yield node
 
@@ -241,10 +241,10 @@ class _Sending:
     async def _heed_silence(self, sending: anyio.CancelScope) -> None:
         """Say that a server has not taken the goal in time; give up if the user has set one."""
         limit = self._order.timeout
-        await anyio.sleep(max(limit or 0.0, PATIENCE))
+        seconds = max(limit or 0.0, PATIENCE)
+        await anyio.sleep(seconds)
         if self._sent is not None or self._interrupts.received:
             return
-        seconds = max(limit or 0.0, PATIENCE)
         if limit:
             self._transcript.note(f"no answer from the server after {seconds:g} s; giving it up")
             sending.cancel()

@@ -98,12 +98,14 @@ class Place(NamedTuple):
         speed: Of the embedded world.
         seed: Of the embedded world.
         reach: Where to look for a server first; None means in the embedded world alone.
+        interfaces: The folder of interfaces that are to be known; none if None.
         options: Those that say so, as other verbs take them, a space before each.
     """
 
     speed: float | str = 1.0
     seed: int = 0
     reach: Reach | None = None
+    interfaces: str | None = None
     options: str = ""
 
 
@@ -115,16 +117,20 @@ def _place(
     connect: Connect = None,
     domain: Domain = None,
     config: Config = None,
+    interfaces: Interfaces = None,
 ) -> Place:
     is_embedded = embedded or speed is not None or seed is not None
     way = "speed" if speed is not None else "seed" if seed is not None else "embedded"
     only_one("where to send it", **{way: is_embedded}, connect=connect is not None)
-    said = {"connect": connect, "domain": domain, "config": config}.items()
+    said = {"connect": connect, "domain": domain, "config": config, "interfaces": interfaces}
     return Place(
         speed_factor("1" if speed is None else speed, or_max=True),
         whole("--seed", seed or "0"),
         None if is_embedded else reach(connect, domain, config),
-        "".join(f" --{name} {shlex.quote(text)}" for name, text in said if text is not None),
+        interfaces,
+        "".join(
+            f" --{name} {shlex.quote(text)}" for name, text in said.items() if text is not None
+        ),
     )
 
 
@@ -142,7 +148,6 @@ def send_goal(
     json: _Json = False,
     plain: _Plain = False,
     place: Place,
-    interfaces: Interfaces = None,
 ) -> Job:
     """``send-goal`` and ``action send_goal``."""
     type_name, goal = type_and_text(type_name, goal, "goal")
@@ -157,8 +162,8 @@ def send_goal(
         from turtleact.commands.send_goal import Order, run
 
         text = GoalText.read(goal, stdin=stdin, path=goal_file, interrupts=interrupts)
-        make_known(interfaces)
-        order = Order(name, type_name, text, place, feedback, seconds, view)
+        make_known(place.interfaces)
+        order = Order(name, type_name, text, place, feedback=feedback, timeout=seconds, view=view)
         return run(order, interrupts)
 
     return job
