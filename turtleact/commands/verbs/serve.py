@@ -176,7 +176,8 @@ def _fleet(
         raise UsageError(f"--placing is {' or '.join(PLACINGS)}, not {quoted(placing)}")
     count = whole("--turtles", turtles, least=1, most=MOST_TURTLES)
     factor = float(speed_factor(speed))
-    return Fleet(factor, count, placing, whole("--seed", seed), collide, paused)
+    first = whole("--seed", seed)
+    return Fleet(factor, count, placing, first, collide=collide, paused=paused)
 
 
 @app.command("serve", cls=Verb, help=VERBS["serve"], epilog=_EXAMPLES)
