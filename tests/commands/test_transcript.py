@@ -45,6 +45,21 @@ def test_what_goes_on_over_lines_is_indented_alike(plain, capsys):
     )
 
 
+@pytest.mark.parametrize("most", [1, 2, 3, 7, 8])
+def test_a_goal_has_no_more_lines_than_it_may(most, capsys):
+    plain = PlainTranscript(wants_feedback=False, most_lines=most)
+    plain.sending(PatrolCommandInterface.Goal(targets=[Point()] * 3))  # ten lines
+    _, *lines, last = capsys.readouterr().out.splitlines()
+    assert (len(lines), last) == (most, "")
+    assert f"     … {10 - most + 1} more lines …" in lines
+
+
+def test_a_goal_that_may_have_so_many_lines_has_all(capsys):
+    plain = PlainTranscript(wants_feedback=False, most_lines=4)
+    plain.sending(PatrolCommandInterface.Goal(targets=[Point()]))
+    assert capsys.readouterr().out.endswith("- x: 0.0\n       y: 0.0\n       z: 0.0\n\n")
+
+
 def test_the_id_is_printed_when_the_goal_is_accepted(plain, sent, capsys):
     plain.accepted(sent)
     assert capsys.readouterr().out == (

@@ -191,9 +191,10 @@ class PlainTranscript:
     def sending(self, goal: Message) -> None:
         """The goal is about to be sent."""
         lines = _indented(goal, 5).removesuffix("\n").split("\n")
-        if (more := len(lines) - self._most_lines) > 0:
-            half = self._most_lines // 2
-            lines[half:-half] = [f"     … {more} more lines …"]
+        if len(lines) > self._most_lines:
+            first = self._most_lines // 2
+            left_out = slice(first, len(lines) - (self._most_lines - first - 1))
+            lines[left_out] = [f"     … {len(lines[left_out])} more lines …"]
         self._say("\n".join(("Sending goal:", *lines, "\n")))
 
     def rejected(self, reason: str) -> None:  # noqa: ARG002  # ros2 does not tell it here
