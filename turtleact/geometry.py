@@ -100,7 +100,7 @@ def phase(way: complex) -> float:
     float.
 
     Args:
-        way: The vector (m), ``x + yj``.
+        way: The vector, ``x + yj``, of any length.
 
     Example:
         >>> phase(-1j), phase(complex(2.0, 5e-324))

@@ -25,6 +25,7 @@ from array import array
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from turtleact.geometry import phase
 from turtleact.sim.canvas import METER, Canvas, Colour
 
 if TYPE_CHECKING:
@@ -307,12 +308,12 @@ class _Stroke:
             return True
         half = math.asin(TOLERANCE / distance)
         if self._reach:
-            off = math.remainder(math.atan2(way.imag, way.real) - self._axis, math.tau)
+            off = math.remainder(phase(way) - self._axis, math.tau)
             if not self._low <= off <= self._high:
                 return False
             self._low, self._high = max(self._low, off - half), min(self._high, off + half)
         else:
-            self._axis, self._low, self._high = math.atan2(way.imag, way.real), -half, half
+            self._axis, self._low, self._high = phase(way), -half, half
         self._reach = distance
         return True
 
