@@ -55,7 +55,13 @@ def grouped(**groups: Callable[..., object]) -> Callable[[Callable[..., T]], Cal
 def then(
     options: Callable[..., Callable[[T], U]],
 ) -> Callable[[Callable[..., T]], Callable[..., U]]:
-    """Let a function take those of another behind its own; what that gives is given its value."""
+    """Let a function take the options of another behind its own, and hand on what it gives.
+
+    The result of both is what ``options`` gives, called with what the function gives.
+
+    Args:
+        options: Takes options, and gives a function of one argument.
+    """
 
     def decorate(function: Callable[..., T]) -> Callable[..., U]:
         @wraps(function)

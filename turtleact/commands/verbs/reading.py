@@ -129,7 +129,7 @@ def _keep_as_typed(params: Iterable[object]) -> None:
 
 
 def _name_plainly(params: Iterable[object]) -> None:
-    """Let ``--help`` write arguments as it has always been done: NAME and [NAME]."""
+    """Let ``--help`` write arguments as programs do elsewhere: NAME and [NAME]."""
     for param in cast("Iterable[_Parameter]", params):
         if param.opts[0].startswith("-"):
             continue
