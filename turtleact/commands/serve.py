@@ -73,7 +73,7 @@ def run(service: Service, interrupts: Interrupts) -> int:
     """Serve until a signal comes, then end what runs, and give the exit status.
 
     Raises:
-        UsageError: if a target means no action.
+        UsageError: if a target means no action, or there is no token where one is needed.
         TurtleactError: if the graph cannot be opened.
     """
     if service.page is not None:
