@@ -380,3 +380,37 @@ async def test_a_body_that_is_left_behind_in_its_scopes_leaves_its_caller_those_
     assert not _ABANDONED
     assert sorted(ended) == ["the body", "the caller's scope"]
     assert "different task" not in caplog.text
+
+
+@ON_ASYNCIO
+async def test_a_caller_keeps_no_cancellation_of_a_scope_that_its_body_is_left_behind_in(
+    monkeypatch,
+):
+    for module in ("action_server", "stepping"):
+        monkeypatch.setattr(f"turtleact.server.{module}.GRACE", 0.01)
+    released = False
+
+    async def body(_: Count.Goal) -> None:
+        with anyio.CancelScope() as scope:
+            scope.cancel()
+            while not released:
+                try:
+                    await anyio.sleep_forever()
+                except asyncio.CancelledError:  # swallowed: the scope sends another each turn
+                    continue
+
+    async def call() -> None:
+        with pytest.raises(GoalAborted, match="shutdown"):
+            await served.client.send_goal(goal())
+
+    async with lab(body) as served:
+        calling = asyncio.create_task(call())
+        await settle()
+        await served.server.aclose()
+        await asyncio.wait([calling])
+        was_left_behind, released = bool(_ABANDONED), True
+        await settle()
+    assert was_left_behind
+    assert not _ABANDONED
+    await calling
+    assert calling.cancelling() == 0
