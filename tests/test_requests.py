@@ -180,6 +180,15 @@ async def test_where_sending_takes_waiting_one_is_sent_after_the_other():
     assert server.story == ONE_BY_ONE * 2
 
 
+async def test_where_only_asking_for_the_end_takes_waiting_the_goal_is_sent_once():
+    server = Server(ACCEPTED, SUCCEEDED, ACCEPTED, SUCCEEDED)
+    server.get_result.is_near = True
+    requests = of(server)
+    for _ in range(2):
+        await ask(requests)
+    assert server.story == [*ONE_BY_ONE, "send early", "result"]
+
+
 async def test_a_goal_that_the_server_does_not_hold_is_an_error():
     with pytest.raises(UnknownGoal, match="'/count' holds no goal"):
         await ask(of(Server(ACCEPTED, UNKNOWN)))
