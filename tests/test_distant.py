@@ -34,7 +34,7 @@ from turtleact.tasks import current_tasks
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Reply
 
-from .lab import Count, Gate, Lab, count, feedback, goal, result, running, settle
+from .lab import Count, Gate, Lab, Running, count, feedback, goal, result, running, settle
 from .test_execution import awaited, entered
 from .test_policies import Send
 
@@ -472,6 +472,34 @@ async def test_who_waits_for_acceptance_hears_that_its_client_was_closed(send):
         await sent.done.wait()
         assert str(sent.error) == "action '/count': the client was closed"
         opened.set()
+
+
+@pytest.mark.parametrize("turns", range(4))
+async def test_whenever_a_client_is_closed_all_its_goals_say_so(send, turns):
+    """Some wait for their turn, some for their acceptance, some for their end."""
+    gate = Gate()
+    async with apart(gate.wait, policy="parallel", max_active=20) as served:
+        sending: list[Running[Any]] = [Running(lambda: send(served, goal())) for _ in range(20)]
+        async with anyio.create_task_group() as group:
+            for each in sending:
+                group.start_soon(each.run)
+            while len(served.client._distant._followed) < len(sending):
+                await current_tasks().checkpoint()
+            for _ in range(turns):
+                await current_tasks().checkpoint()
+            await served.client.aclose()
+        said = {str(each.error) for each in sending}
+        assert said == {"action '/count': the client was closed"}
+        gate.opened.set()
+
+
+async def test_a_goal_whose_client_was_closed_cannot_be_canceled():
+    gate = Gate()
+    async with apart(gate.wait) as served, served.client.send_goal(goal()) as handle:
+        await served.client.aclose()
+        with pytest.raises(ServerUnavailable, match="action '/count': the client was closed"):
+            await handle.cancel()
+        gate.opened.set()
 
 
 async def test_what_goes_wrong_with_a_reply_is_logged_and_ends_the_goal(send, monkeypatch, caplog):

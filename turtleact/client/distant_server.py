@@ -239,15 +239,15 @@ class DistantServer:
         """Ask the server to cancel by id, by stamp (ns), by both, or every goal.
 
         Raises:
-            ServerUnavailable: if nobody answers.
+            ServerUnavailable: if nobody answers, or the client was closed.
         """
         self._links.open(self._on_feedback, self._followed)
         named = UUID() if goal_id is None else UUID(goal_id)
         request = CancelGoal.Request(GoalInfo(named, stamp_of(stamp)))
         try:
             reply = await self._links.cancel(request)
-        except ServerUnavailable as error:
-            raise self._following.unavailable(error.problem) from None
+        except TurtleactError as error:
+            raise self._following.failure(error) from None
         response = cast("CancelGoal.Response", reply.message)
         for info in response.goals_canceling:
             followed = self._followed.get(bytes(info.goal_id.uuid))

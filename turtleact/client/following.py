@@ -56,6 +56,7 @@ class Following:
         self._tasks = tasks
         self._now = now
         self._cancel = cancel
+        self._is_open = True
 
     def send(self, goal: Goal) -> Followed:
         """Send a goal, and follow it."""
@@ -78,12 +79,17 @@ class Following:
             goal.listener = self._tasks.signal()
         return goal.listener  # type: ignore[return-value]  # nobody else puts one there
 
-    def unavailable(self, problem: str) -> ServerUnavailable:
-        """The error of an action that has no server."""
-        return ServerUnavailable(self._links.name, problem)
+    def failure(self, error: TurtleactError) -> TurtleactError:
+        """What the user is told where a request has failed: the action's name, and why."""
+        if not self._is_open:
+            return self._closed()
+        if isinstance(error, ServerUnavailable):
+            return ServerUnavailable(self._links.name, error.problem)
+        return error
 
     def close(self) -> None:
         """Follow no goal any more."""
+        self._is_open = False
         for followed in list(self.goals.values()):
             if followed.task is not None:
                 followed.task.cancel()
@@ -142,10 +148,8 @@ class Following:
             if followed.is_sender:
                 await self._await_feedback(followed, answer.note.feedback)
             self._conclude(goal, answer)
-        except ServerUnavailable as error:
-            self._lose(goal, self.unavailable(error.problem))
         except TurtleactError as error:
-            self._lose(goal, error)
+            self._lose(goal, self.failure(error))
         except self._tasks.cancelled:
             self._lose(goal, self._closed())
             raise
@@ -185,4 +189,4 @@ class Following:
         self.goals.pop(followed.goal_id, None)
 
     def _closed(self) -> ServerUnavailable:
-        return self.unavailable("the client was closed")
+        return ServerUnavailable(self._links.name, "the client was closed")
