@@ -48,6 +48,10 @@ SAID = [
     (errors.ServerUnavailable("/count"), "action '/count': no server answers"),
     (errors.ServerUnavailable("/count", "it is gone"), "action '/count': it is gone"),
     (
+        errors.ServerUnavailable("/count", "it is gone", otherwise="is deaf"),
+        "action '/count': it is gone, or is deaf",
+    ),
+    (
         errors.ServerUnavailable("/clear", kind="service"),
         "service '/clear': no server answers",
     ),

@@ -25,6 +25,7 @@ SUCCEEDED = Reply(
 )
 NO_ANSWER = ServerUnavailable("/count", "no answer")
 GONE = ServerUnavailable("/count", "the server went away")
+UNCLEAR = ServerUnavailable("/count", "the server went away", otherwise="dropped it")
 
 
 class Early:
@@ -118,6 +119,19 @@ async def test_why_a_request_has_failed_is_asked_once_all_is_known_that_came_wit
     await settle()
     assert isinstance(sent.error, ServerUnavailable)
     assert sent.error.problem == GONE.problem
+
+
+@pytest.mark.parametrize("is_accepted", [True, False])
+async def test_only_a_goal_not_accepted_yet_may_have_been_dropped(is_accepted, monkeypatch):
+    monkeypatch.setattr("turtleact.client.requests.BACK_WITHIN", 0.0)
+    server = Server()
+    _, sent = follow(server)
+    server.sent.come(ACCEPTED if is_accepted else UNCLEAR)
+    server.asked.come(UNCLEAR)
+    await settle()
+    assert isinstance(sent.error, ServerUnavailable)
+    assert sent.error.problem == UNCLEAR.problem
+    assert sent.error.otherwise == ("" if is_accepted else "dropped it")
 
 
 @pytest.mark.parametrize("is_accepted", [True, False])

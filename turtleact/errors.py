@@ -263,6 +263,7 @@ class ServerUnavailable(TurtleactError):
         name: The name of the action or service.
         problem: What was found in its place.
         kind: Which of the two it is.
+        otherwise: What it may be instead, where that cannot be told; empty if it can.
     """
 
     def __init__(
@@ -271,14 +272,17 @@ class ServerUnavailable(TurtleactError):
         problem: str = "no server answers",
         *,
         kind: Literal["action", "service"] = "action",
+        otherwise: str = "",
     ) -> None:
         super().__init__(name, problem)
         self.name = name
         self.problem = problem
         self.kind = kind
+        self.otherwise = otherwise
 
     def __str__(self) -> str:
-        return f"{self.kind} '{self.name}': {self.problem}"
+        otherwise = f", or {self.otherwise}" if self.otherwise else ""
+        return f"{self.kind} '{self.name}': {self.problem}{otherwise}"
 
 
 class ServiceError(TurtleactError):

@@ -455,6 +455,23 @@ async def test_a_server_of_ros_that_answers_badly(address, answer, error, said):
         assert said in str(called.error)
 
 
+async def test_a_server_of_ros_that_is_there_and_answers_nothing_may_have_dropped_it(address):
+    async with beside(address) as (transport, other):
+        caller = transport.join(client(), ASKING)
+        announced = msgspec.structs.replace(service(), type_hash=SERVING.type_hash)
+        token = endpoint_token(0, other.session.zid, 0, 1, announced)
+        declared = await anyio.to_thread.run_sync(other.session.declare_token, token)
+        await anyio.to_thread.run_sync(other.serve, ADD_KEY)
+        await until(transport, lambda: caller.is_served and len(transport.endpoints()) == 2)
+        async with running(lambda: caller.call(numbers())) as called:
+            await anyio.to_thread.run_sync(other.came.wait, 10)
+            other.queries[0]._query.drop()
+        assert isinstance(called.error, ServerUnavailable)
+        assert called.error.problem == "the server went away before there was an answer"
+        assert called.error.otherwise == "dropped the request: ROS 2 keeps 10 that wait"
+        declared.undeclare()
+
+
 async def test_the_same_names_and_gids_are_seen_on_both_sides(address):
     async with two(address) as peers:
         peers.here.enter("/sim/lab")

@@ -79,12 +79,16 @@ class Following:
             goal.listener = self._tasks.signal()
         return goal.listener  # type: ignore[return-value]  # nobody else puts one there
 
-    def failure(self, error: TurtleactError) -> TurtleactError:
-        """What the user is told where a request has failed: the action's name, and why."""
+    def failure(self, error: TurtleactError, *, is_accepted: bool = False) -> TurtleactError:
+        """What the user is told where a request has failed: the action's name, and why.
+
+        Of a goal that was accepted no request has been dropped: who lives is asked again.
+        """
         if not self._is_open:
             return self._closed()
         if isinstance(error, ServerUnavailable):
-            return ServerUnavailable(self._links.name, error.problem)
+            otherwise = "" if is_accepted else error.otherwise
+            return ServerUnavailable(self._links.name, error.problem, otherwise=otherwise)
         return error
 
     def close(self) -> None:
@@ -149,7 +153,7 @@ class Following:
                 await self._await_feedback(followed, answer.note.feedback)
             self._conclude(goal, answer)
         except TurtleactError as error:
-            self._lose(goal, self.failure(error))
+            self._lose(goal, self.failure(error, is_accepted=followed.is_accepted))
         except self._tasks.cancelled:
             self._lose(goal, self._closed())
             raise

@@ -266,7 +266,7 @@ class WireCaller:
         if call.error is not None:
             raise error_said(self._endpoint.name, *call.error)
         if call.answer is None:
-            raise self._unavailable(self._why_no_answer())
+            raise self._unavailable(self._why_no_answer(), self._why_otherwise())
         payload, attachment = call.answer
         try:
             message = self._format.decode(payload)
@@ -305,13 +305,17 @@ class WireCaller:
     def _why_no_answer(self) -> str:
         if not self._link.is_open:
             return "the Zenoh transport was closed before there was an answer"
-        gone = "the server went away before there was an answer"
-        if any(map(self._fits, self._servers())):
-            return f"{gone}, or dropped the request: ROS 2 keeps 10 that wait"
-        return gone
+        return "the server went away before there was an answer"
 
-    def _unavailable(self, problem: str) -> ServerUnavailable:
-        return ServerUnavailable(self._endpoint.name, problem, kind="service")
+    def _why_otherwise(self) -> str:
+        """What else may have happened, if one that was asked may be there still."""
+        if self._link.is_open and any(map(self._fits, self._servers())):
+            return "dropped the request: ROS 2 keeps 10 that wait"
+        return ""
+
+    def _unavailable(self, problem: str, otherwise: str = "") -> ServerUnavailable:
+        name = self._endpoint.name
+        return ServerUnavailable(name, problem, kind="service", otherwise=otherwise)
 
     def _matching(self, is_matching: bool) -> None:
         """Called in a thread of the session."""
