@@ -464,6 +464,35 @@ async def test_stops_where_the_turtle_stands_let_others_run():
     assert outcome.result.reached >= 3
 
 
+NEAR = [(MIDDLE, MIDDLE), (MIDDLE + 0.05, MIDDLE), (MIDDLE, MIDDLE + 0.05)]
+ROUNDS_IN_PLACE = {
+    "where it stands": NEAR[:1],
+    "elsewhere": [(7.0, MIDDLE)],
+    "of targets near each other": NEAR,
+}
+
+
+@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("targets", ROUNDS_IN_PLACE.values(), ids=ROUNDS_IN_PLACE)
+async def test_a_round_takes_a_tick_at_least_where_its_targets_are_one_place(targets, style):
+    times = []
+    for loops in (0, 10):
+        async with arena() as stage:
+            goal = patrol(*targets, loops=loops, style=style)
+            result = await client_of(stage).send_goal(goal)
+            assert (result.reached, result.missed) == ((1 + loops) * len(targets), [])
+            assert math.dist(stage.place[:2], targets[0]) <= 0.1
+            times.append(result.duration)
+    assert times[1] - times[0] == pytest.approx(10 * 0.016, abs=0.02)
+
+
+async def test_of_many_targets_in_one_place_16_are_reached_in_a_tick():
+    async with arena() as stage:
+        result = await client_of(stage).send_goal(patrol(*[(MIDDLE, MIDDLE)] * 161))
+    assert (result.reached, result.missed) == (161, [])
+    assert result.duration == pytest.approx(10 * 0.016, abs=0.02)
+
+
 # What others do to the turtle
 
 

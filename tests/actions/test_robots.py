@@ -108,6 +108,15 @@ async def test_a_rover_stands_still_after_its_patrol():
         assert one.told[-1] == one.speeds == (0.0, 0.0)
 
 
+async def test_a_round_of_a_rover_in_place_takes_a_pose_at_least():
+    place = {"targets": [Point(), Point(x=0.05)]}
+    async with rover() as one:
+        result = await patrol_of(one).send_goal(tour(**place, loops=50))
+        assert one.pose == (0.0, 0.0, 0.0)
+    assert (result.reached, result.missed) == (102, [])
+    assert result.duration == pytest.approx(50 * DT, abs=1.5 * DT)
+
+
 async def test_a_stamped_twist_tells_when_and_of_what_frame_it_is():
     async with rover(robot(frame_id="base_footprint")) as one:
         await patrol_of(one).send_goal(tour())

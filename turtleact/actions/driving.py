@@ -165,9 +165,18 @@ class Drive:
             Abort: if nothing is heard of the turtle's pose.
         """
         while self._helm.steering.limits.is_eased and self._helm.speeds != STILL:
-            here = self.seen.pose
-            self._tell(self._helm.command(here, here[:2]))
-            await self.wait_for_pose()
+            await self.stay()
+
+    async def stay(self) -> None:
+        """Come to rest for one tick.
+
+        Raises:
+            Abort: if nothing is heard of the turtle's pose.
+        """
+        here = self.seen.pose
+        self._tell(self._helm.command(here, here[:2]))
+        self._until = -math.inf
+        await self.wait_for_pose()
 
     async def wait_for_pose(self) -> None:
         """Wait for the next pose, or take the newest of those that have come.

@@ -35,6 +35,9 @@ PERIOD = 1.0
 WHOLE = 24
 """So many stops are counted in the bound with all that turning takes: some 10 ms of work."""
 
+AT_ONCE = 16
+"""So many stops of a round take a tick at least, as does a round of fewer."""
+
 
 class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
     """Visit places, one after the other."""
@@ -220,8 +223,13 @@ class _Patrol:
         async with self._turtles.drive(goal.turtle, self._steering(goal)) as drive:
             try:
                 result.bound = await tour.bound(drive, goal)
+                seen = None
                 for stop in range(tour.stops):
                     await anyio.lowlevel.checkpoint()  # a stop where it stands makes no other
+                    if tour.index(stop) % AT_ONCE == 0:
+                        if drive.seen is seen:  # no pose has come since
+                            await drive.stay()
+                        seen = drive.seen
                     leg = _Leg(tour, stop, drive, clock, result, tell)
                     if await leg.run():
                         result.reached += 1
