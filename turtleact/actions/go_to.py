@@ -116,7 +116,7 @@ class _GoTo:
                 result.bound = await drive.shortest_time([target], theta=theta)
                 while not drive.has_reached(target, theta=theta):
                     if clock.time() > deadline:
-                        raise drive.too_late(f"x: {goal.x:g}, y: {goal.y:g}")
+                        raise drive.too_late(_missed(goal, is_there=drive.has_reached(target)))
                     if clock.time() >= due:
                         due = clock.time() + PERIOD
                         yield GoTo.Feedback(
@@ -137,3 +137,10 @@ class _GoTo:
             tolerance=goal.tolerance,
             heading_tolerance=goal.heading_tolerance or Limits().heading_tolerance,
         )
+
+
+def _missed(goal: GoTo.Goal, *, is_there: bool) -> str:
+    """What of a goal was not reached: the place, or the heading alone."""
+    if is_there:
+        return f"theta: {goal.theta:g}, heading_tolerance: {goal.heading_tolerance:g}"
+    return f"x: {goal.x:g}, y: {goal.y:g}"
