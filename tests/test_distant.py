@@ -34,7 +34,19 @@ from turtleact.tasks import current_tasks
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Reply
 
-from .lab import Count, Gate, Lab, Running, count, feedback, goal, result, running, settle
+from .lab import (
+    Count,
+    Gate,
+    HandClock,
+    Lab,
+    Running,
+    count,
+    feedback,
+    goal,
+    result,
+    running,
+    settle,
+)
 from .test_execution import awaited, entered
 from .test_policies import Send
 
@@ -123,9 +135,11 @@ def client_of(node: turtleact.Node) -> turtleact.ActionClient[Any, Any, Any]:
 
 
 @asynccontextmanager
-async def apart(execute: Any, **options: Any) -> AsyncIterator[Lab]:
+async def apart(
+    execute: Any, *, clock: HandClock | None = None, **options: Any
+) -> AsyncIterator[Lab]:
     """A node that serves `Count`, and the client of another that reaches it by messages alone."""
-    transport = MemoryTransport()
+    transport = MemoryTransport(clock)
     near: Any = Apart(transport)
     async with (
         turtleact.open_node("far", transport=transport) as far,
@@ -412,7 +426,19 @@ async def test_a_kept_result_can_be_attached():
     async with apart(count) as served:
         await served.client.send_goal(goal(2), goal_id=ID)
         async with served.client.attach(ID) as handle:
+            assert handle.status is GoalStatus.SUCCEEDED
             assert await handle.result() == result(0, 1)
+
+
+async def test_a_goal_that_its_server_has_forgotten_cannot_be_attached():
+    clock = HandClock()
+    async with apart(count, clock=clock, result_timeout=10.0) as served:
+        await served.client.send_goal(goal(), goal_id=ID)
+        clock.advance(9.9)
+        assert (await served.client.attach(ID)).done
+        clock.advance(0.1)
+        with pytest.raises(UnknownGoal, match=f"'/count' holds no goal {ID.hex()}"):
+            await served.client.attach(ID)
 
 
 # --- when one side goes -------------------------------------------------------------------------

@@ -27,6 +27,7 @@ from turtleact.errors import (
     GoalRejected,
     ServerUnavailable,
     TurtleactError,
+    UnknownGoal,
 )
 from turtleact.goal import Goal, GoalStatus, OnFeedback, failure, status_of
 from turtleact.goal_id import new_goal_id
@@ -214,10 +215,14 @@ class DistantServer:
                 await self._status.wait()
         if self._held is None or goal_id not in self._held:
             return None
+        told = self._held[goal_id]
         goal = Goal(None, 0, id=goal_id)
-        _update(goal, self._held[goal_id])
+        _update(goal, told)
         self._following.attach(goal)
-        return goal
+        if status_of(told[2]).is_terminal:  # it may be forgotten since, of which nobody tells
+            with anyio.move_on_after(GRACE):
+                await self.wait_for_end(goal)
+        return None if isinstance(goal.error, UnknownGoal) else goal
 
     async def wait_for_end(self, goal: Goal) -> None:
         """Wait until a goal has ended. Cancelling: safe, the goal goes on."""
