@@ -1418,6 +1418,23 @@ def test_what_stops_the_program_passes_through_the_body(backend, when, stop, sen
     assert stop in kinds(caught.value)
 
 
+@ON_ASYNCIO
+async def test_what_stops_the_program_at_once_does_not_break_into_who_starts_the_body(monkeypatch):
+    stops: list[Callable[[], object]] = []
+
+    async def body(goal):
+        raise SystemExit
+
+    async with lab(body) as served:
+        monkeypatch.setattr(served.server._tasks, "soon", stops.append)
+        begun = served.server.begin(goal(), None, None)
+        assert begun is not None
+        assert (begun.status, begun.reason) == (GoalStatus.ABORTED, "the program was stopped")
+        (stop,) = stops
+        with pytest.raises(SystemExit):
+            stop()
+
+
 def kinds(error: BaseException | None) -> set[type[BaseException]]:
     """The types of an exception, of its members and of its causes."""
     if error is None:

@@ -126,19 +126,14 @@ def _report(error: BaseException) -> int:
     if isinstance(error, OSError):
         return _report_broken_output(error)
     if isinstance(error, SystemExit):
-        return _report_exit(error)
+        from turtleact.commands.stderr import tell_exit
+
+        return tell_exit(error)
     if sys.flags.dev_mode or not isinstance(error, Exception):
         raise error
     name = type(error).__name__
     _note(f"a bug in turtleact: {name}: {error}; 'python -X dev -m turtleact …' shows where")
     return FAILED
-
-
-def _report_exit(error: SystemExit) -> int:
-    """Say that a body has ended the program, and give the exit status as Python would."""
-    code = error.code
-    _note(f"somebody's code has ended the program: sys.exit({'' if code is None else repr(code)})")
-    return 0 if code is None else code & 0xFF if isinstance(code, int) else FAILED
 
 
 def _leaf(error: BaseException) -> BaseException:

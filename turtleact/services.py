@@ -31,7 +31,7 @@ from turtleact.errors import (
 )
 from turtleact.goal import Cancelable
 from turtleact.interfaces import Message, snapshotter
-from turtleact.summaries import summary
+from turtleact.summaries import STOPPED, summary
 from turtleact.tasks import GRACE, Signal, Tasks, is_cancellation, wait_while
 from turtleact.transports.base import (
     Caller,
@@ -176,7 +176,7 @@ class ServiceServer(Generic[Req, Res]):
         except GeneratorExit:  # the event loop is gone
             raise
         except (KeyboardInterrupt, SystemExit):
-            self._end(call, error=ServiceError(self.name, "the program was stopped"))
+            self._end(call, error=ServiceError(self.name, STOPPED))
             raise
         except BaseException as error:
             self._end(call, error=ServiceError(self.name, self._reason(error)))

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-__all__ = ["STOPS", "summary", "text_of"]
+__all__ = ["STOPPED", "STOPS", "summary", "text_of"]
 
 STOPS = (KeyboardInterrupt, SystemExit, GeneratorExit)
 """What stops the program or closes a coroutine; all else that a callback raises is its failure."""
+
+STOPPED = "the program was stopped"
+"""Why what was under way has ended then."""
 
 
 def summary(error: BaseException) -> str:

@@ -235,15 +235,36 @@ def test_a_server_that_is_ended_answers_all_who_wait(served, number):
     assert "the goal was aborted: shutdown" in err
 
 
-def test_sys_exit_in_a_body_ends_the_server_with_a_line_and_its_status(tmp_path):
-    (tmp_path / "servedleaving.py").write_text(LEAVING)
-    with serving(tmp_path, "servedleaving", "--no-sim") as server:
-        assert server.run("send-goal", "leaving", "order: 7")[0] == 1
+EXITED = """\
+turtleact: no new goals are taken; those that run are ended
+turtleact: somebody's code has ended the program: sys.exit(7)
+"""
+
+
+def test_sys_exit_in_a_body_ends_the_server_with_its_status_once_all_are_answered(lab):
+    (lab / "servedleaving.py").write_text(LEAVING)
+    with serving(lab, "servedlab", "servedleaving", "--no-sim") as server:
+        other = server.start("send-goal", "endless", "--feedback", "--plain")
+        first_lines(other, "Feedback:")
+        status, out, err = server.run("send-goal", "leaving", "order: 7", "--feedback", "--plain")
+        assert (status, "Feedback:" in out) == (4, True)
+        assert "the goal was aborted: the program was stopped" in err
+        _, err = other.communicate(timeout=PATIENCE)
+        assert (other.returncode, "the goal was aborted: shutdown" in err) == (4, True)
         _, err = server.process.communicate(timeout=PATIENCE)
-    assert (server.process.returncode, err) == (
-        7,
-        "turtleact: somebody's code has ended the program: sys.exit(7)\n",
-    )
+    assert (server.process.returncode, err) == (7, EXITED)
+
+
+def test_sys_exit_ends_a_server_whose_other_bodies_do_not_end(tmp_path):
+    (tmp_path / "servedleaving.py").write_text(LEAVING)
+    (tmp_path / "servedstubborn.py").write_text(STUBBORN)
+    with serving(tmp_path, "servedstubborn", "servedleaving", "--no-sim") as server:
+        other = server.start("send-goal", "stubborn", "--plain")
+        first_lines(other, "Goal accepted")
+        server.run("send-goal", "leaving", "order: 7")
+        other.communicate(timeout=PATIENCE)
+        _, err = server.process.communicate(timeout=PATIENCE)
+    assert (server.process.returncode, EXITED.splitlines()[1] in err) == (7, True)
 
 
 def test_a_server_that_is_killed_is_told_at_once(served):

@@ -167,6 +167,11 @@ class Interrupts:
             if len(self.received) < self._endured:
                 self._due = inf
 
+    def end(self) -> None:
+        """Let the program end as by SIGTERM, unless a signal has come that ends it."""
+        if not self.received:
+            self._arrive(signal.SIGTERM, None)
+
     def end_within(self, seconds: float, status: int) -> None:
         """Give the loop some wall seconds and `GRACE` to leave `listening`, or end the process.
 

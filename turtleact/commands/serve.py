@@ -10,14 +10,14 @@ from __future__ import annotations
 import asyncio
 import importlib
 import sys
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import AsyncExitStack, aclosing, asynccontextmanager
 from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from turtleact.commands.interrupts import leave
-from turtleact.commands.stderr import abandon, note, printable
+from turtleact.commands.stderr import abandon, note, printable, tell_exit
 from turtleact.commands.targets import find_actions
 from turtleact.commands.terminal import can_move
 from turtleact.errors import InvalidOption, TurtleactError, UsageError
@@ -80,13 +80,13 @@ def run(service: Service, interrupts: Interrupts) -> int:
         _check_for_web()
     declared = [each for target in service.targets for each in find_actions(target)]
     if not (service.is_live and can_move(sys.stdout)):
-        return asyncio.run(_serve(service, declared, _Log(None), interrupts))
+        return _run(_serve(service, declared, _Log(None), interrupts), interrupts)
     from turtleact.commands.dashboard import Dashboard
 
     board = Dashboard(sys.stdout)
     interrupts.restore = board.close
     try:
-        return asyncio.run(_serve(service, declared, _Log(board), interrupts))
+        return _run(_serve(service, declared, _Log(board), interrupts), interrupts)
     finally:
         board.close()
 
@@ -99,12 +99,37 @@ def _check_for_web() -> None:
         raise TurtleactError(f"{missing}") from None
 
 
+def _run(serving: Coroutine[object, object, None], interrupts: Interrupts) -> int:
+    """Run it in an event loop, and give the exit status.
+
+    `sys.exit` in a body breaks out of the loop, which goes on: what runs is ended as by a signal.
+
+    Raises:
+        SystemExit: if a body has; at the end.
+    """
+    stopped: SystemExit | None = None
+    with asyncio.Runner() as runner:
+        loop = runner.get_loop()
+        task = loop.create_task(serving)
+        while not task.done():
+            try:
+                loop.run_until_complete(task)
+            except SystemExit as stop:
+                stopped = stopped or stop
+                interrupts.end()
+        if asyncio.all_tasks(loop):  # a body that does not end, and has been left behind
+            leave(0 if stopped is None else tell_exit(stopped))
+    if stopped is not None:
+        raise stopped
+    return 0
+
+
 async def _serve(
     service: Service,
     declared: list[ActionDeclaration[..., object]],
     log: _Log,
     interrupts: Interrupts,
-) -> int:
+) -> None:
     opened: list[tuple[ZenohTransport, str]] = []
     asyncio.get_running_loop().set_exception_handler(_tell_of_error)
     with interrupts.listening(asyncio.get_running_loop()):
@@ -127,9 +152,6 @@ async def _serve(
             log.say(f"ready at {where}, domain {service.reach.domain}: {actions}")
             await interrupts.wait(1)
             note("no new goals are taken; those that run are ended")
-        if len(asyncio.all_tasks()) > 1:  # a body that does not end, and has been left behind
-            leave(0)
-    return 0
 
 
 @asynccontextmanager

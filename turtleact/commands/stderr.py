@@ -6,7 +6,7 @@ import os
 import sys
 from typing import TextIO
 
-__all__ = ["abandon", "note", "printable"]
+__all__ = ["abandon", "note", "printable", "tell_exit"]
 
 
 def note(text: str) -> None:
@@ -17,6 +17,13 @@ def note(text: str) -> None:
         print(f"turtleact: {printable(text)}", file=sys.stderr, flush=True)
     except OSError:
         abandon(sys.stderr)
+
+
+def tell_exit(stop: SystemExit) -> int:
+    """Say that somebody's code has ended the program, and give the exit status as Python would."""
+    code = stop.code
+    note(f"somebody's code has ended the program: sys.exit({'' if code is None else repr(code)})")
+    return 0 if code is None else code & 0xFF if isinstance(code, int) else 1
 
 
 def printable(text: str) -> str:

@@ -34,6 +34,7 @@ from turtleact.server.action_server import SHUTDOWN, ActionServer
 from turtleact.server.feedback import FeedbackSource
 from turtleact.server.lazy_service import LazyService
 from turtleact.server.status import StatusSource
+from turtleact.summaries import STOPPED
 from turtleact.tasks import GRACE, Tasks, wait_while
 from turtleact.transports.base import STATUS_QOS, MakeEndpoint, Publication, Reply, Transport
 
@@ -270,6 +271,7 @@ def _named(request: Any) -> bytes:  # noqa: ANN401  # of the action's own class
 
 
 def _may_be_asked_for(goal: Goal) -> bool:
-    """Whether a client elsewhere is about to ask for the end that the shutdown has brought."""
+    """Whether a client elsewhere is about to ask for the end that came with the server's own."""
     is_sent_from_elsewhere = isinstance(goal.sender, bytes) and bool(goal.sender)
-    return is_sent_from_elsewhere and goal.reason == SHUTDOWN and not goal.is_asked_for
+    is_ended_late = goal.reason in (SHUTDOWN, STOPPED)
+    return is_sent_from_elsewhere and is_ended_late and not goal.is_asked_for

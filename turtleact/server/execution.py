@@ -15,6 +15,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Coroutine
 from contextvars import Context, ContextVar
+from functools import partial
 from typing import TYPE_CHECKING, ClassVar, TypeAlias, cast
 
 from turtleact.body import ActionType, Body, Steps
@@ -28,8 +29,8 @@ from turtleact.errors import (
 from turtleact.feedback import FeedbackLog
 from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable
 from turtleact.interfaces import Message, snapshotter
-from turtleact.server.stepping import Borrowed, Owned, finish
-from turtleact.summaries import STOPS, summary, text_of
+from turtleact.server.stepping import Borrowed, Owned, finish, is_closed_by_loop
+from turtleact.summaries import STOPPED, STOPS, summary, text_of
 from turtleact.tasks import Scope, Signal, Tasks, is_cancellation
 
 if TYPE_CHECKING:
@@ -182,11 +183,13 @@ class Execution:
                 running = owned
             result = await running  # type: ignore[misc]  # see Body
         except BaseException as error:
-            if _is_thrown_in(error):
+            if is_closed_by_loop(error):
                 raise
             self._fail(goal, error)
             if isinstance(error, KeyboardInterrupt | SystemExit):
-                raise
+                if owned is None:
+                    raise
+                self._tasks.soon(partial(_throw, error))  # or it would break into who starts it
             return
         try:  # few names and short calls here: each takes its place in every goal's frame
             if result is None or not self._is_generator:  # else `_drive` has done it
@@ -365,7 +368,7 @@ class Execution:
             self.mark_canceling(goal)
         canceling = goal.status is _CANCELING
         if isinstance(error, KeyboardInterrupt | SystemExit):
-            self.end(goal, GoalEvent.ABORT, None, "the program was stopped")
+            self.end(goal, GoalEvent.ABORT, None, STOPPED)
         elif isinstance(error, Abort):
             self._end_with(goal, GoalEvent.ABORT, error.result, text_of(error.reason))
         elif isinstance(error, Canceled) and (canceling or goal.reason):
@@ -393,7 +396,5 @@ class Execution:
         self.end(goal, event, result, reason)
 
 
-def _is_thrown_in(error: BaseException) -> bool:
-    """Whether the event loop is gone, and closes the coroutine; not an exception of the body."""
-    trace = error.__traceback__
-    return isinstance(error, GeneratorExit) and trace is not None and trace.tb_next is None
+def _throw(error: BaseException) -> None:
+    raise error

@@ -23,7 +23,7 @@ from turtleact.body import Steps
 from turtleact.goal import Cancelable, Goal
 from turtleact.tasks import GRACE, Scope, Tasks
 
-__all__ = ["BLOCKING", "Borrowed", "Owned", "finish"]
+__all__ = ["BLOCKING", "Borrowed", "Owned", "finish", "is_closed_by_loop"]
 
 T = TypeVar("T")
 
@@ -306,6 +306,15 @@ async def finish(steps: Steps) -> None:
         logger.exception("a body failed after it had yielded its result; the result stands")
     except BaseException:
         logger.info("a body was canceled after it had yielded its result; the result stands")
+
+
+def is_closed_by_loop(error: BaseException) -> bool:
+    """Whether the event loop is gone, and closes the coroutine; not an exception of the body.
+
+    To be asked by the function that awaits the body.
+    """
+    trace = error.__traceback__
+    return isinstance(error, GeneratorExit) and trace is not None and trace.tb_next is None
 
 
 _BY_GOAL = "Cancelled via goal "
