@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Awaitable, Callable
@@ -58,6 +59,24 @@ def test_a_signal_ends_the_opening_of_a_graph(turtleact, interrupts, monkeypatch
     interrupts.install()
     monkeypatch.setattr(graph, "open_transport", open_transport)
     assert turtleact("topic", "list") == (143, "", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "number", "status"),
+    [
+        (["topic", "list"], signal.SIGTERM, 143),
+        (["send-goal", "fibonacci", "{}"], signal.SIGINT, 130),
+    ],
+)
+def test_a_router_that_hangs_is_not_waited_for_behind_a_signal(start, arguments, number, status):
+    with socket.create_server(("127.0.0.1", 0)) as router:
+        where = f"tcp/127.0.0.1:{router.getsockname()[1]}"
+        program = start(*arguments, "--connect", where, module=True)
+        connection, _ = router.accept()
+        with connection:
+            program.send(number)
+            ran = program.end()
+    assert (ran.status, ran.err) == (status, "")
 
 
 VERBS = [

@@ -274,6 +274,21 @@ def test_a_beginning_that_goes_on_behind_a_signal_ends_with_the_process(installe
     in_the_loop(installed, steps)
 
 
+def test_a_beginning_without_a_status_ends_with_that_of_the_signal(installed, monkeypatch):
+    monkeypatch.setattr("turtleact.commands.interrupts.GRACE", 0.001)
+
+    def late():
+        with installed.beginning():
+            signal.raise_signal(SIGTERM)
+            spin()
+
+    async def steps():
+        with pytest.raises(Left, match="143"):
+            late()
+
+    in_the_loop(installed, steps)
+
+
 def test_a_beginning_behind_a_signal_is_a_short_one(installed, monkeypatch):
     monkeypatch.setattr("turtleact.commands.interrupts.GRACE", 0.001)
     signal.raise_signal(SIGINT)

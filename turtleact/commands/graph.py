@@ -132,7 +132,8 @@ async def until_interrupted(
 
     Args:
         opened: What is opened, and closed at the end.
-        act: Gives the exit status; a signal cancels it, and the opening and closing, too.
+        act: Gives the exit status; a signal cancels it, and the opening and closing, too. An
+            opening that does not heed that is not waited for, but ends with the process.
         interrupts: The signals.
 
     Raises:
@@ -142,7 +143,9 @@ async def until_interrupted(
     with interrupts.listening(asyncio.get_running_loop()):
         async with anyio.create_task_group() as beside:
             beside.start_soon(_heed_interrupts, interrupts, beside.cancel_scope)
-            async with opened as it:
+            async with AsyncExitStack() as stack:
+                with interrupts.beginning():
+                    it = await stack.enter_async_context(opened)
                 status = await act(it)
             beside.cancel_scope.cancel()
     return interrupts.status if status is None else status

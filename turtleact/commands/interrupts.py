@@ -73,7 +73,8 @@ class Interrupts:
         self.restore: Callable[[], object] = bool
         self._endured = 1
         self._is_reading = False
-        self._early: int | None = None
+        self._is_beginning = False
+        self._early: int | None = None  # the exit status of a beginning, if it has one of its own
         self._due = inf  # when the process is to end, by the monotonic clock (s)
         self._late = 0  # the exit status then
         self._tell: Callable[[], object] | None = None
@@ -148,22 +149,22 @@ class Interrupts:
                 self._endured = sys.maxsize
 
     @contextmanager
-    def beginning(self, status: int) -> Iterator[None]:
+    def beginning(self, status: int | None = None) -> Iterator[None]:
         """A block that has nothing to end yet; behind it a signal means what it does elsewhere.
 
         If a signal comes in it, or came before, it has `GRACE` to leave the block, however busy
         the loop is, or the process ends.
 
         Args:
-            status: With this exit status.
+            status: With this exit status; None means that of the signal.
         """
-        self._early = status
+        self._is_beginning, self._early = True, status
         if self.received:
-            self.end_within(0.0, status)
+            self._end_beginning()
         try:
             yield
         finally:
-            self._early = None
+            self._is_beginning = False
             if len(self.received) < self._endured:
                 self._due = inf
 
@@ -194,13 +195,16 @@ class Interrupts:
             raise KeyboardInterrupt
         if len(self.received) > self._endured:
             self._end(self.status)
-        if self._early is not None:
-            self.end_within(0.0, self._early)
+        if self._is_beginning:
+            self._end_beginning()
         if self._tell is not None:
             if len(self.received) == self._endured:
                 self.end_within(0.0, self.status)
             self._set_alarm()
             self._tell()
+
+    def _end_beginning(self) -> None:
+        self.end_within(0.0, self.status if self._early is None else self._early)
 
     def _set_alarm(self) -> None:
         """Have the system's alarm clock ring when the process is to end, or in `GRACE`.

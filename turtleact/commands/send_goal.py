@@ -133,7 +133,9 @@ class _Sending:
         """Open the world, and send the goal into it."""
         order = self._order
         with self._interrupts.listening(asyncio.get_running_loop()):
-            async with self._find_node() as node:
+            async with AsyncExitStack() as stack:
+                with self._interrupts.beginning():
+                    node = await stack.enter_async_context(self._find_node())
                 if self._interrupts.received:
                     return self._interrupted()
                 action_type = find_action(node, self._name, order.type_name)
