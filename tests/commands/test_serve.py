@@ -73,6 +73,16 @@ async def stubborn(goal):
             pass
 """
 
+FAILING = """
+import turtleact
+from turtleact.interfaces.standard import Fibonacci
+
+
+@turtleact.action(Fibonacci, "failing")
+async def failing(goal):
+    raise ValueError("\\x1b[2J")
+"""
+
 PATIENCE = 30.0
 """Seconds after which a process is taken to hang."""
 
@@ -265,6 +275,14 @@ def test_sys_exit_ends_a_server_whose_other_bodies_do_not_end(tmp_path):
         other.communicate(timeout=PATIENCE)
         _, err = server.process.communicate(timeout=PATIENCE)
     assert (server.process.returncode, EXITED.splitlines()[1] in err) == (7, True)
+
+
+def test_the_log_of_a_body_that_fails_commands_no_terminal(tmp_path):
+    (tmp_path / "servedfailing.py").write_text(FAILING)
+    with serving(tmp_path, "servedfailing", "--no-sim") as server:
+        server.run("send-goal", "failing", "{}")
+        _, _, err = server.end(signal.SIGTERM)
+    assert "\nValueError: \\x1b[2J\n" in err
 
 
 def test_a_server_that_is_killed_is_told_at_once(served):

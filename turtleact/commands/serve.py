@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import importlib
+import logging
 import sys
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import AsyncExitStack, aclosing, asynccontextmanager
@@ -76,6 +77,8 @@ def run(service: Service, interrupts: Interrupts) -> int:
         UsageError: if a target means no action, or there is no token where one is needed.
         TurtleactError: if the graph cannot be opened.
     """
+    if logging.lastResort is not None:  # where the user's modules set no logging up themselves
+        logging.lastResort.setFormatter(_Escaping())
     if service.page is not None:
         _check_for_web()
     declared = [each for target in service.targets for each in find_actions(target)]
@@ -255,6 +258,13 @@ def _listed(names: list[str]) -> str:
     some = names if len(names) <= MOST_LISTED else names[: MOST_LISTED - 1]
     more = [f"and {len(names) - len(some)} more"] if some is not names else []
     return ", ".join([*some, *more]) or "nothing"
+
+
+class _Escaping(logging.Formatter):
+    """A record as by default, but that it commands no terminal, whatever a body has raised."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return printable(super().format(record))
 
 
 class _Log:
