@@ -125,3 +125,12 @@ def test_a_declaration_that_is_wrong_is_told_with_its_line(folder, declared, pro
     with pytest.raises(TurtleactError) as caught:
         find_actions("wrong")
     assert str(caught.value) == f"{file}, line 3: {problem}"
+
+
+def test_a_message_that_is_derived_from_another_is_told_with_its_line(folder):
+    file = folder / "derived.py"
+    imports = "from turtleact.interfaces.standard import Fibonacci\n"
+    file.write_text(f"{imports}\nclass Mine(Fibonacci.Feedback): pass\n")
+    with pytest.raises(TurtleactError) as caught:
+        find_actions("derived")
+    assert str(caught.value) == f"{file}, line 3: Mine: derive a message from Message alone"
