@@ -338,18 +338,16 @@ def _parts(sample: zenoh.Sample) -> tuple[bytes, bytes]:
 
 
 def _direct(callback: Callable[[Any], object]) -> Any:  # noqa: ANN401  # of whatever is declared
-    """A handler that runs in the thread that receives: no thread and no queue of its own."""
-    return Callback(_staying(callback), indirect=False)
+    """A handler that runs in the thread that receives: no thread and no queue of its own.
 
-
-def _staying(callback: Callable[[Any], object]) -> Callable[[Any], object]:
-    """The callback, but the thread that calls it stays attached to Python."""
+    That thread stays attached to Python.
+    """
 
     def take(value: object) -> None:
         HERE.stays  # noqa: B018
         callback(value)
 
-    return take
+    return Callback(take, indirect=False)
 
 
 def _congestion(is_reliable: bool) -> zenoh.CongestionControl:
