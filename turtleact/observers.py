@@ -1,0 +1,82 @@
+"""Who watches the goals of a server or client: one list for each, whatever the purpose.
+
+The status topic and the hooks of users are observers; recordings and telemetry will be. An observer
+only watches. What it raises is logged and never reaches a goal.
+
+Order: all observers hear of one change before any hears of the next. An observer may cause a
+change, say by canceling a goal; that change is told after the present one.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable
+
+from turtleact.goal import Goal, GoalStatus
+from turtleact.summaries import STOPS
+
+__all__ = ["GoalObserver", "Observers"]
+
+logger = logging.getLogger("turtleact")
+
+
+class GoalObserver:
+    """Watches goals. A subclass overrides what it wants to hear of."""
+
+    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
+        """Called after a goal has changed its state; a new goal comes from UNKNOWN."""
+
+    def feedback_published(self, goal: Goal, feedback: object) -> None:
+        """Called with each feedback message; ``feedback`` must not be changed."""
+
+
+class Observers:
+    """The observers of one server or client.
+
+    Args:
+        action: The name of the action, for the log.
+    """
+
+    __slots__ = ("_action", "_observers", "_untold")
+
+    def __init__(self, action: str) -> None:
+        self._action = action
+        self._observers: tuple[GoalObserver, ...] = ()
+        self._untold: deque[Callable[[GoalObserver], None]] = deque()
+
+    def __bool__(self) -> bool:
+        return bool(self._observers)
+
+    def add(self, observer: GoalObserver) -> None:
+        """Tell ``observer`` of every change from now on."""
+        self._observers = (*self._observers, observer)
+
+    def remove(self, observer: GoalObserver) -> None:
+        """Tell it nothing any more; an unknown observer is ignored."""
+        self._observers = tuple(each for each in self._observers if each is not observer)
+
+    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
+        """Tell all observers of a goal's new state."""
+        if self._observers:
+            self._tell(lambda observer: observer.goal_changed(goal, before, after))
+
+    def feedback_published(self, goal: Goal, feedback: object) -> None:
+        """Tell all observers of a feedback message."""
+        if self._observers:
+            self._tell(lambda observer: observer.feedback_published(goal, feedback))
+
+    def _tell(self, news: Callable[[GoalObserver], None]) -> None:
+        self._untold.append(news)
+        if len(self._untold) > 1:  # an observer caused this: the loop below tells it in turn
+            return
+        while self._untold:
+            for observer in self._observers:
+                try:
+                    self._untold[0](observer)
+                except STOPS:
+                    self._untold.clear()
+                    raise
+                except BaseException:  # a cancellation too: nobody has cancelled the observer
+                    logger.exception("an observer of the goals of %s failed", self._action)
+            self._untold.popleft()
