@@ -15,7 +15,7 @@ import turtleact
 from turtleact import CancelResponse, GoalResponse, GoalStatus, Outcome
 from turtleact.errors import (
     Abort,
-    Canceled,
+    Cancel,
     GoalAborted,
     GoalCanceled,
     GoalRejected,
@@ -124,7 +124,7 @@ async def test_canceling_who_awaits_a_goal_lets_its_body_report_a_result():
         try:
             await anyio.sleep_forever()
         finally:
-            raise Canceled(result(5))
+            raise Cancel(result(5))
 
     async with lab(body) as served, running(lambda: served.client.send_goal(goal())) as sent:
         (held,) = served.active

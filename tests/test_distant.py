@@ -16,7 +16,7 @@ from turtleact import CancelResponse, GoalResponse, GoalStatus
 from turtleact.client.goal_handle import Outcome
 from turtleact.errors import (
     Abort,
-    Canceled,
+    Cancel,
     GoalAborted,
     GoalCanceled,
     GoalRejected,
@@ -191,7 +191,7 @@ async def test_a_canceled_goal_brings_its_result(send):
         try:
             await anyio.sleep_forever()
         finally:
-            raise Canceled(result(1))
+            raise Cancel(result(1))
 
     async with apart(act) as served, running(lambda: send(served, goal())) as sent:
         response = await served.client.cancel_all()

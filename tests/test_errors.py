@@ -60,7 +60,7 @@ SAID = [
     (errors.SimError("off the map"), "off the map"),
     (errors.SimError("off the map", turtle="turtle1"), "turtle1: off the map"),
     (errors.Abort("no pen", 7), "no pen"),
-    (errors.Canceled(7), "7"),
+    (errors.Cancel(7), "7"),
     (errors.Reject("too far"), "too far"),
 ]
 KINDS = [getattr(errors, name) for name in errors.__all__ if name[0].isupper()]

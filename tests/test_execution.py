@@ -14,7 +14,7 @@ import pytest
 from turtleact import GoalStatus, Outcome
 from turtleact.errors import (
     Abort,
-    Canceled,
+    Cancel,
     GoalAborted,
     GoalCanceled,
     InvalidMessage,
@@ -537,7 +537,7 @@ async def canceled_with_a_result():
     try:
         await anyio.sleep_forever()
     finally:
-        raise Canceled(result(5))
+        raise Cancel(result(5))
 
 
 @both_styles(canceled_with_a_result)
@@ -549,7 +549,7 @@ async def canceled_without_a_result():
     try:
         await anyio.sleep_forever()
     finally:
-        raise Canceled
+        raise Cancel
 
 
 @both_styles(canceled_without_a_result)
@@ -561,7 +561,7 @@ async def canceled_with_a_wrong_result():
     try:
         await anyio.sleep_forever()
     finally:
-        raise Canceled(feedback(5))
+        raise Cancel(feedback(5))
 
 
 @both_styles(canceled_with_a_wrong_result)
@@ -572,15 +572,15 @@ async def test_a_canceled_body_with_a_wrong_result_is_canceled_and_says_so(body,
 
 
 async def canceled_unasked():
-    raise Canceled(result(5))
+    raise Cancel(result(5))
 
 
 @both_styles(canceled_unasked)
 async def test_a_body_that_was_not_asked_to_cancel_cannot_end_canceled(body, send):
-    expected = Outcome(GoalStatus.ABORTED, result(), "Canceled")
+    expected = Outcome(GoalStatus.ABORTED, result(), "Cancel")
     outcome = await end_of(body, send)
     assert (outcome.status, outcome.result) == (expected.status, expected.result)
-    assert outcome.reason.startswith("Canceled")
+    assert outcome.reason.startswith("Cancel")
 
 
 async def cancel_oneself():

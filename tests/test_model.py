@@ -33,7 +33,7 @@ import turtleact
 from turtleact import CancelResponse, GoalResponse
 from turtleact.errors import (
     Abort,
-    Canceled,
+    Cancel,
     GoalAborted,
     GoalCanceled,
     GoalRejected,
@@ -121,7 +121,7 @@ class Send(NamedTuple):
     is_canceled_at_once: bool
 
 
-class Cancel(NamedTuple):
+class CancelGoal(NamedTuple):
     target: int
     by: Literal["id", "stamp", "both", "all", "nowait", "unknown id"]
 
@@ -145,7 +145,7 @@ class CloseServer(NamedTuple):
     server: int
 
 
-Operation: TypeAlias = Send | Cancel | Leave | Attach | CloseClient | CloseServer
+Operation: TypeAlias = Send | CancelGoal | Leave | Attach | CloseClient | CloseServer
 
 
 class Plan(NamedTuple):
@@ -231,7 +231,7 @@ def plans(draw) -> Plan:
     )
     target = st.integers(0, 9)
     by = st.sampled_from(["id", "stamp", "both", "all", "nowait", "unknown id"])
-    cancels = st.builds(Cancel, target, by)
+    cancels = st.builds(CancelGoal, target, by)
     leaves = st.builds(Leave, target)
     others = [st.builds(Attach, target), st.builds(CloseClient, at, st.integers(0, 1))]
     weighted = [*[sends] * 6, *[cancels] * 4, leaves, leaves, *others, st.builds(CloseServer, at)]
@@ -951,7 +951,7 @@ class Play:
         match operation:
             case Leave(target):
                 numbers = list(model.clients)
-            case Cancel(target) | Attach(target):
+            case CancelGoal(target) | Attach(target):
                 begun = [number for _, what, number in model.log if what == "begun"]
                 active = [goal.number for goal in model.goals.values() if goal.is_active]
                 numbers = active if active and target < 8 else [*begun, *active]
@@ -966,9 +966,9 @@ class Play:
             case Send(server, _, script, how):
                 steps = model.sender(script, model.servers[server], how, send=operation)
                 model.clients[script.number] = model.start(steps)
-            case Cancel(_, "nowait") if goal is not None:
+            case CancelGoal(_, "nowait") if goal is not None:
                 model.start(model.let_go_soon(goal))
-            case Cancel(_, by) if goal is not None:
+            case CancelGoal(_, by) if goal is not None:
                 model.start(model.request(step, goal, by))
             case Attach() if goal is not None:
                 model.start(model.observe(step, goal))
@@ -1180,7 +1180,7 @@ class World:
         if verdict == "result":
             yield result(number)
         elif verdict == "canceled":
-            raise Canceled(result(-3, number))
+            raise Cancel(result(-3, number))
         elif verdict in ("abort", "abort with a result"):
             raise Abort("given up", result(-2, number) if "with" in verdict else None)
         elif verdict == "error":
@@ -1255,10 +1255,10 @@ class World:
                 start(sending.run)
             case Leave() if act.goal:
                 self._clients[act.goal].scope.cancel()
-            case Cancel(_, "nowait") if server is not None and goal is not None:
+            case CancelGoal(_, "nowait") if server is not None and goal is not None:
                 if goal.status.is_active:
                     server.cancel_nowait(goal)
-            case Cancel(_, by) if server is not None and goal is not None:
+            case CancelGoal(_, by) if server is not None and goal is not None:
                 start(self._cancel, step, server, goal, by)
             case Attach() if server is not None and goal is not None:
                 start(self._observe, step, self._server_number(act.goal), server.name_goal(goal))

@@ -16,7 +16,7 @@ import pytest
 from turtleact import CancelResponse, GoalResponse, GoalStatus, Outcome
 from turtleact.errors import (
     Abort,
-    Canceled,
+    Cancel,
     GoalAborted,
     GoalCanceled,
     GoalRejected,
@@ -654,7 +654,7 @@ async def tell_what_was_reached():
     try:
         await anyio.sleep_forever()
     finally:
-        raise Canceled(result(7))
+        raise Cancel(result(7))
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import turtleact
 from turtleact import CancelResponse, GoalResponse, GoalStatus, Outcome
 from turtleact.errors import (
     Abort,
-    Canceled,
+    Cancel,
     GoalAborted,
     GoalCanceled,
     GoalRejected,
@@ -756,7 +756,7 @@ async def tell_what_was_reached(request):
     try:
         await anyio.sleep_forever()
     finally:
-        raise Canceled(result(7))
+        raise Cancel(result(7))
 
 
 async def fail_in_the_clean_up(request):

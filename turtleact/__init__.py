@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from turtleact.client import ActionClient, ClientGoalHandle, Outcome
     from turtleact.errors import (
         Abort,
-        Canceled,
+        Cancel,
         GoalAborted,
         GoalCanceled,
         GoalError,
@@ -68,7 +68,7 @@ __all__ = [
     "CancelResponse",
     "GoalStatus",
     "Abort",
-    "Canceled",
+    "Cancel",
     "Reject",
     # interfaces
     "Action",

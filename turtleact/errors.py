@@ -23,7 +23,7 @@
     ├── UsageError             the command line was given something it cannot use
     └── Verdict                what a server's own code raises to end or refuse a goal
         ├── Abort
-        ├── Canceled
+        ├── Cancel
         └── Reject
 
 An exception holds its facts as attributes and builds its text from them; the text says what
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Abort",
-    "Canceled",
+    "Cancel",
     "GoalAborted",
     "GoalCanceled",
     "GoalError",
@@ -367,8 +367,8 @@ class Abort(Verdict):
         return self.reason
 
 
-class Canceled(Verdict):
-    """Raised in the clean-up of a body that was canceled, to report a result with it.
+class Cancel(Verdict):
+    """Raised by a canceled body in its clean-up, to report a result.
 
     Args:
         result: What the goal has reached; the partial or default result if left out.

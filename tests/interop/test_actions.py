@@ -127,7 +127,7 @@ class TurtleactPeer:
         if word == "abort":
             raise turtleact.Abort("as it was told", result=result)
         if word == "canceled":
-            raise turtleact.Canceled(result)
+            raise turtleact.Cancel(result)
         return result if word == "succeed" else None
 
     async def send(self, label: str, order: int = 3) -> None:

@@ -22,7 +22,7 @@ from turtleact.body import ActionType, Body, Steps
 from turtleact.clock import Clock
 from turtleact.errors import (
     Abort,
-    Canceled,
+    Cancel,
     InvalidMessage,
     InvalidTransition,
 )
@@ -371,7 +371,7 @@ class Execution:
             self.end(goal, GoalEvent.ABORT, None, STOPPED)
         elif isinstance(error, Abort):
             self._end_with(goal, GoalEvent.ABORT, error.result, text_of(error.reason))
-        elif isinstance(error, Canceled) and (canceling or goal.reason):
+        elif isinstance(error, Cancel) and (canceling or goal.reason):
             event = GoalEvent.CANCELED if canceling else GoalEvent.ABORT
             self._end_with(goal, event, error.result, "" if canceling else goal.reason)
         elif is_cancellation(error, self._tasks):

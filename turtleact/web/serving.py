@@ -15,7 +15,7 @@ from typing import Any, Final, Protocol, cast
 import anyio
 
 from turtleact.body import ActionType
-from turtleact.errors import Abort, Canceled, ServiceError, TurtleactError
+from turtleact.errors import Abort, Cancel, ServiceError, TurtleactError
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import Message
 from turtleact.node import Node
@@ -185,7 +185,7 @@ class Serving:
             del self._asked[question.id]
         try:
             return await _result(question.said, result_type)
-        except Canceled as verdict:
+        except Cancel as verdict:
             if handle.is_cancel_requested:
                 raise
             raise Abort("the client canceled it unasked", verdict.result) from None
@@ -238,7 +238,7 @@ async def _result(
 
     Raises:
         Abort: if the client has gone, has failed, or says what does not fit.
-        Canceled: if the client has canceled the goal.
+        Cancel: if the client has canceled the goal.
     """
     if said is None:
         raise Abort("the client that serves it has gone")
@@ -253,5 +253,5 @@ async def _result(
     if status == GoalStatus.SUCCEEDED:
         return result
     if status == GoalStatus.CANCELED:
-        raise Canceled(result)
+        raise Cancel(result)
     raise Abort(str(said.values) if isinstance(said.values, str) else "", result)
