@@ -57,6 +57,27 @@ async def test_a_world_has_one_turtle_and_the_built_in_actions():
     }
 
 
+async def test_a_world_that_is_turtlesim_only_serves_what_turtlesim_serves():
+    async with open_world(speed="max", turtlesim_only=True) as node:
+        graph = node.graph()
+    assert graph.nodes == ("/turtleact", "/turtlesim")
+    assert list(graph.actions) == ["/turtle1/rotate_absolute"]
+    assert list(graph.topics) == [
+        "/parameter_events",
+        "/turtle1/cmd_vel",
+        "/turtle1/color_sensor",
+        "/turtle1/pose",
+    ]
+    assert {name.rpartition("/")[0] for name in graph.services} == {"", "/turtle1", "/turtlesim"}
+
+
+async def test_a_world_that_is_turtlesim_only_is_paused_and_stepped_by_its_node():
+    async with open_world(speed="max", turtlesim_only=True, paused=True) as node:
+        poses = node.subscription(TurtlePose, "turtle1/pose")
+        await node.step(3)
+        assert len(list(poses.drain())) == 3
+
+
 async def test_its_nodes_are_the_simulator_the_actions_and_the_users():
     async with open_world(speed="max") as node:
         node.publisher(TurtlePose, "my_pose")

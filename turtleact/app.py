@@ -77,28 +77,32 @@ async def open_world(
     placing: str = "random",
     collide: bool = False,
     paused: bool = False,
+    turtlesim_only: bool = False,
     graph: OpenGraph | None = None,
     on_transition: Transition | None = None,
     on_start: Callable[[Turtlesim], object] | None = None,
 ) -> AsyncIterator[WorldNode]:
-    """A world of turtles with the built-in actions, and a node to use them from.
+    """Open a world of turtles with the built-in actions, and a node to use them from.
 
     Args:
-        speed: Simulated seconds a wall second, above zero and 100 at most, or ``"max"`` for virtual
-            time: as fast as it computes, and the same run every time. A machine that cannot keep
-            up makes time slower.
+        speed: Simulated seconds per wall-clock second, above 0 and at most 100, or ``"max"`` for
+            virtual time: as fast as the machine computes, and the same run every time. If the
+            machine cannot keep up, time runs slower.
         seed: Chooses where all turtles but the first start, if they are placed at random.
-        turtles: How many there are: ``turtle1``, ``turtle2``, …
-        placing: How they are placed at first: ``"random"``, ``"grid"`` or ``"ring"``.
+        turtles: How many turtles there are: ``turtle1``, ``turtle2``, …
+        placing: Where they start: ``"random"``, ``"grid"`` or ``"ring"``.
         collide: Whether turtles stop each other where they meet.
         paused: Whether time stands still until somebody steps or resumes the world.
-        graph: Opens the graph that the world is on; one within the process if left out.
-        on_transition: Told of each change of the world's goals; see `Node.on_transition`.
-        on_start: Given the turtles, before anything can be asked of them.
+        turtlesim_only: Whether the world serves only what the real turtlesim does, on the node
+            ``/turtlesim``. If not, it also serves the built-in actions (``/patrol``, ``/go_to``,
+            ``/command_turtle``, ``/fibonacci``) and the node ``/world``: time, pictures and all
+            poses in one message.
+        graph: Opens the graph that the world joins; a graph within the process if left out.
+        on_transition: Called with each change of a goal of the world; see `Node.on_transition`.
+        on_start: Called with the turtles before anybody can send them anything.
 
     Raises:
-        SimError: if the speed or the number of turtles is out of range, or there is no such
-            placing.
+        SimError: if the speed or the number of turtles is out of range, or the placing is unknown.
     """
     world = World(turtles, seed, placing=placing, collide=collide)
     clock = make_clock(speed)
@@ -107,16 +111,21 @@ async def open_world(
         opened = _within_process(clock) if graph is None else graph(clock)
         transport = await stack.enter_async_context(opened)
         home = await stack.enter_async_context(open_node("turtlesim", transport=transport))
-        beside = await stack.enter_async_context(open_node("world", transport=transport))
+        beside = None
+        if not turtlesim_only:
+            beside = await stack.enter_async_context(open_node("world", transport=transport))
         sim = Turtlesim(home, world, beside=beside, is_paused=paused)
         await stack.enter_async_context(aclosing(sim))
         if on_start is not None:
             on_start(sim)
-        actions = await stack.enter_async_context(open_node("turtle_actions", transport=transport))
         if on_transition is not None:
             home.on_transition(on_transition)
-            actions.on_transition(on_transition)
-        serve_built_ins(actions, side=SIDE)
+        if not turtlesim_only:
+            opening = open_node("turtle_actions", transport=transport)
+            actions = await stack.enter_async_context(opening)
+            if on_transition is not None:
+                actions.on_transition(on_transition)
+            serve_built_ins(actions, side=SIDE)
         yield await stack.enter_async_context(aclosing(WorldNode("turtleact", transport, sim)))
 
 

@@ -18,7 +18,7 @@ from turtleact.sim.world import World
 async def world(transport):
     async with (
         open_node("turtlesim", transport=transport) as node,
-        aclosing(Turtlesim(node, World())),
+        aclosing(Turtlesim(node, World(), beside=node)),
     ):
         yield
 

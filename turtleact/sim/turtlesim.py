@@ -61,15 +61,14 @@ class Turtlesim:
     Args:
         node: Where its topics and services are opened, and whose clock it follows.
         world: The turtles.
-        beside: Where that is opened which the real turtlesim has not: time, all poses in one
-            message, pictures. If left out, ``node``.
+        beside: The node for what the real turtlesim does not have: time, all poses in one
+            message, pictures. If left out, none of that is served.
         is_paused: Whether it begins with a pause, after its first tick.
     """
 
     def __init__(
         self, node: Node, world: World, *, beside: Node | None = None, is_paused: bool = False
     ) -> None:
-        beside = node if beside is None else beside
         logger.info("Starting turtlesim with node name %s", node.fully_qualified_name)
         self._node = node
         self._world = world
@@ -84,7 +83,7 @@ class Turtlesim:
         self._told: list[tuple[int, Publisher[TurtlePose]]] = []  # the same, by index
         self._sensed: dict[str, None] = {}
         self._is_roster_new = True
-        self._poses = beside.publisher(Poses, "~/poses", TOPIC_QOS)
+        self._poses = None if beside is None else beside.publisher(Poses, "~/poses", TOPIC_QOS)
         self._welcome_all()
         node.service(Spawn, "spawn", self._spawn)
         node.service(Kill, "kill", self._kill)
@@ -92,8 +91,9 @@ class Turtlesim:
         node.service(Empty, "reset", self._reset)
         self._tick()  # here, so that the world is a tick old before anybody can send a goal
         self._ticking = Ticking(node.clock, self._tick, is_paused=is_paused)
-        Simulation(beside, self._ticking, self._restart)
-        Pictures(beside, self.snapshot)
+        if beside is not None:
+            Simulation(beside, self._ticking, self._restart)
+            Pictures(beside, self.snapshot)
 
     @property
     def is_paused(self) -> bool:
@@ -179,7 +179,7 @@ class Turtlesim:
         if self._read or self._is_roster_new:
             self._look_around()
         self._tell_poses()
-        if self._poses.has_subscriptions:
+        if self._poses is not None and self._poses.has_subscriptions:
             self._poses.publish(poses_of(world, stamp_of(self._node.clock.now())))
         for name, colour in self._pens.follow(self._sensed).items():
             self._turtles[name].tell_colour(colour)
