@@ -13,7 +13,7 @@ import pytest
 import turtleact
 from turtleact.clock import VirtualClock
 from turtleact.interfaces import Action, Message, int32
-from turtleact.tasks import current_tasks
+from turtleact.tasks import current_tasks, new_event_loop
 from turtleact.transports import MemoryTransport
 
 T = TypeVar("T")
@@ -25,6 +25,14 @@ ON_ASYNCIO = pytest.mark.parametrize(
         pytest.param(("asyncio", {"use_uvloop": True}), id="uvloop"),
     ],
 )
+ON_A_LOOP_THAT_TELLS = pytest.mark.parametrize(
+    "anyio_backend",
+    [
+        pytest.param(("asyncio", {"loop_factory": new_event_loop}), id="asyncio"),
+        pytest.param(("trio", {}), id="trio"),
+    ],
+)
+"""Loops that tell exactly when they are idle: uvloop does not."""
 ON_TRIO = pytest.mark.parametrize("anyio_backend", [pytest.param(("trio", {}), id="trio")])
 
 TURNS = 30

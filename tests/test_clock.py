@@ -22,7 +22,7 @@ from turtleact.clock import (
 from turtleact.errors import SimError
 from turtleact.tasks import Background, wait_until_idle
 
-from .lab import ON_ASYNCIO, running, settle
+from .lab import ON_A_LOOP_THAT_TELLS, ON_ASYNCIO, running, settle
 
 SECOND = 1_000_000_000
 
@@ -611,6 +611,7 @@ async def test_time_goes_on_after_there_was_nobody_to_wake(clock):
     assert clock.time() == 2
 
 
+@ON_A_LOOP_THAT_TELLS
 @pytest.mark.parametrize("ticks", [(50, math.inf), (math.inf, 50)])
 async def test_two_clocks_of_one_loop_hold_each_other_up_no_more_than_anyone(ticks):
     one, other = VirtualClock(), VirtualClock()

@@ -25,7 +25,7 @@ from turtleact.tasks.base import (
     is_cancellation,
 )
 from turtleact.tasks.current import current_tasks
-from turtleact.tasks.idle import idleness, wait_until_idle
+from turtleact.tasks.idle import idleness, new_event_loop, wait_until_idle
 from turtleact.tasks.waiting import wait_while
 
 __all__ = [
@@ -38,6 +38,7 @@ __all__ = [
     "current_tasks",
     "idleness",
     "is_cancellation",
+    "new_event_loop",
     "wait_until_idle",
     "wait_while",
 ]

@@ -1,62 +1,154 @@
-"""Being idle: when every task waits.
+"""Being idle: when every task waits. Virtual time leaps only then.
 
-Source: asyncio's ``BaseEventLoop._run_once``; trio's ``wait_all_tasks_blocked``.
+Where the answer comes from depends on the loop:
+
+- A loop made by `new_event_loop` asks its selector to wait when it has nothing else to do. The
+  selector sees that moment and wakes whoever waits for idleness.
+- Another asyncio loop shows its queue of callbacks, in a private attribute.
+- A loop that hides its queue (uvloop) is asked by `anyio.wait_all_tasks_blocked`, which polls every
+  0.1 s. That is slow, so a warning is logged once for each run.
+- trio has a function of its own.
+
+Source: asyncio ``BaseEventLoop._run_once``; trio ``wait_all_tasks_blocked``.
 """
 
 from __future__ import annotations
 
 import asyncio
-import gc
-from collections import deque
+import logging
+import selectors
 from collections.abc import Awaitable, Callable, Sized
 from typing import cast
 
 import anyio
 from anyio.lowlevel import RunVar
 
-from turtleact.errors import SimError
+__all__ = [
+    "IdleSelector",
+    "WatchedEventLoop",
+    "idleness",
+    "new_event_loop",
+    "ready_callbacks",
+    "wait_until_idle",
+]
 
-__all__ = ["idleness", "wait_until_idle"]
+logger = logging.getLogger("turtleact")
+
+CALLBACK_TURNS = 3
+"""Turns given to callbacks that belong to no task, on a loop that hides them.
+
+A task that has ended wakes its parent by such a callback: between the two, all tasks wait."""
+
+
+def new_event_loop() -> asyncio.AbstractEventLoop:
+    """An asyncio event loop that knows when it is idle; for ``loop_factory``."""
+    return WatchedEventLoop()
 
 
 async def wait_until_idle() -> None:
     """Wait until every other task waits for something that none of them brings about.
 
-    Several may wait so; all go on then. What waits for the network, a thread or wall time counts as
-    idle. Cancelling: safe, nothing is lost.
+    Several may wait; all of them go on then. What waits for the network, a thread or wall time
+    counts as idle. Cancelling: safe, nothing is lost.
     """
     await idleness()()
 
 
 def idleness() -> Callable[[], Awaitable[None]]:
-    """The `wait_until_idle` of the event loop that runs now, for those who wait again and again.
-
-    Raises:
-        SimError: if the loop does not show what it will do.
-    """
+    """The `wait_until_idle` of the running event loop, for those who wait again and again."""
     if anyio.get_cancelled_exc_class() is not asyncio.CancelledError:
         return anyio.wait_all_tasks_blocked  # trio's own
+    loop = asyncio.get_running_loop()
+    if isinstance(loop, WatchedEventLoop):
+        return loop.idle_selector.wait_until_idle
     turns = _turns.get(None)
     if turns is None:
-        turns = _Turns(asyncio.get_running_loop())
+        turns = _Turns(loop)
         _turns.set(turns)
     return turns.wait_until_idle
 
 
-class _Turns:
-    """How often an asyncio loop has been idle, and who watches it.
+class IdleSelector(selectors.DefaultSelector):
+    """A selector that tells who waits for idleness before it waits itself."""
 
-    A watcher takes turn after turn of the loop, so each has one call in the loop's queue; the loop
-    is idle when a watcher, in its own turn, finds nothing there but those of the others.
+    def __init__(self) -> None:
+        super().__init__()
+        self._watchers: list[asyncio.Future[None]] = []
+
+    async def wait_until_idle(self) -> None:
+        """Wait until the loop has nothing to do. Cancelling: safe."""
+        watcher = asyncio.get_running_loop().create_future()
+        self._watchers.append(watcher)
+        await watcher
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        """Wait for events. A timeout above 0, or None, means that no callback is ready."""
+        events = super().select(0)
+        if events or (timeout is not None and timeout <= 0):
+            return events
+        if any(not watcher.done() for watcher in self._watchers):
+            self._wake()
+            return []  # the watchers' callbacks are ready now: the loop must not wait
+        return self.wait_for_events(timeout)
+
+    def wait_for_events(self, timeout: float | None) -> list[tuple[selectors.SelectorKey, int]]:
+        """Wait while the loop is idle and nobody wants to know."""
+        return super().select(timeout)
+
+    def _wake(self) -> None:
+        watchers, self._watchers = self._watchers, []
+        for watcher in watchers:
+            if not watcher.done():
+                watcher.set_result(None)
+
+
+class WatchedEventLoop(asyncio.SelectorEventLoop):
+    """asyncio's selector loop with an `IdleSelector`.
+
+    Attributes:
+        idle_selector: The selector.
+    """
+
+    def __init__(self, selector: IdleSelector | None = None) -> None:
+        self.idle_selector = IdleSelector() if selector is None else selector
+        super().__init__(self.idle_selector)
+
+
+def ready_callbacks(loop: asyncio.AbstractEventLoop) -> Sized | None:
+    """The callbacks that an asyncio loop runs in this turn or the next; None if it hides them.
+
+    Reads a private attribute: asyncio has no public way to ask, and for loops that turtleact did
+    not make there is no other. Without the attribute virtual time still works, slowly.
+    """
+    return cast("Sized | None", getattr(loop, "_ready", None))
+
+
+class _Turns:
+    """Watches a loop that turtleact did not make.
+
+    A watcher takes turn after turn of the loop, so each watcher has one callback in the queue. The
+    loop is idle when a watcher, in its own turn, finds only the callbacks of the others there.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        self._ready = _queue(loop)
+        self._ready = ready_callbacks(loop)
         self._watchers = 0
         self._idle = 0
+        if self._ready is None:
+            logger.warning(
+                "virtual time is slow on %s: each leap takes 0.1 s; run the program on asyncio's"
+                " own loop, or with turtleact.testing.run",
+                type(loop).__name__,
+            )
 
     async def wait_until_idle(self) -> None:
         """Take turns until the loop is idle; whoever sees it first has seen it for all."""
+        if self._ready is None:
+            await anyio.wait_all_tasks_blocked()
+            for _ in range(CALLBACK_TURNS):
+                await asyncio.sleep(0)
+            await anyio.wait_all_tasks_blocked()
+            return
         before = self._idle
         self._watchers += 1
         try:
@@ -70,18 +162,3 @@ class _Turns:
 
 
 _turns: RunVar[_Turns] = RunVar("turtleact_turns")
-
-
-def _queue(loop: asyncio.AbstractEventLoop) -> Sized:
-    """The calls that a loop will make in this or its next turn.
-
-    Raises:
-        SimError: if the loop does not show them.
-    """
-    ready = getattr(loop, "_ready", None)  # asyncio's own loops
-    if ready is None:  # uvloop hides it from Python, but not from the garbage collector
-        held = [each for each in gc.get_referents(loop) if isinstance(each, deque)]
-        if len(held) != 1:
-            raise SimError(f"virtual time does not work on the event loop {loop!r}")
-        ready = held[0]
-    return cast("Sized", ready)

@@ -31,6 +31,7 @@ import anyio
 import anyio.to_thread
 
 from turtleact.errors import SimError
+from turtleact.tasks.idle import IdleSelector, WatchedEventLoop
 
 if TYPE_CHECKING:
     import trio
@@ -102,7 +103,7 @@ def virtual_backend(
 # asyncio
 
 
-class VirtualEventLoop(asyncio.SelectorEventLoop):
+class VirtualEventLoop(WatchedEventLoop):
     """asyncio's own event loop, whose selector leaps where it would wait.
 
     Attributes:
@@ -116,8 +117,7 @@ class VirtualEventLoop(asyncio.SelectorEventLoop):
         self._jobs = 0
         self._limiter: anyio.CapacityLimiter | None = None
         self._children: list[asyncio.SubprocessTransport] = []
-        self._selector_of_own = _Selector(self, patience)
-        super().__init__(self._selector_of_own)
+        super().__init__(_Selector(self, patience))
 
     def time(self) -> float:
         """Virtual seconds since the loop was made."""
@@ -137,7 +137,7 @@ class VirtualEventLoop(asyncio.SelectorEventLoop):
         """Whether somebody outside may have something to say: a socket, a pipe, a child process."""
         self._children = [child for child in self._children if child.get_returncode() is None]
         own = 1  # the pipe that wakes the loop
-        return bool(self._children) or len(self._selector_of_own.get_map()) > own
+        return bool(self._children) or len(self.idle_selector.get_map()) > own
 
     def run_forever(self) -> None:
         """Run until it is stopped."""
@@ -183,7 +183,7 @@ class VirtualEventLoop(asyncio.SelectorEventLoop):
         return started
 
 
-class _Selector(selectors.DefaultSelector):
+class _Selector(IdleSelector):
     """Waits for real events only while there may be some; else it lets time go on instead."""
 
     def __init__(self, loop: VirtualEventLoop, patience: float) -> None:
@@ -191,16 +191,13 @@ class _Selector(selectors.DefaultSelector):
         self._loop = loop
         self._patience = patience
 
-    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        if timeout is None:  # there is no timer to leap to
-            return super().select(None)
-        events = super().select(0)
-        if events or timeout <= 0:
-            return events
-        if self._loop.has_jobs:
-            return super().select(None)
+    def wait_for_events(self, timeout: float | None) -> list[tuple[selectors.SelectorKey, int]]:
+        """Leap to the next timer, unless something real is under way."""
+        if timeout is None or self._loop.has_jobs:  # no timer to leap to, or a thread to wait for
+            return super().wait_for_events(None)
         if self._patience and self._loop.has_peers:
-            events = super().select(None if self._patience == math.inf else self._patience)
+            patience = None if self._patience == math.inf else self._patience
+            events = super().wait_for_events(patience)
             if events:
                 return events
         self._loop.leap(timeout)
