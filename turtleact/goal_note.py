@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import msgspec
 
+from turtleact.summaries import encodable
+
 __all__ = ["GoalNote"]
 
 
@@ -28,11 +30,18 @@ class GoalNote(msgspec.Struct, frozen=True, omit_defaults=True):
     feedback: int = 0
 
     def write(self) -> str:
-        """The note as text; of a long reason the first `LONGEST_REASON` characters."""
-        if len(self.reason) <= LONGEST_REASON:
-            return msgspec.json.encode(self).decode()
-        short = msgspec.structs.replace(self, reason=self.reason[:LONGEST_REASON])
-        return msgspec.json.encode(short).decode()
+        """The note as text.
+
+        Only the first `LONGEST_REASON` characters of a reason are written. What UTF-8 cannot encode
+        is escaped, since a reason must never cost the client its result.
+        """
+        reason = encodable(self.reason[:LONGEST_REASON])
+        sent = self if reason == self.reason else msgspec.structs.replace(self, reason=reason)
+        data = msgspec.json.encode(sent)
+        while len(data) > LARGEST:  # of escapes, six bytes a character
+            reason = reason[: len(reason) * 3 // 4]
+            data = msgspec.json.encode(msgspec.structs.replace(self, reason=reason))
+        return data.decode()
 
     @classmethod
     def read(cls, text: str) -> GoalNote:
@@ -45,3 +54,6 @@ class GoalNote(msgspec.Struct, frozen=True, omit_defaults=True):
 
 LONGEST_REASON = 1000
 """So many characters of a reason travel."""
+
+LARGEST = 4096
+"""So many bytes of a note travel; half a note could not be read."""

@@ -14,6 +14,7 @@ import pytest
 
 from turtleact import open_node
 from turtleact.interfaces import get_interface
+from turtleact.transports.base import TimePolicies
 
 GOLDEN = json.loads(Path(__file__).with_name("golden").joinpath("verbs.json").read_text())
 interface: Callable[[str], Any] = get_interface
@@ -257,6 +258,19 @@ def test_the_gid_and_the_hash_of_a_wire_are_shown(on_graph, graphs):
     out = on_graph(nodes, "topic", "info", "-v", "/far").out
     assert "Node name: far\nNode namespace: /ns\n" in out
     assert "Topic type hash: RIHS01_ab\nEndpoint type: PUBLISHER\nGID: 01.10.b0.22\nQoS" in out
+
+
+def test_the_policies_in_time_of_a_peer_are_printed_as_rclpy_prints_them(on_graph, graphs):
+    times = TimePolicies(
+        deadline=500_000_000, lifespan=10**10, liveliness="manual_by_topic", lease=10**9
+    )
+    out = on_graph(graphs.on_a_wire(times=times), "topic", "info", "-v", "/far").out
+    assert (
+        "  Lifespan: 10000000000 nanoseconds\n"
+        "  Deadline: 500000000 nanoseconds\n"
+        "  Liveliness: MANUAL_BY_TOPIC\n"
+        "  Liveliness lease duration: 1000000000 nanoseconds\n"
+    ) in out
 
 
 def test_the_hash_of_a_type_that_is_not_known_is_invalid_as_in_ros2(on_graph, graphs):

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from turtleact.transports import QoS
-from turtleact.transports.base import Endpoint, EndpointKind
+from turtleact.transports.base import Endpoint, EndpointKind, TimePolicies
 from turtleact.transports.rmw_zenoh.keys import (
     Token,
     all_tokens,
@@ -191,6 +191,30 @@ def test_a_hash_that_an_older_peer_does_not_know_is_shown_as_it_is():
 )
 def test_an_odd_quality_of_service_is_the_default_where_it_says_nothing(chunk, qos):
     assert seen(swapped(12, chunk)).qos == qos
+
+
+@pytest.mark.parametrize(
+    ("chunk", "times"),
+    [
+        ("::,10:,:,:,,", TimePolicies()),
+        ("::,10:,:10,0:,,", TimePolicies(lifespan=10 * 10**9)),
+        (
+            "::,10:0,500000000:10,0:3,2,1",
+            TimePolicies(
+                deadline=5 * 10**8,
+                lifespan=10 * 10**9,
+                liveliness="manual_by_topic",
+                lease=2 * 10**9 + 1,
+            ),
+        ),
+        ("::,10:9223372036,854775807:,:1,9223372036,854775807", TimePolicies()),
+        ("::,10:x,y:-1,²:9,,", TimePolicies(liveliness="unknown")),
+        ("::,10:1:2", TimePolicies(deadline=10**9, lifespan=2 * 10**9)),
+        ("", TimePolicies()),
+    ],
+)
+def test_the_policies_in_time_are_those_of_rmw_zenoh_or_infinite(chunk, times):
+    assert seen(swapped(12, chunk)).times == times
 
 
 @pytest.mark.parametrize(

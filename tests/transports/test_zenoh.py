@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import socket
@@ -60,6 +61,8 @@ from .conformance import (
     service,
     subscription,
 )
+
+DOMAIN = int(os.environ["ROS_DOMAIN_ID"])
 
 ROUNDS = 3
 """How often two sessions greet each other: what one learns may be answered by the other."""
@@ -256,7 +259,7 @@ class Bare:
 
 @asynccontextmanager
 async def bare(address: str) -> AsyncIterator[Bare]:
-    settings = session_config([address], [], "peer", 0, "")
+    settings = session_config([address], [], "peer", DOMAIN, "")
     opened = Bare(await anyio.to_thread.run_sync(Session.open, settings))
     try:
         yield opened
@@ -282,9 +285,10 @@ async def until_read(publication: Any) -> None:
         await anyio.sleep(0)
 
 
+CLOSED = "the Zenoh transport is closed: open another"
 GID = bytes(range(16))
-ADD_KEY = data_key(0, msgspec.structs.replace(service(), type_hash=SERVING.type_hash))
-CHATTER_KEY = data_key(0, msgspec.structs.replace(publisher(), type_hash=SPEECH.type_hash))
+ADD_KEY = data_key(DOMAIN, msgspec.structs.replace(service(), type_hash=SERVING.type_hash))
+CHATTER_KEY = data_key(DOMAIN, msgspec.structs.replace(publisher(), type_hash=SPEECH.type_hash))
 REQUEST = ASKING.encode(numbers(2, 3))
 
 
@@ -459,7 +463,7 @@ async def test_a_server_of_ros_that_is_there_and_answers_nothing_may_have_droppe
     async with beside(address) as (transport, other):
         caller = transport.join(client(), ASKING)
         announced = msgspec.structs.replace(service(), type_hash=SERVING.type_hash)
-        token = endpoint_token(0, other.session.zid, 0, 1, announced)
+        token = endpoint_token(DOMAIN, other.session.zid, 0, 1, announced)
         declared = await anyio.to_thread.run_sync(other.session.declare_token, token)
         await anyio.to_thread.run_sync(other.serve, ADD_KEY)
         await until(transport, lambda: caller.is_served and len(transport.endpoints()) == 2)
@@ -518,7 +522,7 @@ async def test_a_server_that_is_announced_and_cannot_be_reached_is_given_up(addr
     async with beside(address) as (transport, other):
         caller = transport.join(client(), ASKING)
         announced = msgspec.structs.replace(service(), type_hash=SERVING.type_hash)
-        token = endpoint_token(0, other.session.zid, 0, 1, announced)
+        token = endpoint_token(DOMAIN, other.session.zid, 0, 1, announced)
         declared = await anyio.to_thread.run_sync(other.session.declare_token, token)
         await until(transport, lambda: len(transport.endpoints()) == 2)
         said = "service '/add': node /adder serves it, but cannot be reached"
@@ -545,7 +549,7 @@ async def test_an_action_server_is_in_the_graph_as_one_of_ros_is(address):
 
     def note(key: str) -> None:
         chunks = key.split("/")
-        chunks[2], chunks[4] = "ZID", "N"
+        chunks[1], chunks[2], chunks[4] = "0", "ZID", "N"
         seen.add("/".join(chunks))
 
     async with (
@@ -555,7 +559,7 @@ async def test_an_action_server_is_in_the_graph_as_one_of_ros_is(address):
         rotate_absolute: Any = turtleact.interfaces.get_interface("turtlesim/action/RotateAbsolute")
         node.action_server(rotate_absolute, "turtle1/rotate_absolute", count)
         await transport.flush()
-        other.session.watch_tokens("@ros2_lv/0/**", note, note)
+        other.session.watch_tokens(f"@ros2_lv/{DOMAIN}/**", note, note)
         while len(seen) < 6:
             await anyio.sleep(0)
         assert set(RECORDED.split()) <= seen
@@ -1082,9 +1086,42 @@ async def test_a_closed_transport_takes_nothing_more(address):
             lambda: transport.join(client(), ASKING),
             lambda: transport.enter("/lab"),
         ):
-            with pytest.raises(TurtleactError, match="the Zenoh transport is closed: open another"):
+            with pytest.raises(TurtleactError, match=CLOSED):
                 open_it()
+        for wait in (transport.flush, transport.explore):
+            with pytest.raises(TurtleactError, match=CLOSED):
+                await wait()
         assert transport.endpoints() == ()
+
+
+async def test_waiting_for_a_graph_ends_when_its_transport_is_closed(address, monkeypatch):
+    monkeypatch.setattr("turtleact.transports.rmw_zenoh.boxes.GRACE", 0.05)
+    gate = threading.Event()
+    async with open_zenoh([], listen=[address]) as transport:
+        transport._link.outbox.post(lambda: gate.wait())  # as a peer does that takes nothing
+        async with running(transport.flush) as flushing, running(transport.explore) as exploring:
+            await settle()
+            await transport.aclose()
+            for each in (flushing, exploring):
+                await each.done.wait()
+                assert str(each.error) == CLOSED
+        gate.set()
+
+
+async def test_the_domain_is_that_of_the_environment_unless_one_is_given(address, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    async with (
+        open_zenoh([], listen=[address]) as here,
+        open_zenoh([address], listen=[], domain=7) as there,
+    ):
+        here.enter("/lab")
+        await until(there, lambda: there.nodes() == ("/lab",))
+
+
+async def test_a_domain_of_the_environment_that_is_none_is_said(address, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "many")
+    with pytest.raises(InvalidOption, match="ROS_DOMAIN_ID': expected 0 to 232, not 'many'"):
+        await open_zenoh([], listen=[address]).__aenter__()
 
 
 async def test_an_error_in_its_block_closes_a_transport(address):
@@ -1334,6 +1371,37 @@ async def counted(address: str, body: Any):
         assert await client.wait_for_server()
         async with client.send_goal(goal(1)) as handle:
             yield lab, handle
+
+
+async def test_an_abort_reason_that_utf_8_cannot_encode_keeps_its_result(address):
+    async def body(_):
+        raise turtleact.Abort("caf\udce9", result(4))
+        yield  # pragma: no cover
+
+    async with counted(address, body) as (_, handle):
+        outcome = await handle.outcome()
+    assert (outcome.result, outcome.reason) == (result(4), r"caf\udce9")
+
+
+async def test_a_service_error_that_utf_8_cannot_encode_is_escaped(address):
+    async with two(address) as peers:
+        peers.there.serve(service(), SERVING, Adder(ServiceError("/add", "caf\udce9")))
+        caller = peers.here.join(client(), ASKING)
+        await peers.settle()
+        with pytest.raises(ServiceError, match=re.escape(r"caf\udce9")):
+            await caller.call(numbers())
+
+
+async def test_a_huge_error_of_a_handler_is_shortened_where_it_is_sent_and_logged(address, caplog):
+    async with two(address) as peers:
+        peers.there.serve(service(), SERVING, Adder(ValueError("x" * 1_000_000)))
+        caller = peers.here.join(client(), ASKING)
+        await peers.settle()
+        with pytest.raises(ServiceError) as caught:
+            await caller.call(numbers())
+    assert len(str(caught.value)) < 11_000
+    assert "the handler of service /add failed" in caplog.text
+    assert len(caplog.text) < 30_000
 
 
 async def test_odd_feedback_is_converted_or_refused_for_another_process_too(address):

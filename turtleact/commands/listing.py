@@ -162,10 +162,10 @@ async def print_topic_info(node: Node, name: str, *, verbose: bool) -> int:
 
 
 def _in_full(endpoint: Endpoint) -> str:
-    """All that is known of an endpoint; the policies that a `QoS` has not are ROS 2's defaults."""
+    """Everything known about an endpoint, as ``ros2 topic info -v`` prints it."""
     namespace, _, name = endpoint.node.rpartition("/")
     gid = f"GID: {endpoint.gid.hex('.')}\n" if endpoint.gid else ""
-    qos = endpoint.qos
+    qos, times = endpoint.qos, endpoint.times
     return (
         f"Node name: {name}\n"
         f"Node namespace: {namespace or '/'}\n"
@@ -177,11 +177,16 @@ def _in_full(endpoint: Endpoint) -> str:
         f"  Reliability: {qos.reliability.upper()}\n"
         f"  History (Depth): KEEP_LAST ({qos.depth})\n"
         f"  Durability: {qos.durability.upper()}\n"
-        "  Lifespan: Infinite\n"
-        "  Deadline: Infinite\n"
-        "  Liveliness: AUTOMATIC\n"
-        "  Liveliness lease duration: Infinite"
+        f"  Lifespan: {_duration(times.lifespan)}\n"
+        f"  Deadline: {_duration(times.deadline)}\n"
+        f"  Liveliness: {times.liveliness.upper()}\n"
+        f"  Liveliness lease duration: {_duration(times.lease)}"
     )
+
+
+def _duration(nanoseconds: int | None) -> str:
+    """A duration as rclpy prints it."""
+    return "Infinite" if nanoseconds is None else f"{nanoseconds} nanoseconds"
 
 
 def _hash_of(type_name: str) -> str:

@@ -47,6 +47,7 @@ __all__ = [
     "Reply",
     "Replying",
     "Source",
+    "TimePolicies",
     "Transport",
     "wait_until_served",
     "why_not_served",
@@ -84,6 +85,25 @@ _POLICIES = {
     "reliability": ("reliable", "best_effort"),
 }
 
+
+class TimePolicies(msgspec.Struct, frozen=True, gc=False):
+    """The QoS policies of an endpoint of ROS 2 that count in time.
+
+    turtleact shows those of its peers. It offers none itself and enforces none.
+
+    Attributes:
+        deadline: The longest time between two messages (ns); None if there is no limit.
+        lifespan: How long a message is valid (ns); None for ever.
+        liveliness: Who asserts that a publisher is alive, such as ``"automatic"``.
+        lease: How long a publisher counts as alive without that (ns); None for ever.
+    """
+
+    deadline: int | None = None
+    lifespan: int | None = None
+    liveliness: str = "automatic"
+    lease: int | None = None
+
+
 STATUS_QOS = QoS(depth=1, durability="transient_local")
 """That of an action's status topic."""
 
@@ -97,6 +117,7 @@ class Endpoint(msgspec.Struct, frozen=True, gc=False):
         type_name: The interface, ``pkg/kind/Name``.
         node: The fully qualified name of its node.
         qos: Quality of service, for topics.
+        times: More of it, as a peer of ROS 2 declares it.
         type_hash: The hash of its type, where it is known from a wire.
         gid: The 16 bytes that name it on a wire, where it has such.
         on_demand: Whether other processes are told of it only once one of them has an endpoint of
@@ -111,6 +132,7 @@ class Endpoint(msgspec.Struct, frozen=True, gc=False):
     type_hash: str = ""
     gid: bytes = b""
     on_demand: bool = False
+    times: TimePolicies = TimePolicies()
 
 
 class Format(Protocol):

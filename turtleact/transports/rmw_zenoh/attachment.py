@@ -64,7 +64,7 @@ def write_attachment(sequence: int, stamp: int, gid: bytes, note: str = "") -> b
     fixed = LAYOUT.pack(sequence, stamp, GID_SIZE, gid)
     if not note:
         return fixed
-    tail = note.encode(errors="replace")
+    tail = note.encode(errors="backslashreplace")  # a note never fails the message that it is with
     if len(tail) > LONGEST_NOTE:
         tail = tail[:LONGEST_NOTE].decode(errors="ignore").encode()
     return fixed + tail

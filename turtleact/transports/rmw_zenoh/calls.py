@@ -24,7 +24,7 @@ from turtleact.errors import (
     ServiceError,
     TurtleactError,
 )
-from turtleact.summaries import summary
+from turtleact.summaries import loggable, summary
 from turtleact.tasks import GRACE
 from turtleact.transports.base import (
     Asked,
@@ -133,7 +133,7 @@ class WireService:
         """What a client is told of what a handler has raised."""
         if isinstance(error, TurtleactError):
             return error
-        logger.error("the handler of service %s failed", self._name, exc_info=error)
+        logger.error("the handler of service %s failed", self._name, exc_info=loggable(error))
         return ServiceError(self._name, f"the handler failed: {summary(error)}")
 
     def _fail(self, query: Query, error: TurtleactError) -> None:

@@ -17,7 +17,7 @@ import msgspec
 
 from turtleact.errors import InvalidOption
 
-__all__ = ["PATIENCE", "Mode", "SessionConfig", "session_config"]
+__all__ = ["PATIENCE", "Mode", "SessionConfig", "domain_of", "session_config"]
 
 Mode: TypeAlias = Literal["peer", "client", "router"]
 
@@ -27,6 +27,9 @@ PATIENCE = 600.0
 
 #: The last domain whose ports ROS 2 can count with.
 LAST_DOMAIN = 232
+
+#: The environment variable that names the domain of a ROS 2 process.
+DOMAIN_VARIABLE = "ROS_DOMAIN_ID"
 
 #: Where a router listens, and where nodes look for one.
 ROUTER = "tcp/localhost:7447"
@@ -78,6 +81,22 @@ class SessionConfig(msgspec.Struct, frozen=True):
     defaults: dict[str, str]
     connect: tuple[str, ...]
     listen: tuple[str, ...]
+
+
+def domain_of(environment: Mapping[str, str]) -> int:
+    """The ROS domain that the environment names by ``ROS_DOMAIN_ID``, 0 if it names none.
+
+    >>> domain_of({"ROS_DOMAIN_ID": "7"}), domain_of({"ROS_DOMAIN_ID": ""}), domain_of({})
+    (7, 0, 0)
+
+    Raises:
+        InvalidOption: if the variable is no domain.
+    """
+    text = environment.get(DOMAIN_VARIABLE) or "0"
+    is_number = text.isascii() and text.isdigit() and len(text) <= 3
+    if not is_number or int(text) > LAST_DOMAIN:
+        raise InvalidOption(DOMAIN_VARIABLE, f"expected 0 to {LAST_DOMAIN}, not {text!r}")
+    return int(text)
 
 
 def session_config(

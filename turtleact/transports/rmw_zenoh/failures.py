@@ -9,7 +9,7 @@ from turtleact.errors import (
     ServiceTimeout,
     TurtleactError,
 )
-from turtleact.summaries import summary
+from turtleact.summaries import shortened, summary
 from turtleact.transports.rmw_zenoh.config import PATIENCE
 
 __all__ = ["error_said", "said"]
@@ -18,10 +18,12 @@ __all__ = ["error_said", "said"]
 def said(error: TurtleactError) -> tuple[str, str]:
     """The kind of an error, and the text by which `error_said` makes it again."""
     if isinstance(error, InvalidMessage):
-        return "InvalidMessage", str(error)
+        return "InvalidMessage", shortened(str(error))
     if isinstance(error, ServerUnavailable):
-        return "ServerUnavailable", error.problem
-    return "ServiceError", error.reason if isinstance(error, ServiceError) else summary(error)
+        return "ServerUnavailable", shortened(error.problem)
+    if isinstance(error, ServiceError):
+        return "ServiceError", shortened(error.reason)
+    return "ServiceError", summary(error)
 
 
 def error_said(name: str, text: str, kind: str) -> TurtleactError:

@@ -21,7 +21,7 @@ from __future__ import annotations
 import msgspec
 import xxhash
 
-from turtleact.transports.base import Endpoint, EndpointKind, QoS
+from turtleact.transports.base import Endpoint, EndpointKind, QoS, TimePolicies
 
 __all__ = [
     "Token",
@@ -55,6 +55,16 @@ LONGEST = 8192
 DEFAULT_DEPTH = 42
 TRANSIENT_LOCAL = "1"
 BEST_EFFORT = "2"
+LIVELINESS = {
+    "0": "system_default",
+    "": "automatic",
+    "1": "automatic",
+    "3": "manual_by_topic",
+    "5": "best_available",
+}
+
+#: From so many seconds on a duration is infinite: ROS 2 writes 9,223,372,036 s, or nothing.
+INFINITE = 9_223_372_036
 
 
 class Token(msgspec.Struct, frozen=True):
@@ -140,6 +150,7 @@ def parse_token(key: str) -> Token | None:
         type_name=ros_type(_demangle(chunks[10])),
         node=node,
         qos=_parse_qos(chunks[12]),
+        times=_parse_times(chunks[12]),
         type_hash=_demangle(chunks[11]),
         gid=gid_of(key),
     )
@@ -197,9 +208,38 @@ def _parse_qos(chunk: str) -> QoS:
     """The part of a quality of service that we know; what is odd or left out is the default."""
     reliability, durability, history, *_ = (*chunk.split(":"), "", "", "")
     _, _, depth = history.partition(",")
-    is_number = depth.isascii() and depth.isdigit() and len(depth) < 10
+    is_depth = _is_number(depth) and len(depth) < 10
     return QoS(
-        depth=(int(depth) if is_number else 0) or DEFAULT_DEPTH,
+        depth=(int(depth) if is_depth else 0) or DEFAULT_DEPTH,
         durability="transient_local" if durability == TRANSIENT_LOCAL else "volatile",
         reliability="best_effort" if reliability == BEST_EFFORT else "reliable",
     )
+
+
+def _parse_times(chunk: str) -> TimePolicies:
+    """The policies that count in time; what is odd or left out is infinite, as in rmw_zenoh."""
+    parts = chunk.split(":")
+    deadline, lifespan, liveliness = (*parts[3:6], "", "", "")[:3]
+    kind, _, lease = liveliness.partition(",")
+    return TimePolicies(
+        deadline=_duration(deadline),
+        lifespan=_duration(lifespan),
+        liveliness=LIVELINESS.get(kind, "unknown"),
+        lease=_duration(lease),
+    )
+
+
+def _duration(text: str) -> int | None:
+    """A duration of two numbers, ``SECONDS,NANOSECONDS``, in ns; None if it is infinite.
+
+    >>> _duration("10,0"), _duration("0,500000000"), _duration(","), _duration("9223372036,")
+    (10000000000, 500000000, None, None)
+    """
+    seconds, _, nanoseconds = text.partition(",")
+    if not _is_number(seconds) or int(seconds) >= INFINITE:
+        return None
+    return int(seconds) * 10**9 + (int(nanoseconds) if _is_number(nanoseconds) else 0)
+
+
+def _is_number(text: str) -> bool:
+    return text.isascii() and text.isdigit() and len(text) <= 20

@@ -21,6 +21,7 @@ from zenoh import ext
 from zenoh.handlers import Callback
 
 from turtleact.errors import InvalidOption, TurtleactError
+from turtleact.summaries import encodable
 from turtleact.transports.rmw_zenoh.complaints import why_not_open, words
 from turtleact.transports.rmw_zenoh.config import PATIENCE, SessionConfig
 from turtleact.transports.rmw_zenoh.staying import HERE
@@ -328,7 +329,7 @@ class Query:
     def fail(self, text: str, kind: str) -> None:
         """Answer that it has failed: a text for people, and a kind for peers like us."""
         with _mapped("reply"), self._query:
-            self._query.reply_err(text.encode(errors="replace"), encoding=f"text/plain;{kind}")
+            self._query.reply_err(encodable(text).encode(), encoding=f"text/plain;{kind}")
 
 
 def _parts(sample: zenoh.Sample) -> tuple[bytes, bytes]:

@@ -13,6 +13,7 @@ Source: rmw_zenoh_cpp, ``docs/design.md``.
 
 from __future__ import annotations
 
+import os
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from functools import partial
@@ -37,7 +38,7 @@ from turtleact.transports.base import (
 )
 from turtleact.transports.memory import MemoryTransport
 from turtleact.transports.rmw_zenoh.calls import WireCaller, WireService
-from turtleact.transports.rmw_zenoh.config import Mode, session_config
+from turtleact.transports.rmw_zenoh.config import Mode, domain_of, session_config
 from turtleact.transports.rmw_zenoh.discovery import Graph
 from turtleact.transports.rmw_zenoh.keys import (
     all_tokens,
@@ -73,6 +74,7 @@ class ZenohTransport:
         self._numbers: dict[str, int] = {}
         self._count = 0
         self._gone_since: dict[anyio.Event, set[str]] = {}
+        self._awaited: set[anyio.Event] = set()  # what waits for the outbox, and for the close
         self._link.outbox.post(partial(self._watch, session))
 
     def advertise(
@@ -145,13 +147,23 @@ class ZenohTransport:
         await self._near.wait_for_change()
 
     async def flush(self) -> None:
-        """Wait until what was asked for so far has been handed to Zenoh. Cancelling: safe."""
+        """Wait until everything asked for so far has been handed to Zenoh. Cancelling: safe.
+
+        Raises:
+            TurtleactError: if the transport is closed, now or while this waits.
+        """
+        self._check_open()
         passed = anyio.Event()
         self._link.outbox.post(lambda: self._link.tasks.from_anywhere(passed.set))
-        await passed.wait()
+        await self._wait_unless_closed(passed)
 
     async def explore(self) -> None:
-        """Wait until those who are there are in the graph. Cancelling: safe."""
+        """Ask the graph who is there, and wait for the answer. Cancelling: safe.
+
+        Raises:
+            TurtleactError: if the transport is closed, now or while this waits.
+        """
+        self._check_open()
         link, found = self._link, anyio.Event()
         gone = self._gone_since[found] = set()
         began = perf_counter()
@@ -171,7 +183,7 @@ class ZenohTransport:
 
         link.outbox.post(ask)
         try:
-            await found.wait()
+            await self._wait_unless_closed(found)
             self.round_trip = perf_counter() - began
         finally:
             del self._gone_since[found]
@@ -197,6 +209,16 @@ class ZenohTransport:
             await anyio.to_thread.run_sync(link.session.close)
         link.inbox.close()
         self._near.tell_change()
+        for event in self._awaited:  # the outbox may have left them unset
+            event.set()
+
+    async def _wait_unless_closed(self, event: anyio.Event) -> None:
+        self._awaited.add(event)
+        try:
+            await event.wait()
+        finally:
+            self._awaited.discard(event)
+        self._check_open()
 
     # names
 
@@ -267,7 +289,7 @@ async def open_zenoh(
     *,
     listen: Sequence[str] | None = None,
     mode: Mode = "peer",
-    domain: int = 0,
+    domain: int | None = None,
     config: Mapping[str, object] | str = "",
     clock: Clock | None = None,
 ) -> AsyncIterator[ZenohTransport]:
@@ -282,7 +304,7 @@ async def open_zenoh(
             ``tcp/127.0.0.1:7447`` for a router, nowhere for a client.
         mode: ``"peer"`` is what a node of ROS 2 is; ``"client"`` talks through its router alone;
             ``"router"`` is what the nodes of ROS 2 on this machine look for.
-        domain: The ROS domain, 0 to 232.
+        domain: The ROS domain, 0 to 232; that of ``ROS_DOMAIN_ID`` if left out, else 0.
         config: More of Zenoh's configuration: a mapping of path (``"transport/link/tx/lease"``) to
             value, or a whole file as JSON5, such as those that ROS 2 is configured with; in the
             file's place stands what is said here.
@@ -292,6 +314,8 @@ async def open_zenoh(
         InvalidOption: if an option has a value that it cannot have.
         TurtleactError: if the graph cannot be reached, or not be listened at.
     """
+    if domain is None:
+        domain = domain_of(os.environ)
     settings = session_config(connect, listen, mode, domain, config)
     with anyio.CancelScope(shield=True):  # bounded, and nobody else would close it
         session = await anyio.to_thread.run_sync(Session.open, settings)
