@@ -47,7 +47,7 @@ MACHINE_PATHS = [f"/{folder}/" for folder in ("work", "root", "home")]
 REGISTRY_HOSTS = [".".join(host) for host in (("pypi", "org"), ("pythonhosted", "org"))]
 
 SKIPPED_FOLDERS = {".git", ".venv", "__pycache__", "build", "dist"}
-LONGEST_MODULE = 400
+LONGEST_MODULE = 700
 LONGEST_FUNCTION = 60
 
 
@@ -128,7 +128,7 @@ def test_a_planted_violation_breaks_its_import_contract(tmp_path, contract, modu
 # --- size -----------------------------------------------------------------------------------
 
 
-def test_no_module_is_over_400_lines():
+def test_no_module_is_over_700_lines():
     sizes = {path: len(path.read_text("utf-8").splitlines()) for path in PACKAGE.rglob("*.py")}
     long = {str(path.relative_to(ROOT)): n for path, n in sizes.items() if n > LONGEST_MODULE}
     assert not long
