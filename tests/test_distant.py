@@ -32,7 +32,7 @@ from turtleact.interfaces import Action, Message, implied, int32
 from turtleact.interfaces.standard import CancelGoal, Time
 from turtleact.tasks import current_tasks
 from turtleact.transports import MemoryTransport
-from turtleact.transports.base import Reply
+from turtleact.transports.base import EVERY_SERVER, Reply
 
 from .lab import (
     Count,
@@ -71,8 +71,8 @@ class Apart:
     def local(self, name: str, type_name: str) -> None:
         """There is none in this process."""
 
-    def join(self, endpoint: Any, format: Any) -> Any:
-        caller: Any = self._transport.join(endpoint, format)
+    def join(self, endpoint: Any, format: Any, target: Any = EVERY_SERVER) -> Any:
+        caller: Any = self._transport.join(endpoint, format, target)
         if self.is_prompt:
             caller.ask = lambda request: Early(lambda: caller.call(request))
         return caller
@@ -600,8 +600,8 @@ class Cut(Apart):
         for scope in self._dying:
             scope.cancel()
 
-    def join(self, endpoint: Any, format: Any) -> Any:
-        return CutCaller(self, self._transport.join(endpoint, format), endpoint.name)
+    def join(self, endpoint: Any, format: Any, target: Any = EVERY_SERVER) -> Any:
+        return CutCaller(self, self._transport.join(endpoint, format, target), endpoint.name)
 
     def subscribe(self, endpoint: Any, format: Any, deliver: Any) -> Any:
         def take(message: object) -> None:
@@ -627,6 +627,7 @@ class CutCaller:
         self._caller = caller
         self._name = name
         self.close = caller.close
+        self.why_not_served = caller.why_not_served
 
     @property
     def is_served(self) -> bool:

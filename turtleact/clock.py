@@ -344,15 +344,19 @@ def _leaping_time() -> Callable[[], float] | None:
 # timeouts
 
 
-def check_timeout(seconds: object) -> None:
-    """Raise what a user is to be told of a timeout that is none.
+def check_timeout(seconds: object, option: str = "timeout") -> None:
+    """Raise what a user is told of a timeout that is none.
+
+    Args:
+        seconds: What was given.
+        option: What the user calls it.
 
     Raises:
         InvalidOption: if it is neither a number nor None.
     """
     is_number = isinstance(seconds, Real) and not isinstance(seconds, bool)
     if seconds is not None and not (is_number and cast("float", seconds) == seconds):  # not nan
-        raise InvalidOption("timeout", f"expected a number of seconds or None, not {seconds!r}")
+        raise InvalidOption(option, f"expected a number of seconds or None, not {seconds!r}")
 
 
 @asynccontextmanager

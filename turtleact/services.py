@@ -38,8 +38,8 @@ from turtleact.transports.base import (
     Closeable,
     Reply,
     Transport,
+    find_server,
     wait_until_served,
-    why_not_served,
 )
 
 __all__ = ["ServiceClient", "ServiceServer", "ServiceType"]
@@ -243,8 +243,8 @@ class ServiceClient(Generic[Req, Res]):
         Raises:
             InvalidOption: if ``timeout`` is not a number; nothing was sent.
             InvalidMessage: if a value does not fit its type; nothing was sent.
-            ServerUnavailable: at once if nobody serves the service; if its server is closed before
-                it has responded.
+            ServerUnavailable: if nobody serves the service (see `open_zenoh` for how long servers
+                in other processes are looked for); if its server is closed before it has responded.
             ServiceError: if the handler failed; its traceback is in the server's log.
             ServiceTimeout: if there was no response within ``timeout``.
         """
@@ -279,13 +279,13 @@ class ServiceClient(Generic[Req, Res]):
         """Have a server in this process handle the request, or else one in another."""
         server = self._found
         if server is None or not server.is_open:
+            await find_server(self._transport, self._find)
             server = self._found = self._find_local()
         if server is not None:
             return await server.answer(request)
         if self.caller is not None:
             return (await self.caller.call(self._check_request(request))).message
-        problem = why_not_served(self._transport, self.name, self.service_type.type_name)
-        raise ServerUnavailable(self.name, problem, kind="service")
+        raise ServerUnavailable(self.name, kind="service")
 
     def _find_local(self) -> LocalService | None:
         found = self._transport.local(self.name, self.service_type.type_name)

@@ -76,11 +76,14 @@ class Handler:
 class Adder:
     """A server that adds up; notes its callers, and waits or fails as told."""
 
-    def __init__(self, fail: Exception | None = None, gate: anyio.Event | None = None) -> None:
+    def __init__(
+        self, fail: Exception | None = None, gate: anyio.Event | None = None, extra: int = 0
+    ) -> None:
         self.callers: list[bytes] = []
         self.lost: list[bytes] = []
         self._fail = fail
         self._gate = gate
+        self._extra = extra
 
     async def reply(self, request: Any, caller: bytes) -> Reply:
         self.callers.append(caller)
@@ -88,7 +91,7 @@ class Adder:
             await self._gate.wait()
         if self._fail is not None:
             raise self._fail
-        return Reply(Sum.Response(total=sum(request.numbers)), "added up")
+        return Reply(Sum.Response(total=sum(request.numbers) + self._extra), "added up")
 
     def caller_lost(self, caller: bytes) -> None:
         self.lost.append(caller)

@@ -30,11 +30,20 @@ from turtleact.errors import (
     ServiceError,
     ServiceTimeout,
     TurtleactError,
+    UnknownGoal,
 )
-from turtleact.interfaces import FeedbackFormat, Message, WireFormat, implied
+from turtleact.interfaces import (
+    Action,
+    FeedbackFormat,
+    Message,
+    WireFormat,
+    implied,
+    int32,
+    type_hash,
+)
 from turtleact.interfaces.standard import UUID, GoalStatusArray
 from turtleact.transports import QoS, ZenohTransport, open_zenoh
-from turtleact.transports.base import Endpoint, Reply
+from turtleact.transports.base import Endpoint, Reply, Target
 from turtleact.transports.rmw_zenoh import asking, calls
 from turtleact.transports.rmw_zenoh.attachment import read_attachment, write_attachment
 from turtleact.transports.rmw_zenoh.calls import WireCaller
@@ -580,6 +589,36 @@ async def test_of_several_servers_the_quickest_is_heard(address):
         gate.set()
         await peers.settle()
         assert len(slow.callers) == 1
+
+
+async def test_of_several_servers_one_is_asked_if_the_client_says_so(address):
+    async with two(address) as peers, open_zenoh([address], listen=[]) as third:
+        servers = [Adder(), Adder()]
+        peers.there.serve(service(), SERVING, servers[0])
+        third.serve(service(), SERVING, servers[1])
+        caller = peers.here.join(client(), ASKING, Target("one"))
+        await until(peers.here, lambda: len(peers.here.endpoints()) == 3 and caller.is_served)
+        await peers.settle()
+        for _ in range(5):
+            assert (await caller.call(numbers(2, 3))).message == Sum.Response(total=5)
+        assert sorted(len(each.callers) for each in servers) == [0, 5]
+
+
+@pytest.mark.parametrize("best", [7, 5], ids=["one that counts", "none that counts"])
+async def test_a_reply_that_does_not_count_is_used_only_if_no_other_comes(address, best):
+    gate = anyio.Event()
+    counts = SERVING.encode(Sum.Response(total=7)).__eq__
+    async with two(address) as peers, open_zenoh([address], listen=[]) as third:
+        peers.there.serve(service(), SERVING, Adder(gate=gate, extra=best - 5))
+        third.serve(service(), SERVING, Adder())
+        caller = peers.here.join(client(), ASKING, Target(counts=counts))
+        await until(peers.here, lambda: len(peers.here.endpoints()) == 3 and caller.is_served)
+        await peers.settle()
+        async with running(lambda: caller.call(numbers(2, 3))) as called:
+            await peers.settle()
+            assert not called.done.is_set()
+            gate.set()
+        assert called.value.message == Sum.Response(total=best)
 
 
 # --- what costs nothing -----------------------------------------------------------------------
@@ -1160,7 +1199,7 @@ SERVER = """
 import asyncio, signal, sys, anyio
 from turtleact.interfaces import WireFormat
 from turtleact.transports import open_zenoh
-from turtleact.transports.base import Endpoint, Reply
+from turtleact.transports.base import Endpoint, Reply, Target
 from turtleact.interfaces.standard import CancelGoal
 
 class Silent:
@@ -1439,6 +1478,93 @@ async def test_who_attaches_itself_later_sees_the_last_feedback_sent_to_another_
         gate.set()
         assert await handle.result() == result(4)
         assert beside.last_feedback == feedback(3)
+
+
+@asynccontextmanager
+async def newcomer(address: str, **options: Any) -> AsyncIterator[turtleact.Node]:
+    """A node whose session has just been opened, while another has been serving for a while."""
+    async with (
+        open_zenoh([], listen=[address]) as there,
+        turtleact.open_node("lab", transport=there) as lab,
+    ):
+        lab.action_server(Count, "count", count)
+        lab.service(Sum, "add", lambda request: Sum.Response(total=sum(request.numbers)))
+        await there.flush()
+        async with (
+            open_zenoh([address], listen=[], **options) as here,
+            turtleact.open_node("user", transport=here) as user,
+        ):
+            yield user
+
+
+async def send(user: turtleact.Node) -> Any:
+    return await user.action_client(Count, "count").send_goal(goal())
+
+
+async def attach(user: turtleact.Node) -> Any:
+    return await user.action_client(Count, "count").attach(bytes(range(16)))
+
+
+async def cancel(user: turtleact.Node) -> Any:
+    return (await user.action_client(Count, "count").cancel_all()).return_code
+
+
+async def call(user: turtleact.Node) -> Any:
+    return (await user.service_client(Sum, "add").call(numbers(2, 3))).total
+
+
+@pytest.mark.parametrize(("ask", "answer"), [(send, result(0, 1, 2)), (cancel, 0), (call, 5)])
+async def test_who_has_just_come_need_not_wait_for_a_server(address, ask, answer):
+    async with newcomer(address) as user:
+        assert await ask(user) == answer
+
+
+async def test_who_has_just_come_need_not_wait_to_attach_to_a_goal(address):
+    async with newcomer(address) as user:
+        with pytest.raises(UnknownGoal):
+            await attach(user)
+
+
+@pytest.mark.parametrize("ask", [send, attach, cancel, call])
+async def test_a_server_is_not_waited_for_once_the_discovery_is_over(address, ask):
+    async with (
+        open_zenoh([], listen=[address], discovery=0.01) as transport,
+        turtleact.open_node("user", transport=transport) as user,
+    ):
+        with pytest.raises(ServerUnavailable, match="no server answers"):
+            await ask(user)
+        assert transport.discovery_ends <= anyio.current_time()
+
+
+async def test_a_discovery_without_a_length_is_refused():
+    with pytest.raises(InvalidOption, match="option 'discovery': expected a number"):
+        async with open_zenoh(discovery="long"):  # type: ignore[arg-type]  # so it is refused
+            pass
+
+
+async def test_actions_whose_definitions_differ_are_named(address):
+    class Longer(Action, type_name=Count.type_name):
+        class Goal(Message):
+            upto: int32 = 0
+            step: int32 = 1
+
+        Result, Feedback = Count.Result, Count.Feedback
+
+    async with (
+        two(address) as peers,
+        turtleact.open_node("lab", transport=peers.there) as lab,
+        turtleact.open_node("user", transport=peers.here) as user,
+    ):
+        lab.action_server(Count, "count", count)
+        await peers.settle()
+        with pytest.raises(ServerUnavailable) as caught:
+            await user.action_client(Longer, "count").send_goal(Longer.Goal())
+        theirs, ours = (implied(each).send_goal for each in (Count, Longer))
+        assert str(caught.value) == (
+            f"action '/count': the definitions of {Count.type_name} differ: its type hash is "
+            f"{type_hash(theirs)} at the server, {type_hash(ours)} here; both sides need the same "
+            "one"
+        )
 
 
 async def test_an_action_of_a_node_is_used_from_another_process(address):

@@ -31,8 +31,8 @@ from turtleact.names import ActionNames
 from turtleact.transports.base import (
     Closeable,
     Transport,
+    find_server,
     wait_until_served,
-    why_not_served,
 )
 
 __all__ = ["ActionClient", "Attach", "SendGoal"]
@@ -130,11 +130,11 @@ class ActionClient(Generic[G, R, F]):
 
     async def cancel_all(self) -> CancelGoal.Response:
         """Ask the server to cancel every goal of the action."""
-        return await self.server().cancel(None, 0)
+        return await (await self.server()).cancel(None, 0)
 
     async def cancel_before(self, stamp: Time) -> CancelGoal.Response:
         """Ask the server to cancel every goal accepted at or before ``stamp``."""
-        return await self.server().cancel(None, nanoseconds(stamp))
+        return await (await self.server()).cancel(None, nanoseconds(stamp))
 
     async def aclose(self) -> None:
         """Leave the graph; the goals it has sent go on, unless their server cancels them."""
@@ -146,20 +146,26 @@ class ActionClient(Generic[G, R, F]):
         if self.membership is not None:
             self.membership.close()
 
-    def server(self) -> GoalServer:
-        """The server of the action.
+    async def server(self) -> GoalServer:
+        """The server of the action; on a graph that has just been joined it is waited for.
 
         Raises:
             ServerUnavailable: if nobody serves it.
         """
+        server = self.known_server()
+        if server is None:
+            server = self._server = await find_server(self._transport, self._find)
+            if server is None:
+                raise ServerUnavailable(self.name, self._distant.why_not_served())
+        return server
+
+    def known_server(self) -> GoalServer | None:
+        """The server of the action, if it can be told without waiting."""
         server = self._server
         if server is None or not server.is_open:
             if not self.is_open:
                 raise TurtleactError(f"the client of action '{self.name}' is closed: open another")
             server = self._server = self._find()
-            if server is None:
-                problem = why_not_served(self._transport, *self._service, suffix="_SendGoal")
-                raise ServerUnavailable(self.name, problem)
         return server
 
     def _find(self) -> GoalServer | None:
@@ -199,9 +205,16 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
     _calling: Generator[object, object, R] | None = None
 
     def __await__(self) -> Generator[object, object, R]:
-        client = self._client
-        calling = client.server().call(self._request, self._goal_id, self._on_feedback, client)
+        server = self._client.known_server()
+        calling = self._call().__await__() if server is None else self._call_on(server)
         return calling  # type: ignore[return-value]  # the result's class is R
+
+    async def _call(self) -> object:
+        server = await self._client.server()
+        return await _Awaitable(self._call_on(server))
+
+    def _call_on(self, server: GoalServer) -> Generator[object, object, object]:
+        return server.call(self._request, self._goal_id, self._on_feedback, self._client)
 
     def send(self, value: object) -> object:
         """Go on to the next wait; what an event loop calls."""
@@ -221,7 +234,7 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
             self._calling.close()
 
     async def __aenter__(self) -> ClientGoalHandle[R, F]:
-        server = self._client.server()
+        server = await self._client.server()
         goal = server.begin(self._request, self._goal_id, self._on_feedback, self._client)
         if goal is None:
             goal = await server.take(self._request, self._goal_id, self._on_feedback, self._client)
@@ -242,6 +255,15 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
 Coroutine.register(SendGoal)
 
 
+class _Awaitable(msgspec.Struct):
+    """A generator as something to await."""
+
+    _steps: Generator[object, object, object]
+
+    def __await__(self) -> Generator[object, object, object]:
+        return self._steps
+
+
 class Attach(msgspec.Struct, Generic[R, F], eq=False):
     """A goal about to be taken hold of: ``await`` or enter it for the handle."""
 
@@ -253,7 +275,7 @@ class Attach(msgspec.Struct, Generic[R, F], eq=False):
         return self.__aenter__().__await__()
 
     async def __aenter__(self) -> ClientGoalHandle[R, F]:
-        server = self._client.server()
+        server = await self._client.server()
         goal = await server.attach(self._goal_id)
         if goal is None:
             raise UnknownGoal(f"'{self._client.name}' holds no goal {self._goal_id.hex()}")

@@ -80,6 +80,10 @@ class DistantServer:
         """Whether somebody serves the action out there."""
         return self._links.is_served
 
+    def why_not_served(self) -> str:
+        """Why nobody does."""
+        return self._links.why_not_served()
+
     # sending
 
     def begin(

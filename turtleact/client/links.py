@@ -9,6 +9,7 @@ from typing import Any, cast
 from turtleact.body import ActionType
 from turtleact.client.followed import Followed
 from turtleact.client.pace import Pace
+from turtleact.goal import CancelCode, GoalStatus
 from turtleact.goal_states import read_states
 from turtleact.interfaces import (
     GOAL_ID,
@@ -30,11 +31,16 @@ from turtleact.transports.base import (
     MakeEndpoint,
     QoS,
     Reply,
+    Target,
     Transport,
     wait_until_served,
 )
 
 __all__ = ["Links"]
+
+# Both responses begin with a number, in the byte behind the header of CDR.
+_UNKNOWN = bytes([GoalStatus.UNKNOWN])
+_UNKNOWN_GOAL_ID = bytes([CancelCode.UNKNOWN_GOAL_ID])
 
 
 class Links:
@@ -76,7 +82,10 @@ class Links:
         self._ours: list[Endpoint] | None = None  # the servers, as they were known to be ours
         self._seen = 0  # the changes of the graph by which they are still these
         self._send_goal = self._join(
-            names.send_goal, "SendGoal", WireFormat(lambda: self.implied.send_goal, asks=True)
+            names.send_goal,
+            "SendGoal",
+            WireFormat(lambda: self.implied.send_goal, asks=True),
+            Target("one"),
         )
 
     @cached_property
@@ -88,6 +97,10 @@ class Links:
     def is_served(self) -> bool:
         """Whether there is a server to call."""
         return self._send_goal.is_served
+
+    def why_not_served(self) -> str:
+        """Why there is none."""
+        return self._send_goal.why_not_served("_SendGoal")
 
     @property
     def is_of_our_kind(self) -> bool:
@@ -147,11 +160,15 @@ class Links:
             on_feedback,
         )
         self.get_result = self._join(
-            names.get_result, "GetResult", WireFormat(lambda: self.implied.get_result, asks=True)
+            names.get_result,
+            "GetResult",
+            WireFormat(lambda: self.implied.get_result, asks=True),
+            Target(counts=lambda reply: reply[4:5] != _UNKNOWN),
         )
         self._cancel_goal = self._transport.join(
             self._endpoint("client", names.cancel_goal, CancelGoal.type_name),
             WireFormat(CancelGoal, asks=True),
+            Target(counts=lambda reply: reply[4:5] != _UNKNOWN_GOAL_ID),
         )
         self._opened.append(self._cancel_goal)
 
@@ -188,9 +205,9 @@ class Links:
             return await caller.call(request)
         return await pace.call(caller, request)
 
-    def _join(self, name: str, kind: str, format: WireFormat) -> Caller:
+    def _join(self, name: str, kind: str, format: WireFormat, target: Target) -> Caller:
         type_name = f"{self._action_type.type_name}_{kind}"
-        caller = self._transport.join(self._endpoint("client", name, type_name), format)
+        caller = self._transport.join(self._endpoint("client", name, type_name), format, target)
         self._opened.append(caller)
         return caller
 

@@ -25,7 +25,16 @@ from turtleact.clock import Clock
 from turtleact.errors import SimError
 from turtleact.tasks import Background
 from turtleact.transports import Transport
-from turtleact.transports.base import Caller, Closeable, Endpoint, Format, Publication, Source
+from turtleact.transports.base import (
+    EVERY_SERVER,
+    Caller,
+    Closeable,
+    Endpoint,
+    Format,
+    Publication,
+    Source,
+    Target,
+)
 
 __all__ = ["Faults", "FaultyTransport"]
 
@@ -72,6 +81,7 @@ class FaultyTransport:
     Attributes:
         clock: The time of the wrapped transport.
         round_trip: As of the wrapped transport.
+        discovery_ends: As of the wrapped transport.
         delay: The shortest and the longest delay (s); may be changed at any time.
         drop: The share that is lost; may be changed at any time.
         repeat: The share that arrives twice; may be changed at any time.
@@ -98,6 +108,7 @@ class FaultyTransport:
             raise SimError(f"delay is 0 or more seconds, or a pair of such in order, not {delay}")
         self.clock: Clock = transport.clock
         self.round_trip = transport.round_trip
+        self.discovery_ends = transport.discovery_ends
         self.delay = (shortest, longest)
         self.drop = drop
         self.repeat = repeat
@@ -149,9 +160,9 @@ class FaultyTransport:
         """Offer ``handler`` as the server of a service."""
         return self._transport.serve(endpoint, format, handler)
 
-    def join(self, endpoint: Endpoint, format: Format) -> Caller:
+    def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
         """Appear in the graph as a client of a service; what it calls passes without faults."""
-        return self._transport.join(endpoint, format)
+        return self._transport.join(endpoint, format, target)
 
     def all_local(self, name: str, type_name: str) -> tuple[object, ...]:
         """All handlers that serve it, cut or not."""

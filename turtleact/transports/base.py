@@ -22,8 +22,9 @@ Source: ROS 2 ``rmw``; the QoS policies of the ROS 2 documentation.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Literal, Protocol, TypeVar, runtime_checkable
 
+import anyio
 import msgspec
 
 from turtleact.errors import InvalidMessage
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from turtleact.clock import Clock
 
 __all__ = [
+    "EVERY_SERVER",
     "STATUS_QOS",
     "Asked",
     "Caller",
@@ -47,13 +49,17 @@ __all__ = [
     "Reply",
     "Replying",
     "Source",
+    "Target",
     "TimePolicies",
     "Transport",
+    "find_server",
     "wait_until_served",
     "why_not_served",
 ]
 
 EndpointKind = Literal["publisher", "subscription", "service", "client"]
+
+T = TypeVar("T")
 
 
 class QoS(msgspec.Struct, frozen=True, kw_only=True):
@@ -232,6 +238,23 @@ class Reply(msgspec.Struct, frozen=True):
     note: str = ""
 
 
+class Target(msgspec.Struct, frozen=True, gc=False):
+    """Which servers get a client's requests, if several serve the same service elsewhere.
+
+    Attributes:
+        servers: ``"all"``, as in ROS 2, or ``"one"``: the nearest. Of all, the first reply is used.
+        counts: Tells from the bytes of a reply whether it counts. One that does not is used only if
+            no server sends one that does. May be called in any thread.
+    """
+
+    servers: Literal["one", "all"] = "all"
+    counts: Callable[[bytes], bool] | None = None
+
+
+EVERY_SERVER = Target()
+"""What ROS 2's clients do."""
+
+
 class Asked(Protocol):
     """A request that is under way: taken at last, or dropped, or it goes on for nobody."""
 
@@ -278,6 +301,9 @@ class Caller(Closeable, Protocol):
             InvalidMessage: if the request does not fit its type; nothing was sent.
         """
 
+    def why_not_served(self, suffix: str = "") -> str:
+        """Why a call would reach no server; ``suffix`` is left out of the types that are named."""
+
 
 @runtime_checkable
 class Replying(Protocol):
@@ -309,10 +335,13 @@ class Transport(Protocol):
     Attributes:
         clock: The time of all nodes on it.
         round_trip: How long others took to say who is there (s); 0 if nobody was asked.
+        discovery_ends: Until when servers that exist already may not be seen yet (in the event
+            loop's time, that of `anyio.current_time`); -inf if all are seen at once.
     """
 
     clock: Clock
     round_trip: float
+    discovery_ends: float
 
     def advertise(
         self, endpoint: Endpoint, format: Format, source: Source | None = None
@@ -331,7 +360,7 @@ class Transport(Protocol):
         is closed itself; closing the service lets those under way go on.
         """
 
-    def join(self, endpoint: Endpoint, format: Format) -> Caller:
+    def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
         """Appear in the graph as a client of a service, and be able to call it."""
 
     def local(self, name: str, type_name: str) -> object | None:
@@ -379,20 +408,39 @@ async def wait_until_served(
     return find() is not None
 
 
-def why_not_served(transport: Transport, service: str, wanted: str, suffix: str = "") -> str:
-    """Why there is no server to be found.
+async def find_server(transport: Transport, find: Callable[[], T | None]) -> T | None:
+    """What ``find`` finds now, or while the graph is still being discovered.
+
+    A transport that was opened a moment ago may not have seen a server that has been there for
+    long. So this waits for a server until `Transport.discovery_ends`; after that it does not wait.
+
+    Cancelling: safe.
+    """
+    found = find()
+    if found is None and (rest := transport.discovery_ends - anyio.current_time()) > 0:
+        with anyio.move_on_after(rest):
+            while (found := find()) is None:
+                await transport.wait_for_change()
+    return found
+
+
+def why_not_served(servers: Sequence[Endpoint], wanted: Endpoint, suffix: str = "") -> str:
+    """Why a client finds no server.
 
     Args:
-        transport: The graph.
-        service: The fully qualified name of the service.
-        wanted: The type that was looked for.
+        servers: The endpoints of the service's name, clients among them.
+        wanted: The client; its type hash is compared if it has one.
         suffix: What the types end in and users do not say.
     """
-    types = {
-        endpoint.type_name.removesuffix(suffix)
-        for endpoint in transport.endpoints()
-        if endpoint.kind == "service" and endpoint.name == service and endpoint.type_name != wanted
-    }
+    others = [each for each in servers if each.kind == "service" and each.name == wanted.name]
+    hashes = {each.type_hash for each in others if each.type_name == wanted.type_name}
+    ours = wanted.type_name.removesuffix(suffix)
+    if wanted.type_hash and (differing := hashes - {wanted.type_hash}):
+        return (
+            f"the definitions of {ours} differ: its type hash is {', '.join(sorted(differing))} "
+            f"at the server, {wanted.type_hash} here; both sides need the same one"
+        )
+    types = {each.type_name.removesuffix(suffix) for each in others} - {ours}
     if not types:
         return "no server answers"
-    return f"it is served as {', '.join(sorted(types))}, not as {wanted.removesuffix(suffix)}"
+    return f"it is served as {', '.join(sorted(types))}, not as {ours}"

@@ -7,6 +7,7 @@ is ever congested. One event loop only.
 from __future__ import annotations
 
 import logging
+import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -17,6 +18,7 @@ from turtleact.errors import ServerUnavailable, ServiceError, TurtleactError
 from turtleact.summaries import summary
 from turtleact.tasks import Signal, current_tasks
 from turtleact.transports.base import (
+    EVERY_SERVER,
     Caller,
     CallerAware,
     Closeable,
@@ -27,6 +29,7 @@ from turtleact.transports.base import (
     Reply,
     Replying,
     Source,
+    Target,
     why_not_served,
 )
 
@@ -51,6 +54,7 @@ class MemoryTransport:
     def __init__(self, clock: Clock | None = None) -> None:
         self.clock: Clock = WallClock() if clock is None else clock
         self.round_trip = 0.0
+        self.discovery_ends = -math.inf
         self._topics: dict[Key, _Topic] = {}
         self._handlers: dict[Key, list[_Offer]] = {}
         self._endpoints: dict[int, Endpoint] = {}
@@ -110,6 +114,7 @@ class MemoryTransport:
         self,
         endpoint: Endpoint,
         format: Format,  # noqa: ARG002  # as above
+        target: Target = EVERY_SERVER,  # noqa: ARG002  # a request goes to the first server
     ) -> Caller:
         """Appear in the graph as a client of a service, and be able to call it."""
         caller = _Caller(self, endpoint, endpoint.gid or self._opened.to_bytes(16))
@@ -354,8 +359,7 @@ class _Caller:
         if not self._is_open:
             raise TurtleactError(f"the client of service '{name}' is closed: open another")
         if not isinstance(handler, Replying):
-            problem = why_not_served(self._transport, name, self.endpoint.type_name)
-            raise ServerUnavailable(name, problem, kind="service")
+            raise ServerUnavailable(name, self.why_not_served(), kind="service")
         try:
             return await handler.reply(request, self.gid)
         except TurtleactError:
@@ -365,6 +369,10 @@ class _Caller:
 
     def ask(self, _request: object) -> None:
         """Nobody is in another process."""
+
+    def why_not_served(self, suffix: str = "") -> str:
+        endpoint = self.endpoint
+        return why_not_served(self._transport.endpoints(endpoint.name), endpoint, suffix)
 
     def close(self) -> None:
         self._is_open = False

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import anyio
 
@@ -15,10 +15,24 @@ if TYPE_CHECKING:
     from turtleact.transports.rmw_zenoh.link import Link
     from turtleact.transports.rmw_zenoh.session import Querier
 
-__all__ = ["Call"]
+__all__ = ["Call", "Owner"]
 
 #: So long a call goes on without its server (s).
 LOST = 0.25
+
+
+class Owner(Protocol):
+    """Who makes a call."""
+
+    @property
+    def counts(self) -> Callable[[bytes], bool] | None:
+        """See `turtleact.transports.base.Target`."""
+
+    def over(self, call: Call) -> None:
+        """Note that nobody waits for it any more."""
+
+    def read(self, call: Call) -> Reply:
+        """Make a reply of what came, or raise."""
 
 
 class Call:
@@ -28,8 +42,7 @@ class Call:
         link: What carries it.
         payload: The request.
         attachment: What goes beside it.
-        over: Told once nobody waits for it any more.
-        read: Makes a reply of it, or raises.
+        owner: Who makes the call.
         is_cancelable: Whether Zenoh forgets it at once if it is dropped, not with its client.
 
     Attributes:
@@ -51,16 +64,14 @@ class Call:
         link: Link,
         payload: bytes,
         attachment: bytes,
-        over: Callable[[Call], object],
-        read: Callable[[Call], Reply],
+        owner: Owner,
         *,
         is_cancelable: bool,
     ) -> None:
         self._link = link
         self._payload = payload
         self._attachment = attachment
-        self._over = over
-        self._read = read
+        self._owner = owner
         self._is_cancelable = is_cancelable
 
     def tell(self, told: Callable[[], object]) -> None:
@@ -70,7 +81,7 @@ class Call:
     def take(self) -> Reply:
         """The reply, once it is over; see `turtleact.transports.base.Asked`."""
         self.drop()
-        return self._read(self)
+        return self._owner.read(self)
 
     async def reply(self) -> Reply:
         """Wait for the reply; see `turtleact.transports.base.Asked`."""
@@ -78,7 +89,7 @@ class Call:
             await self._wait()
         finally:
             self.drop()
-        return self._read(self)
+        return self._owner.read(self)
 
     def drop(self) -> None:
         """Want no reply any more; a second time does nothing."""
@@ -86,7 +97,7 @@ class Call:
             self._is_wanted = False
             if self._is_cancelable and not self.is_over:
                 self._link.outbox.post(self._cancel)
-            self._over(self)
+            self._owner.over(self)
 
     async def end_soon(self) -> None:
         """End it in a while: Zenoh may have lost it with its server, and never say so."""
@@ -140,6 +151,9 @@ class Call:
     def _replied(self, payload: bytes, attachment: bytes) -> None:
         if not self.is_over:  # of several servers the quickest is heard
             self.answer = payload, attachment
+            counts = self._owner.counts
+            if counts is not None and not counts(payload):
+                return  # another server may know better; if none does, `_ended` comes next
             self.is_over = True
             self._link.inbox.push(self._tell)
 

@@ -34,6 +34,7 @@ from turtleact.transports.base import (
     Prompt,
     Reply,
     Replying,
+    Target,
     why_not_served,
 )
 from turtleact.transports.rmw_zenoh.asking import Call
@@ -160,6 +161,7 @@ class WireCaller:
         link: What carries the messages.
         named: The endpoint.
         format: How requests are written and responses read.
+        target: Which servers are asked, and which of their replies count.
         find: Gives the servers of the same name that others have.
     """
 
@@ -168,12 +170,15 @@ class WireCaller:
         link: Link,
         named: Named,
         format: Format,
+        target: Target,
         find: Callable[[str], list[Endpoint]],
     ) -> None:
         self._link = link
         self._key = named.key
         self._endpoint = endpoint = named.endpoint
         self._format = format
+        self._target = target
+        self.counts = target.counts
         self._find = find
         self._counter = Counter(endpoint.gid)
         self._is_open = True
@@ -197,7 +202,7 @@ class WireCaller:
         if not self._is_matching:
             await self._wait_for_route()
         if not self._is_matching or not self._link.is_open:
-            raise self._unavailable(self._why_not_served())
+            raise self._unavailable(self.why_not_served())
         return await self._send(payload, is_cancelable=True).reply()
 
     def ask(self, request: object) -> Asked | None:
@@ -239,19 +244,13 @@ class WireCaller:
                 await self._link.near.wait_for_change()
 
     def _send(self, payload: bytes, *, is_cancelable: bool) -> Call:
-        call = Call(
-            self._link,
-            payload,
-            self._counter.next(),
-            self._is_over,
-            self._read,
-            is_cancelable=is_cancelable,
-        )
+        call = Call(self._link, payload, self._counter.next(), self, is_cancelable=is_cancelable)
         self._calls.add(call)
         self._link.outbox.post(lambda: call.send(self._querier))
         return call
 
-    def _is_over(self, call: Call) -> None:
+    def over(self, call: Call) -> None:
+        """Note that nobody waits for a call any more."""
         if call in self._calls:
             self._calls.discard(call)
             if not self._is_open and not self._calls:
@@ -261,7 +260,7 @@ class WireCaller:
         self._link.opened.discard(self)  # until now it is to be told of servers that go
         self._presence.close()
 
-    def _read(self, call: Call) -> Reply:
+    def read(self, call: Call) -> Reply:
         """What came of a call; raises what its server raised."""
         if call.error is not None:
             raise error_said(self._endpoint.name, *call.error)
@@ -284,23 +283,16 @@ class WireCaller:
         ours = self._endpoint
         return (server.type_name, server.type_hash) == (ours.type_name, ours.type_hash)
 
-    def _why_not_served(self) -> str:
+    def why_not_served(self, suffix: str = "") -> str:
+        """Why a call would reach no server; see `turtleact.transports.base.Caller`."""
         ours, servers = self._endpoint, self._servers()
         if not self._link.is_open:
             return "the Zenoh transport is closed"
         if reachable := [each.node for each in servers if self._fits(each)]:
             return f"node {reachable[0]} serves it, but cannot be reached"
         if not servers:
-            return why_not_served(self._link.near, ours.name, ours.type_name)
-        hashes = {each.type_hash for each in servers if each.type_name == ours.type_name}
-        if hashes:
-            theirs = ", ".join(sorted(hashes))
-            return (
-                f"the definitions of {ours.type_name} differ: its type hash is {theirs} at the "
-                f"server, {ours.type_hash} here; both sides need the same one"
-            )
-        types = ", ".join(sorted({each.type_name for each in servers}))
-        return f"it is served as {types}, not as {ours.type_name}"
+            return why_not_served(self._link.near.endpoints(ours.name), ours, suffix)
+        return why_not_served(servers, ours, suffix)
 
     def _why_no_answer(self) -> str:
         if not self._link.is_open:
@@ -330,7 +322,9 @@ class WireCaller:
     # in the outbox
 
     def _declare(self) -> None:
-        self._querier = self._link.session.declare_querier(self._key, self._matching)
+        is_for_all = self._target.servers == "all"
+        session = self._link.session
+        self._querier = session.declare_querier(self._key, self._matching, is_for_all=is_for_all)
 
     def _undeclare(self) -> None:
         if self._querier is not None:

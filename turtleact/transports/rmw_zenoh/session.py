@@ -197,12 +197,18 @@ class Session:
             )
             return queryable
 
-    def declare_querier(self, key: str, matching: Callable[[bool], object]) -> Querier:
-        """Call a service; ``matching`` is told whether anybody elsewhere serves it."""
+    def declare_querier(
+        self, key: str, matching: Callable[[bool], object], *, is_for_all: bool = True
+    ) -> Querier:
+        """Call a service; ``matching`` is told whether anybody elsewhere serves it.
+
+        If several do, all get each request, as in rmw_zenoh, or only the nearest.
+        """
+        target = zenoh.QueryTarget.ALL_COMPLETE if is_for_all else zenoh.QueryTarget.BEST_MATCHING
         with _mapped(f"declare {key}"):
             querier = self._session.declare_querier(
                 key,
-                target=zenoh.QueryTarget.ALL_COMPLETE,
+                target=target,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 timeout=PATIENCE,
                 allowed_destination=REMOTE,

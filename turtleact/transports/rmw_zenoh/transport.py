@@ -24,10 +24,11 @@ import anyio
 import anyio.to_thread
 import msgspec
 
-from turtleact.clock import Clock
+from turtleact.clock import Clock, check_timeout
 from turtleact.errors import TurtleactError
 from turtleact.tasks import current_tasks
 from turtleact.transports.base import (
+    EVERY_SERVER,
     Caller,
     CallerAware,
     Closeable,
@@ -35,6 +36,7 @@ from turtleact.transports.base import (
     Format,
     Publication,
     Source,
+    Target,
 )
 from turtleact.transports.memory import MemoryTransport
 from turtleact.transports.rmw_zenoh.calls import WireCaller, WireService
@@ -62,12 +64,17 @@ class ZenohTransport:
     Attributes:
         clock: The time of all nodes on it in this process.
         round_trip: How long others took to say who is there (s), when `explore` asked them.
+        discovery_ends: Until when clients wait for a server that is not seen yet (in the event
+            loop's time).
     """
 
-    def __init__(self, session: Session, domain: int, clock: Clock | None = None) -> None:
+    def __init__(
+        self, session: Session, domain: int, clock: Clock | None = None, discovery: float = 0.0
+    ) -> None:
         near = MemoryTransport(clock)
         self.clock: Clock = near.clock
         self.round_trip = 0.0
+        self.discovery_ends = anyio.current_time() + discovery
         self._near = near
         self._link = Link(session, near, current_tasks(), domain)
         self._graph = Graph(session.zid)
@@ -104,7 +111,7 @@ class ZenohTransport:
         """
         return WireService(self._link, self._name(endpoint, format), format, handler)
 
-    def join(self, endpoint: Endpoint, format: Format) -> Caller:
+    def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
         """Appear in the graph as a client of a service, and be able to call it.
 
         A server in this process is preferred. A call to another process that is canceled is over
@@ -112,7 +119,7 @@ class ZenohTransport:
         without dying is waited for, ten minutes: then the call raises `ServiceTimeout`. Raises as
         `advertise` does.
         """
-        return WireCaller(self._link, self._name(endpoint, format), format, self._servers)
+        return WireCaller(self._link, self._name(endpoint, format), format, target, self._servers)
 
     def all_local(self, name: str, type_name: str) -> tuple[object, ...]:
         """All handlers that serve it in this very process."""
@@ -292,6 +299,7 @@ async def open_zenoh(
     domain: int | None = None,
     config: Mapping[str, object] | str = "",
     clock: Clock | None = None,
+    discovery: float = 1.0,
 ) -> AsyncIterator[ZenohTransport]:
     """A graph of processes for the length of a block.
 
@@ -309,17 +317,20 @@ async def open_zenoh(
             value, or a whole file as JSON5, such as those that ROS 2 is configured with; in the
             file's place stands what is said here.
         clock: The time of the nodes in this process; wall time if left out.
+        discovery: For how long after the opening a goal or a call waits for a server that is not
+            seen yet (s, of the event loop's time). After that it fails at once if there is none.
 
     Raises:
         InvalidOption: if an option has a value that it cannot have.
         TurtleactError: if the graph cannot be reached, or not be listened at.
     """
+    check_timeout(discovery, "discovery")
     if domain is None:
         domain = domain_of(os.environ)
     settings = session_config(connect, listen, mode, domain, config)
     with anyio.CancelScope(shield=True):  # bounded, and nobody else would close it
         session = await anyio.to_thread.run_sync(Session.open, settings)
-    transport = ZenohTransport(session, domain, clock)
+    transport = ZenohTransport(session, domain, clock, discovery)
     try:
         yield transport
     finally:
