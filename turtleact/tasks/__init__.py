@@ -25,6 +25,7 @@ from turtleact.tasks.base import (
     is_cancellation,
 )
 from turtleact.tasks.current import current_tasks
+from turtleact.tasks.home import Home
 from turtleact.tasks.idle import idleness, new_event_loop, wait_until_idle
 from turtleact.tasks.waiting import wait_while
 
@@ -32,6 +33,7 @@ __all__ = [
     "DEEPEST",
     "GRACE",
     "Background",
+    "Home",
     "Scope",
     "Signal",
     "Tasks",

@@ -1,0 +1,56 @@
+"""What is used elsewhere than in its event loop says so."""
+
+from __future__ import annotations
+
+import asyncio
+
+import anyio
+import anyio.to_thread
+import pytest
+
+from turtleact.errors import TurtleactError
+from turtleact.tasks import Home
+
+SAID = "node '/lab' belongs to another event loop: use it there, from another thread by anyio"
+
+
+async def test_at_home_nothing_is_said():
+    home = Home("node '/lab'")
+    home.check()
+    async with anyio.create_task_group() as group:
+        group.start_soon(anyio.sleep, 0)
+        home.check()
+
+
+async def test_a_thread_without_an_event_loop_is_not_home():
+    home = Home("node '/lab'")
+    with pytest.raises(TurtleactError, match=SAID):
+        await anyio.to_thread.run_sync(home.check)
+
+
+async def test_the_thread_that_is_sent_home_is_heard():
+    home = Home("node '/lab'")
+    await anyio.to_thread.run_sync(anyio.from_thread.run_sync, home.check)
+
+
+@pytest.mark.parametrize("backend", ["asyncio", "trio"])
+async def test_another_event_loop_is_not_home(backend):
+    home = Home("node '/lab'")
+
+    async def check() -> None:
+        home.check()
+
+    with pytest.raises(TurtleactError, match=SAID):
+        await anyio.to_thread.run_sync(lambda: anyio.run(check, backend=backend))
+
+
+def test_the_next_event_loop_of_a_thread_is_not_home():
+    async def make() -> Home:
+        return Home("node '/lab'")
+
+    async def check(home: Home) -> None:
+        home.check()
+
+    home = asyncio.run(make())
+    with pytest.raises(TurtleactError, match=SAID):
+        asyncio.run(check(home))
