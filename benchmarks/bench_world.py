@@ -24,10 +24,10 @@ from turtleact.actions.go_to import GoTo
 from turtleact.actions.patrol import Patrol
 from turtleact.app import open_world
 from turtleact.interfaces.standard import Point
+from turtleact.sim.drawing import Pens
 from turtleact.sim.kinematics import DT
-from turtleact.sim.pens import Pens
-from turtleact.sim.poses import Poses
 from turtleact.sim.world import World
+from turtleact.sim.world_services import Poses
 
 FLEETS = (10, 1_000, 10_000)
 WORLDS = (10, 1_000, 100_000)

@@ -14,7 +14,7 @@ from turtleact.clock import Clock, make_clock
 from turtleact.node import Node, open_node
 from turtleact.server.hooks import Transition
 from turtleact.sim.kinematics import SIDE
-from turtleact.sim.snapshot import Snapshot
+from turtleact.sim.pictures import Snapshot
 from turtleact.sim.turtlesim import Turtlesim
 from turtleact.sim.world import World
 from turtleact.tasks import Background
@@ -53,7 +53,7 @@ class WorldNode(Node):
         self.sim.resume()
 
     def snapshot(self) -> Snapshot:
-        """The world as it looks now, for `to_png` and `to_svg` of `turtleact.sim.snapshot`."""
+        """The world as it looks now, for `to_png` and `to_svg` of `turtleact.sim.pictures`."""
         return self.sim.snapshot()
 
     async def step(self, ticks: int = 1) -> None:

@@ -9,9 +9,9 @@ import pytest
 
 from turtleact import open_node
 from turtleact.commands import snapshot
-from turtleact.sim.pictures import TakeSnapshot
 from turtleact.sim.turtlesim import Turtlesim
 from turtleact.sim.world import World
+from turtleact.sim.world_services import TakeSnapshot
 
 
 @asynccontextmanager

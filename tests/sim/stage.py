@@ -40,6 +40,7 @@ class Stage(NamedTuple):
     node: Node
     world: World
     sim: Turtlesim
+    home: Node
 
     def command(self, *, turtle="turtle1", x=0.0, y=0.0, turn=0.0):
         twists = self.node.publisher(Twist, f"{turtle}/cmd_vel")
@@ -101,4 +102,4 @@ async def stage(
         aclosing(Turtlesim(node, world, beside=beside)) as sim,
         open_node("test", transport=transport) as other,
     ):
-        yield Stage(other, world, sim)
+        yield Stage(other, world, sim, node)

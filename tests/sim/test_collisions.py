@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from turtleact.sim.collisions import BODY, stopped
+from turtleact.sim.fleet import BODY, stopped
 from turtleact.sim.kinematics import DT
 from turtleact.sim.world import World
 

@@ -61,7 +61,7 @@ def pairs(count: int, rule: StepRule = StepRule.EULER) -> tuple[Fleet, Handful]:
 
 @pytest.fixture(params=[3, 8192], ids=["many-blocks", "one-block"])
 def _blocks(request, monkeypatch):
-    monkeypatch.setattr(fleet, "_BLOCK", request.param)
+    monkeypatch.setattr(fleet, "BLOCK", request.param)
 
 
 @given(st.lists(places, min_size=4, max_size=4), actions)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from turtleact.sim.canvas import METER, Colour
-from turtleact.sim.drawing import Pen
-from turtleact.sim.pens import Pens
+from turtleact.sim.canvas import METER, Colour, Pen
+from turtleact.sim.drawing import Pens
 from turtleact.sim.world import World
 
 RED, GREEN = Colour(255, 0, 0), Colour(0, 255, 0)
@@ -47,14 +46,16 @@ def world_of(turtles=1):
 
 
 def picture(*, at_once, odd=""):
-    """What a fleet draws, at once or one turtle after the other; one may have an odd pen."""
+    """What a fleet draws, at once or one turtle after the other; one may have an odd pen.
+
+    If a colour is wanted, the turtles draw one after the other.
+    """
     world = World(MANY)
     pens = Pens(world)
-    if not at_once:
-        pens._follow_fleet = lambda before, now: False  # type: ignore[method-assign]  # as named
+    sensed = () if at_once else ("turtle1",)
     for _ in range(3):
         world.set_velocities(1.0, 0.0, [0.05 * index for index in range(MANY)])
-        run(world, pens, 40)
+        run(world, pens, 40, sensed)
         if odd:
             pens.set("turtle7", RED, 5, is_off=odd == "off")
         kill(world, pens, world.names[3])
@@ -112,12 +113,11 @@ def test_a_pen_that_is_off_draws_no_teleport_and_cuts_the_line():
     assert second[0] == 1.16 + 10.089j
 
 
-def test_switching_off_leaves_colour_and_width_as_they_were():
+def test_switching_off_leaves_the_colour_as_it_was():
     _, pens = world_of()
     pens.set("turtle1", GREEN, 7)
     pens.set("turtle1", RED, 9, is_off=True)
-    holder = pens._holders["turtle1"]
-    assert (holder.pen, holder.is_on) == (Pen(GREEN, 7), False)
+    assert pens.colour("turtle1") == GREEN
 
 
 def test_no_width_is_one_pixel_and_the_usual_one_is_three():
@@ -175,7 +175,8 @@ def test_a_turtle_of_the_same_name_draws_a_line_of_its_own():
         run(world, pens, 3)
         kill(world, pens, "bob")
     assert [len(stroke) for stroke in strokes(pens)] == [2, 2]
-    assert list(pens._holders) == ["turtle1"]
+    with pytest.raises(KeyError):
+        pens.colour("bob")
 
 
 def test_a_turtle_that_comes_in_the_place_of_another_has_a_pen_of_its_own():

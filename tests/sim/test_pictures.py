@@ -1,30 +1,175 @@
-"""Pictures as a service."""
+"""Pictures: what a reader of PNG and of SVG sees in them."""
 
 from __future__ import annotations
 
+import base64
+import math
+import re
+import struct
+import zlib
+from itertools import pairwise
+from xml.etree import ElementTree
+
+import numpy as np
 import pytest
 
-from turtleact.sim.pictures import TakeSnapshot
-from turtleact.sim.snapshot import to_png, to_svg
+from turtleact.sim import drawing as drawing_module
+from turtleact.sim.canvas import SIZE, Colour, Pen
+from turtleact.sim.drawing import Drawing
+from turtleact.sim.pictures import BACKGROUND, SHELL, Figure, Snapshot, thumbnail, to_png, to_svg
 
-from .stage import stage
+RED = Pen(Colour(255, 0, 0), 5)
+MIDDLE = complex(250, 250) / 45.0
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def picture(ours=None, turtles=(), background=BACKGROUND):
+    ours = Drawing() if ours is None else ours
+    return Snapshot(background, ours.pixels(), ours.base(), ours.polylines(), turtles)
+
+
+def drawn(*points, pen=RED):
+    ours = Drawing()
+    for start, end in pairwise(points):
+        ours.line(1, pen, start, end)
+    return ours
+
+
+def read_png(data):
+    """The pixels of a PNG without filters, and its colour type; every checksum must be right."""
+    assert data[:8] == b"\x89PNG\r\n\x1a\n"
+    chunks, at = {}, 8
+    while at < len(data):
+        (length,) = struct.unpack_from(">I", data, at)
+        body = data[at + 4 : at + 8 + length]
+        assert struct.unpack_from(">I", data, at + 8 + length) == (zlib.crc32(body),)
+        chunks[body[:4]] = body[4:]
+        at += 12 + length
+    assert list(chunks) == [b"IHDR", b"IDAT", b"IEND"]
+    width, height, depth, colour_type, *rest = struct.unpack(">IIBBBBB", chunks[b"IHDR"])
+    assert (width, height, depth, rest) == (SIZE, SIZE, 8, [0, 0, 0])
+    channels = {2: 3, 6: 4}[colour_type]
+    rows = np.frombuffer(zlib.decompress(chunks[b"IDAT"]), np.uint8).reshape(SIZE, -1)
+    assert not rows[:, 0].any()
+    return rows[:, 1:].reshape(SIZE, SIZE, channels)
+
+
+def pixels_of(snapshot):
+    return read_png(to_png(snapshot))
+
+
+def test_an_empty_picture_is_turtlesims_blue():
+    assert (pixels_of(picture()) == [69, 86, 255]).all()
+
+
+def test_the_background_shows_where_nothing_was_drawn():
+    pixels = pixels_of(picture(drawn(1 + 1j, 5 + 1j), background=Colour(1, 2, 3)))
+    assert pixels[45, 100].tolist() == [255, 0, 0]
+    assert pixels[60, 100].tolist() == [1, 2, 3]
+
+
+def test_the_drawing_is_shown_pixel_by_pixel():
+    ours = drawn(1 + 1j, 5 + 3j, 2 + 9j)
+    layers = np.frombuffer(ours.pixels(), np.uint8).reshape(SIZE, SIZE, 4)
+    pixels = pixels_of(picture(ours))
+    assert (pixels[layers[..., 3] == 255] == [255, 0, 0]).all()
+    assert (pixels[layers[..., 3] == 0] == BACKGROUND).all()
+
+
+def shell(pixels):
+    """The pixels that are wholly a turtle's, as x + 1j * y of their centres."""
+    y, x = (pixels == SHELL).all(axis=2).nonzero()
+    return x + 0.5 + 1j * (y + 0.5)
+
+
+@pytest.mark.parametrize("theta", [0.0, 1.0, math.pi / 2, -2.5])
+def test_a_turtle_points_where_it_looks(theta):
+    found = shell(pixels_of(picture(turtles=[Figure(MIDDLE, theta)])))
+    tip = 250 + 250j + 22 * complex(math.cos(theta), -math.sin(theta))
+    assert np.abs(found - tip).min() < 4.0
+    assert np.abs(found - (500 + 500j - tip)).min() > 4.0
+    assert 400 < len(found) < 700
+
+
+def test_the_edges_of_a_turtle_are_smooth():
+    pixels = pixels_of(picture(turtles=[Figure(MIDDLE, 0.3)])).reshape(-1, 3)
+    shades = np.unique(pixels, axis=0)
+    assert len(shades) > 5
+    low, high = np.minimum(SHELL, BACKGROUND), np.maximum(SHELL, BACKGROUND)
+    assert ((low <= shades) & (shades <= high)).all()
+
+
+def test_turtles_are_painted_over_the_drawing():
+    pixels = pixels_of(picture(drawn(MIDDLE - 1, MIDDLE + 1), [Figure(MIDDLE, 0.0)]))
+    assert tuple(pixels[250, 250]) == SHELL
+    assert tuple(pixels[250, 220]) == RED.colour
 
 
 @pytest.mark.parametrize(
-    ("format", "make"), [("png", to_png), ("svg", lambda snapshot: to_svg(snapshot).encode())]
+    "place",
+    [0j, 11.0888 + 0j, 11.0888j, 11.0888 + 11.0888j, 11.8 + 5j, 5 + 11.8j, -0.7j, 30 + 5j, -1e30j],
 )
-async def test_a_picture_is_that_of_the_world_as_it_looks_now(format, make):
-    async with stage() as here:
-        here.command(x=2.0, turn=1.0)
-        await here.pass_ticks(30)
-        here.sim.pause()
-        answer = await here.call(TakeSnapshot, "world/snapshot", format)
-        assert (answer.data, answer.problem) == (make(here.sim.snapshot()), "")
+def test_a_turtle_at_the_edge_or_outside_is_cut_off(place):
+    found = shell(pixels_of(picture(turtles=[Figure(place, 0.5)])))
+    assert len(found) < 300
 
 
-async def test_a_picture_of_another_kind_is_refused():
-    async with stage() as here:
-        answer = await here.call(TakeSnapshot, "world/snapshot", "bmp")
-    assert answer == TakeSnapshot.Response(
-        problem="there is no picture as 'bmp': ask for png or svg"
+# SVG
+
+
+def test_an_svg_is_as_large_as_turtlesims_window_and_as_blue():
+    root = ElementTree.fromstring(to_svg(picture()))
+    assert (root.get("viewBox"), root.get("width"), root.get("height")) == (
+        "0 0 500 500",
+        "500",
+        "500",
     )
+    rect = root.find(f"{SVG}rect")
+    assert rect is not None
+    assert rect.get("fill") == "#4556ff"
+
+
+def test_an_svg_has_a_polyline_for_each_with_colour_width_and_points():
+    root = ElementTree.fromstring(to_svg(picture(drawn(1 + 1j, 5 + 1j, 5 + 3j))))
+    (line,) = root.iter(f"{SVG}polyline")
+    assert (line.get("stroke"), line.get("stroke-width")) == ("#ff0000", "5")
+    assert line.get("points") == "45,45 225,45 225,135"
+
+
+def test_an_svg_has_a_shape_for_each_turtle():
+    turtles = [Figure(MIDDLE, 0.0), Figure(MIDDLE, math.pi / 2)]
+    root = ElementTree.fromstring(to_svg(picture(turtles=turtles)))
+    shapes = [shape.get("points") for shape in root.iter(f"{SVG}polygon")]
+    assert shapes == ["272,250 232,265 240,250 232,235", "250,228 265,268 250,260 235,268"]
+
+
+def test_an_svg_of_a_drawing_beyond_its_bound_has_the_rest_as_an_image(monkeypatch):
+    monkeypatch.setattr(drawing_module, "MOST_POINTS", 4)
+    ours = drawn(1 + 1j, 5 + 1j, 5 + 3j, 1 + 3j, 1 + 5j, 5 + 5j)
+    root = ElementTree.fromstring(to_svg(picture(ours)))
+    (image,) = root.iter(f"{SVG}image")
+    found = re.fullmatch(r"data:image/png;base64,(.*)", image.get("href") or "")
+    assert found is not None
+    pixels = read_png(base64.b64decode(found[1]))
+    assert pixels[45, 100].tolist() == [255, 0, 0, 255]
+    assert pixels[9, 9].tolist() == [0, 0, 0, 0]
+    assert len(list(root.iter(f"{SVG}polyline"))) == 1
+
+
+# --- fewer pixels ---------------------------------------------------------------------------
+
+
+def test_a_thumbnail_has_the_colours_that_were_drawn_in_their_places():
+    drawing = Drawing()
+    red, green = Pen(Colour(255, 0, 0)), Pen(Colour(0, 255, 0))
+    drawing.line(1, red, 1.2 + 1.2j, 2.2 + 1.2j)
+    drawing.line(2, green, 10.3 + 10.3j, 10.3 + 10.3j)
+    small = thumbnail(drawing.pixels(), 11, 11)
+    where = {(x, y): c for y, row in enumerate(small) for x, c in enumerate(row) if c is not None}
+    assert where == {(1, 1): red.colour, (2, 1): red.colour, (10, 10): green.colour}
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (3, 7), (500, 500)])
+def test_a_thumbnail_has_the_size_that_is_asked_for(width, height):
+    small = thumbnail(Drawing().pixels(), width, height)
+    assert [len(row) for row in small] == [width] * height

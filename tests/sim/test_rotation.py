@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from turtleact.sim.kinematics import DT, StepRule, half_turn, wrap
-from turtleact.sim.rotation import Rotation
+from turtleact.sim.turtle import Rotation
 
 PI = 3.14159265
 angles = st.floats(-PI, PI, exclude_max=True)

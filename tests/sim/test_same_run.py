@@ -14,7 +14,7 @@ import pytest
 from turtleact.actions.go_to import GoTo
 from turtleact.app import open_world
 from turtleact.interfaces.standard import TeleportAbsolute, Twist, Vector3
-from turtleact.sim.poses import Poses
+from turtleact.sim.world_services import Poses
 from turtleact.transports import QoS
 
 RUN = """

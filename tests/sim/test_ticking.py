@@ -10,7 +10,7 @@ import pytest
 
 from turtleact.clock import VirtualClock, WallClock, make_clock
 from turtleact.errors import SimError
-from turtleact.sim.ticking import Ticking
+from turtleact.sim.world_services import Ticking
 from turtleact.tasks import Background, current_tasks, wait_until_idle
 from turtleact.testing import virtual_backend
 

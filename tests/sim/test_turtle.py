@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import re
+from typing import cast
 
 import numpy as np
 import pytest
@@ -12,10 +13,16 @@ import pytest
 from turtleact.errors import GoalAborted, GoalRejected
 from turtleact.goal import GoalStatus
 from turtleact.interfaces.standard import RotateAbsolute
+from turtleact.node import open_node
+from turtleact.sim.drawing import Pens
 from turtleact.sim.kinematics import SIDE
+from turtleact.sim.turtle import Habitat, Turtle
+from turtleact.sim.turtlesim import Turtlesim
+from turtleact.sim.world import World
+from turtleact.transports import MemoryTransport
 
 from ..lab import settle
-from .stage import GOLDEN, POSES, TICK, stage
+from .stage import GOLDEN, POSES, TICK, Stage, stage
 
 Goal = RotateAbsolute.Goal
 WHITE = (255, 255, 255)
@@ -306,7 +313,7 @@ async def test_a_rotation_to_no_heading_is_rejected(theta):
 async def test_a_rotation_that_is_there_succeeds_although_it_is_canceled_then():
     async with stage() as here, here.rotations().send_goal(Goal(0.0)) as goal:
         await settle()
-        here.sim._tick()
+        here.sim.tick()
         goal.cancel_nowait()
         outcome = await goal.outcome()
     assert (outcome.status, outcome.result.delta) == (GoalStatus.SUCCEEDED, 0.0)
@@ -315,7 +322,7 @@ async def test_a_rotation_that_is_there_succeeds_although_it_is_canceled_then():
 async def test_closing_the_node_ends_a_rotation():
     async with stage() as here, here.rotations().send_goal(Goal(3.0)) as goal:
         await here.pass_ticks(10)
-        await here.sim._node.aclose()
+        await here.home.aclose()
         outcome = await goal.outcome()
     assert (outcome.status, outcome.reason) == (GoalStatus.ABORTED, "shutdown")
     assert outcome.result.delta == float(np.float32(-9 * 0.016))
@@ -331,14 +338,20 @@ async def test_a_sideways_start_is_no_obstacle():
 
 
 async def test_a_request_that_is_late_for_its_turtle_does_nothing():
-    async with stage() as here:
-        turtle = here.sim._turtles["turtle1"]
+    world = World()
+    pens = Pens(world)
+    async with open_node("sim", transport=MemoryTransport()) as node:
+        turtle = Turtle("turtle1", Habitat(node, world, pens, print, print))
+        here = Stage(node, world, cast("Turtlesim", None), node)
         turtle.leave("it is gone")
         await here.set_pen(1, 2, 3, 9)
         await here.teleport(1.0, 1.0, 1.0)
         await here.teleport_relative(1.0, 1.0)
         with pytest.raises(GoalAborted, match="it is gone"):
             await here.rotations().send_goal(Goal(1.0))
-        await here.pass_ticks(2)
-        assert list(here.world.pose("turtle1")) == POSES["start"]
-        assert here.sim.snapshot().polylines == []
+        await turtle.aclose()
+    world.step()
+    pens.follow()
+    assert list(world.pose("turtle1")) == POSES["start"]
+    assert pens.drawing.polylines() == []
+    assert pens.colour("turtle1") == PEN

@@ -20,10 +20,10 @@ from turtleact.interfaces.standard.parameters import (
     ParameterValue,
     SetParameters,
 )
-from turtleact.sim.drawing import Pen
-from turtleact.sim.poses import Poses
-from turtleact.sim.snapshot import to_png
+from turtleact.sim.canvas import Pen
+from turtleact.sim.pictures import to_png
 from turtleact.sim.turtle import Turtle
+from turtleact.sim.world_services import Poses
 
 from ..actions.arena import tasks_alive
 from ..lab import running
@@ -270,7 +270,7 @@ async def test_a_pose_and_a_colour_whose_readers_have_just_gone_are_not_made(mon
         monkeypatch.setattr(here.world, "pose", asked.append)
         await poses.aclose()
         await colours.aclose()
-        here.sim._tick()
+        here.sim.tick()
     assert asked == []
 
 
@@ -278,10 +278,10 @@ async def test_a_tick_after_the_node_was_closed_publishes_nothing(caplog):
     async with stage() as here:
         poses, colours = here.poses(), here.colours()
         await here.pass_ticks(2)
-        await here.sim._node.aclose()
+        await here.home.aclose()
         poses.drain()
         colours.drain()
-        here.sim._tick()
+        here.sim.tick()
         await here.pass_ticks(2)
         assert poses.drain() == colours.drain() == []
     assert caplog.records == []
@@ -405,14 +405,13 @@ async def test_a_turtle_is_not_spawned_at_no_place(caplog):
 
 async def test_a_turtle_that_is_killed_leaves_nothing_behind():
     async with stage() as here:
-        sim = here.sim._node
-        before = (here.node.transport.endpoints(), len(sim._belongings._opened), tasks_alive())
+        before = (here.node.transport.endpoints(), tasks_alive())
         for _ in range(3):
             await here.spawn(1.0, 1.0, 0.0, "guest")
             await here.pass_ticks(2)
             await here.kill("guest")
         await here.pass_ticks(1)
-        after = (here.node.transport.endpoints(), len(sim._belongings._opened), tasks_alive())
+        after = (here.node.transport.endpoints(), tasks_alive())
         assert after == before
         assert here.world.names == ("turtle1",)
 

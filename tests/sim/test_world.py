@@ -459,15 +459,6 @@ def test_a_handful_keeps_its_bits_when_others_come_and_go():
 
 
 @pytest.mark.parametrize("turtles", [FEW, MANY])
-def test_all_turtles_are_not_made_anew_when_one_comes_or_goes(turtles):
-    world = World(turtles)
-    before = world._turtles
-    world.spawn(1.0, 1.0, 0.0, "guest")
-    world.kill("turtle2")
-    assert world._turtles is before
-
-
-@pytest.mark.parametrize("turtles", [FEW, MANY])
 def test_each_turtle_stays_where_it_is_whoever_comes_and_goes(turtles):
     world = World(turtles)
     before = {name: world.pose(name) for name in world.names}

@@ -61,7 +61,7 @@ def make_known(folder: str | None) -> None:
     Raises:
         InvalidInterface: if there is no such folder.
     """
-    for module in ("actions", "sim.pictures", "sim.poses"):  # for the classes that they declare
+    for module in ("actions", "sim.world_services"):  # for the classes that they declare
         import_module(f"turtleact.{module}")
 
     load_workspace(*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))

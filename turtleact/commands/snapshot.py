@@ -9,7 +9,7 @@ import anyio
 from turtleact.commands.kinds import types_by_name
 from turtleact.commands.transcript import say
 from turtleact.errors import ServerUnavailable, ServiceTimeout, TurtleactError
-from turtleact.sim.pictures import TakeSnapshot
+from turtleact.sim.world_services import TakeSnapshot
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -1,12 +1,16 @@
-"""A world: turtlesim's, without ROS.
+"""A world of turtles: turtlesim's, first without ROS and then as a node.
 
-`kinematics` and `fleet` move turtles by one step, few or many; `world` gives them walls and
-commands and lets them come and go, `roster` has their names, `placing` says where they are put,
-`rotation` how one turns to a heading, `collisions` who stands in whose way. `pens` follows them
-over a `drawing`, which is kept as lines and on a `canvas` (`runs` and `strips`: of a fleet);
-`snapshot` makes pictures. None of these knows ROS or a clock.
+Without ROS and without a clock:
 
-`turtlesim`, above them, is the world as a node, with `turtle` for each of its turtles, `parameters`
-for its own, `ticking` for when it steps, `simulation` for those who rule that, `poses` and
-`pictures` for those who look on.
+- `world`: turtles by name that come and go, commands, teleports, walls; `start_poses` says where
+  turtles are put.
+- `kinematics` moves a few turtles by one step, `fleet` many; `fleet` also says who stops whom.
+- `drawing`: the pens of the turtles and what they draw, as lines and on a `canvas`; `rasterising`
+  does the same for a fleet; `pictures` turns a drawing into SVG and PNG.
+
+As a node:
+
+- `turtlesim` is the world, with a `turtle` for each of its turtles and `node_parameters` for its
+  own parameters.
+- `world_services` is what the world offers beyond turtlesim: time, all poses, pictures.
 """

@@ -14,7 +14,7 @@ from array import array
 from math import ceil, inf
 from typing import Final, NamedTuple
 
-__all__ = ["FLAT", "METER", "MIDDLE", "SIZE", "Canvas", "Colour", "ink"]
+__all__ = ["FLAT", "METER", "MIDDLE", "SIZE", "Canvas", "Colour", "Pen", "ink"]
 
 SIZE: Final = 500
 """Width and height (pixels)."""
@@ -29,6 +29,13 @@ class Colour(NamedTuple):
     red: int
     green: int
     blue: int
+
+
+class Pen(NamedTuple):
+    """What a turtle draws with: a colour, and a width in pixels (1 to 255)."""
+
+    colour: Colour = Colour(179, 184, 255)
+    width: int = 3
 
 
 CLEAR: Final = Colour(255, 255, 255)

@@ -4,19 +4,22 @@
 - ``<turtle>/pose`` (turtlesim/msg/Pose) and ``<turtle>/color_sensor`` (turtlesim/msg/Color),
   published after each tick to those who read them;
 - ``<turtle>/set_pen``, ``<turtle>/teleport_absolute`` and ``<turtle>/teleport_relative``;
-- ``<turtle>/rotate_absolute``, one goal at a time.
+- ``<turtle>/rotate_absolute``, one goal at a time; `Rotation` is turtlesim's controller of it, pure
+  and called once a tick. Where turtlesim rounds to float32, so does this.
 
-Knows no tick but the one it is told of.
+Knows no clock: `turtlesim` tells it of each tick.
 
-Source: turtlesim 1.8.2, ``turtle.cpp`` and ``qos.hpp``.
+Source: turtlesim 1.8.2, ``turtle.cpp`` (for the controller ``Turtle::update`` and
+``Turtle::rotateAbsoluteAcceptCallback``) and ``qos.hpp``.
 """
 
 from __future__ import annotations
 
 import logging
 import math
+from array import array
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import anyio
 
@@ -32,7 +35,7 @@ from turtleact.interfaces.standard import (
     Twist,
 )
 from turtleact.sim.canvas import Colour
-from turtleact.sim.rotation import Rotation
+from turtleact.sim.kinematics import StepRule, half_turn, wrap
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:
@@ -40,28 +43,51 @@ if TYPE_CHECKING:
 
     from turtleact.node import Node
     from turtleact.server import ServerGoalHandle
-    from turtleact.sim.pens import Pens
+    from turtleact.sim.drawing import Pens
     from turtleact.sim.world import World
 
     Handle = ServerGoalHandle[RotateAbsolute.Goal, RotateAbsolute.Result, RotateAbsolute.Feedback]
 
-__all__ = ["Turtle"]
+__all__ = ["TOPIC_QOS", "Habitat", "Rotation", "Turtle"]
 
 logger = logging.getLogger("turtleact.turtlesim")
 
 TOPIC_QOS = QoS(depth=7)
+
+TURN_SPEED: Final = 1.0
+"""How fast a turtle turns (rad/s)."""
+
+TOLERANCE: Final = 0.02
+"""How close to its target a turtle stops (rad)."""
+
+_HALF: Final = half_turn(StepRule.EULER)
+
+
+class Habitat(NamedTuple):
+    """What all turtles of a world share.
+
+    Attributes:
+        node: The node of their topics, services and actions.
+        world: The world they are in.
+        pens: Their pens.
+        on_work: Called with a turtle that has something to take up at the next tick.
+        on_read: Called with a turtle when the first reader of its pose or colour comes, or the
+            last one goes.
+    """
+
+    node: Node
+    world: World
+    pens: Pens
+    on_work: Callable[[Turtle], object]
+    on_read: Callable[[Turtle], object]
 
 
 class Turtle:
     """The topics, services and the action of a turtle in a world; open as soon as made.
 
     Args:
-        node: Where they are opened.
-        world: Where the turtle is.
-        pens: What it draws with.
         name: Its name, by which the world knows it.
-        on_work: Called with it when there is something to take up at the next tick.
-        on_read: Called with it when its pose or colour is read for the first time, or no more.
+        habitat: What it shares with the others.
         on_demand: Whether other processes are told of it only when they ask; see `Node`.
 
     Raises:
@@ -75,29 +101,16 @@ class Turtle:
         turn: Its ``rotate_absolute`` goal that runs, if there is one.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        world: World,
-        pens: Pens,
-        name: str,
-        on_work: Callable[[Turtle], object],
-        on_read: Callable[[Turtle], object],
-        *,
-        on_demand: bool = False,
-    ) -> None:
+    def __init__(self, name: str, habitat: Habitat, *, on_demand: bool = False) -> None:
         self.name = name
         self.turn: _Turn | None = None
         self._gone = ""
-        self._world = world
-        self._pens = pens
+        node, self._world, self._pens, self._on_work, self._on_read = habitat
         subscription = partial(node.subscription, qos=TOPIC_QOS, on_demand=on_demand)
         publisher = partial(node.publisher, qos=TOPIC_QOS, on_demand=on_demand)
         service = partial(node.service, on_demand=on_demand)
         self.commands = subscription(Twist, f"{name}/cmd_vel")
-        self._on_work = on_work
-        self._on_read = on_read
-        self.commands.notify = lambda: on_work(self)
+        self.commands.notify = lambda: self._on_work(self)
         self.poses = publisher(TurtlePose, f"{name}/pose", on_matched=self._note_readers)
         self.colours = publisher(Color, f"{name}/color_sensor", on_matched=self._note_readers)
         self._opened = (
@@ -251,6 +264,41 @@ class _Turn:
         """End it without success."""
         self._reason = reason
         self.ended.set()
+
+
+class Rotation:
+    """A turn to a heading, tick by tick.
+
+    Args:
+        target: The heading wanted (rad), any finite angle.
+        theta: The heading at the start (rad).
+
+    Attributes:
+        remaining: How far it still was before the last tick (rad, float32): positive to the left.
+        delta: The heading at the start minus that before the last tick (rad, float32).
+    """
+
+    def __init__(self, target: float, theta: float) -> None:
+        self.remaining = 0.0
+        self.delta = 0.0
+        (wanted,) = array("f", (target,))
+        self._target = wrap(wanted, _HALF)
+        self._start = theta
+
+    def tick(self, theta: float) -> float | None:
+        """How to turn in a tick that begins with this heading (rad).
+
+        Exactly opposite turns right.
+
+        Returns:
+            The turn rate (rad/s), or None if the turtle is there and is to stand still.
+        """
+        now, turned = array("f", (theta, self._start - theta))
+        remaining = wrap(self._target - now, _HALF)
+        self.remaining, self.delta = array("f", (remaining, wrap(turned, _HALF)))
+        if abs(wrap(now - self._target, _HALF)) < TOLERANCE:
+            return None
+        return -TURN_SPEED if remaining < 0.0 else TURN_SPEED
 
 
 def _check(goal: RotateAbsolute.Goal) -> GoalResponse:

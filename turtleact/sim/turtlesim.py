@@ -25,15 +25,12 @@ from turtleact.interfaces.stamps import stamp_of
 from turtleact.interfaces.standard import Empty, Kill, Spawn, TurtlePose
 from turtleact.names import resolve_name
 from turtleact.sim.canvas import Colour
-from turtleact.sim.parameters import Parameters
-from turtleact.sim.pens import Pens
-from turtleact.sim.pictures import Pictures
-from turtleact.sim.poses import Poses, poses_of
-from turtleact.sim.simulation import Simulation
-from turtleact.sim.snapshot import BACKGROUND, Figure, Snapshot, thumbnail
-from turtleact.sim.ticking import Ticking
-from turtleact.sim.turtle import TOPIC_QOS, Turtle
+from turtleact.sim.drawing import Pens
+from turtleact.sim.node_parameters import Parameters
+from turtleact.sim.pictures import BACKGROUND, Figure, Snapshot, thumbnail
+from turtleact.sim.turtle import TOPIC_QOS, Habitat, Turtle
 from turtleact.sim.world import FEW
+from turtleact.sim.world_services import Pictures, Poses, Simulation, Ticking, poses_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -73,7 +70,8 @@ class Turtlesim:
         self._node = node
         self._world = world
         self._pens = Pens(world)
-        self._roster = anyio.Lock()  # turtlesim, too, handles one request after the other
+        self._habitat = Habitat(node, world, self._pens, self._call_on, self._note_reading)
+        self._roster = anyio.Lock()  # turtlesim, too, handles one request at a time
         self._parameters = _declare(node, self._parameters_changed, is_holonomic=world.holonomic)
         self._turtles: dict[str, Turtle] = {}
         self._spawned: set[str] = set()  # and are not on demand
@@ -89,8 +87,8 @@ class Turtlesim:
         node.service(Kill, "kill", self._kill)
         node.service(Empty, "clear", self._clear)
         node.service(Empty, "reset", self._reset)
-        self._tick()  # here, so that the world is a tick old before anybody can send a goal
-        self._ticking = Ticking(node.clock, self._tick, is_paused=is_paused)
+        self.tick()  # here, so that the world is a tick old before anybody can send a goal
+        self._ticking = Ticking(node.clock, self.tick, is_paused=is_paused)
         if beside is not None:
             Simulation(beside, self._ticking, self._restart)
             Pictures(beside, self.snapshot)
@@ -120,7 +118,7 @@ class Turtlesim:
         await self._ticking.step(ticks)
 
     def snapshot(self) -> Snapshot:
-        """The world as it looks now, for `to_png` and `to_svg` of `turtleact.sim.snapshot`."""
+        """The world as it looks now, for `to_png` and `to_svg` of `turtleact.sim.pictures`."""
         drawing, world = self._pens.drawing, self._world
         colour = (self._parameters[f"background_{channel}"] for channel in "rgb")
         places = map(complex, world.places())
@@ -135,35 +133,20 @@ class Turtlesim:
             yield name, self._world.pose(name), self._pens.colour(name)
 
     def thumbnail(self, width: int, height: int) -> list[list[Colour | None]]:
-        """The drawing in fewer pixels, as `turtleact.sim.snapshot.thumbnail` makes it."""
+        """The drawing in fewer pixels, as `turtleact.sim.pictures.thumbnail` makes it."""
         return thumbnail(self._pens.drawing.pixels(), width, height)
 
     async def aclose(self) -> None:
         """Stop ticking."""
         await self._ticking.aclose()
 
-    def _look_around(self) -> None:
-        """See who is read; only those are asked whose readers have come or gone."""
-        index, told = self._world.index, self._told
-        if self._is_roster_new:
-            self._is_roster_new = False
-            told[:] = sorted((index(name), poses) for name, poses in self._heard.items())
-        for turtle in self._read:
-            at = bisect_left(told, (index(turtle.name),))
-            if self._heard.pop(turtle.name, None) is not None:
-                del told[at]
-            if turtle.poses.has_subscriptions:
-                self._heard[turtle.name] = turtle.poses
-                told.insert(at, (index(turtle.name), turtle.poses))
-            self._sensed.pop(turtle.name, None)
-            if turtle.colours.has_subscriptions:
-                self._sensed[turtle.name] = None
-        self._read.clear()
-
-    def _tick(self) -> None:
+    def tick(self) -> None:
+        """Let one tick pass now; the schedule calls this every 16 ms."""
         world = self._world
         busy = list(self._busy)
         self._busy.clear()
+        # The order is turtlesim's: commands and teleports first, then goals, then the step. A
+        # command that arrives during the tick is therefore taken up by the next one.
         for turtle in busy:
             for twist in turtle.commands.drain():
                 turtle.take_up(twist)
@@ -183,6 +166,24 @@ class Turtlesim:
             self._poses.publish(poses_of(world, stamp_of(self._node.clock.now())))
         for name, colour in self._pens.follow(self._sensed).items():
             self._turtles[name].tell_colour(colour)
+
+    def _look_around(self) -> None:
+        """See who is read; only those are asked whose readers have come or gone."""
+        index, told = self._world.index, self._told
+        if self._is_roster_new:
+            self._is_roster_new = False
+            told[:] = sorted((index(name), poses) for name, poses in self._heard.items())
+        for turtle in self._read:
+            at = bisect_left(told, (index(turtle.name),))
+            if self._heard.pop(turtle.name, None) is not None:
+                del told[at]
+            if turtle.poses.has_subscriptions:
+                self._heard[turtle.name] = turtle.poses
+                told.insert(at, (index(turtle.name), turtle.poses))
+            self._sensed.pop(turtle.name, None)
+            if turtle.colours.has_subscriptions:
+                self._sensed[turtle.name] = None
+        self._read.clear()
 
     def _tell_poses(self) -> None:
         """Publish the poses after a tick, but those whose readers have just gone."""
@@ -205,15 +206,7 @@ class Turtlesim:
             self._welcome(name, x, y, theta, is_shown=is_shown)
 
     def _welcome(self, name: str, x: float, y: float, theta: float, *, is_shown: bool) -> None:
-        self._turtles[name] = Turtle(
-            self._node,
-            self._world,
-            self._pens,
-            name,
-            self._call_on,
-            self._note_reading,
-            on_demand=not is_shown,
-        )
+        self._turtles[name] = Turtle(name, self._habitat, on_demand=not is_shown)
         self._is_roster_new = True
         logger.info("Spawning turtle [%s] at x=[%f], y=[%f], theta=[%f]", *(name, x, y, theta))
 

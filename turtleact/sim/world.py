@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from array import array
+from bisect import bisect
 from typing import TYPE_CHECKING, NamedTuple
 
 from turtleact.errors import SimError
@@ -27,19 +28,18 @@ from turtleact.sim.kinematics import (
     Place,
     StepRule,
 )
-from turtleact.sim.placing import MIDDLE, Absolute, Relative, Spawn, check_finite, starts
-from turtleact.sim.roster import Roster
+from turtleact.sim.start_poses import MIDDLE, Absolute, Relative, Spawn, check_finite, starts
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     import numpy as np
     import numpy.typing as npt
 
     from turtleact.sim.kinematics import Hits, Turtles
-    from turtleact.sim.placing import Teleport
+    from turtleact.sim.start_poses import Teleport
 
-__all__ = ["FEW", "Pose", "World"]
+__all__ = ["FEW", "Names", "Pose", "World"]
 
 FEW = 16
 """Up to so many turtles plain floats are faster than arrays, and numpy is not loaded (0.1 s)."""
@@ -74,7 +74,7 @@ class World:
         placing: ``"random"``, ``"grid"`` or ``"ring"``.
         holonomic: Whether turtles can move sideways; if not, ``vy`` is ignored, as in turtlesim.
         rule: How a step turns speeds into motion.
-        collide: Whether turtles stop each other (`turtleact.sim.collisions`).
+        collide: Whether turtles stop each other (`turtleact.sim.fleet`).
 
     Attributes:
         holonomic: The same; it may be changed at any time, and counts for later commands.
@@ -123,7 +123,7 @@ class World:
     @property
     def names(self) -> tuple[str, ...]:
         """The turtles in name order, which is the order of their indices."""
-        return self._roster.names
+        return self._names.names
 
     @property
     def tick(self) -> int:
@@ -151,7 +151,7 @@ class World:
         Raises:
             SimError: if there is no such turtle, or a speed is not finite.
         """
-        index = self._roster.index(turtle)
+        index = self._names.index(turtle)
         if not math.isfinite(vx + vy + omega):
             check_finite(self.names[index], vx=vx, vy=vy, omega=omega)
         self._commands[index] = Command(vx, vy if self.holonomic else 0.0, omega)
@@ -231,9 +231,9 @@ class World:
         """
         where = Spawn.of(x, y, theta)
         check_finite(name or "a new turtle", **where._asdict())
-        name = self._roster.free_name(name)
+        name = self._names.free_name(name)
         self.take_up()  # what was asked for is kept by index
-        self._turtles.insert(self._roster.add(name), where.place)
+        self._turtles.insert(self._names.add(name), where.place)
         self._turtles = _fitting(self._turtles, self._rule)
         return name
 
@@ -243,9 +243,9 @@ class World:
         Raises:
             SimError: if there is no such turtle.
         """
-        index = self._roster.index(turtle)
+        index = self._names.index(turtle)
         self.take_up()
-        self._roster.remove(index)
+        self._names.remove(index)
         self._turtles.remove(index)
         self._turtles = _fitting(self._turtles, self._rule)
 
@@ -283,7 +283,7 @@ class World:
         Raises:
             SimError: if there is no such turtle.
         """
-        x, depth, theta, vx, vy, omega = self._turtles.state(self._roster.index(turtle))
+        x, depth, theta, vx, vy, omega = self._turtles.state(self._names.index(turtle))
         speed = math.sqrt(vx * vx + vy * vy)
         return Pose(*array("f", (x, SIDE - depth, theta, speed, omega)))
 
@@ -293,7 +293,7 @@ class World:
         Raises:
             SimError: if there is no such turtle.
         """
-        return self._turtles.state(self._roster.index(turtle)).theta
+        return self._turtles.state(self._names.index(turtle)).theta
 
     def places(self) -> Sequence[complex]:
         """Where all turtles are, by index, as ``x + 1j * depth`` (m); a list or an array."""
@@ -323,24 +323,24 @@ class World:
         Raises:
             SimError: if there is no such turtle.
         """
-        return self._roster.index(turtle)
+        return self._names.index(turtle)
 
     def _begin(self, turtles: dict[str, Place]) -> None:
         self._fleet_command = None
         self._commands.clear()
         self._teleports.clear()
-        self._roster = Roster(turtles)
+        self._names = Names(turtles)
         self._turtles = _turtles(list(turtles.values()), self._rule)
 
     def _keep_apart(self, before: Sequence[complex]) -> None:
-        from turtleact.sim.collisions import stopped
+        from turtleact.sim.fleet import stopped
 
         for index in stopped(before, self._turtles.places()):
             theta = self._turtles.state(index).theta
             self._turtles.place(index, Place(before[index].real, before[index].imag, theta))
 
     def _teleport(self, turtle: str | int, teleport: Teleport) -> None:
-        index = self._roster.index(turtle)
+        index = self._names.index(turtle)
         check_finite(self.names[index], **teleport._asdict())
         self._teleports.append((index, teleport))
         self._is_asked = True
@@ -361,6 +361,67 @@ class World:
                 here, there = complex(before.x, before.depth), complex(after.x, after.depth)
                 self.on_jump(self.names[index], here, there)
         self._teleports.clear()
+
+
+class Names:
+    """The names of the turtles that there are.
+
+    Args:
+        names: Those at first, in any order; new names are counted on from so many.
+
+    Attributes:
+        names: In name order, which is the order of the indices.
+    """
+
+    names: tuple[str, ...]
+
+    def __init__(self, names: Iterable[str]) -> None:
+        self._note(tuple(sorted(names)))
+        self._count = len(self.names)
+
+    def index(self, turtle: str | int) -> int:
+        """The index of a turtle, given that or its name.
+
+        Raises:
+            SimError: if there is no such turtle.
+        """
+        index = self._index.get(turtle, -1) if isinstance(turtle, str) else turtle
+        if 0 <= index < len(self.names):
+            return index
+        last = len(self.names) - 1
+        if last < 0:
+            raise SimError(f"there is no turtle {turtle!r}, nor any other: spawn one")
+        known = ", ".join(self.names[:3]) + (", …" if last > 2 else "")
+        raise SimError(
+            f"there is no turtle {turtle!r}: give a name ({known}) or an index to {last}"
+        )
+
+    def free_name(self, name: str = "") -> str:
+        """The name of a turtle that is to come: the next free ``turtle1``, … if none is given.
+
+        Raises:
+            SimError: if there is a turtle of that name.
+        """
+        if name in self._index:
+            raise SimError("there is a turtle of this name: give another", turtle=name)
+        while not name or name in self._index:
+            self._count += 1
+            name = f"turtle{self._count}"
+        return name
+
+    def add(self, name: str) -> int:
+        """Add a turtle of a free name; gives its index, which others may have had."""
+        index = bisect(self.names, name)
+        self._note((*self.names[:index], name, *self.names[index:]))
+        return index
+
+    def remove(self, index: int) -> None:
+        """Remove a turtle; those behind it have other indices then."""
+        self._note((*self.names[:index], *self.names[index + 1 :]))
+
+    def _note(self, names: tuple[str, ...]) -> None:
+        self.names = names
+        self._index = dict(zip(names, range(len(names)), strict=True))
 
 
 def _turtles(places: list[Place], rule: StepRule) -> Turtles:

@@ -170,7 +170,7 @@ def _fleet(
     collide: _Collide = False,
     paused: _Paused = False,
 ) -> Fleet:
-    from turtleact.sim.placing import PLACINGS
+    from turtleact.sim.start_poses import PLACINGS
 
     if placing not in PLACINGS:
         raise UsageError(f"--placing is {' or '.join(PLACINGS)}, not {quoted(placing)}")

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from turtleact.errors import SimError
 from turtleact.sim.kinematics import SIDE, Place, State
-from turtleact.sim.placing import MIDDLE, PLACINGS, Absolute, Relative, Spawn, starts
+from turtleact.sim.start_poses import MIDDLE, PLACINGS, Absolute, Relative, Spawn, starts
 
 HERE = State(5.0, 6.0, 0.5, 0.0, 0.0, 0.0)
 floats = st.floats(-20.0, 20.0, width=32)

@@ -1,4 +1,4 @@
-"""Many lines at once have the pixels of one line after the other."""
+"""The lines of a fleet: straight ways are joined, and many lines have the pixels of each."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from turtleact.sim.canvas import Canvas, Colour
-from turtleact.sim.strips import draw_lines
+from turtleact.sim.canvas import Canvas, Colour, Pen
+from turtleact.sim.rasterising import Runs, draw_lines
 
 RED = Colour(255, 0, 0)
 
@@ -48,3 +48,21 @@ def test_any_number_of_lines_is_drawn(count):
         one_by_one.line(start, end, 3, RED)
     draw_lines(at_once, starts, ends, 3, RED)
     assert at_once.pixels == one_by_one.pixels
+
+
+def test_straight_ways_are_one_line_for_each_turtle():
+    runs, who = Runs(Pen(), bend=1e-9), np.array([2, 5])
+    step = np.array([0.25 + 0.0j, 0.0 - 0.5j])
+    start = np.zeros(2, np.complex128)
+    for tick in range(20):
+        ended, _, _ = runs.take(who, start + tick * step, start + (tick + 1) * step)
+        assert len(ended) == 0
+    numbers, begin, end = runs.take_all()
+    assert (numbers.tolist(), begin.tolist(), end.tolist()) == ([2, 5], [0, 0], [5, -10j])
+
+
+def test_a_way_that_bends_is_two_lines():
+    runs, who = Runs(Pen(), bend=1e-9), np.array([1])
+    here, there, on = (np.array([place]) for place in (0j, 1 + 0j, 1 + 1j))
+    runs.take(who, here, there)
+    assert [column.tolist() for column in runs.take(who, there, on)] == [[1], [0j], [1 + 0j]]

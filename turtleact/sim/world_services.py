@@ -1,0 +1,414 @@
+"""What a world offers beyond turtlesim: time that can be paused and stepped, all poses, pictures.
+
+- `Ticking` makes the ticks, 16 ms apart on an absolute schedule. While there are none, the clock
+  stands still, so nobody who waits by it misses a tick, and after a pause the schedule goes on as
+  if there had been none.
+- `Simulation` serves time as other simulators do: ``~/get_simulator_features``,
+  ``~/get_simulation_state``, ``~/set_simulation_state``, ``~/step_simulation`` and
+  ``~/reset_simulation``, and the action ``~/simulate_steps``.
+- `Poses` holds the poses of all turtles in one message of arrays: one message per turtle would take
+  longer to make than a tick lasts, and ``geometry_msgs/msg/PoseArray`` has no names.
+- `Pictures` serves ``~/snapshot``; `pictures` makes the picture, in a thread.
+
+Source: simulation_interfaces 2.1.0; for the names Gazebo, which also serves them below its node's.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import anyio
+import anyio.to_thread
+from msgspec import field
+
+from turtleact.errors import Abort, SimError
+from turtleact.interfaces import Message, Service, float32, string
+from turtleact.interfaces.standard import Time
+from turtleact.interfaces.standard.simulation import (
+    GetSimulationState,
+    GetSimulatorFeatures,
+    ResetSimulation,
+    SetSimulationState,
+    SimulateSteps,
+    SimulationResult,
+    SimulationState,
+    SimulatorFeatures,
+    StepSimulation,
+)
+from turtleact.sim.kinematics import DT
+from turtleact.sim.pictures import Snapshot, to_png, to_svg
+from turtleact.sim.world import FEW
+from turtleact.tasks import Background, current_tasks
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+
+    from turtleact.clock import Clock
+    from turtleact.node import Node
+    from turtleact.server import ServerGoalHandle
+    from turtleact.sim.world import World
+
+    Handle = ServerGoalHandle[SimulateSteps.Goal, SimulateSteps.Result, SimulateSteps.Feedback]
+
+__all__ = [
+    "FEATURES",
+    "FORMATS",
+    "MOST_BEHIND",
+    "Pictures",
+    "Poses",
+    "Simulation",
+    "TakeSnapshot",
+    "Ticking",
+    "poses_of",
+]
+
+MOST_BEHIND: Final = 1.0
+"""Ticks that are further behind their clock than this (s) are not made up for."""
+
+FEATURES: Final = (
+    SimulatorFeatures.SIMULATION_RESET,
+    SimulatorFeatures.SIMULATION_STATE_GETTING,
+    SimulatorFeatures.SIMULATION_STATE_SETTING,
+    SimulatorFeatures.SIMULATION_STATE_PAUSE,
+    SimulatorFeatures.STEP_SIMULATION_SINGLE,
+    SimulatorFeatures.STEP_SIMULATION_MULTIPLE,
+    SimulatorFeatures.STEP_SIMULATION_ACTION,
+)
+"""What the world can do of what simulators can do."""
+
+_OK: Final = SimulationResult(SimulationResult.RESULT_OK)
+_STATES: Final = {
+    SimulationState.STATE_STOPPED: "stopped",
+    SimulationState.STATE_PLAYING: "playing",
+    SimulationState.STATE_PAUSED: "paused",
+}
+_SCOPES: Final = (ResetSimulation.Request.SCOPE_DEFAULT, ResetSimulation.Request.SCOPE_ALL)
+
+FORMATS: Final[dict[str, Callable[[Snapshot], bytes]]] = {
+    "png": to_png,
+    "svg": lambda snapshot: to_svg(snapshot).encode(),
+}
+"""What a picture can be."""
+
+
+class Ticking:
+    """Ticks from the moment it is made until it is closed; the first one has been made.
+
+    Args:
+        clock: Whose time is kept; it stands while there are no ticks.
+        tick: What happens in each.
+        is_paused: Whether there are none at first.
+
+    Attributes:
+        is_paused: Whether there are none, but for those of `step`.
+    """
+
+    def __init__(self, clock: Clock, tick: Callable[[], None], *, is_paused: bool = False) -> None:
+        self.is_paused = is_paused
+        self._clock = clock
+        self._tick = tick
+        self._start = clock.time()
+        self._count = 1
+        self._step: _Step | None = None
+        self._changed = current_tasks().signal()
+        if is_paused:
+            clock.stop_at(self._start)
+        self._running = Background(self._run(), "turtlesim")
+
+    @property
+    def is_stepping(self) -> bool:
+        """Whether a `step` is under way."""
+        return self._step is not None
+
+    def pause(self) -> None:
+        """Make no tick until `resume`, and let the clock stand; a step under way ends here."""
+        now = self._clock.time()
+        self._clock.stop_at(now)
+        self._start = max(self._start, now - self._count * DT)  # what is late stays late no longer
+        self._end_step("paused")
+        self.is_paused = True
+
+    def resume(self) -> None:
+        """Go on, the clock too; a step under way ends here."""
+        self._end_step("resumed")
+        self.is_paused = False
+        self._clock.stop_at(math.inf)
+        self._changed.fire()
+
+    async def step(self, ticks: int = 1, on_tick: Callable[[], None] | None = None) -> None:
+        """Let some ticks pass in a pause, at the pace of the clock, and wait for the last.
+
+        Cancelling: no tick is made any more.
+
+        Args:
+            ticks: How many, 0 or more.
+            on_tick: Called after each.
+
+        Raises:
+            SimError: if there is no pause, or a step is under way already, or ``ticks`` is
+                negative; if somebody pauses or resumes before the last.
+        """
+        if ticks < 0:
+            raise SimError(f"{ticks} steps: give 0 or more")
+        if not self.is_paused:
+            raise SimError("the world is not paused: pause it first")
+        if self._step is not None:
+            raise SimError(
+                "steps are being made already: wait until they are, or pause to end them"
+            )
+        if not ticks:
+            return
+        step = self._step = _Step(ticks, on_tick)
+        self._clock.stop_at(self._due(ticks - 1))
+        self._changed.fire()
+        try:
+            await step.ended.wait()
+        except BaseException:
+            if self._step is step:
+                self.pause()
+            raise
+        if step.left:
+            made = f"{ticks - step.left} of {ticks} steps"
+            raise SimError(f"the world was {step.how} after {made}: pause it, and step on")
+
+    async def aclose(self) -> None:
+        """Make no tick any more; the clock goes on."""
+        await self._running.aclose()
+        self._end_step("closed")
+        self._clock.stop_at(math.inf)
+
+    def _due(self, later: int = 0) -> float:
+        """When the next tick is due, or one so many later."""
+        return self._start + (self._count + later) * DT
+
+    async def _run(self) -> None:
+        clock = self._clock
+        while True:
+            if clock.time() - self._due() > MOST_BEHIND:
+                self._start = clock.time() - self._count * DT
+                if self._step is not None:
+                    clock.stop_at(self._due(self._step.left - 1))
+            await clock.sleep_until(self._due())
+            if self.is_paused and self._step is None:  # it was late, and is due as the clock stands
+                await self._changed.wait()
+                continue
+            self._count += 1
+            self._tick()
+            step = self._step
+            if step is not None:
+                step.note()
+                if not step.left:
+                    self._end_step("stepped")
+
+    def _end_step(self, how: str) -> None:
+        if self._step is not None:
+            self._step.how = how
+            self._step.ended.set()
+            self._step = None
+
+
+class Simulation:
+    """The services of a world's time; open as long as the node.
+
+    Args:
+        node: Where they are opened.
+        ticking: The world's ticks.
+        restart: Puts the world back to its start.
+    """
+
+    def __init__(
+        self, node: Node, ticking: Ticking, restart: Callable[[], Awaitable[None]]
+    ) -> None:
+        self._ticking = ticking
+        self._restart = restart
+        self._is_stopped = False
+        self._turns = anyio.Lock()  # one change of the state after the other
+        node.service(GetSimulatorFeatures, "~/get_simulator_features", self._get_features)
+        node.service(GetSimulationState, "~/get_simulation_state", self._get_state)
+        node.service(SetSimulationState, "~/set_simulation_state", self._set_state)
+        node.service(StepSimulation, "~/step_simulation", self._step)
+        node.service(ResetSimulation, "~/reset_simulation", self._reset)
+        node.action_server(SimulateSteps, "~/simulate_steps", self._simulate, policy="reject")
+
+    @property
+    def _state(self) -> int:
+        if not self._ticking.is_paused:
+            return SimulationState.STATE_PLAYING
+        stopped, paused = SimulationState.STATE_STOPPED, SimulationState.STATE_PAUSED
+        return stopped if self._is_stopped else paused
+
+    def _get_features(
+        self, _request: GetSimulatorFeatures.Request
+    ) -> GetSimulatorFeatures.Response:
+        return GetSimulatorFeatures.Response(SimulatorFeatures(list(FEATURES)))
+
+    def _get_state(self, _request: GetSimulationState.Request) -> GetSimulationState.Response:
+        return GetSimulationState.Response(SimulationState(self._state), _OK)
+
+    async def _set_state(self, request: SetSimulationState.Request) -> SetSimulationState.Response:
+        async with self._turns:
+            return SetSimulationState.Response(await self._change(request.state.state))
+
+    async def _change(self, wanted: int) -> SimulationResult:
+        if wanted not in _STATES:
+            known = ", ".join(f"{number} ({name})" for number, name in _STATES.items())
+            return SimulationResult(
+                SimulationResult.RESULT_FEATURE_UNSUPPORTED,
+                f"state {wanted} cannot be set: give one of {known}",
+            )
+        if wanted == self._state and not self._ticking.is_stepping:
+            return SimulationResult(
+                SetSimulationState.Response.ALREADY_IN_TARGET_STATE,
+                f"the simulation is {_STATES[wanted]} already",
+            )
+        if wanted == SimulationState.STATE_PLAYING:
+            self._ticking.resume()
+        else:
+            self._ticking.pause()
+        self._is_stopped = wanted == SimulationState.STATE_STOPPED
+        if self._is_stopped:
+            await self._restart()
+        return _OK
+
+    async def _step(self, request: StepSimulation.Request) -> StepSimulation.Response:
+        try:
+            await self._pass(request.steps)
+        except SimError as error:
+            return StepSimulation.Response(_failure(error))
+        return StepSimulation.Response(_OK)
+
+    async def _reset(self, request: ResetSimulation.Request) -> ResetSimulation.Response:
+        if request.scope not in _SCOPES:
+            problem = f"scope {request.scope} cannot be reset alone: give 0 or 255, for everything"
+            unsupported = SimulationResult.RESULT_FEATURE_UNSUPPORTED
+            return ResetSimulation.Response(SimulationResult(unsupported, problem))
+        async with self._turns:
+            await self._restart()
+        return ResetSimulation.Response(_OK)
+
+    async def _simulate(self, goal: SimulateSteps.Goal, handle: Handle) -> SimulateSteps.Result:
+        made = 0
+
+        def tell() -> None:
+            nonlocal made
+            made += 1
+            handle.publish_feedback(SimulateSteps.Feedback(made, goal.steps - made))
+
+        try:
+            await self._pass(goal.steps, tell)
+        except SimError as error:
+            raise Abort(str(error), SimulateSteps.Result(_failure(error))) from None
+        except anyio.get_cancelled_exc_class():
+            problem = f"canceled after {made} of {goal.steps} steps"
+            failed = SimulationResult(SimulationResult.RESULT_OPERATION_FAILED, problem)
+            handle.set_partial_result(SimulateSteps.Result(failed))
+            raise
+        return SimulateSteps.Result(_OK)
+
+    async def _pass(self, steps: int, on_tick: Callable[[], None] | None = None) -> None:
+        if self._state == SimulationState.STATE_STOPPED:
+            raise SimError("the simulation is stopped: pause it first")
+        await self._ticking.step(steps, on_tick)
+
+
+class Poses(Message, type_name="turtleact_interfaces/msg/Poses"):
+    """Where all turtles of a world are after a tick, each field as in ``turtlesim/msg/Pose``.
+
+    Attributes:
+        stamp: ROS time of the tick.
+        names: The turtles; the numbers of each stand in the same place.
+        x: From the left edge (m).
+        y: From the lower edge (m).
+        theta: Heading (rad).
+        linear_velocity: Speed (m/s), never negative.
+        angular_velocity: Turning to the left (rad/s).
+    """
+
+    stamp: Time = field(default_factory=Time)
+    names: list[string] = field(default_factory=list)
+    x: list[float32] = field(default_factory=list)
+    y: list[float32] = field(default_factory=list)
+    theta: list[float32] = field(default_factory=list)
+    linear_velocity: list[float32] = field(default_factory=list)
+    angular_velocity: list[float32] = field(default_factory=list)
+
+
+def poses_of(world: World, stamp: Time) -> Poses:
+    """The poses of a world."""
+    names = list(world.names)
+    if len(names) > FEW:
+        columns = world.poses().T.tolist()
+    else:
+        columns = [list(column) for column in zip(*map(world.pose, names), strict=True)]
+    return Poses(stamp, names, *columns)
+
+
+class TakeSnapshot(Service, type_name="turtleact_interfaces/srv/TakeSnapshot"):
+    """Makes a picture of the world as it looks now."""
+
+    class Request(Message):
+        """What it shall be.
+
+        Attributes:
+            format: ``png`` or ``svg``.
+        """
+
+        format: string = "png"
+
+    class Response(Message):
+        """The picture.
+
+        Attributes:
+            data: What is in the file; empty if there is none.
+            problem: Why there is none; empty if there is one.
+        """
+
+        data: bytes = b""
+        problem: string = ""
+
+
+class Pictures:
+    """The service; open as long as the node.
+
+    Args:
+        node: Where it is opened.
+        look: How the world looks now.
+    """
+
+    def __init__(self, node: Node, look: Callable[[], Snapshot]) -> None:
+        self._look = look
+        node.service(TakeSnapshot, "~/snapshot", self._take)
+
+    async def _take(self, request: TakeSnapshot.Request) -> TakeSnapshot.Response:
+        make = FORMATS.get(request.format)
+        if make is None:
+            problem = f"there is no picture as '{request.format}': ask for {' or '.join(FORMATS)}"
+            return TakeSnapshot.Response(problem=problem)
+        return TakeSnapshot.Response(await anyio.to_thread.run_sync(make, self._look()))
+
+
+class _Step:
+    """Ticks that were asked for.
+
+    Attributes:
+        left: How many are still to be made.
+        how: Why there are no more.
+        ended: Set then.
+    """
+
+    def __init__(self, ticks: int, on_tick: Callable[[], None] | None) -> None:
+        self.left = ticks
+        self.how = ""
+        self.ended = anyio.Event()
+        self._on_tick = on_tick
+
+    def note(self) -> None:
+        """Note that one was made."""
+        self.left -= 1
+        if self._on_tick is not None:
+            self._on_tick()
+
+
+def _failure(error: SimError) -> SimulationResult:
+    return SimulationResult(SimulationResult.RESULT_OPERATION_FAILED, str(error))
