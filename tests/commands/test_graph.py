@@ -33,7 +33,7 @@ GRAPHS = Path(__file__).with_name("graphs.py")
     ],
 )
 def test_one_line_says_that_no_graph_is_in_reach(turtleact, arguments, where, monkeypatch):
-    monkeypatch.setitem(config.CONNECT, "client", ("tcp/127.0.0.1:3",))
+    monkeypatch.setitem(config.CONNECT, "peer", ("tcp/127.0.0.1:3",))
     hint = "" if arguments else " 'turtleact serve' starts one"
     ran = turtleact("topic", "list", *arguments)
     assert (ran.status, ran.out, ran.err) == (

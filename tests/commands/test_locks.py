@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import turtleact
-from turtleact.commands.locks import Access, Locks, Login, Tls, is_loopback, read_locks
+from turtleact.commands.locks import Access, Locks, Login, Tls, is_loopback, mode_of, read_locks
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.transports import open_zenoh
 
@@ -121,6 +121,20 @@ def test_who_is_kept_out(locks, keeps_out):
 )
 def test_what_is_on_loopback(endpoint, answer):
     assert is_loopback(endpoint) is answer
+
+
+@pytest.mark.parametrize(
+    ("connect", "locks", "mode"),
+    [
+        ((), Locks(), "peer"),
+        (("tcp/localhost:7447",), Locks(), "peer"),
+        (("tcp/localhost:7447", "tcp/robot:7447"), Locks(), "client"),
+        ((), Locks(tls=Tls(ca="ca.pem"), access=Access()), "peer"),
+        ((), Locks(login=Login("robot", "secret")), "client"),
+    ],
+)
+def test_a_command_is_a_peer_unless_peers_would_not_reach_each_other(connect, locks, mode):
+    assert mode_of(connect, locks) == mode
 
 
 # --- what becomes of it -------------------------------------------------------------------------

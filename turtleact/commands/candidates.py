@@ -129,9 +129,12 @@ def parameters(where: Reach, owner: str) -> list[str]:
 
 
 def _census(where: Reach) -> Graph:
+    from turtleact.commands.locks import mode_of
     from turtleact.transports.rmw_zenoh.census import census
 
-    return census(where.connect or None, where.domain, where.locks().settings())
+    locks = where.locks()
+    mode = mode_of(where.connect, locks)
+    return census(where.connect or None, where.domain, locks.settings(), mode)
 
 
 # interfaces

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, TypeAlias, TypeVar
 import anyio
 
 from turtleact.commands.kinds import Kind, types_by_name
+from turtleact.commands.locks import mode_of
 from turtleact.commands.stderr import printable
 from turtleact.commands.transcript import say
 from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface, UsageError
@@ -62,8 +63,9 @@ async def open_transport(reach: Reach) -> AsyncIterator[Transport]:
     """
     from turtleact.transports import open_zenoh
 
-    settings = reach.locks().settings()
-    opened = open_zenoh(reach.connect or None, mode="client", domain=reach.domain, config=settings)
+    locks = reach.locks()
+    mode, config = mode_of(reach.connect, locks), locks.settings()
+    opened = open_zenoh(reach.connect or None, mode=mode, domain=reach.domain, config=config)
     async with AsyncExitStack() as stack:
         try:
             transport = await stack.enter_async_context(opened)

@@ -30,14 +30,17 @@ from __future__ import annotations
 import re
 import tomllib
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final, Literal
 
 import msgspec
 
 from turtleact.errors import UsageError
 from turtleact.names import resolve_name
 
-__all__ = ["Locks", "is_loopback", "read_locks"]
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["Locks", "is_loopback", "mode_of", "read_locks"]
 
 
 class Tls(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -142,6 +145,21 @@ def is_loopback(endpoint: str) -> bool:
     if protocol.startswith("unix"):
         return True
     return _LOOPBACK.match(address) is not None
+
+
+def mode_of(connect: Sequence[str], locks: Locks) -> Literal["peer", "client"]:
+    """How a command joins a graph: as a peer on this machine, as ROS's tools do, else as a client.
+
+    A peer talks with each node directly, and so sees those that the router has no tokens of. Nodes
+    of another machine listen there on loopback only, and nodes that ask for a password let in only
+    those whom they find in a file of users; a client sees both through the router.
+
+    Args:
+        connect: The endpoints to connect to; none means the router of this machine.
+        locks: The locks of the graph.
+    """
+    is_near = all(is_loopback(each) for each in connect)
+    return "peer" if is_near and locks.login is None else "client"
 
 
 _LOOPBACK: Final = re.compile(r"(localhost|127(\.\d+){3}|\[::1\])(:|$)")

@@ -24,7 +24,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Literal, Protocol, TypeVar, runtime_checkable
 
-import anyio
 import msgspec
 
 from turtleact.errors import InvalidMessage
@@ -416,6 +415,8 @@ async def find_server(transport: Transport, find: Callable[[], T | None]) -> T |
 
     Cancelling: safe.
     """
+    import anyio  # the completion of command lines has no event loop, and starts without it
+
     found = find()
     if found is None and (rest := transport.discovery_ends - anyio.current_time()) > 0:
         with anyio.move_on_after(rest):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from turtleact.transports.rmw_zenoh.config import session_config
+from turtleact.transports.rmw_zenoh.config import Mode, session_config
 from turtleact.transports.rmw_zenoh.discovery import Graph
 from turtleact.transports.rmw_zenoh.keys import all_tokens
 from turtleact.transports.rmw_zenoh.session import Session
@@ -13,7 +13,10 @@ __all__ = ["census"]
 
 
 def census(
-    connect: Sequence[str] | None, domain: int, config: Mapping[str, object] | None = None
+    connect: Sequence[str] | None,
+    domain: int,
+    config: Mapping[str, object] | None = None,
+    mode: Mode = "peer",
 ) -> Graph:
     """The nodes and endpoints of a graph; blocks, some hundredths of a second as a rule.
 
@@ -21,12 +24,13 @@ def census(
         connect: Endpoints of the graph; the router of this machine if None.
         domain: Its ROS domain.
         config: Paths and values of Zenoh's configuration.
+        mode: As for `open_zenoh`.
 
     Raises:
         InvalidOption: if one of them has a value that it cannot have.
         TurtleactError: if there is no graph in reach.
     """
-    session = Session.open(session_config(connect, None, "client", domain, config or {}))
+    session = Session.open(session_config(connect, None, mode, domain, config or {}))
     try:
         graph = Graph(session.zid)
         for key in session.tokens(all_tokens(domain)):

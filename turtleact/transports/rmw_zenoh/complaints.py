@@ -39,5 +39,6 @@ def why_not_open(config: SessionConfig, said: str) -> str:
         inner = INNER.fullmatch(said)
         return f"cannot listen at {at}: {inner[1] if inner else said}{hint}"
     to = ", ".join(config.connect) or "the configured endpoints"
-    more = "" if said.startswith("Unable to connect") else f" ({said})"
+    says_nothing_more = said.startswith("Unable to connect") or "Connection refused" in said
+    more = "" if says_nothing_more else f" ({said})"
     return f"no ROS 2 graph in reach: nobody at {to} lets us in{more}; is a router running there?"

@@ -12,8 +12,10 @@ Source: rmw_zenoh_cpp ``rmw_publisher_data.cpp``, ``rmw_subscription_data.cpp``,
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from time import monotonic, sleep
 from typing import Any, Protocol, TypeAlias
 
 import zenoh
@@ -41,6 +43,20 @@ ANSWER = 2.0
 #: How soon after the last message its number is told, for who has missed it (s).
 HEARTBEAT = 0.5
 
+#: How long closing a session may take (s).
+CLOSING = 1.0
+
+#: How long a new peer may take to connect to the other peers (s).
+MEETING = 2.0
+
+#: It is done if no connection has been added for this time (s), and so many times what opening the
+#: session took: greeting a peer takes as many round trips as greeting the router did.
+SHORTEST_QUIET = 0.03
+QUIET_PER_OPENING = 2.0
+
+#: How often the connections are counted meanwhile (s).
+LOOK = 0.005
+
 REMOTE = zenoh.Locality.REMOTE
 
 
@@ -58,8 +74,13 @@ class Session:
         zid: Its id, as tokens say it.
     """
 
-    def __init__(self, session: zenoh.Session) -> None:
+    def __init__(
+        self, session: zenoh.Session, *, is_peer: bool = False, opening: float = 0.0
+    ) -> None:
         self._session = session
+        self._is_peer = is_peer
+        self._opening = opening  # how long that took (s)
+        self._opened_at = monotonic()
         self.zid = str(session.zid())
 
     @classmethod
@@ -79,23 +100,28 @@ class Session:
                     settings.insert_json5(path, value)
         except zenoh.ZError as error:
             raise InvalidOption("config", f"Zenoh says: {words(str(error))}") from error
+        began = monotonic()
         try:
-            return cls(zenoh.open(settings))
+            session = zenoh.open(settings)
         except zenoh.ZError as error:
             raise TurtleactError(why_not_open(config, words(str(error)))) from error
+        is_peer = settings.get_json("mode") == '"peer"'
+        return cls(session, is_peer=is_peer, opening=monotonic() - began)
 
     def close(self) -> None:
         """End it; what was declared on it must have been taken back.
 
-        Blocks for ten seconds at most. One that does not end by then is left behind, and said so.
+        Blocks for `CLOSING` seconds at most. Zenoh waits longer, up to ten seconds, if it is still
+        greeting a peer that has stopped (SIGSTOP, a debugger). The thread that closes is left
+        behind then; others have been told by that time, and the process can end.
         """
         session = self._session
-        # Given up here, where it may block: the garbage collector would do it in any thread.
+        # Given up in that thread, where it may block: the garbage collector would do it in any.
         del self._session
-        try:
-            session.close()  # type: ignore[no-untyped-call]  # zenoh leaves it so
-        except zenoh.ZError as error:
-            logger.error("%s; it is left behind", _error("close its session", error))
+        closing = threading.Thread(target=_close, args=[session], name="closing", daemon=True)
+        del session
+        closing.start()
+        closing.join(CLOSING)
 
     def declare_token(self, key: str) -> Declared:
         """Be in the graph."""
@@ -118,10 +144,33 @@ class Session:
             return watched
 
     def tokens(self, key: str) -> list[str]:
-        """All tokens that there are; blocks until those who know of some have answered."""
+        """All tokens that there are; blocks until those who know of some have answered.
+
+        A peer that has just been opened waits until it is connected with the other peers.
+        """
+        if self._is_peer:
+            self._meet_peers()
         with _mapped(f"ask for {key}"):
             replies = self._session.liveliness().get(key, timeout=ANSWER)
             return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+
+    def _meet_peers(self) -> None:
+        """Wait until a new peer has connected to the peers that its router has told it of.
+
+        A router tells a peer where the others are, but passes on none of their tokens. The peer
+        connects to each of them in the background, and Zenoh does not say when it is done. So this
+        waits until no connection has been added for some time. That time is a multiple of what it
+        took to connect to the router, so that it fits a busy machine and a slow network too.
+        """
+        quiet = SHORTEST_QUIET + QUIET_PER_OPENING * self._opening
+        known, since = -1, monotonic()
+        while (now := monotonic()) < self._opened_at + MEETING:
+            count = len(self._session.info.peers_zid())
+            if count != known:
+                known, since = count, now
+            elif now - since >= quiet:
+                return
+            sleep(LOOK)
 
     def declare_publisher(
         self, key: str, *, is_reliable: bool, matching: Callable[[bool], object]
@@ -336,6 +385,13 @@ class Query:
         """Answer that it has failed: a text for people, and a kind for peers like us."""
         with _mapped("reply"), self._query:
             self._query.reply_err(encodable(text).encode(), encoding=f"text/plain;{kind}")
+
+
+def _close(session: zenoh.Session) -> None:
+    try:
+        session.close()  # type: ignore[no-untyped-call]  # zenoh leaves it so
+    except zenoh.ZError as error:
+        logger.error("%s; it is left behind", _error("close its session", error))
 
 
 def _parts(sample: zenoh.Sample) -> tuple[bytes, bytes]:
