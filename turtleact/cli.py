@@ -60,6 +60,10 @@ def main() -> int:
             raise KeyboardInterrupt
         status = run(sys.argv[1:], interrupts)
         interrupts.ignore()
+        if interrupts.must_leave:
+            from turtleact.commands.interrupts import leave
+
+            leave(status)
     except KeyboardInterrupt:  # in the moment before the handler stood
         _note("interrupted")
         return INTERRUPTED

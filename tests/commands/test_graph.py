@@ -175,3 +175,11 @@ def test_a_verb_imports_neither_numpy_nor_rich():
     )
     out = subprocess.check_output([sys.executable, "-c", code], text=True)
     assert out.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize("verb", [["send-goal", "x"], ["interface", "show"]])
+def test_a_type_whose_name_is_too_long_for_a_file_is_unknown(turtleact, verb):
+    ran = turtleact(*verb, f"{'a' * 100_000}/action/B")
+    assert ran.status == 1
+    assert ran.err.startswith("turtleact: unknown interface 'aaaa")
+    assert len(ran.err) < 5000

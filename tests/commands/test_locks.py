@@ -174,3 +174,8 @@ async def test_only_what_is_named_can_be_used(address):
         other = guest.action_client(Count, "closed")
         with pytest.raises(TurtleactError):
             await other.send_goal(goal())
+
+
+def test_an_endless_file_is_an_error():
+    with pytest.raises(UsageError, match="--config /dev/zero: is longer than"):
+        read_locks("/dev/zero")

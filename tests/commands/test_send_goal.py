@@ -10,6 +10,7 @@ import shlex
 import signal
 import subprocess
 import sys
+import time
 from contextlib import asynccontextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,7 +22,6 @@ import pytest
 from turtleact import open_node
 from turtleact.commands import send_goal
 from turtleact.commands.transcript import JsonTranscript, PlainTranscript
-from turtleact.errors import ServerUnavailable
 from turtleact.goal import GoalStatus
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.transports import QoS
@@ -316,7 +316,7 @@ def test_a_server_that_does_not_answer_in_time_is_told_from_one_that_takes_no_go
     on_graph, monkeypatch, grace, rest
 ):
     monkeypatch.setattr(send_goal, "PATIENCE", 0.01)
-    monkeypatch.setattr(send_goal, "GRACE", grace)
+    monkeypatch.setattr(send_goal, "CANCEL_TIMEOUT", grace)
     ran = on_graph(late, "send-goal", "stuck", "-t", "0.01")
     assert (ran.status, ran.err) == (
         124,
@@ -347,7 +347,7 @@ def test_a_server_that_does_not_answer_is_waited_for_until_a_signal(on_graph, mo
 def test_a_server_that_does_not_answer_is_told_from_one_that_takes_no_goal(
     on_graph, monkeypatch, grace, rest
 ):
-    monkeypatch.setattr(send_goal, "GRACE", grace)
+    monkeypatch.setattr(send_goal, "CANCEL_TIMEOUT", grace)
     monkeypatch.setattr(PlainTranscript, "sending", lambda *_: signal.raise_signal(signal.SIGINT))
     ran = on_graph(late, "send-goal", "stuck")
     assert (ran.status, ran.err) == (
@@ -390,15 +390,6 @@ async def test_a_goal_that_ended_in_the_moment_of_its_timeout_has_not_timed_out(
     assert capsys.readouterr().err == ""
 
 
-async def test_a_server_that_is_gone_is_told_of_by_the_end_of_the_goal(interrupts):
-    async def cancel():
-        raise ServerUnavailable("/now", "it is gone")
-
-    sent: Any = SimpleNamespace(handle=SimpleNamespace(status=GoalStatus.EXECUTING, cancel=cancel))
-    sending = send_goal._Sending(sent, "/now", None, JsonTranscript(), interrupts)
-    assert not await sending._cancel(sent, 130)
-
-
 # --- signals --------------------------------------------------------------------------------
 
 
@@ -413,7 +404,10 @@ def test_a_signal_cancels_the_goal_and_its_result_is_printed(start, number, stat
     assert ran.status == status
     assert "\nCanceling goal...\n\nResult:\n    sequence:" in ran.out
     assert ran.out.endswith("Goal finished with status: CANCELED\n")
-    assert ran.err == "turtleact: started an embedded world in this process\n"
+    assert ran.err == (
+        "turtleact: started an embedded world in this process\n"
+        "turtleact: waiting for the goal's end; Ctrl-C again lets go of it\n"
+    )
 
 
 @pytest.mark.parametrize(
@@ -429,6 +423,23 @@ def test_a_second_signal_lets_go_of_the_goal(start, name, lines):
     assert ran.status == 130
     assert "turtleact: the goal ended with the embedded world;" in ran.err.splitlines()[-1]
     assert all(line in ran.err for line in lines)
+
+
+@pytest.mark.parametrize("name", ["stubborn", "refuse", "deaf"])
+@pytest.mark.parametrize(("number", "status"), STATUSES[:2])
+def test_one_signal_lets_go_of_a_goal_that_does_not_end(start, name, number, status):
+    program = start("send-goal", name)
+    program.wait_for("Goal accepted")
+    program.send(number)
+    ran = program.end()
+    assert (ran.status, ran.err.splitlines()[1], ran.err.splitlines()[-2:]) == (
+        status,
+        "turtleact: waiting for the goal's end; Ctrl-C again lets go of it",
+        [
+            "turtleact: the goal has not ended within 2 s",
+            "turtleact: the goal ended with the embedded world; there is nothing to come back to",
+        ],
+    )
 
 
 def test_a_signal_before_the_acceptance_leaves_no_goal_behind(start):
@@ -459,6 +470,11 @@ def test_a_signal_behind_the_end_changes_nothing(on_stage, interrupts):
 # --- a reader that does not read ------------------------------------------------------------
 
 
+def take_signals():
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
 @pytest.fixture
 def stuck():
     """Starts a goal whose output nobody reads, and waits until it is full."""
@@ -467,9 +483,18 @@ def stuck():
 
     def begin(*arguments):
         program = [sys.executable, STAGE, "send-goal", "flood", "--feedback", *arguments]
-        programs.append(subprocess.Popen(program, stdout=writing, stderr=subprocess.DEVNULL))
+        programs.append(
+            subprocess.Popen(
+                program,
+                stdout=writing,
+                stderr=subprocess.DEVNULL,
+                # A signal that is ignored here, as SIGHUP is under nohup, would be ignored there.
+                preexec_fn=take_signals,
+            )
+        )
         while select.select([], [writing], [], 0)[1]:
-            pass
+            assert programs[-1].poll() is None
+            time.sleep(0.01)
         return programs[-1]
 
     yield begin
@@ -488,6 +513,12 @@ def test_a_second_signal_ends_a_program_that_is_stuck_in_its_output(stuck, first
     program.send_signal(first)
     program.send_signal(second)
     assert program.wait(30) - 128 in (first, second)
+
+
+def test_one_signal_ends_a_program_that_is_stuck_in_its_output(stuck):
+    program = stuck()
+    program.send_signal(signal.SIGTERM)
+    assert program.wait(30) == 143
 
 
 def test_a_timeout_ends_a_program_that_is_stuck_in_its_output(stuck):

@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -71,6 +72,55 @@ async def stubborn(goal):
             await anyio.sleep_forever()
         except anyio.get_cancelled_exc_class():
             pass
+"""
+
+RUTHLESS = """
+import asyncio
+import turtleact
+from turtleact.interfaces.standard import Fibonacci
+
+
+@turtleact.action(Fibonacci, "stopping")
+async def stopping(goal):
+    asyncio.get_running_loop().stop()
+    return Fibonacci.Result()
+
+
+@turtleact.action(Fibonacci, "cancelling")
+async def cancelling(goal):
+    for task in asyncio.all_tasks():
+        task.cancel()
+    return Fibonacci.Result()
+"""
+
+LASTING = """
+import asyncio
+import threading
+import time
+import turtleact
+from turtleact.interfaces.standard import Fibonacci
+
+kept = []
+
+
+async def last():
+    while True:
+        try:
+            await asyncio.sleep(60)
+        except asyncio.CancelledError:
+            pass
+
+
+@turtleact.action(Fibonacci, "lasting")
+async def lasting(goal):
+    kept.append(asyncio.create_task(last(), name="endless task"))
+    return Fibonacci.Result()
+
+
+@turtleact.action(Fibonacci, "threaded")
+async def threaded(goal):
+    threading.Thread(target=time.sleep, args=(60,), name="endless thread").start()
+    return Fibonacci.Result()
 """
 
 FAILING = """
@@ -277,6 +327,54 @@ def test_sys_exit_ends_a_server_whose_other_bodies_do_not_end(tmp_path):
     assert (server.process.returncode, EXITED.splitlines()[1] in err) == (7, True)
 
 
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        ("stopping", "called stop() of the event loop"),
+        ("cancelling", "cancelled a task of turtleact"),
+    ],
+)
+def test_code_that_ends_the_loop_ends_the_server_and_is_named(tmp_path, name, problem):
+    (tmp_path / "servedruthless.py").write_text(RUTHLESS)
+    with serving(tmp_path, "servedruthless", "--no-sim") as server:
+        server.run("send-goal", name)
+        status, out, err = ended(server.process)
+    assert (status, "ACCEPTED" in out, "Traceback" in err) == (1, True, False)
+    assert f"turtleact: a body, or other code of yours, {problem}" in err
+
+
+def test_tasks_and_threads_that_do_not_end_are_named_and_left(tmp_path):
+    (tmp_path / "servedlasting.py").write_text(LASTING)
+    with serving(tmp_path, "servedlasting", "--no-sim") as server:
+        for name in ("lasting", "threaded"):
+            server.run("send-goal", name)
+        _, _, err = server.end(signal.SIGTERM)
+    assert "turtleact: leaving without what does not end: task 'endless task' (" in err
+    assert server.process.returncode == 0
+
+
+def test_a_thread_that_does_not_end_is_named_and_left(tmp_path):
+    (tmp_path / "servedlasting.py").write_text(LASTING)
+    with serving(tmp_path, "servedlasting", "--no-sim") as server:
+        server.run("send-goal", "threaded")
+        _, _, err = server.end(signal.SIGTERM)
+    assert "turtleact: leaving without what does not end: thread 'endless thread'\n" in err
+    assert server.process.returncode == 0
+
+
+@pytest.mark.parametrize("code", ["time.sleep(60)", "while True: pass"])
+def test_the_first_signal_ends_a_server_that_is_stuck_in_an_import(tmp_path, code):
+    (tmp_path / "servedslow.py").write_text(
+        f"import time\nprint('importing', flush=True)\n{code}\n"
+    )
+    process = start(tmp_path, "serve", "servedslow", "--listen", free_endpoint())
+    first_lines(process, "importing")
+    began = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    assert ended(process) == (0, "", "")
+    assert time.monotonic() - began < 10
+
+
 def test_the_log_of_a_body_that_fails_commands_no_terminal(tmp_path):
     (tmp_path / "servedfailing.py").write_text(FAILING)
     with serving(tmp_path, "servedfailing", "--no-sim") as server:
@@ -293,6 +391,18 @@ def test_a_server_that_is_killed_is_told_at_once(served):
     assert sender.returncode == 1
     assert "turtleact: action '/endless': the server went away before " in err
     assert "if its server lives, the goal goes on; 'turtleact watch " in err
+
+
+def test_ctrl_c_ends_the_sender_with_its_status_though_the_server_is_killed(served):
+    sender = served.start("send-goal", "endless", "--feedback", "--plain")
+    first_lines(sender, "Feedback:")
+    served.process.send_signal(signal.SIGSTOP)  # it hears of no cancel
+    sender.send_signal(signal.SIGINT)
+    first_lines(sender, "Canceling")
+    served.process.kill()
+    _, err = sender.communicate(timeout=PATIENCE)
+    assert (sender.returncode, "goes on with" in err) == (130, False)
+    assert "turtleact: action '/endless': the server went away before " in err
 
 
 def test_a_taken_port_is_one_clear_line(served, lab):
@@ -332,6 +442,7 @@ def test_what_is_said_of_the_world_reaches_it(turtleact, monkeypatch):
     said = "--speed 2 --turtles 3 --placing ring --seed 5 --collide --paused"
     assert turtleact("serve", *said.split()).err == "turtleact: enough\n"
     del asked["graph"], asked["on_transition"], asked["on_start"]
+    assert not asked.pop("turtlesim_only")
     assert asked == {
         "speed": 2.0,
         "turtles": 3,
@@ -363,6 +474,18 @@ def test_the_world_is_served_with_its_actions(tmp_path):
         assert (status, out.endswith("status: SUCCEEDED\n")) == (0, True)
         status, out, _ = server.run("topic", "echo", "/turtle1/pose", "--once")
         assert (status, out.startswith("x: ")) == (0, True)
+
+
+def test_turtlesim_node_serves_what_turtlesim_serves_and_nothing_else(turtleact, monkeypatch):
+    asked: dict[str, object] = {}
+
+    def open_world(**options: object) -> None:
+        asked.update(options)
+        raise TurtleactError("enough")
+
+    monkeypatch.setattr("turtleact.app.open_world", open_world)
+    assert turtleact("run", "turtlesim", "turtlesim_node").err == "turtleact: enough\n"
+    assert (asked["turtlesim_only"], asked["turtles"]) == (True, 1)
 
 
 def test_a_page_is_served_besides(lab):

@@ -70,3 +70,8 @@ def test_no_argument_commands_the_terminal(turtleact, arguments):
     err = turtleact("send-goal", *arguments).err
     assert "\x1b" not in err
     assert "\\x1b" in err
+
+
+def test_a_note_without_end_is_cut_in_its_middle(capsys):
+    note("a" * 3000 + "b" * 3000)
+    assert capsys.readouterr().err == f"turtleact: {'a' * 2000}… 2000 characters …{'b' * 2000}\n"

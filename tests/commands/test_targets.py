@@ -98,6 +98,7 @@ def test_what_means_no_action_is_refused(target, problem):
             "ModuleNotFoundError: No module named 'nowhere_at_all' ({file}, line 1)",
         ),
         ("def f(:\n", "({file}, line 1)"),
+        ("raise BaseException('by hand')\n", "BaseException: by hand ({file}, line 1)"),
         ("import turtleact\n@turtleact.action\ndef f(): ...\n", "({file}, line 2)"),
     ],
 )
@@ -108,6 +109,16 @@ def test_a_module_that_fails_is_told_with_its_line(folder, text, problem):
         find_actions("broken")
     assert str(caught.value).startswith("module 'broken' cannot be imported: ")
     assert str(caught.value).endswith(problem.format(file=file))
+
+
+def test_a_lookup_that_fails_is_told_with_its_line(folder):
+    file = folder / "failing.py"
+    file.write_text("def __getattr__(name):\n    raise ValueError('by hand')\n")
+    with pytest.raises(TurtleactError) as caught:
+        find_actions("failing:drive")
+    assert str(caught.value) == (
+        f"'failing:drive' cannot be looked up: ValueError: by hand ({file}, line 2)"
+    )
 
 
 @pytest.mark.parametrize(

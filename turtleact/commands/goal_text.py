@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from turtleact.errors import UsageError
@@ -11,7 +12,7 @@ from turtleact.errors import UsageError
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
 
-__all__ = ["GoalText"]
+__all__ = ["GoalText", "read_text_file"]
 
 MOST = 2**22
 """Bytes that are read of a file or a pipe: no message that is taken is longer."""
@@ -59,6 +60,28 @@ class GoalText(NamedTuple):
         if not text.strip():  # whoever was to say it has failed
             raise UsageError(f"{source}: is empty; the default {what} is {{}}")
         return cls(text, source)
+
+
+def read_text_file(path: str, what: str) -> str:
+    """The text of a file, such as a configuration, that is read at once.
+
+    Args:
+        path: Where the file is.
+        what: How an error begins: the option, and the file.
+
+    Raises:
+        UsageError: if the file cannot be read, is longer than `MOST` bytes, or is not UTF-8.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            data = file.read(MOST + 1)
+        if len(data) > MOST:
+            raise UsageError(f"{what}: is longer than {MOST} bytes")
+        return data.decode()
+    except OSError as error:
+        raise UsageError(f"{what}: {error.strerror}") from None
+    except ValueError:  # not UTF-8, or a null character in the path
+        raise UsageError(f"{what}: it is not UTF-8") from None
 
 
 def _read(path: str | None, source: str, interrupts: Interrupts, what: str) -> bytes:

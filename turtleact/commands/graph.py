@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import anyio
 
+from turtleact.commands import runner
 from turtleact.commands.kinds import Kind, types_by_name
 from turtleact.commands.locks import mode_of
 from turtleact.commands.stderr import printable
@@ -122,7 +123,7 @@ def run(reach: Reach, look: Look, interrupts: Interrupts) -> int:
     Raises:
         TurtleactError: if there is no graph in reach; what the verb raises.
     """
-    return asyncio.run(until_interrupted(open_graph(reach), look, interrupts))
+    return runner.run(until_interrupted(open_graph(reach), look, interrupts), interrupts)
 
 
 async def until_interrupted(

@@ -66,11 +66,17 @@ class Interrupts:
     Attributes:
         received: Which came, in order.
         restore: Gives the terminal back; called by a signal handler, before it ends the process.
+        patience: How long the loop may go on after the first signal, before the alarm clock ends
+            the process (s, wall clock).
+        must_leave: Whether the process has to end by `leave`, as tasks or threads are left that do
+            not end.
     """
 
     def __init__(self) -> None:
         self.received: list[signal.Signals] = []
         self.restore: Callable[[], object] = bool
+        self.patience = inf
+        self.must_leave = False
         self._endured = 1
         self._is_reading = False
         self._is_beginning = False
@@ -168,10 +174,10 @@ class Interrupts:
             if len(self.received) < self._endured:
                 self._due = inf
 
-    def end(self) -> None:
-        """Let the program end as by SIGTERM, unless a signal has come that ends it."""
+    def end(self, number: signal.Signals = signal.SIGTERM) -> None:
+        """End the program as if this signal had come, unless one has come before."""
         if not self.received:
-            self._arrive(signal.SIGTERM, None)
+            self._arrive(number, None)
 
     def end_within(self, seconds: float, status: int) -> None:
         """Give the loop some wall seconds and `GRACE` to leave `listening`, or end the process.
@@ -198,8 +204,8 @@ class Interrupts:
         if self._is_beginning:
             self._end_beginning()
         if self._tell is not None:
-            if len(self.received) == self._endured:
-                self.end_within(0.0, self.status)
+            is_last = len(self.received) == self._endured
+            self.end_within(0.0 if is_last else self.patience, self.status)
             self._set_alarm()
             self._tell()
 

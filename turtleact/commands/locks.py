@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import msgspec
 
+from turtleact.commands.goal_text import read_text_file
 from turtleact.errors import UsageError
 from turtleact.names import resolve_name
 
@@ -123,11 +124,7 @@ def read_locks(path: str) -> Locks:
         UsageError: if it cannot be read, is no TOML, or says what it cannot say.
     """
     file = Path(path)
-    try:
-        text = file.read_text("utf-8")
-    except (OSError, ValueError) as error:
-        problem = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
-        raise UsageError(f"--config {path}: {problem}") from None
+    text = read_text_file(path, f"--config {path}")
     try:
         locks = msgspec.convert(tomllib.loads(text), Locks)
     except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:

@@ -5,11 +5,11 @@ Source: rclpy ``parameter.py`` (ROS 2 Jazzy) for what a text means, and what is 
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
 
+from turtleact.commands.goal_text import read_text_file
 from turtleact.errors import UsageError
 from turtleact.interfaces.standard.parameters import ParameterType, ParameterValue
 from turtleact.interfaces.text import Document, tree_of
@@ -98,11 +98,7 @@ def read_file(path: str, *, use_wildcard: bool) -> dict[str, dict[str, Parameter
     """
     if not path:
         raise UsageError("FILE: the path is empty")
-    try:
-        text = Path(path).read_text("utf-8")
-    except (OSError, ValueError) as error:
-        problem = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
-        raise UsageError(f"{path}: {problem}") from None
+    text = read_text_file(path, path)
     tree = tree_of(Document(text, "parameters", path, allow_nonfinite=True))
     if not tree or not isinstance(tree, dict):
         problem = "is empty" if tree in ({}, None) else "holds no nodes with their parameters"

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
-from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager, suppress
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from typing import TYPE_CHECKING, NamedTuple, NoReturn, cast
 
 import anyio
 
-from turtleact.commands import graph
+from turtleact.commands import graph, runner
 from turtleact.commands.interrupts import leave
 from turtleact.commands.transcript import (
     WAITING,
@@ -29,7 +29,7 @@ from turtleact.errors import GoalRejected, ServerUnavailable
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import Action, from_text
 from turtleact.names import resolve_name
-from turtleact.tasks import GRACE
+from turtleact.transports.base import find_server
 
 if TYPE_CHECKING:
     from anyio.abc import TaskGroup
@@ -50,8 +50,13 @@ SUCCEEDED, REJECTED, ABORTED, CANCELED, TIMEOUT = 0, 3, 4, 5, 124
 ENDED_WITH_WORLD = "the goal ended with the embedded world; there is nothing to come back to"
 
 PATIENCE = 5.0
-"""Wall seconds that a goal has to end in after a timeout has canceled it; and that a server has to
-be reached in, of which the graph tells, and to take the goal before that is told of."""
+"""How long a goal has to end after its timeout; how long a server that the graph shows has to be
+reached; and how long it has to take the goal before the user is told (s, wall clock)."""
+
+CANCEL_TIMEOUT = 6.0
+"""How long a signal waits for the goal's end, or for the answer to a goal request (s, wall clock).
+
+It is a little longer than the 5 s that a server waits for the clean-up of a body."""
 
 
 class Order(NamedTuple):
@@ -96,7 +101,8 @@ def run(order: Order, interrupts: Interrupts) -> int:
     transcript = choose_transcript(order.view, wants_feedback=order.feedback)
     interrupts.restore = transcript.close
     try:
-        return asyncio.run(_Sending(order, name, goal, transcript, interrupts).run())
+        sending = _Sending(order, name, goal, transcript, interrupts)
+        return runner.run(sending.run(), interrupts)
     finally:
         transcript.close()
 
@@ -132,12 +138,15 @@ class _Sending:
     async def run(self) -> int:
         """Open the world, and send the goal into it."""
         order = self._order
+        # The loop may be stuck in a body or in its output, and would never come to the signal.
+        self._interrupts.patience = 2 * CANCEL_TIMEOUT
         with self._interrupts.listening(asyncio.get_running_loop()):
             async with AsyncExitStack() as stack:
                 with self._interrupts.beginning():
                     node = await stack.enter_async_context(self._find_node())
                 if self._interrupts.received:
                     return self._interrupted()
+                await find_server(node.transport, lambda: node.graph().actions.get(self._name))
                 action_type = find_action(node, self._name, order.type_name)
                 goal = self._goal or _read_goal(action_type, order.text)
                 return await self._send(node, action_type, goal)
@@ -151,7 +160,9 @@ class _Sending:
                 opened = graph.open_graph(reach)
                 there = await graph.enter_if_there(stack, reach, opened)
                 if there is not None:
-                    if reach.connect or there.graph().actions:
+                    if reach.connect or await find_server(
+                        there.transport, lambda: there.graph().actions or None
+                    ):
                         yield there
                         return
                     await stack.aclose()
@@ -176,10 +187,13 @@ class _Sending:
                     async with client.send_goal(goal) as handle:
                         self._sent = Sent(node, self._name, action_type.type_name, goal, handle)
                         status = await self._follow(self._sent, beside)
-            except ServerUnavailable:
+            except ServerUnavailable as error:
                 if self._sent is not None and self._sent.handle.done:
                     self._transcript.note(f"if its server lives, {self._way_back(self._sent)}")
-                raise
+                if self._canceled_by is None:
+                    raise
+                self._transcript.note(str(error))
+                status = self._canceled_by
             except GoalRejected as error:
                 self._transcript.rejected(error.reason)
                 self._transcript.note(str(error))
@@ -219,21 +233,29 @@ class _Sending:
     # what comes in between
 
     async def _heed_interrupts(self, sending: anyio.CancelScope, beside: TaskGroup) -> None:
-        """The first signal cancels the goal, or the sending of it; the second lets go of it."""
+        """Cancel the goal, or the sending of it, at the first signal; let go at the second.
+
+        Neither the server's answer nor the goal's end is certain: a body may swallow its
+        cancellation, a server may refuse it, hang, or be gone. So one signal is enough to end the
+        program, `CANCEL_TIMEOUT` seconds later.
+        """
         await self._interrupts.wait(1)
         if self._sent is None:
             await self._withdraw(sending)
             return
-        beside.start_soon(self._obey, self._sent, self._interrupts.status)
-        await self._interrupts.wait(2)  # though the server may not answer
-        self._let_go(self._sent, self._interrupts.status)
+        sent, status = self._sent, self._interrupts.status
+        beside.start_soon(self._obey, sent, status)
+        with anyio.move_on_after(CANCEL_TIMEOUT) as waiting:
+            await self._interrupts.wait(2)
+        if waiting.cancelled_caught:
+            self._transcript.note(f"the goal has not ended within {CANCEL_TIMEOUT:g} s")
+        self._let_go(sent, self._interrupts.status)
 
     async def _withdraw(self, sending: anyio.CancelScope) -> None:
-        """Stop sending: the server's answer is waited for, as long as the client waits for it."""
+        """Stop sending; the client waits for the server's answer, so that no goal is orphaned."""
         sending.cancel()
-        if not self._is_embedded:
-            self._transcript.note("waiting for the server's answer; Ctrl-C again leaves at once")
-        with anyio.move_on_after(GRACE):
+        self._transcript.note("waiting for the server's answer; Ctrl-C again leaves at once")
+        with anyio.move_on_after(CANCEL_TIMEOUT):
             await self._interrupts.wait(2)
         self._is_silent = True
         if len(self._interrupts.received) > 1:
@@ -250,31 +272,35 @@ class _Sending:
         if limit:
             self._transcript.note(f"no answer from the server after {seconds:g} s; giving it up")
             sending.cancel()
-            await anyio.sleep(GRACE)
+            await anyio.sleep(CANCEL_TIMEOUT)
             self._is_silent = True
         else:
             self._transcript.note(f"no answer from the server for {seconds:g} s; waiting for it")
 
     async def _obey(self, sent: Sent, status: int) -> None:
+        self._transcript.canceling()
+        self._transcript.note("waiting for the goal's end; Ctrl-C again lets go of it")
         if not await self._cancel(sent, status):
-            self._transcript.note("the server goes on with the goal; Ctrl-C again lets go of it")
+            self._transcript.note("the server refuses to cancel the goal, and goes on with it")
 
     async def _time_out(self, sent: Sent, seconds: float) -> None:
         await anyio.sleep(seconds)
         if sent.handle.status.is_terminal:  # in the same moment
             return
         self._transcript.note(f"no result after {seconds:g} s")
+        self._transcript.canceling()
         with anyio.move_on_after(PATIENCE):  # the server may not answer
             if await self._cancel(sent, TIMEOUT):
                 await anyio.sleep_forever()
         self._let_go(sent, TIMEOUT)
 
     async def _cancel(self, sent: Sent, reason: int) -> bool:
-        """Ask for the goal to be canceled; False if the server refuses, or is out of reach."""
+        """Ask for the goal to be canceled; return False if the server refuses."""
         self._canceled_by = reason
-        self._transcript.canceling()
-        with suppress(ServerUnavailable):  # if it has gone, the goal's own end says so
+        try:
             await sent.handle.cancel()
+        except ServerUnavailable:
+            return True  # it has gone: whoever waits for the goal's end is told so
         status = sent.handle.status
         self._transcript.status(status)
         return status is GoalStatus.CANCELING or status.is_terminal

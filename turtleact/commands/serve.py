@@ -11,14 +11,14 @@ import asyncio
 import importlib
 import logging
 import sys
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, aclosing, asynccontextmanager
 from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from turtleact.commands.interrupts import leave
-from turtleact.commands.stderr import abandon, note, printable, tell_exit
+from turtleact.commands import runner
+from turtleact.commands.stderr import abandon, note, printable
 from turtleact.commands.targets import find_actions
 from turtleact.commands.terminal import can_move
 from turtleact.errors import InvalidOption, TurtleactError, UsageError
@@ -59,6 +59,7 @@ class Service(NamedTuple):
         page: The page and rosbridge; None for neither.
         config: Paths and values of Zenoh's configuration, such as those of its locks.
         is_live: Whether a terminal shows a dashboard.
+        turtlesim_only: Whether the world serves only what turtlesim does, and no built-in actions.
     """
 
     targets: tuple[str, ...]
@@ -68,6 +69,7 @@ class Service(NamedTuple):
     page: Page | None
     config: dict[str, object]
     is_live: bool
+    turtlesim_only: bool = False
 
 
 def run(service: Service, interrupts: Interrupts) -> int:
@@ -81,15 +83,16 @@ def run(service: Service, interrupts: Interrupts) -> int:
         logging.lastResort.setFormatter(_Escaping())
     if service.page is not None:
         _check_for_web()
-    declared = [each for target in service.targets for each in find_actions(target)]
+    with interrupts.beginning(0):  # a module of the user's may take any time
+        declared = [each for target in service.targets for each in find_actions(target)]
     if not (service.is_live and can_move(sys.stdout)):
-        return _run(_serve(service, declared, _Log(None), interrupts), interrupts)
+        return runner.run(_serve(service, declared, _Log(None), interrupts), interrupts)
     from turtleact.commands.dashboard import Dashboard
 
     board = Dashboard(sys.stdout)
     interrupts.restore = board.close
     try:
-        return _run(_serve(service, declared, _Log(board), interrupts), interrupts)
+        return runner.run(_serve(service, declared, _Log(board), interrupts), interrupts)
     finally:
         board.close()
 
@@ -102,39 +105,13 @@ def _check_for_web() -> None:
         raise TurtleactError(f"{missing}") from None
 
 
-def _run(serving: Coroutine[object, object, None], interrupts: Interrupts) -> int:
-    """Run it in an event loop, and give the exit status.
-
-    `sys.exit` in a body breaks out of the loop, which goes on: what runs is ended as by a signal.
-
-    Raises:
-        SystemExit: if a body has; at the end.
-    """
-    stopped: SystemExit | None = None
-    with asyncio.Runner() as runner:
-        loop = runner.get_loop()
-        task = loop.create_task(serving)
-        while not task.done():
-            try:
-                loop.run_until_complete(task)
-            except SystemExit as stop:
-                stopped = stopped or stop
-                interrupts.end()
-        if asyncio.all_tasks(loop):  # a body that does not end, and has been left behind
-            leave(0 if stopped is None else tell_exit(stopped))
-    if stopped is not None:
-        raise stopped
-    return 0
-
-
 async def _serve(
     service: Service,
     declared: list[ActionDeclaration[..., object]],
     log: _Log,
     interrupts: Interrupts,
-) -> None:
+) -> int:
     opened: list[tuple[ZenohTransport, str]] = []
-    asyncio.get_running_loop().set_exception_handler(_tell_of_error)
     with interrupts.listening(asyncio.get_running_loop()):
         async with AsyncExitStack() as stack:
             if log.board is not None:
@@ -155,6 +132,7 @@ async def _serve(
             log.say(f"ready at {where}, domain {service.reach.domain}: {actions}")
             await interrupts.wait(1)
             note("no new goals are taken; those that run are ended")
+    return 0
 
 
 @asynccontextmanager
@@ -179,12 +157,6 @@ async def _open_web(page: Page, node: Node) -> AsyncIterator[str]:
         yield web.url
 
 
-def _tell_of_error(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """As by default, but for `sys.exit` in a body: it ends the program, which tells of it."""
-    if not isinstance(context.get("exception"), SystemExit):
-        loop.default_exception_handler(context)
-
-
 @asynccontextmanager
 async def _open_node(
     service: Service, graph: Callable[[Clock], AbstractAsyncContextManager[Transport]], log: _Log
@@ -196,6 +168,7 @@ async def _open_node(
 
             world = open_world(
                 **service.fleet._asdict(),
+                turtlesim_only=service.turtlesim_only,
                 graph=graph,
                 on_transition=log.tell,
                 on_start=None if log.board is None else log.board.begin,

@@ -8,13 +8,16 @@ from typing import TextIO
 
 __all__ = ["abandon", "note", "printable", "tell_exit"]
 
+HALF = 2000
+"""A note has twice as many characters at most."""
+
 
 def note(text: str) -> None:
     """Print a line on stderr; where that cannot be, nobody is there to be told."""
     if sys.stderr is None:
         return
     try:
-        print(f"turtleact: {printable(text)}", file=sys.stderr, flush=True)
+        print(f"turtleact: {_shortened(printable(text))}", file=sys.stderr, flush=True)
     except OSError:
         abandon(sys.stderr)
 
@@ -36,6 +39,12 @@ def abandon(stream: TextIO) -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream.fileno())
     os.close(nowhere)
+
+
+def _shortened(text: str) -> str:
+    """A text without its middle, if it is too long to be read: an argument may have any length."""
+    left_out = len(text) - 2 * HALF
+    return text if left_out <= 0 else f"{text[:HALF]}… {left_out} characters …{text[-HALF:]}"
 
 
 def _escaped(character: str) -> str:

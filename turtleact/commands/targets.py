@@ -46,16 +46,28 @@ def find_actions(target: str) -> list[ActionDeclaration[..., object]]:
         if not own:
             raise UsageError(f"module '{name}' declares no action; see turtleact.action")
         return own
-    found: object = module
-    for attribute in path.split("."):
-        names = [each for each in dir(found) if not each.startswith("_")]
-        if not hasattr(found, attribute):
-            raise UsageError(f"'{target}': no {attribute} is there{did_you_mean(attribute, names)}")
-        found = getattr(found, attribute)
+    try:
+        found = _look_up(module, path, target)
+    except TurtleactError:
+        raise
+    except Exception as error:  # a property or a ``__getattr__`` of the user's fails
+        problem = f"'{target}' cannot be looked up: {summary(error)}"
+        raise TurtleactError(f"{problem} ({_place_of(error)})") from None
     if not isinstance(found, ActionDeclaration):
         problem = f"is of type {type(found).__name__}, not an action; see turtleact.action"
         raise UsageError(f"'{target}' {problem}")
     return [found]
+
+
+def _look_up(module: ModuleType, path: str, target: str) -> object:
+    """The object at a dotted path in a module."""
+    found: object = module
+    for attribute in path.split("."):
+        if not hasattr(found, attribute):
+            names = [each for each in dir(found) if not each.startswith("_")]
+            raise UsageError(f"'{target}': no {attribute} is there{did_you_mean(attribute, names)}")
+        found = getattr(found, attribute)
+    return found
 
 
 def _import(name: str) -> ModuleType:
@@ -68,20 +80,26 @@ def _import(name: str) -> ModuleType:
         if error.name is not None and f"{name}.".startswith(f"{error.name}."):
             raise UsageError(f"there is no module '{error.name}' here, or on the path") from None
         raise _failed(name, error) from None
-    except Exception as error:
+    except (KeyboardInterrupt, SystemExit):
+        raise
+    except BaseException as error:
         raise _failed(name, error) from None
 
 
-def _failed(name: str, error: Exception) -> TurtleactError:
-    """What went wrong in a module, and where in the user's own file."""
-    if isinstance(error, SyntaxError):
-        where = f"{error.filename}, line {error.lineno}"
-    else:
-        frames = traceback.extract_tb(error.__traceback__)
-        outside = [each for each in frames if "importlib" not in each.filename]
-        own = [each for each in outside if not each.filename.startswith(OURS)]
-        last = (own or frames)[-1]
-        where = f"{last.filename}, line {last.lineno}"
+def _failed(name: str, error: BaseException) -> TurtleactError:
+    """The error to raise when a module fails, with the place in the user's own file."""
+    where = _place_of(error)
     if isinstance(error, TurtleactError):  # it says what is wrong
         return TurtleactError(f"{where}: {error}")
     return TurtleactError(f"module '{name}' cannot be imported: {summary(error)} ({where})")
+
+
+def _place_of(error: BaseException) -> str:
+    """Where in the user's own files an error was raised."""
+    if isinstance(error, SyntaxError):
+        return f"{error.filename}, line {error.lineno}"
+    frames = traceback.extract_tb(error.__traceback__)
+    outside = [each for each in frames if "importlib" not in each.filename]
+    own = [each for each in outside if not each.filename.startswith(OURS)]
+    last = (own or frames)[-1]
+    return f"{last.filename}, line {last.lineno}"

@@ -8,7 +8,6 @@ Source: turtlesim 1.8.2, ``tutorials/teleop_turtle_key.cpp``, for the keys, spee
 
 from __future__ import annotations
 
-import asyncio
 import math
 import os
 import sys
@@ -18,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import anyio
 
-from turtleact.commands import graph
+from turtleact.commands import graph, runner
 from turtleact.commands.keys import Keys
 from turtleact.commands.printed import Log
 from turtleact.commands.send_goal import embedded_world
@@ -122,7 +121,8 @@ def run(order: Order, interrupts: Interrupts) -> int:
         return OK
 
     try:
-        return asyncio.run(graph.until_interrupted(_find_node(order), drive, interrupts))
+        driving = graph.until_interrupted(_find_node(order), drive, interrupts)
+        return runner.run(driving, interrupts)
     finally:
         region.restore()
 

@@ -292,7 +292,7 @@ def shipped(type_name: str) -> Traversable | None:
     """The file that ships for an interface, or None."""
     package, kind, name = type_name.split("/")
     file = shipped_files().joinpath(package, kind, f"{name}.{kind}")
-    return file if file.is_file() else None
+    return file if is_there(file) else None
 
 
 def shipped_files() -> Traversable:
@@ -324,7 +324,15 @@ def installed(type_name: str) -> Traversable | None:
     package, kind, name = type_name.split("/")
     places = [prefix / "share" / package / kind for prefix in REGISTRY.prefixes]
     files = (place / f"{name}.{kind}" for place in places)
-    return next((file for file in files if file.is_file()), None)
+    return next((file for file in files if is_there(file)), None)
+
+
+def is_there(file: Traversable) -> bool:
+    """Whether a file exists; one whose name is too long for the system does not."""
+    try:
+        return file.is_file()
+    except OSError:
+        return False
 
 
 def installed_names() -> set[str]:

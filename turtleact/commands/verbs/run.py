@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from turtleact.commands import VERBS
 from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.arguments import Domain, Job, quoted
+from turtleact.commands.verbs.arguments import Domain, Job, quoted, reach
 from turtleact.commands.verbs.reading import Verb
 from turtleact.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtleact.commands.interrupts import Interrupts
 
 __all__ = ["app"]
 
@@ -74,8 +77,20 @@ def run(
             f"{quoted(' '.join(arguments))} is not taken: names stay as they are, and parameters "
             "are for 'turtleact param set' and 'load', once it runs"
         )
-    from turtleact.commands.verbs.serve import serve
+    from turtleact.commands.verbs.serve import Fleet, serve
 
     if package != "turtlesim":
         return serve([_FIBONACCI], no_sim=True, domain=domain)
-    return serve(domain=domain)
+    where = reach(domain=domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands.interfaces import make_known
+        from turtleact.commands.serve import Service, run
+
+        make_known(None)
+        turtlesim = Service(
+            (), (), where, Fleet(), None, where.locks().settings(), True, turtlesim_only=True
+        )
+        return run(turtlesim, interrupts)
+
+    return job

@@ -1,0 +1,142 @@
+"""Runs a command in an event loop of its own, and lets the program end in every case.
+
+`asyncio.run` is not enough here. At its end it waits for every task that is left, and the
+interpreter waits for every thread, so a body that ignores its cancellation or blocks a thread would
+keep the program alive forever. And the user's code, which runs in the same loop, can stop that loop
+at any time: with ``sys.exit``, ``raise KeyboardInterrupt`` or ``loop.stop()``, or by cancelling
+every task it finds.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Coroutine
+from signal import SIGINT, SIGTERM
+from time import monotonic
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from turtleact.commands.stderr import note
+from turtleact.errors import TurtleactError
+from turtleact.tasks import new_event_loop
+
+if TYPE_CHECKING:
+    from turtleact.commands.interrupts import Interrupts
+
+__all__ = ["run"]
+
+T = TypeVar("T")
+
+GRACE = 2.0
+"""How long the tasks, and then the threads, that a command leaves behind have to end (s)."""
+
+STOPPED = (
+    "a body, or other code of yours, called stop() of the event loop, which ends all that runs in "
+    "it: use sys.exit to end the program"
+)
+
+CANCELLED = (
+    "a body, or other code of yours, cancelled a task of turtleact: cancel only tasks that you made"
+)
+
+
+def run(main: Coroutine[object, object, T], interrupts: Interrupts) -> T:
+    """Run a command to its end, and return what it returns.
+
+    If the user's code stops the loop, the command is ended as by a signal, and the cause is raised
+    once it has ended. If tasks or threads do not end then, `Interrupts.must_leave` is set: the
+    process has to end without waiting for them.
+
+    Raises:
+        SystemExit: if the user's code called `sys.exit`.
+        KeyboardInterrupt: if the user's code raised it.
+        TurtleactError: if the user's code stopped the loop, or cancelled the command's own task.
+        BaseException: what the command raises.
+    """
+    runner = asyncio.Runner(loop_factory=new_event_loop)
+    loop = runner.get_loop()
+    loop.set_exception_handler(_tell_of_error)
+    task = loop.create_task(main)
+    cause = _drive(loop, task, interrupts)
+    ending = loop.create_task(_end_the_rest())
+    _drive(loop, ending, None)
+    left = ending.result()
+    if not left:
+        runner.close()
+        left = _busy_threads()
+    if left:
+        note(f"leaving without what does not end: {', '.join(left)}")
+        interrupts.must_leave = True
+    if cause is not None:
+        raise cause
+    if task.cancelled():
+        raise TurtleactError(CANCELLED)
+    return task.result()
+
+
+def _drive(
+    loop: asyncio.AbstractEventLoop, task: asyncio.Task[Any], interrupts: Interrupts | None
+) -> BaseException | None:
+    """Run the loop until a task is done; return what stopped the loop before, if anything has.
+
+    If something stops it, ``interrupts`` tell the task to end.
+
+    An exception such as SystemExit leaves the loop in the middle of a turn, and ``loop.stop()`` at
+    the end of one. Either way the loop can be run again, and has to be: the goals that run are to
+    be ended, and their clients to be answered.
+    """
+    cause: BaseException | None = None
+    task.add_done_callback(lambda _: loop.stop())
+    while not task.done():
+        stopped: BaseException
+        try:
+            loop.run_forever()
+            stopped = TurtleactError(STOPPED)
+        except (SystemExit, KeyboardInterrupt) as error:
+            stopped = error
+        if not task.done() and interrupts is not None:
+            cause = cause or stopped
+            interrupts.end(SIGINT if isinstance(stopped, KeyboardInterrupt) else SIGTERM)
+    return cause
+
+
+async def _end_the_rest() -> list[str]:
+    """Cancel all other tasks, close generators and threads; return what has not ended in time.
+
+    `asyncio.wait` is used since it neither cancels nor awaits what it waits for: a task that
+    ignores its cancellation must not hold up this one.
+    """
+    loop, own = asyncio.get_running_loop(), asyncio.current_task()
+    left = asyncio.all_tasks() - {own}
+    for task in left:
+        task.cancel()
+    closing = [loop.create_task(loop.shutdown_asyncgens())]
+    await asyncio.wait([*left, *closing], timeout=GRACE)
+    if stuck := [_described(task) for task in left if not task.done()]:
+        return stuck
+    closing.append(loop.create_task(loop.shutdown_default_executor()))
+    await asyncio.wait(closing, timeout=GRACE)
+    return [_described(task) for task in closing if not task.done()]
+
+
+def _described(task: asyncio.Task[Any]) -> str:
+    """A task, and where it stands."""
+    stack = task.get_stack(limit=1)
+    where = f" ({stack[-1].f_code.co_filename}, line {stack[-1].f_lineno})" if stack else ""
+    return f"task '{task.get_name()}'{where}"
+
+
+def _busy_threads() -> list[str]:
+    """The threads for which the interpreter would wait, once they have had time to end."""
+    due = monotonic() + GRACE
+    own = threading.current_thread()
+    others = [each for each in threading.enumerate() if each is not own and not each.daemon]
+    for thread in others:
+        thread.join(max(due - monotonic(), 0.0))
+    return [f"thread '{thread.name}'" for thread in others if thread.is_alive()]
+
+
+def _tell_of_error(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Log an error as asyncio does, except for `sys.exit` in a body, which the program reports."""
+    if not isinstance(context.get("exception"), SystemExit):
+        loop.default_exception_handler(context)
