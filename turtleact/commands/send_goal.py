@@ -146,7 +146,7 @@ class _Sending:
                     node = await stack.enter_async_context(self._find_node())
                 if self._interrupts.received:
                     return self._interrupted()
-                await find_server(node.transport, lambda: node.graph().actions.get(self._name))
+                await _is_served(node, self._name)
                 action_type = find_action(node, self._name, order.type_name)
                 goal = self._goal or _read_goal(action_type, order.text)
                 return await self._send(node, action_type, goal)
@@ -160,9 +160,7 @@ class _Sending:
                 opened = graph.open_graph(reach)
                 there = await graph.enter_if_there(stack, reach, opened)
                 if there is not None:
-                    if reach.connect or await find_server(
-                        there.transport, lambda: there.graph().actions or None
-                    ):
+                    if reach.connect or await _is_served(there):
                         yield there
                         return
                     await stack.aclose()
@@ -323,6 +321,16 @@ class _Sending:
         how = "interrupted" if self._interrupts.received else "given up"
         self._transcript.note(f"{how} before the goal was accepted; {rest}")
         return self._interrupts.status if self._interrupts.received else TIMEOUT
+
+
+async def _is_served(node: Node, name: str | None = None) -> bool:
+    """Whether an action is served, or any at all; while the graph is discovered, this waits."""
+
+    def found() -> bool | None:
+        actions = node.graph().actions
+        return (bool(actions) if name is None else name in actions) or None
+
+    return await find_server(node.transport, found) is not None
 
 
 def find_action(node: Node, name: str, type_name: str | None) -> type[Action]:
