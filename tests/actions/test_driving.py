@@ -84,7 +84,7 @@ async def test_whatever_moves_the_turtle_is_answered_at_the_next_pose():
 async def test_where_both_ways_are_as_good_it_turns_on_the_way_it_has_begun():
     async with yard() as place, telling(place), place.drive() as drive:
         for aside in (-0.1, 0.1):
-            drive._seen = Sighting((5.0, 5.0, math.pi / 2))
+            drive.seen = Sighting((5.0, 5.0, math.pi / 2))
             await drive.towards(Point(x=9.0, y=5.0 + aside))
         turns = [twist.angular.z for twist in place.twists.drain()]
     assert turns == [2.0, 2.0]
@@ -92,7 +92,7 @@ async def test_where_both_ways_are_as_good_it_turns_on_the_way_it_has_begun():
 
 async def test_the_distance_is_counted_in_straight_lines():
     async with yard() as place, telling(place), place.drive() as drive:
-        drive._seen = Sighting((0.0, 0.0, 0.0))
+        drive.seen = Sighting((0.0, 0.0, 0.0))
         assert drive.distance_to([Point(x=3.0, y=4.0), Point(x=3.0, y=0.0)]) == 9.0
 
 

@@ -7,8 +7,8 @@ from collections.abc import AsyncIterator
 from contextlib import aclosing, asynccontextmanager
 from typing import NamedTuple
 
+from turtleact.actions.driving import Turtles
 from turtleact.actions.steering import Area, Steering
-from turtleact.actions.turtles import Turtles
 from turtleact.clock import VirtualClock
 from turtleact.interfaces.standard import Point, TurtlePose, Twist
 from turtleact.node import Node, open_node

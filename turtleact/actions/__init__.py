@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from turtleact.actions import fibonacci, go_to, patrol
+from turtleact.actions.driving import Turtles
 from turtleact.actions.robots import Robot
 from turtleact.actions.steering import Area
-from turtleact.actions.turtles import Turtles
 
 if TYPE_CHECKING:
     from turtleact.node import Node

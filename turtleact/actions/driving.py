@@ -1,22 +1,27 @@
-"""A turtle as an action drives it: a pose comes in on one topic, a twist goes out on another.
+"""The turtles that actions can drive, and one of them on its way.
 
-A `Drive` takes a turtle from target to target. It knows its two topics only, so any `Robot` will
-do.
+`Turtles` says which turtles there are, where they may go, and which goal drives which; one goal at
+a time drives a turtle. A `Drive` takes a turtle from target to target: its pose comes in on one
+topic, a twist goes out on another. Nothing else is known of a turtle, so any `Robot` will do.
 
-What goes wrong on the way: a turtle that is moved by others is driven on from where it is seen. One
-that is not heard of for half a second is stopped, and driven on when it is; after two seconds, or
-once nobody publishes its pose any more, it is given up. A pose that is too old, or older than one
-seen before, counts as none. Where poses come at another pace than was said, each command is made
-for as long as it will last.
+What can go wrong on the way:
 
-A robot that keeps its commands is told when there is something new to say. The poses between are
-taken as they come, and wake nobody as long as it is where its command leads.
+- If somebody else moves the turtle, it is driven on from where it is seen.
+- If no pose comes for half a second, the turtle is stopped, and driven on with the next pose. After
+  two seconds, or once nobody publishes its pose any more, it is given up.
+- A pose that is too old, or older than one seen before, is ignored.
+- If poses come faster or slower than the robot is said to send them, each command is made for as
+  long as it will last.
+
+A robot that keeps its commands is sent only new ones. As long as it is where its command leads, the
+poses in between wake nobody.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, cast
 
@@ -26,23 +31,26 @@ from msgspec.structs import replace
 from turtleact.actions.robots import Robot, Sighting
 from turtleact.actions.steering import (
     STILL,
+    Area,
     Helm,
+    Limits,
     Steering,
     rising_times,
     time_bound,
 )
-from turtleact.errors import Abort, InvalidMessage
+from turtleact.errors import Abort, InvalidMessage, InvalidName, Reject
 from turtleact.geometry import distance
 from turtleact.interfaces.standard import Point, TurtlePose
+from turtleact.names import resolve_name, validate_name
 from turtleact.tasks import Background
 
 if TYPE_CHECKING:
-    from turtleact.actions.steering import Speeds
+    from turtleact.actions.steering import Speeds, Style
     from turtleact.interfaces import Message
     from turtleact.node import Node
     from turtleact.topics import Publisher, Subscription
 
-__all__ = ["Drive"]
+__all__ = ["PATIENCE", "Drive", "Turtles"]
 
 PAUSE: Final = 0.5
 """A turtle is stopped after so long (s) without a pose, or twice that: it is checked as often."""
@@ -95,6 +103,10 @@ class Drive:
         if self._taken is not None:
             self._seen, self._taken = self._robot.read(self._taken), None
         return self._seen
+
+    @seen.setter
+    def seen(self, sighting: Sighting) -> None:
+        self._seen, self._taken = sighting, None
 
     @property
     def pose(self) -> TurtlePose:
@@ -287,3 +299,118 @@ class Drive:
             return f"{self._pose_topic} tells old poses: {problem}; set the clocks, or max_age"
         back = ((self.seen.stamp or 0) - seen.stamp) / 1e9
         return f"the stamps of {self._pose_topic} went back by {back:.3g} s" if back > 0.0 else ""
+
+
+class Turtles:
+    """The turtles of a graph, and which of them are being driven.
+
+    Args:
+        node: Where the topics are opened.
+        area: What targets must be in.
+        robot: How they are heard and told; as those of turtlesim are, if left out.
+    """
+
+    def __init__(self, node: Node, area: Area, robot: Robot | None = None) -> None:
+        self._node = node
+        self._area = area
+        self._robot = robot or Robot()
+        self._driven: set[str] = set()
+        self._proving = anyio.Lock()
+
+    def steering(
+        self,
+        *,
+        style: str,
+        max_linear: float,
+        max_angular: float,
+        tolerance: float,
+        heading_tolerance: float = Limits().heading_tolerance,
+    ) -> Steering:
+        """The law of steering with a goal's options, for these robots.
+
+        Raises:
+            Reject: if there is no such style, or a number is out of its range.
+        """
+        robot = self._robot
+        if max_angular > robot.fastest:
+            most = f"{robot.fastest:.4g} rad/s at most"
+            raise Reject(f"max_angular: must be {most}, not {max_angular}")
+        try:
+            limits = Limits(
+                max_linear=max_linear,
+                max_angular=max_angular,
+                max_acceleration=robot.max_acceleration,
+                max_angular_acceleration=robot.max_angular_acceleration,
+                tolerance=tolerance,
+                heading_tolerance=heading_tolerance,
+                dt=robot.dt,
+                area=self._area,
+            )
+            return Steering(cast("Style", style), limits)
+        except InvalidMessage as error:
+            raise Reject(str(error)) from None
+
+    def check_turtle(self, turtle: str) -> None:
+        """See to it that a turtle can be driven.
+
+        Raises:
+            Reject: if nobody publishes its pose, or another goal drives it.
+        """
+        poses, _ = self._robot.topics(turtle)
+        try:
+            if turtle:
+                validate_name(turtle)
+            publishers = self._node.count_publishers(poses)
+        except InvalidName as error:
+            raise Reject(f"'{turtle}' is no name of a turtle: {error.problem}") from None
+        if not publishers:
+            raise Reject(f"there is no turtle '{turtle}': nobody publishes {poses}")
+        if self._topic(turtle) in self._driven:
+            raise Reject(_taken(turtle))
+
+    def check_target(self, target: Point, *, path: str = "") -> None:
+        """See to it that a target is inside the area.
+
+        Args:
+            target: The target.
+            path: What to put before the name of a coordinate: ``targets[2].``.
+
+        Raises:
+            Reject: otherwise, with the name of the first coordinate that is not.
+        """
+        area = self._area
+        ranges = {"x": (area.left, area.right), "y": (area.bottom, area.top)}
+        for name, (low, high) in ranges.items():
+            value = getattr(target, name)
+            if not low <= value <= high:
+                problem = f"is {value}, outside the world: from {low:.9g} to {high:.9g}"
+                raise Reject(f"{path}{name} {problem}")
+
+    @asynccontextmanager
+    async def drive(self, turtle: str, steering: Steering) -> AsyncIterator[Drive]:
+        """Hold a turtle for the length of a block; it stands still at the end, whatever ended it.
+
+        Raises:
+            Abort: if nothing is heard of its pose, or another goal has come first.
+        """
+        topic = self._topic(turtle)
+        if topic in self._driven:  # two goals may have been accepted before either has begun
+            raise Abort(_taken(turtle))
+        drive = Drive(self._node, self._robot, turtle, steering, self._proving)
+        self._driven.add(topic)
+        try:
+            await drive.wait_for_pose()
+            drive.travelled = 0.0
+            yield drive
+        finally:
+            self._driven.discard(topic)
+            await drive.aclose()
+
+    def _topic(self, turtle: str) -> str:
+        """The full name of its pose: a turtle may be called by several names."""
+        poses, _ = self._robot.topics(turtle)
+        return resolve_name(poses, self._node.namespace, self._node.name)
+
+
+def _taken(turtle: str) -> str:
+    return f"turtle '{turtle}' is being driven by another goal"

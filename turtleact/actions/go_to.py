@@ -14,8 +14,8 @@ from turtleact.interfaces.standard import Point, TurtlePose
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
+    from turtleact.actions.driving import Turtles
     from turtleact.actions.steering import Steering
-    from turtleact.actions.turtles import Turtles
     from turtleact.node import Node
     from turtleact.server import ServerGoalHandle
 

@@ -20,9 +20,8 @@ from turtleact.interfaces import Action, Message, bool_, float64, int32, string
 from turtleact.interfaces.standard import PatrolCommandInterface, Point, TurtlePose
 
 if TYPE_CHECKING:
-    from turtleact.actions.driving import Drive
+    from turtleact.actions.driving import Drive, Turtles
     from turtleact.actions.steering import Steering
-    from turtleact.actions.turtles import Turtles
     from turtleact.clock import Clock
     from turtleact.node import Node
     from turtleact.server import ServerGoalHandle

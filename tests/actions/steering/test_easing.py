@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from turtleact.actions.steering.easing import ramp, ramp_time, stopping_speed
+from turtleact.actions.steering.limits import ramp, ramp_time, stopping_speed
 
 lengths = st.floats(0.0, 100.0)
 accelerations = st.floats(0.01, 1000.0)

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from turtleact.actions.steering import STILL, Helm, Limits, Steering, time_bound
-from turtleact.actions.steering.helm import LONGEST, OLDEST
+from turtleact.actions.steering import STILL, Area, Helm, Limits, Steering, time_bound
+from turtleact.actions.steering.law import LONGEST, OLDEST
 
 from .track import (
     SIDE,
@@ -73,7 +73,7 @@ def holding(helm: Helm) -> Helm:
     """A helm that holds a command, straight ahead from the start."""
     helm.at = START
     helm.command(START, AHEAD)
-    assert helm._left == 2
+    assert helm.left == 2
     return helm
 
 
@@ -120,17 +120,15 @@ def test_a_command_that_stays_the_same_is_made_anew_long_before_it_ends():
     assert OLDEST + LONGEST < 62  # a command of turtlesim's lasts for a second
 
 
-def test_each_look_ahead_is_twice_as_far_as_the_one_before_up_to_the_longest(monkeypatch):
-    helm, looks = Helm(Steering()), []
-    hold = helm._hold
-
-    def look(course):
-        looks.append(hold(course))
-        return looks[-1]
-
-    monkeypatch.setattr(helm, "_hold", look)
-    follow(helm, START, [AHEAD])
-    assert looks[:4] == [2, 4, LONGEST, LONGEST]
+def test_each_look_ahead_is_twice_as_far_as_the_one_before_up_to_the_longest():
+    helm, pose = holding(Helm(Steering())), START
+    looks = [helm.left]
+    while len(looks) < 4:
+        left, pose = helm.left, tick(pose, *helm.speeds, 0.016).pose
+        assert helm.holds(pose)
+        if helm.left != left - 1:
+            looks.append(helm.left)
+    assert looks == [2, 4, LONGEST, LONGEST]
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -206,16 +204,13 @@ def test_a_turn_on_the_spot_to_a_heading_is_held_until_it_is_there():
     assert told <= 8
 
 
-@given(st.floats(-6.0, 6.0), st.floats(-2.0, 2.0), st.integers(2, LONGEST))
-def test_where_a_command_leads_is_where_its_ticks_lead(turn, linear, ticks):
-    helm, pose = Helm(Steering()), START
-    helm.at, helm._step, helm._turn = pose, linear * 0.016, turn * 0.016
-    there = helm._after(ticks)
+@given(st.floats(-9.0, 9.0), st.floats(-9.0, 9.0), st.integers(2, LONGEST))
+def test_where_a_command_leads_is_where_its_ticks_lead(x, y, ticks):
+    helm, pose = Helm(Steering(limits=Limits(area=Area()))), START
+    linear, angular = helm.command(pose, (x, y))
+    there = helm.pose_after(ticks)
     for _ in range(ticks):
-        theta = pose[2] + turn * 0.016
-        x, y = (
-            pose[0] + math.cos(theta) * linear * 0.016,
-            pose[1] + math.sin(theta) * linear * 0.016,
-        )
-        pose = (x, y, theta)
+        theta = pose[2] + angular * 0.016
+        along = linear * 0.016
+        pose = (pose[0] + math.cos(theta) * along, pose[1] + math.sin(theta) * along, theta)
     assert there == pytest.approx(pose, abs=1e-12)

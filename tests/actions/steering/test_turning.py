@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from turtleact.actions.steering.turning import ROOM, Cell, Leg, View, least_loss
+from turtleact.actions.steering.bounds import ROOM, Cell, Leg, Turning, View, least_loss
 
 angles = st.floats(-math.pi, math.pi)
 halves = st.sampled_from([math.pi, math.pi / 2])
@@ -24,8 +24,9 @@ def leg(angle, least, most=math.inf):
     return Leg(cmath.rect(1.0, angle), least, most)
 
 
-def found(legs, *, half=math.pi, parts=4, **options):
-    return least_loss(1.0 + 0j, legs, half=half, tick=0.0, parts=parts, **options)
+def found(legs, *, half=math.pi, parts=4, last=None, slack=0.0, **options):
+    turning = Turning(half=half, tick=0.0, parts=parts, last=last, slack=slack)
+    return least_loss(1.0 + 0j, legs, turning, **options)
 
 
 def loss(legs, **options):

@@ -1,7 +1,20 @@
-"""What a turtle may do: its speeds, accelerations, tolerances, and where it stays."""
+"""What a turtle may do, how its speed may change, and where it aims.
+
+- `Limits`: speeds, accelerations, tolerances, and the `Area` in which the turtle stays.
+- `ramp` and its kin: speeds that change no faster than they may, and still end where they should.
+  The arithmetic is that of ticks, not of smooth time: a speed holds for a tick, and the next one
+  differs from it by at most the acceleration times the tick. The same functions serve lengths (m)
+  and angles (rad). An infinite acceleration is allowed everywhere.
+- `Frame` and `approach`: what a turtle sees of its target, and where it aims on the way there.
+  Points are complex numbers here, so a turn is a product.
+
+Source: Lynch and Park, Modern Robotics, section 9.2.2.2 (trapezoidal motion profiles); for aiming
+as for `turtleact.actions.steering.law`.
+"""
 
 from __future__ import annotations
 
+import cmath
 import math
 from functools import cached_property
 from typing import Literal, TypeAlias
@@ -9,8 +22,32 @@ from typing import Literal, TypeAlias
 import msgspec
 
 from turtleact.errors import InvalidMessage
+from turtleact.geometry import phase, saturate, wrap_angle
 
-__all__ = ["Area", "Limits", "Point", "Pose", "Speeds", "Style"]
+__all__ = [
+    "MISS",
+    "Area",
+    "Frame",
+    "Limits",
+    "Point",
+    "Pose",
+    "Speeds",
+    "Style",
+    "approach",
+    "inside",
+    "is_clear",
+    "landing",
+    "late",
+    "leads_back",
+    "ramp",
+    "ramp_time",
+    "reach",
+    "room",
+    "stopping_speed",
+    "sway",
+    "sweep",
+    "turn_to",
+]
 
 Pose: TypeAlias = tuple[float, float, float]
 """x and y (m), and the heading (rad, any angle)."""
@@ -22,6 +59,15 @@ Speeds: TypeAlias = tuple[float, float]
 """Linear (m/s, negative in reverse) and angular speed (rad/s, positive to the left)."""
 
 Style: TypeAlias = Literal["arc", "forward", "rotate_then_drive"]
+
+MISS = 0.9
+"""Share of the tolerance by which a turning circle may miss the target."""
+
+_CUT = 0.75  # Share of the tolerance by which an aim is moved to the inner side of a corner.
+_FACING = 0.5  # Cosine of the angle to the target within which an approach is shaped,
+_SWING = 1.0 / 3.0  # and over what share of the way at most.
+_MARGIN = 1e-3  # How far aims keep from the edge of the area (m), or a tenth of the tolerance.
+_LATE = 3  # Ticks that a command may come late and do no harm.
 
 
 class Area(msgspec.Struct, frozen=True):
@@ -91,3 +137,216 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     def radius(self) -> float:
         """Of the turning circle at full speed (m)."""
         return self.max_linear / self.max_angular
+
+
+def ramp(wanted: float, now: float, most: float) -> float:
+    """The speed of the next tick: the wanted one, or as near to it as it may come.
+
+    Args:
+        wanted: In the unit of the others.
+        now: The speed of this tick.
+        most: The largest change from tick to tick, zero or more; may be infinite.
+
+    Example:
+        >>> ramp(2.0, 0.5, 0.25), ramp(0.5, 0.6, 0.25)
+        (0.75, 0.5)
+    """
+    return max(now - most, min(now + most, wanted))
+
+
+def stopping_speed(room: float, acceleration: float, dt: float) -> float:
+    """The highest speed for the next tick from which it is still possible to stop in some room.
+
+    From v, ticks cover v dt + (v - a dt) dt + …, which is (v + a dt / 2)² / 2a at most; and a
+    speed up to a dt is gone after its tick.
+
+    Args:
+        room: What may still be covered, 0 or more (m or rad).
+        acceleration: Above zero (m/s² or rad/s²).
+        dt: Length of a tick (s).
+
+    Example:
+        >>> stopping_speed(0.5, math.inf, 0.25)
+        2.0
+        >>> stopping_speed(8.0, 1.0, 0.5)
+        3.75
+    """
+    at_once = room / dt
+    if math.isinf(acceleration):
+        return at_once
+    change = acceleration * dt
+    return min(at_once, max(change, math.sqrt(2.0 * acceleration * room) - change / 2.0))
+
+
+def ramp_time(length: float, speed: float, acceleration: float) -> float:
+    """The shortest time (s) to cover a length from rest, moving at its end.
+
+    At the acceleration up to the speed, and on at the speed.
+
+    Args:
+        length: 0 or more (m or rad).
+        speed: The highest, above zero (m/s or rad/s).
+        acceleration: Above zero (m/s² or rad/s²).
+
+    Example:
+        >>> ramp_time(4.0, 2.0, math.inf), ramp_time(4.0, 2.0, 2.0), ramp_time(0.25, 2.0, 2.0)
+        (2.0, 2.5, 0.5)
+    """
+    rising = speed / acceleration
+    if length >= speed * rising / 2.0:
+        return length / speed + rising / 2.0
+    return math.sqrt(2.0 * length / acceleration)
+
+
+class Frame(msgspec.Struct, frozen=True):
+    """Where the turtle is, and the unit vector along which it drives."""
+
+    at: complex
+    heading: complex
+
+    def see(self, point: complex) -> complex:
+        """How far a point is ahead and, as the imaginary part, to the left (m)."""
+        return (point - self.at) * self.heading.conjugate()
+
+    def turned(self, angle: float) -> Frame:
+        """The same place, turned by an angle (rad)."""
+        return Frame(self.at, self.heading * cmath.rect(1.0, angle))
+
+
+def turn_to(seen: complex, turning: float, limits: Limits) -> float:
+    """The angle to a point (rad), the short way round; as before where that is a tie."""
+    error = wrap_angle(phase(seen))
+    if error * turning < 0.0 and abs(error) > math.pi - late(limits):
+        return math.copysign(math.pi, turning)
+    return error
+
+
+def late(limits: Limits) -> float:
+    """How far a late command may turn (rad): as near to each other, two ways to turn are equal."""
+    return min(_LATE * limits.turn, math.pi / 8)
+
+
+def sway(aside: float, limits: Limits) -> float:
+    """How far late commands may shift a point along the heading (m): so near, the gears are equal.
+
+    Backing away from a point beside it, the turtle turns and drives, and both shift the point.
+
+    Args:
+        aside: How far the point is to the side (m).
+        limits: What the turtle may do.
+    """
+    return min(_LATE * (limits.turn * aside + limits.step), math.pi / 8 * aside)
+
+
+def leads_back(frame: Frame, target: complex, after: complex, limits: Limits) -> bool:
+    """Whether the next target lies back from this one; no, where late commands drive past both."""
+    back = ((target - frame.at) * (after - target).conjugate()).real < 0.0
+    return back and _LATE * limits.step <= limits.tolerance
+
+
+def nearest(area: Area, point: complex, limits: Limits) -> complex:
+    """The nearest point that is in the area, by a margin."""
+    margin = min(_MARGIN, limits.tolerance / 10)
+    x = max(area.left + margin, min(area.right - margin, point.real))
+    y = max(area.bottom + margin, min(area.top - margin, point.imag))
+    return complex(x, y)
+
+
+def inside(target: complex, limits: Limits) -> tuple[Area, complex]:
+    """The area and the target within it; no area if the target is not reached from inside."""
+    aim = nearest(limits.area, target, limits)
+    return (limits.area, aim) if abs(aim - target) <= limits.tolerance / 2 else (Area(), target)
+
+
+def room(area: Area, at: complex, step: complex, limits: Limits) -> float:
+    """The share of a step, 0 to 1, that stays in the area; all of it if it leads inwards."""
+    # Half the margin of the aims, so that no rounding on the way to an aim ends at the edge.
+    margin = min(_MARGIN, limits.tolerance / 10) / 2
+    right = area.right - margin if step.real > 0.0 else area.left + margin
+    top = area.top - margin if step.imag > 0.0 else area.bottom + margin
+    across = (right - at.real) / step.real if step.real else 1.0
+    up = (top - at.imag) / step.imag if step.imag else 1.0
+    return max(0.0, min(1.0, across, up))
+
+
+def reach(area: Area, at: complex, heading: complex, limits: Limits) -> float:
+    """How far it is straight ahead to the edge of the area (m)."""
+    margin = min(_MARGIN, limits.tolerance / 10) / 2
+    right = area.right - margin if heading.real > 0.0 else area.left + margin
+    top = area.top - margin if heading.imag > 0.0 else area.bottom + margin
+    across = (right - at.real) / heading.real if heading.real else math.inf
+    up = (top - at.imag) / heading.imag if heading.imag else math.inf
+    return max(0.0, min(across, up))
+
+
+def is_clear(seen: complex, limits: Limits, *, slack: float = 0.0) -> bool:
+    """Whether driving on is the shortest way to a point.
+
+    It is if the last turn is a quarter turn or less: the point is outside the turning circle and,
+    where it is farther aside than the circle's centre, a radius ahead. Inside by no more than a
+    slack (m) still counts as outside.
+    """
+    if seen.real >= limits.radius:
+        return True
+    # Steps that first turn and then move walk on a circle that begins half a turn later.
+    begun = complex(seen.real, abs(seen.imag)) * cmath.rect(1.0, -limits.turn / 2)
+    short = max(0.0, limits.radius - begun.imag)
+    return begun.real > 0.0 and math.hypot(begun.real, short) >= limits.radius - slack
+
+
+def approach(
+    frame: Frame, target: complex, after: complex, limits: Limits, *, area: Area, sharpest: float
+) -> complex | None:
+    """Where to aim on the way to a target that is not the last; at itself if None.
+
+    The path is two lines, to a corner and from there through the inner side of the target's disc,
+    and the arc that joins them. It is the corner that is aimed at, as long as a tick towards it
+    leaves the disc outside the turning circle; from there on it is the disc.
+    """
+    way, leg = target - frame.at, after - target
+    if abs(leg) <= limits.tolerance or frame.see(target).real < _FACING * abs(way):
+        return None
+    inwards = leg / abs(leg) - way / abs(way)
+    # Two legs in one line have no inner side; the shift fades out towards that.
+    cut = _CUT * limits.tolerance / max(0.5, abs(inwards))
+    aim = nearest(area, target + cut * inwards, limits)
+    corner = aim - _arm(aim - frame.at, after - aim, limits.radius, sharpest)
+    if nearest(area, corner, limits) != corner or not is_clear(frame.see(corner), limits):
+        return aim
+    turned = frame.turned(saturate(phase(frame.see(corner)), limits.turn))
+    return corner if is_clear(turned.see(aim) - limits.step, limits) else aim
+
+
+def sweep(frame: Frame, target: complex, after: complex, limits: Limits, *, area: Area) -> float:
+    """1 or -1 to turn to the next target now, left or right, where that leads through this one.
+
+    It does if the turning circle cuts the target's disc within a quarter turn, before it leads to
+    the next target. 0 if it does not, or if the next tick would leave the area.
+    """
+    turn = wrap_angle(phase((after - target) * frame.heading.conjugate()))
+    side = math.copysign(1.0, turn)
+    seen = frame.see(target)
+    begun = complex(seen.real, side * seen.imag) * cmath.rect(1.0, -limits.turn / 2)
+    out = complex(limits.radius - begun.imag, begun.real)  # from the centre of the circle
+    swept = phase(out)
+    if abs(abs(out) - limits.radius) > MISS * limits.tolerance:
+        return 0.0
+    if not limits.turn < swept <= min(abs(turn), math.pi / 2):
+        return 0.0
+    turned = frame.turned(side * limits.turn)
+    return side if room(area, turned.at, limits.step * turned.heading, limits) == 1.0 else 0.0
+
+
+def _arm(way: complex, leg: complex, radius: float, sharpest: float) -> complex:
+    """From corner to aim: halfway between arriving and leaving, as long as the arc needs."""
+    turn = phase(leg / way)
+    if abs(turn) > sharpest:
+        turn -= math.copysign(math.pi, turn)
+    length = min(radius * math.tan(abs(turn) / 4), _SWING * abs(way))
+    return cmath.rect(length, turn / 2) * way / abs(way)
+
+
+def landing(seen: complex, limits: Limits) -> float:
+    """The share of a full step to make: all, or up to where it is nearest to the target."""
+    lands = 0.0 < seen.real < limits.step and abs(seen.imag) <= limits.tolerance
+    return seen.real / limits.step if lands else 1.0
