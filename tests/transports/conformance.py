@@ -723,6 +723,56 @@ class TransportConformance:
             assert found == handlers
             assert peers.here.local("/add", Sum.type_name) is None
 
+    async def test_handlers_of_one_node_are_one_service_until_the_last_is_closed(self, transport):
+        async with transport() as peers:
+            opened = [peers.here.serve(service(), SERVING, Adder()) for _ in range(2)]
+            await peers.settle()
+            (seen,) = peers.there.endpoints()
+            assert peers.here.endpoints() == (seen,)
+            opened[0].close()
+            await peers.settle()
+            assert peers.there.endpoints() == (seen,)
+            for each in (*opened, *opened):
+                each.close()
+            await peers.settle()
+            assert peers.there.endpoints() == peers.here.endpoints() == ()
+
+    async def test_a_service_is_there_again_after_its_last_handler_was_closed(self, transport):
+        async with transport() as peers:
+            peers.here.serve(service(), SERVING, Adder()).close()
+            peers.here.serve(service(), SERVING, Adder())
+            caller = peers.there.join(client(), ASKING)
+            await peers.settle()
+            assert (await caller.call(numbers(2, 3))).message == Sum.Response(total=5)
+
+    async def test_of_the_handlers_of_one_node_the_first_answers_then_the_next(self, transport):
+        async with transport() as peers:
+            adders = [Adder(), Adder()]
+            opened = [peers.here.serve(service(), SERVING, each) for each in adders]
+            caller = peers.there.join(client(), ASKING)
+            await peers.settle()
+            await caller.call(numbers())
+            opened[0].close()
+            await caller.call(numbers())
+            assert [len(each.callers) for each in adders] == [1, 1]
+
+    async def test_the_same_service_of_two_nodes_is_two(self, transport):
+        async with transport() as peers:
+            for node in ("/one", "/two"):
+                served = msgspec.structs.replace(service(), node=node)
+                peers.here.serve(served, SERVING, Adder())
+            await peers.settle()
+            assert [each.node for each in peers.there.endpoints()] == ["/one", "/two"]
+
+    async def test_local_endpoints_are_those_of_this_process(self, transport):
+        async with transport() as peers:
+            peers.here.serve(service(), SERVING, Adder())
+            await peers.settle()
+            assert len(peers.here.local_endpoints("/add")) == 1
+            assert peers.here.local_endpoints("/other") == ()
+            others = () if peers.here is not peers.there else peers.here.local_endpoints()
+            assert peers.there.local_endpoints() == others
+
     # calls
 
     @BOTH_WAYS

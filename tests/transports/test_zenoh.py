@@ -41,7 +41,7 @@ from turtleact.interfaces import (
     int32,
     type_hash,
 )
-from turtleact.interfaces.standard import UUID, GoalStatusArray
+from turtleact.interfaces.standard import UUID, CancelGoal, Fibonacci, GoalStatusArray
 from turtleact.transports import QoS, ZenohTransport, open_zenoh
 from turtleact.transports.base import Endpoint, Reply, Target
 from turtleact.transports.rmw_zenoh import asking, calls
@@ -483,6 +483,15 @@ async def test_a_server_of_ros_that_is_there_and_answers_nothing_may_have_droppe
         assert called.error.problem == "the server went away before there was an answer"
         assert called.error.otherwise == "dropped the request: ROS 2 keeps 10 that wait"
         declared.undeclare()
+
+
+async def test_a_ros_client_gets_one_reply_of_a_node_that_serves_a_service_twice(address):
+    async with beside(address) as (transport, other):
+        for _ in range(2):
+            transport.serve(service(), SERVING, Adder())
+        beside_it = write_attachment(7, 5, GID)
+        await anyio.to_thread.run_sync(other.ask, ADD_KEY, REQUEST, beside_it)
+        assert len(other.replies) == 1
 
 
 async def test_the_same_names_and_gids_are_seen_on_both_sides(address):
@@ -1147,6 +1156,11 @@ async def test_waiting_for_a_graph_ends_when_its_transport_is_closed(address, mo
         gate.set()
 
 
+async def forever(_goal):
+    await anyio.sleep_forever()
+    yield  # pragma: no cover
+
+
 async def test_the_domain_is_that_of_the_environment_unless_one_is_given(address, monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
     async with (
@@ -1594,6 +1608,32 @@ async def test_an_action_of_a_node_is_used_from_another_process(address):
         (status,) = statuses.status_list
         assert status.goal_info.goal_id == goal_id
         assert user.graph().actions == {"/count": (Count.type_name,)}
+
+
+async def test_two_actions_of_one_name_share_a_cancel_service_that_cancels_goals_of_both(address):
+    async with (
+        two(address) as peers,
+        turtleact.open_node("lab", transport=peers.there) as lab,
+        turtleact.open_node("user", transport=peers.here) as user,
+    ):
+        clients = []
+        for action in (Count, Fibonacci):
+            lab.action_server(action, "count", forever)
+            clients.append(user.action_client(action, "count"))
+            assert await clients[-1].wait_for_server()
+        cancel = user.service_client(CancelGoal, "count/_action/cancel_goal")
+        assert await cancel.wait_for_service()
+        await peers.settle()
+        seen = peers.here.endpoints("/count/_action/cancel_goal")
+        assert [each.kind for each in seen].count("service") == 1
+        async with (
+            clients[0].send_goal(goal(1)) as first,
+            clients[1].send_goal(Fibonacci.Goal()) as second,
+        ):
+            answer = await cancel.call(CancelGoal.Request())
+            assert answer.return_code == 0
+            ids = {each.goal_id.uuid for each in answer.goals_canceling}
+            assert ids == {first.goal_id, second.goal_id}
 
 
 async def test_feedback_of_the_goals_of_others_is_not_read(address, monkeypatch):

@@ -220,13 +220,8 @@ class ActionEndpoints:
 
     async def _cancel(self, request: Any, _caller: bytes) -> Reply:  # noqa: ANN401
         goal_id, stamp = request.goal_info.goal_id.uuid, nanoseconds(request.goal_info.stamp)
-        response = await self._server.cancel(goal_id, stamp)
-        if response.return_code == CancelCode.UNKNOWN_GOAL_ID:
-            for sibling in self._siblings():  # or its answer might come after ours
-                answer = await sibling.cancel(goal_id, stamp)
-                if answer.return_code != CancelCode.UNKNOWN_GOAL_ID:
-                    return Reply(answer)
-        return Reply(response)
+        servers = (self._server, *self._siblings())
+        return Reply(_joined([await each.cancel(goal_id, stamp) for each in servers]))
 
     def _siblings(self) -> list[ActionServer[Any, Any, Any]]:
         """The servers of other actions of the same name in this process: they share a service."""
@@ -260,6 +255,16 @@ class ActionEndpoints:
         if goal.reason or goal.published:
             return Reply(message, GoalNote(goal.reason, goal.published).write())
         return Reply(message, OURS)
+
+
+def _joined(answers: list[CancelGoal.Response]) -> CancelGoal.Response:
+    """The answer of several servers that share a cancel service: none but one knows a goal."""
+    codes = [each.return_code for each in answers]
+    known = [code for code in codes if code != CancelCode.UNKNOWN_GOAL_ID]
+    return CancelGoal.Response(
+        return_code=min(known, default=CancelCode.UNKNOWN_GOAL_ID),  # NONE is the least
+        goals_canceling=[goal for each in answers for goal in each.goals_canceling],
+    )
 
 
 def _named(request: Any) -> bytes:  # noqa: ANN401  # of the action's own class

@@ -180,6 +180,10 @@ class FaultyTransport:
         """All endpoints of the graph, or those of a name."""
         return self._transport.endpoints(name)
 
+    def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
+        """Those of them that were opened in this very process."""
+        return self._transport.local_endpoints(name)
+
     def nodes(self) -> tuple[str, ...]:
         """The names of all nodes."""
         return self._transport.nodes()

@@ -357,6 +357,10 @@ class Transport(Protocol):
 
         Each request of another process runs in a task of its own, which the transport ends when it
         is closed itself; closing the service lets those under way go on.
+
+        If a node serves a name and type more than once, it is one service to others, so that no
+        client gets two replies: the handler that came first answers. It finds the others by
+        `all_local`, in case it has to answer for them.
         """
 
     def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
@@ -373,6 +377,9 @@ class Transport(Protocol):
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """All endpoints of the graph, or those of a name, in the order of their opening."""
+
+    def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
+        """Those of them that were opened in this very process."""
 
     def nodes(self) -> tuple[str, ...]:
         """The names of all nodes, in the order of their coming; a name may be there twice."""

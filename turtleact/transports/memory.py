@@ -105,10 +105,20 @@ class MemoryTransport:
         format: Format,  # noqa: ARG002  # as above
         handler: object,
     ) -> Closeable:
-        """Offer ``handler`` as a server; of several, the one that came first is found."""
-        key, offer = _key(endpoint), _Offer(handler)
-        self._handlers.setdefault(key, []).append(offer)
-        return _Opened(self._appear_as(endpoint, partial(self._revoke, key, offer)))
+        """Offer ``handler`` as a server; of several, the one that came first is found.
+
+        The handlers of one node are one endpoint of the graph, which is there until the last of
+        them is closed.
+        """
+        key, offer = _key(endpoint), _Offer(handler, endpoint.node)
+        offers = self._handlers.setdefault(key, [])
+        is_first = all(each.node != offer.node for each in offers)
+        offers.append(offer)
+        if is_first:
+            offer.leave = self._appear_as(endpoint, _nothing)
+        else:
+            self.tell_change()
+        return _Opened(partial(self._revoke, key, offer))
 
     def join(
         self,
@@ -152,6 +162,10 @@ class MemoryTransport:
         found = self._by_name.get(name, {}) if name else self._endpoints
         return tuple(found.values())
 
+    def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
+        """The same: all of them are in this process."""
+        return self.endpoints(name)
+
     def nodes(self) -> tuple[str, ...]:
         """The names of all nodes, in the order of their coming; a name may be there twice."""
         return tuple(self._nodes.values())
@@ -185,10 +199,22 @@ class MemoryTransport:
             del self._topics[topic.key]
 
     def _revoke(self, key: Key, offer: _Offer) -> None:
-        offers = self._handlers[key]
+        offers = self._handlers.get(key, [])
+        if offer not in offers:
+            return
         offers.remove(offer)
         if not offers:
             del self._handlers[key]
+        if offer.leave is None:
+            self.tell_change()
+            return
+        leave, offer.leave = offer.leave, None
+        heir = next((each for each in offers if each.node == offer.node), None)
+        if heir is None:
+            leave()
+        else:
+            heir.leave = leave
+            self.tell_change()
 
     def _appear_as(self, endpoint: Endpoint, leave: Callable[[], None]) -> Leave:
         """Show an endpoint in the graph until what is given back is called.
@@ -383,10 +409,18 @@ class _Caller:
 
 
 class _Offer:
-    """A handler that is offered; two offers are never the same."""
+    """A handler that is offered; two offers are never the same.
 
-    def __init__(self, handler: object) -> None:
+    Attributes:
+        leave: Takes the endpoint out of the graph. Of the offers of one node only one has it.
+    """
+
+    __slots__ = ("handler", "leave", "node")
+
+    def __init__(self, handler: object, node: str) -> None:
+        self.leave: Leave | None = None
         self.handler = handler
+        self.node = node
 
 
 class _Opened:
@@ -394,6 +428,10 @@ class _Opened:
 
     def __init__(self, on_close: Leave) -> None:
         self.close = on_close
+
+
+def _nothing() -> None:
+    """Nothing else is to be done."""
 
 
 def _key(endpoint: Endpoint) -> Key:

@@ -29,6 +29,7 @@ from turtleact.tasks import GRACE
 from turtleact.transports.base import (
     Asked,
     Caller,
+    Closeable,
     Endpoint,
     Format,
     Prompt,
@@ -45,7 +46,7 @@ from turtleact.transports.rmw_zenoh.attachment import (
     write_attachment,
 )
 from turtleact.transports.rmw_zenoh.failures import error_said, said
-from turtleact.transports.rmw_zenoh.link import Counter, Link, Named, Opened, Presence
+from turtleact.transports.rmw_zenoh.link import Counter, Link, Named, Presence
 
 if TYPE_CHECKING:
     from turtleact.transports.rmw_zenoh.session import Declared, Querier, Query
@@ -62,26 +63,54 @@ class WireService:
         link: What carries the messages.
         named: The endpoint.
         format: How requests are read and responses written.
-        handler: Answers; only one that is `Replying` serves other processes.
+        is_for_others: Whether its handlers answer other processes.
+
+    Attributes:
+        is_open: Whether it takes requests, and more handlers.
     """
 
-    def __init__(self, link: Link, named: Named, format: Format, handler: object) -> None:
+    def __init__(self, link: Link, named: Named, format: Format, *, is_for_others: bool) -> None:
         self._link = link
-        self._key = named.key
+        self._named = named
         self._name = named.endpoint.name
         self._format = format
-        self._replying = handler if isinstance(handler, Replying) else None
-        self._prompt = handler if isinstance(handler, Prompt) else None
+        self._offers: list[_Offer] = []
         self._under_way: set[tuple[bytes, int]] = set()
         self._declared: Declared | None = None
-        near = link.near.serve(named.endpoint, format, handler)
-        declare = None if self._replying is None else self._declare
-        presence = Presence(link, named.token, declare, self._undeclare, on_demand=named.on_demand)
-        self._opened = Opened(link, near, presence)
+        self.is_open = True
+        declare = self._declare if is_for_others else None
+        self._presence = Presence(
+            link, named.token, declare, self._undeclare, on_demand=named.on_demand
+        )
+        link.opened.add(self)
+
+    def add(self, handler: object) -> Closeable:
+        """Let a handler answer too; requests of other processes go to the first one.
+
+        Returns:
+            What takes it back. The service is there until the last of them is closed.
+        """
+        near = self._link.near.serve(self._named.endpoint, self._format, handler)
+        offer = _Offer(self, near, handler)
+        self._offers.append(offer)
+        return offer
+
+    def remove(self, offer: _Offer) -> None:
+        """Take a handler back; a second time does nothing."""
+        if offer in self._offers:
+            self._offers.remove(offer)
+            if not self._offers:
+                self.close()
 
     def close(self) -> None:
         """Take no more requests; those under way go on. A second time does nothing."""
-        self._opened.close()
+        if not self.is_open:
+            return
+        self.is_open = False
+        for offer in tuple(self._offers):
+            offer.close()
+        self._presence.close()
+        self._link.opened.discard(self)
 
     def _take(self, query: Query) -> None:
         """Called in a thread of the session."""
@@ -97,11 +126,13 @@ class WireService:
             logger.warning("service %s: a request cannot be read: %s", self._name, error)
             self._fail(query, error)
             return
-        if not self._opened.is_open or not self._link.is_open:
+        offer = self._offers[0] if self._offers else None
+        if offer is None or not self._link.is_open:
             self._fail(query, self._closed())
             return
         try:
-            reply = None if self._prompt is None else self._prompt.reply_now(request, beside.gid)
+            prompt = offer.prompt
+            reply = None if prompt is None else prompt.reply_now(request, beside.gid)
             if reply is not None:
                 self._respond(query, beside, reply)
         except Exception as error:
@@ -109,14 +140,17 @@ class WireService:
             return
         if reply is None:
             self._under_way.add((beside.gid, beside.sequence))
-            self._link.crew.run(self._answer(query, beside, request), f"a request to {self._name}")
+            answering = self._answer(offer, query, beside, request)
+            self._link.crew.run(answering, f"a request to {self._name}")
 
-    async def _answer(self, query: Query, beside: Attachment, request: object) -> None:
+    async def _answer(
+        self, offer: _Offer, query: Query, beside: Attachment, request: object
+    ) -> None:
         """Have a request answered; nothing but a cancellation gets out."""
         error: TurtleactError | None = self._closed()
         try:
-            assert self._replying is not None  # noqa: S101  # or nothing is declared
-            self._respond(query, beside, await self._replying.reply(request, beside.gid))
+            assert offer.replying is not None  # noqa: S101  # else it was not chosen
+            self._respond(query, beside, await offer.replying.reply(request, beside.gid))
             error = None
         except Exception as failure:
             error = self._failure(failure)
@@ -147,11 +181,27 @@ class WireService:
     # in the outbox
 
     def _declare(self) -> None:
-        self._declared = self._link.session.declare_queryable(self._key, self._take)
+        self._declared = self._link.session.declare_queryable(self._named.key, self._take)
 
     def _undeclare(self) -> None:
         if self._declared is not None:
             self._declared.undeclare()
+
+
+class _Offer:
+    """A handler of a service, and what has it open within the process."""
+
+    __slots__ = ("_near", "_service", "prompt", "replying")
+
+    def __init__(self, service: WireService, near: Closeable, handler: object) -> None:
+        self.replying = handler if isinstance(handler, Replying) else None
+        self.prompt = handler if isinstance(handler, Prompt) else None
+        self._service = service
+        self._near = near
+
+    def close(self) -> None:
+        self._near.close()
+        self._service.remove(self)
 
 
 class WireCaller:

@@ -19,6 +19,7 @@ from contextlib import asynccontextmanager
 from functools import partial
 from time import perf_counter
 from typing import TypeAlias
+from weakref import WeakValueDictionary
 
 import anyio
 import anyio.to_thread
@@ -35,6 +36,7 @@ from turtleact.transports.base import (
     Endpoint,
     Format,
     Publication,
+    Replying,
     Source,
     Target,
 )
@@ -79,6 +81,9 @@ class ZenohTransport:
         self._link = Link(session, near, current_tasks(), domain)
         self._graph = Graph(session.zid)
         self._numbers: dict[str, int] = {}
+        self._services: WeakValueDictionary[tuple[str, str, str], WireService] = (
+            WeakValueDictionary()
+        )
         self._count = 0
         self._gone_since: dict[anyio.Event, set[str]] = {}
         self._awaited: set[anyio.Event] = set()  # what waits for the outbox, and for the close
@@ -109,7 +114,16 @@ class ZenohTransport:
         A request of another process that comes while one of the same gid and number is under way,
         is refused. What a handler raises is told to its caller; those of ROS 2 log it.
         """
-        return WireService(self._link, self._name(endpoint, format), format, handler)
+        self._check_open()
+        is_for_others = isinstance(handler, Replying)
+        key = (endpoint.node, endpoint.name, endpoint.type_name)
+        service = self._services.get(key) if is_for_others else None
+        if service is None or not service.is_open:
+            named = self._name(endpoint, format)
+            service = WireService(self._link, named, format, is_for_others=is_for_others)
+            if is_for_others:
+                self._services[key] = service
+        return service.add(handler)
 
     def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
         """Appear in the graph as a client of a service, and be able to call it.
@@ -139,6 +153,10 @@ class ZenohTransport:
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """All endpoints of the graph, or those of a name: our own, then those of others."""
         return (*self._near.endpoints(name), *self._graph.endpoints(name))
+
+    def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
+        """Those of them that were opened on this transport."""
+        return self._near.endpoints(name)
 
     def nodes(self) -> tuple[str, ...]:
         """The names of all nodes, in the same order; a name may be there twice."""
