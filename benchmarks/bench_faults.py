@@ -33,7 +33,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
-from turtleact.commands.stderr import note
+from turtleact.commands.output import note
 
 HOSTS = ("turtleact-near", "turtleact-far")
 AT = "tcp/10.213.7.1:7447"

@@ -15,7 +15,7 @@ from typing import Any
 from turtleact import render
 from turtleact.actions.patrol import Patrol
 from turtleact.app import open_world
-from turtleact.commands.dashboard import Dashboard
+from turtleact.commands.live import Dashboard
 from turtleact.goal import GoalStatus
 from turtleact.interfaces.standard import Point, RotateAbsolute
 

@@ -130,7 +130,7 @@ def _report(error: BaseException) -> int:
     if isinstance(error, OSError):
         return _report_broken_output(error)
     if isinstance(error, SystemExit):
-        from turtleact.commands.stderr import tell_exit
+        from turtleact.commands.output import tell_exit
 
         return tell_exit(error)
     if sys.flags.dev_mode or not isinstance(error, Exception):
@@ -151,7 +151,7 @@ def _report_broken_output(error: OSError) -> int:
     """A pipe or terminal that was closed is nothing to speak of; a disk that is full is."""
     import errno
 
-    from turtleact.commands.stderr import abandon
+    from turtleact.commands.output import abandon
 
     if sys.stdout is not None:
         abandon(sys.stdout)
@@ -170,6 +170,6 @@ def _make_printable() -> None:
 
 
 def _note(text: str) -> None:
-    from turtleact.commands.stderr import note
+    from turtleact.commands.output import note
 
     note(text)

@@ -14,8 +14,8 @@ import pytest
 from turtleact import render
 from turtleact.actions.patrol import Patrol
 from turtleact.app import open_world
-from turtleact.commands import dashboard, frames
-from turtleact.commands.dashboard import Dashboard
+from turtleact.commands import live, terminal
+from turtleact.commands.live import Dashboard
 from turtleact.commands.serve import _Log
 from turtleact.commands.terminal import GIVE_BACK
 from turtleact.interfaces.standard import Fibonacci, Point, RotateAbsolute, SetPen, Twist, Vector3
@@ -127,7 +127,7 @@ async def test_each_change_of_a_goal_is_a_line_of_the_log():
 
 
 async def test_only_so_many_goals_that_have_ended_are_kept(monkeypatch):
-    monkeypatch.setattr(dashboard, "MOST_ENDED", 2)
+    monkeypatch.setattr(live, "MOST_ENDED", 2)
     async with served() as (board, node):
         client = node.action_client(Fibonacci, "/fibonacci")
         for _ in range(3):
@@ -178,12 +178,12 @@ async def test_a_terminal_that_goes_away_ends_the_drawing_and_nothing_else(monke
         raise OSError(5, "gone")
 
     async with served() as (board, _):
-        monkeypatch.setattr(frames, "draw", draw)
+        monkeypatch.setattr(terminal, "draw", draw)
         await board.run()
 
 
 async def test_many_goals_are_counted(monkeypatch):
-    monkeypatch.setattr(dashboard, "MOST_GOALS", 2)
+    monkeypatch.setattr(live, "MOST_GOALS", 2)
     async with served() as (board, node):
         client = node.action_client(Fibonacci, "/fibonacci")
         for _ in range(4):
@@ -194,7 +194,7 @@ async def test_many_goals_are_counted(monkeypatch):
 
 
 async def test_only_so_many_turtles_are_followed_on_their_way(monkeypatch):
-    monkeypatch.setattr(dashboard, "MOST_TURTLES", 1)
+    monkeypatch.setattr(live, "MOST_TURTLES", 1)
     async with served(turtles=2) as (board, node):
         client = node.action_client(Patrol, "/patrol")
         targets = [Point(x=6.0, y=5.5)]

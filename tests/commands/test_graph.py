@@ -15,8 +15,9 @@ import anyio
 import pytest
 
 from turtleact import Node, open_node
-from turtleact.commands import calling, echo, goals, graph, listing, publishing
-from turtleact.commands.goal_text import GoalText
+from turtleact.commands import graph, held_goals, listing, topic_reading, user_messages
+from turtleact.commands.graph_names import names_like
+from turtleact.commands.message_text import GoalText
 from turtleact.commands.policies import Policies
 from turtleact.commands.transcript import PlainTranscript
 from turtleact.transports.rmw_zenoh import config
@@ -46,7 +47,7 @@ def test_one_line_says_that_no_graph_is_in_reach(turtleact, arguments, where, mo
 
 def test_names_are_listed_in_their_order_and_once():
     known = ["/turtlesim", "/chatter", "/turtlesim"]
-    assert graph.names_like("/zzz", known) == " (there are: /chatter, /turtlesim)"
+    assert names_like("/zzz", known) == " (there are: /chatter, /turtlesim)"
 
 
 def test_a_signal_ends_the_opening_of_a_graph(turtleact, interrupts, monkeypatch):
@@ -118,13 +119,13 @@ POSE = (
 TWIST = ("/turtle1/cmd_vel", None, MESSAGE, 10.0, 3, 1, 1, Policies())
 LOOKS: dict[str, Callable[[Node], Awaitable[int]]] = {
     "list": lambda node: listing.print_list(node, "topic", types=True, count=False, hidden=True),
-    "echo": lambda node: echo.echo(node, echo.Order(*POSE)),
-    "pub": lambda node: publishing.publish(node, publishing.Order(*TWIST)),
-    "call": lambda node: calling.call(node, "/spawn", None, MESSAGE, rate=None),
-    "goals": lambda node: goals.print_goals(node, None, as_json=False),
-    "cancel": lambda node: goals.cancel(node, ["71a90636"]),
-    "cancel --all": lambda node: goals.cancel_many(node, "/hold", 0),
-    "watch": lambda node: goals.follow(
+    "echo": lambda node: topic_reading.echo(node, topic_reading.Order(*POSE)),
+    "pub": lambda node: user_messages.publish(node, user_messages.Order(*TWIST)),
+    "call": lambda node: user_messages.call(node, "/spawn", None, MESSAGE, rate=None),
+    "goals": lambda node: held_goals.print_goals(node, None, as_json=False),
+    "cancel": lambda node: held_goals.cancel(node, ["71a90636"]),
+    "cancel --all": lambda node: held_goals.cancel_many(node, "/hold", 0),
+    "watch": lambda node: held_goals.follow(
         node, "c53d", PlainTranscript(wants_feedback=True), hears_feedback=True
     ),
 }

@@ -16,7 +16,7 @@ import pytest
 
 from turtleact import render
 from turtleact.client.goal_handle import Outcome
-from turtleact.commands import frames, live
+from turtleact.commands import live, terminal
 from turtleact.commands.live import LiveTranscript
 from turtleact.commands.terminal import GIVE_BACK
 from turtleact.commands.transcript import Sent
@@ -263,7 +263,7 @@ def test_the_last_frame_shows_the_last_state_and_the_trail():
 
 def test_a_frame_leaves_room_for_lines_that_a_narrower_window_wraps():
     text, _ = on_terminal("patrol", PATROL, "--speed", "max", rows=20)
-    assert len(last_frame(text).split("\n")) <= 20 - 1 - frames.FULL
+    assert len(last_frame(text).split("\n")) <= 20 - 1 - terminal.FULL
 
 
 def test_a_window_of_30_by_10_shows_no_map():

@@ -15,11 +15,10 @@ import anyio
 import pytest
 
 from turtleact import Message, QoS, open_node
-from turtleact.commands import publishing as publishing_verb
-from turtleact.commands.goal_text import GoalText
+from turtleact.commands import user_messages as publishing_verb
+from turtleact.commands.message_text import GoalText, python_text
 from turtleact.commands.policies import Policies
-from turtleact.commands.python_text import python_text
-from turtleact.commands.rate import Bandwidth, Rate
+from turtleact.commands.topic_reading import Bandwidth, Rate
 from turtleact.interfaces import array, float64, get_interface, int32, load_interface, string
 from turtleact.interfaces.standard import UUID, GoalInfo, GoalStatusArray, GoalStatusMessage, Twist
 from turtleact.transports import open_zenoh

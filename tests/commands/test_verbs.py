@@ -11,7 +11,7 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from turtleact.commands import VERBS, send_goal, serve, verbs
-from turtleact.commands.goal_text import GoalText
+from turtleact.commands.message_text import GoalText
 from turtleact.commands.policies import Policies
 from turtleact.commands.targets import find_actions
 from turtleact.commands.verbs.arguments import Reach, reach

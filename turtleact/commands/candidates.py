@@ -12,11 +12,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from turtleact.commands.kinds import is_hidden_node, types_by_name
+from turtleact.commands.graph_names import is_hidden_node, types_by_name
 from turtleact.errors import TurtleactError, UnknownInterface
 
 if TYPE_CHECKING:
-    from turtleact.commands.kinds import Kind
+    from turtleact.commands.graph_names import Kind
     from turtleact.commands.verbs.arguments import Reach
     from turtleact.node import Node
     from turtleact.transports.rmw_zenoh.discovery import Graph
@@ -116,7 +116,7 @@ def parameters(where: Reach, owner: str) -> list[str]:
     """
     from turtleact.commands import graph
     from turtleact.commands.interrupts import Interrupts
-    from turtleact.commands.parameters import names_of
+    from turtleact.commands.node_parameters import names_of
 
     found: list[str] = []
 

@@ -8,20 +8,17 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import anyio
 
 from turtleact.commands import runner
-from turtleact.commands.kinds import Kind, types_by_name
+from turtleact.commands.graph_names import Kind, names_like, types_by_name
 from turtleact.commands.locks import mode_of
-from turtleact.commands.stderr import printable
-from turtleact.commands.transcript import say
 from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface, UsageError
 from turtleact.interfaces import get_interface
-from turtleact.interfaces.definition import did_you_mean
 from turtleact.node import Node, open_node
 
 if TYPE_CHECKING:
@@ -37,11 +34,9 @@ __all__ = [
     "chosen_class",
     "enter_if_there",
     "interface_class",
-    "names_like",
     "open_graph",
     "open_transport",
     "run",
-    "say_names",
     "until_interrupted",
 ]
 
@@ -50,9 +45,6 @@ T = TypeVar("T")
 
 Look: TypeAlias = Callable[[Node], Awaitable[int]]
 """Looks at the graph and gives the exit status."""
-
-MOST_SHOWN = 10
-"""So many names are listed where none is like the one that is looked for."""
 
 
 @asynccontextmanager
@@ -201,18 +193,6 @@ def chosen_class(
         hint = names_like(name, [each for each in found if "/_" not in each])
         raise TurtleactError(f"{kind} '{name}' is not there{hint}; give its type to go ahead")
     return interface_class(base, found[name][0], f"{kind} '{name}'")
-
-
-def names_like(name: str, known: Iterable[str]) -> str:
-    """The end of an error about an unknown name: the nearest one, or some of those there are."""
-    names = sorted(set(known))
-    shown = ", ".join([*names[:MOST_SHOWN], *(["…"] if len(names) > MOST_SHOWN else [])])
-    return did_you_mean(name, names) or f" (there are: {shown or 'none'})"
-
-
-def say_names(text: str) -> None:
-    """Print names of the graph: a peer may say anything there, but commands no terminal."""
-    say(printable(text))
 
 
 async def _heed_interrupts(interrupts: Interrupts, scope: anyio.CancelScope) -> None:

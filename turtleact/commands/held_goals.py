@@ -1,55 +1,72 @@
-"""The goals that the servers on the graph hold, as their status topics tell.
+"""``goals``, ``cancel``, ``watch``, ``result`` and ``action echo``: goals that others have sent.
 
-A server tells of its goals when one changes, and the last it has told is latched; one that never
-had a goal may tell nothing. So what is latched is waited for, but not for long. What is latched may
-also outlive a server that is stuck; so each is asked to cancel a goal that nobody has, which one
-that works answers.
+All of it goes through the endpoints of an action that any ROS 2 peer has: the status topic says
+which goals a server holds, ``cancel_goal`` cancels them, and ``get_result`` waits for their end.
 
-Source: rcl_action ``action_server.c`` for what is told and when.
+A server publishes its status when a goal changes, and its last message is latched; a server that
+never had a goal may publish nothing. So the commands wait for latched messages, but not for long.
+A latched message may also outlive a server that hangs. Therefore each server is asked to cancel a
+goal that nobody has; a server that works answers that.
+
+Source: the ROS 2 design article "Actions"; action_msgs/srv/CancelGoal; rcl_action
+``action_server.c`` for what is published and when.
 """
 
 from __future__ import annotations
 
+import json
 import uuid
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import anyio
 
+from turtleact.client import Outcome
 from turtleact.clock import within
-from turtleact.commands.graph import names_like
-from turtleact.commands.kinds import types_by_name
-from turtleact.commands.stderr import note
+from turtleact.commands.graph import interface_class
+from turtleact.commands.graph_names import names_like, types_by_name
+from turtleact.commands.message_text import yaml_lines
+from turtleact.commands.output import note, say, say_names
+from turtleact.commands.topic_reading import note_absence
+from turtleact.commands.transcript import Followed
 from turtleact.errors import (
     ServerUnavailable,
     ServiceTimeout,
     TurtleactError,
     UsageError,
 )
-from turtleact.goal import GoalStatus, status_of
-from turtleact.interfaces.stamps import nanoseconds
+from turtleact.goal import CancelCode, GoalStatus, status_of
+from turtleact.interfaces import Action, Implied, Message, implied, to_dict
+from turtleact.interfaces.stamps import SECOND, nanoseconds, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo, GoalStatusArray
 from turtleact.names import action_names, resolve_name
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:
+    from turtleact.commands.transcript import Transcript
     from turtleact.node import Node
+    from turtleact.topics import Subscription
 
 __all__ = [
     "STATUS_QOS",
     "HeldGoal",
+    "cancel",
+    "cancel_many",
+    "echo",
     "find_goal",
     "find_goals",
+    "follow",
     "goals_in",
     "held_goals",
+    "print_goals",
     "served_actions",
     "silence",
 ]
 
 STATUS_QOS = QoS(depth=100, durability="transient_local")
 
-PATIENCE = 0.5
-"""How long is waited for what is latched (s, by the clock of the graph)."""
+LATCHED_PATIENCE = 0.5
+"""How long latched messages are waited for (s, by the clock of the graph)."""
 
 ROUND_TRIPS = 5
 """So many more: who keeps it is to be found, and asked, perhaps by a router in between."""
@@ -106,7 +123,7 @@ async def held_goals(node: Node, actions: dict[str, str]) -> tuple[list[HeldGoal
     """
     found: dict[tuple[str, bytes], HeldGoal] = {}
     silent: set[str] = set()
-    patience = PATIENCE + ROUND_TRIPS * node.transport.round_trip
+    patience = LATCHED_PATIENCE + ROUND_TRIPS * node.transport.round_trip
     async with anyio.create_task_group() as asking:
         for server, action in _servers(node, actions).items():
             asking.start_soon(_ask, node, server, action, silent)
@@ -201,3 +218,327 @@ async def _ask(node: Node, server: str, action: str, silent: set[str]) -> None:
         pass  # it was closed meanwhile, or answers with an error
     finally:
         await client.aclose()
+
+
+FEEDBACK_QOS = QoS(depth=1000)
+
+DONE, NOT_DONE, ABORTED, CANCELED = 0, 1, 4, 5
+"""Exit statuses."""
+
+HEADINGS = ("id", "action", "state", "age", "client")
+
+NOBODY = bytes(16)
+"""The id that names no goal."""
+
+PATIENCE = 10.0
+"""How long a server has to answer a request to cancel (s, by the clock of the graph)."""
+
+SILENT = "the server does not answer"
+
+
+# goals
+
+
+async def print_goals(node: Node, name: str | None, *, as_json: bool) -> int:
+    """Print the goals that servers hold, as a table or as JSON.
+
+    Args:
+        node: A node on the graph.
+        name: The action; all if None.
+        as_json: Whether to print one JSON object a line.
+
+    Raises:
+        ServerUnavailable: if nobody serves an action of that name.
+    """
+    goals, silent = await held_goals(node, served_actions(node, name))
+    now = node.clock.now()
+    if as_json:
+        say("".join(f"{_as_json(node, goal, now)}\n" for goal in goals))
+    elif goals:
+        rows = [HEADINGS, *(_row(node, goal, now) for goal in goals)]
+        say_names("".join(f"{line}\n" for line in _aligned(rows)))
+    elif not silent:
+        note("no server in reach holds a goal")
+    if silent:
+        note(f"{silence(silent)}: goals may be missing")
+    return NOT_DONE if silent else DONE
+
+
+def _row(node: Node, goal: HeldGoal, now: int) -> tuple[str, ...]:
+    clients = _clients(node, goal.action)
+    client = clients[0] if len(clients) == 1 else f"one of {len(clients)}" if clients else "gone"
+    age = _duration((now - goal.stamp) / SECOND)
+    return goal.goal_id.hex(), goal.action, goal.status.name, age, client
+
+
+def _as_json(node: Node, goal: HeldGoal, now: int) -> str:
+    sec, nanosec = divmod(goal.stamp, SECOND)
+    return json.dumps(
+        {
+            "id": goal.goal_id.hex(),
+            "action": goal.action,
+            "type": goal.type_name,
+            "state": goal.status.name,
+            "stamp": {"sec": sec, "nanosec": nanosec},
+            "age": (now - goal.stamp) / SECOND,
+            "clients": _clients(node, goal.action),
+        }
+    )
+
+
+def _clients(node: Node, action: str) -> list[str]:
+    """The nodes that may have sent a goal: ROS 2 does not say which of them has."""
+    service = action_names(action).send_goal
+    return sorted(
+        {
+            each.node
+            for each in node.transport.endpoints()
+            if each.kind == "client" and each.name == service
+        }
+    )
+
+
+def _duration(seconds: float) -> str:
+    """A time in the two largest units that it fills."""
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(int(seconds), 60)
+    if minutes < 60:
+        return f"{minutes} min {rest} s"
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min"
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        yield "  ".join(map(str.ljust, row, widths)).rstrip()
+
+
+# cancel
+
+
+async def cancel(node: Node, wanted: Sequence[str]) -> int:
+    """Cancel goals by the beginnings of their ids; print of each what came of it.
+
+    Raises:
+        UsageError: if several goals begin so; nothing was canceled.
+    """
+    goals, silent = await held_goals(node, served_actions(node, None))
+    status = DONE
+    for found, text in [(find_goals(goals, text), text) for text in wanted]:
+        if found is None:
+            holds_not = "no server in reach holds it"
+            problem: str | None = f"{holds_not}; {silence(silent)}" if silent else holds_not
+        elif found.status.is_terminal:
+            problem = f"it has ended {found.status.name}"
+        else:
+            problem = await _why_not_canceling(node, found)
+        _tell(found.goal_id.hex() if found else text, found.action if found else "", problem)
+        status = NOT_DONE if problem else status
+    return status
+
+
+async def cancel_many(node: Node, name: str | None, before: int) -> int:
+    """Cancel all goals, or those accepted up to a moment; print of each what came of it.
+
+    Args:
+        node: A node on the graph.
+        name: The action; all if None.
+        before: The moment (ns since the epoch, by the servers' clocks); 0 for all goals.
+
+    Raises:
+        ServerUnavailable: if nobody serves an action of that name.
+    """
+    goals, silent = await held_goals(node, served_actions(node, name))
+    meant = [
+        goal for goal in goals if goal.status.is_active and (not before or goal.stamp <= before)
+    ]
+    status = DONE
+    for action in sorted({goal.action for goal in meant}):
+        response = await _request(node, action, NOBODY, before)
+        accepted = [] if response is None else response.goals_canceling
+        canceling = {bytes(info.goal_id.uuid) for info in accepted}
+        why = SILENT if response is None else "the server refuses, or it has ended"
+        for goal in meant:
+            if goal.action != action:
+                continue
+            refused = goal.goal_id not in canceling and goal.status is not GoalStatus.CANCELING
+            _tell(goal.goal_id.hex(), action, why if refused else None)
+            status = NOT_DONE if refused else status
+    if silent:
+        note(f"{silence(silent)}: some goals may not be canceled")
+        return NOT_DONE
+    if not meant:
+        note("there is no goal to cancel")
+    return status
+
+
+async def _why_not_canceling(node: Node, goal: HeldGoal) -> str | None:
+    """Ask for one goal to be canceled; why it is not, or None if it is."""
+    response = await _request(node, goal.action, goal.goal_id, 0)
+    if response is None:
+        return SILENT
+    reasons: dict[int, str] = {
+        CancelCode.REJECTED: "the server refuses",
+        CancelCode.UNKNOWN_GOAL_ID: "the server does not hold it any more",
+        CancelCode.GOAL_TERMINATED: "it has ended",
+    }
+    return reasons.get(response.return_code)
+
+
+async def _request(
+    node: Node, action: str, goal_id: bytes, stamp: int
+) -> CancelGoal.Response | None:
+    """What a server says to a request to cancel; None if it does not answer."""
+    client = node.service_client(CancelGoal, action_names(action).cancel_goal)
+    info = GoalInfo(UUID(goal_id), stamp_of(stamp))
+    response: CancelGoal.Response | None = None
+    try:
+        response = await _call(client, action, CancelGoal.Request(info), PATIENCE)
+    except ServiceTimeout:
+        pass
+    finally:
+        await client.aclose()
+    return response
+
+
+def _tell(goal_id: str, action: str, problem: str | None) -> None:
+    who = f"{goal_id} of {action}" if action else goal_id
+    say_names(f"{who}: {f'not canceled: {problem}' if problem else 'canceling'}\n")
+
+
+# watch, result
+
+
+async def follow(node: Node, wanted: str, transcript: Transcript, *, hears_feedback: bool) -> int:
+    """Wait for the end of a goal, and tell its result; the exit status says how it ended.
+
+    Args:
+        node: A node on the graph.
+        wanted: The beginning of its id.
+        transcript: Who tells the user.
+        hears_feedback: Whether it is told of the feedback that comes meanwhile, too.
+
+    Raises:
+        UsageError: if several goals begin so.
+        ServerUnavailable: if its server goes away.
+        TurtleactError: if no server holds it, or the action's type is not known here.
+    """
+    goal = await find_goal(node, wanted)
+    action_type = interface_class(Action, goal.type_name, f"action '{goal.action}'")
+    kinds, names = implied(action_type), action_names(goal.action)
+    client: Any = node.service_client(kinds.get_result, names.get_result)
+    watched = _Watched(goal)
+    age = (node.clock.now() - goal.stamp) / SECOND
+    transcript.follows(Followed(node, goal.action, action_type.Goal, None, watched, age))
+    async with anyio.create_task_group() as beside:
+        beside.start_soon(transcript.animate)
+        async with anyio.create_task_group() as telling:
+            heard: list[Subscription[Any]] = []
+            if hears_feedback:
+                feedback = node.subscription(kinds.feedback_message, names.feedback, FEEDBACK_QOS)
+                statuses = node.subscription(GoalStatusArray, names.status, STATUS_QOS)
+                heard = [feedback, statuses]
+                telling.start_soon(watched.hear_feedback, feedback, transcript)
+                telling.start_soon(watched.hear_statuses, statuses, goal)
+            response = await _call(
+                client, goal.action, kinds.get_result.Request(UUID(goal.goal_id))
+            )
+            for each in heard:
+                await each.aclose()  # what has come is told, and then the telling ends
+        status = watched.status = GoalStatus(response.status)
+        if status is GoalStatus.UNKNOWN:
+            problem = f"its server holds no goal {goal.goal_id.hex()} any more"
+            raise TurtleactError(f"action '{goal.action}': {problem}")
+        transcript.ended(Outcome(status, response.result))
+        await transcript.drained()
+        beside.cancel_scope.cancel()
+    return {GoalStatus.ABORTED: ABORTED, GoalStatus.CANCELED: CANCELED}.get(status, DONE)
+
+
+class _Watched:
+    """What is heard of a goal that somebody else has sent.
+
+    Attributes:
+        goal_id: Its 16 bytes.
+        status: Its state.
+        last_feedback: The newest feedback, if some has come.
+    """
+
+    def __init__(self, goal: HeldGoal) -> None:
+        self.goal_id = goal.goal_id
+        self.status = goal.status
+        self.last_feedback: Message | None = None
+
+    async def hear_feedback(self, messages: Subscription[Any], transcript: Transcript) -> None:
+        """Note each feedback message, and tell of it if that is wanted."""
+        async for message in messages:
+            if message.goal_id.uuid == self.goal_id:
+                self.last_feedback = message.feedback
+                if transcript.wants_feedback:
+                    transcript.feedback(message.feedback)
+                    await transcript.drained()
+
+    async def hear_statuses(self, messages: Subscription[GoalStatusArray], goal: HeldGoal) -> None:
+        """Note each state."""
+        async for message in messages:
+            for each in goals_in(message, goal.action, goal.type_name):
+                if each.goal_id == self.goal_id:
+                    self.status = each.status
+
+
+async def _call(client: Any, action: str, request: Message, timeout: float | None = None) -> Any:  # noqa: ANN401  # of whatever type
+    """The response of a service of an action; an error names the action."""
+    try:
+        return await client.call(request, timeout)
+    except ServerUnavailable as error:
+        raise ServerUnavailable(action, error.problem) from None
+
+
+# action echo
+
+
+async def echo(node: Node, name: str) -> int:
+    """Print the feedback and the states of all goals of an action; ends with the node.
+
+    Raises:
+        ServerUnavailable: if nobody serves an action of that name.
+        TurtleactError: if its type is not known here.
+    """
+    [(full_name, type_name)] = served_actions(node, name).items()
+    action_type = interface_class(Action, type_name, f"action '{full_name}'")
+    kinds: Implied = implied(action_type)
+    names = action_names(full_name)
+    async with anyio.create_task_group() as beside:
+        beside.start_soon(note_absence, node, names.feedback)
+        async with anyio.create_task_group() as telling:
+            statuses = node.subscription(GoalStatusArray, names.status, STATUS_QOS)
+            telling.start_soon(_echo_statuses, statuses, full_name, type_name)
+            feedback = node.subscription(kinds.feedback_message, names.feedback, FEEDBACK_QOS)
+            telling.start_soon(_echo_feedback, feedback)
+        beside.cancel_scope.cancel()
+    return DONE
+
+
+async def _echo_statuses(
+    messages: Subscription[GoalStatusArray], name: str, type_name: str
+) -> None:
+    """Print each state of a goal once."""
+    known: dict[bytes, GoalStatus] = {}
+    async for message in messages:
+        goals = list(goals_in(message, name, type_name))
+        for goal in goals:
+            if known.get(goal.goal_id) is not goal.status:
+                _echo(goal.goal_id, [f"status: {goal.status.name}"])
+        known = {goal.goal_id: goal.status for goal in goals}
+
+
+async def _echo_feedback(messages: Subscription[Any]) -> None:
+    async for message in messages:
+        feedback: Message = message.feedback
+        _echo(message.goal_id.uuid, yaml_lines({"feedback": to_dict(feedback)}))
+
+
+def _echo(goal_id: bytes, lines: Iterable[str]) -> None:
+    say("".join(f"{line}\n" for line in (f"goal_id: '{goal_id.hex()}'", *lines, "---")))

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
-from turtleact.commands.transcript import say
+from turtleact.commands.output import say
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.interfaces import (
     Action,

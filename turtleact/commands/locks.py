@@ -34,7 +34,6 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import msgspec
 
-from turtleact.commands.goal_text import read_text_file
 from turtleact.errors import UsageError
 from turtleact.names import resolve_name
 
@@ -123,6 +122,8 @@ def read_locks(path: str) -> Locks:
     Raises:
         UsageError: if it cannot be read, is no TOML, or says what it cannot say.
     """
+    from turtleact.commands.message_text import read_text_file  # imports YAML
+
     file = Path(path)
     text = read_text_file(path, f"--config {path}")
     try:

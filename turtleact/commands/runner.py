@@ -16,7 +16,7 @@ from signal import SIGINT, SIGTERM
 from time import monotonic
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from turtleact.commands.stderr import note
+from turtleact.commands.output import note
 from turtleact.errors import TurtleactError
 from turtleact.tasks import new_event_loop
 

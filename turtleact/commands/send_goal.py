@@ -16,15 +16,10 @@ from typing import TYPE_CHECKING, NamedTuple, NoReturn, cast
 import anyio
 
 from turtleact.commands import graph, runner
+from turtleact.commands.graph_names import names_like
 from turtleact.commands.interrupts import leave
-from turtleact.commands.transcript import (
-    WAITING,
-    Sent,
-    Transcript,
-    View,
-    choose_transcript,
-    say,
-)
+from turtleact.commands.output import say
+from turtleact.commands.transcript import WAITING, Sent, Transcript, View, choose_transcript
 from turtleact.errors import GoalRejected, ServerUnavailable
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import Action, from_text
@@ -36,8 +31,8 @@ if TYPE_CHECKING:
 
     from turtleact.body import ActionType
     from turtleact.client import Outcome
-    from turtleact.commands.goal_text import GoalText
     from turtleact.commands.interrupts import Interrupts
+    from turtleact.commands.message_text import GoalText
     from turtleact.commands.verbs.send_goal import Place
     from turtleact.interfaces import Message
     from turtleact.node import Node
@@ -344,7 +339,7 @@ def find_action(node: Node, name: str, type_name: str | None) -> type[Action]:
     actions = node.graph().actions
     types = actions.get(name, ())
     if not types:
-        raise ServerUnavailable(name, f"nobody serves it{graph.names_like(name, actions)}")
+        raise ServerUnavailable(name, f"nobody serves it{names_like(name, actions)}")
     if type_name is None:
         return graph.interface_class(Action, types[0], f"action '{name}'")
     found = graph.interface_class(Action, type_name)

@@ -18,7 +18,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from turtleact.commands import runner
-from turtleact.commands.stderr import abandon, note, printable
+from turtleact.commands.output import abandon, note, printable
 from turtleact.commands.targets import find_actions
 from turtleact.commands.terminal import can_move
 from turtleact.errors import InvalidOption, TurtleactError, UsageError
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
     from turtleact.body import ActionDeclaration
     from turtleact.clock import Clock
-    from turtleact.commands.dashboard import Dashboard
     from turtleact.commands.interrupts import Interrupts
+    from turtleact.commands.live import Dashboard
     from turtleact.commands.verbs.arguments import Reach
     from turtleact.commands.verbs.serve import Fleet, Page
     from turtleact.goal import GoalStatus
@@ -87,7 +87,7 @@ def run(service: Service, interrupts: Interrupts) -> int:
         declared = [each for target in service.targets for each in find_actions(target)]
     if not (service.is_live and can_move(sys.stdout)):
         return runner.run(_serve(service, declared, _Log(None), interrupts), interrupts)
-    from turtleact.commands.dashboard import Dashboard
+    from turtleact.commands.live import Dashboard
 
     board = Dashboard(sys.stdout)
     interrupts.restore = board.close

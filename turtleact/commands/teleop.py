@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import sys
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager, nullcontext
@@ -18,12 +19,9 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import anyio
 
 from turtleact.commands import graph, runner
-from turtleact.commands.keys import Keys
-from turtleact.commands.printed import Log
+from turtleact.commands.output import note, say
 from turtleact.commands.send_goal import embedded_world
-from turtleact.commands.stderr import note
-from turtleact.commands.terminal import Region, can_move
-from turtleact.commands.transcript import say
+from turtleact.commands.terminal import LogLines, Region, can_move, keep_drawing
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.goal import GoalStatus
 from turtleact.interfaces.standard import RotateAbsolute, Twist, Vector3
@@ -36,7 +34,7 @@ if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.verbs.arguments import Reach
 
-__all__ = ["Order", "run"]
+__all__ = ["Keys", "Order", "run"]
 
 HELP: Final = """Reading from keyboard
 ---------------------------
@@ -219,7 +217,7 @@ class _Driving:
         self._rotations = node.action_client(RotateAbsolute, self._name(ROTATION))
         self._rotation: ClientGoalHandle[Any, Any] | None = None
         self._tasks = anyio.create_task_group()
-        self._log = Log()
+        self._log = LogLines()
         self._has_lost = False
 
     async def run(self) -> None:
@@ -314,13 +312,12 @@ class _Driving:
 
     async def _draw(self) -> None:
         from turtleact import render
-        from turtleact.commands import frames
-        from turtleact.commands.tracks import Tracks
+        from turtleact.commands.trails import PoseTrails
 
-        tracks = Tracks(self._node, f"/{self._turtle}/pose")
+        trails = PoseTrails(self._node, f"/{self._turtle}/pose")
 
         def compose(*, width: int, height: int) -> render.Picture:
-            world = tracks.look()
+            world = trails.look()
             heading = [f"driving {self._turtle}"]
             poses = [each for each in world.turtles if each.name == self._turtle]
             heading += [_place(pose) for pose in poses]
@@ -330,8 +327,41 @@ class _Driving:
             )
             return render.board(shown, width=width, height=height)
 
-        await frames.keep_drawing(self._region, compose)
+        await keep_drawing(self._region, compose)
 
 
 def _place(pose: render.Turtle) -> str:
     return f"x {pose.x:.2f}  y {pose.y:.2f}  {math.degrees(pose.theta):.0f}°"
+
+
+ARROWS: Final = {b"A": "up", b"B": "down", b"C": "right", b"D": "left"}
+
+TOKEN: Final = re.compile(
+    rb"\x1b\[[0-?]*[ -/]*(?P<csi>[@-~])|\x1bO(?P<ss3>[@-~])"
+    rb"|(?P<begun>\x1b(?:\[[0-?]*[ -/]*|O)?\Z)|(?P<key>[^\x1b])|\x1b"
+)
+"""A control sequence, the beginning of one at the very end, or a key; else an ESC on its own."""
+
+
+class Keys:
+    """Reads keys; a control sequence may come in parts."""
+
+    def __init__(self) -> None:
+        self._begun = b""
+
+    def read(self, data: bytes) -> list[str]:
+        r"""The keys: ``up``, ``down``, ``left``, ``right``, or a small letter; no others.
+
+        >>> Keys().read(b"G\x1b[Aq")
+        ['g', 'up', 'q']
+        """
+        data, self._begun = self._begun + data, b""
+        keys = []
+        for token in TOKEN.finditer(data):
+            self._begun = token["begun"] or b""
+            arrow = ARROWS.get(token["csi"] or token["ss3"] or b"")
+            if arrow is not None:
+                keys.append(arrow)
+            elif token["key"] is not None and token["key"].isalpha():
+                keys.append(token["key"].decode().lower())
+        return keys

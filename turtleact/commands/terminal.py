@@ -17,13 +17,19 @@ GNU C Library manual, "Signaling Yourself", for how to stop.
 
 from __future__ import annotations
 
+import io
 import os
+import re
 import select
 import signal
+import sys
 import termios
-from contextlib import contextmanager, suppress
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout, suppress
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, TextIO
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TextIO
 
 import anyio
 
@@ -31,7 +37,19 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from types import FrameType
 
-__all__ = ["Region", "can_move"]
+    from turtleact import render
+
+
+__all__ = [
+    "Compose",
+    "LogLine",
+    "LogLines",
+    "Region",
+    "animate",
+    "can_move",
+    "draw",
+    "keep_drawing",
+]
 
 LOCAL_MODES: Final = 3
 CONTROL_CHARACTERS: Final = 6
@@ -289,3 +307,100 @@ def _opened_again(stream: TextIO) -> int | None:
         os.close(descriptor)
         return None
     return descriptor
+
+
+PERIOD: Final = 1 / 15
+"""Wall seconds from frame to frame, at least."""
+
+SHARE: Final = 0.2
+"""The part of the processor's time that drawing may take; what others take meanwhile is not its."""
+
+FULL: Final = 2
+"""Lines of a frame that fill the window, beside one that may: they become two if it shrinks."""
+
+
+class Compose(Protocol):
+    """Makes the picture as it is now."""
+
+    def __call__(self, *, width: int, height: int) -> render.Picture:
+        """For so many columns and lines."""
+
+
+def draw(region: Region, compose: Compose) -> None:
+    """Draw a frame, unless the terminal has yet to take the one before."""
+    if not region.is_ready():
+        return
+    from turtleact import render  # rich takes long to import
+
+    columns, rows = region.size()
+    width, height = columns - 1, max(rows - 1 - FULL, 1)
+    content = compose(width=width, height=height)
+    region.draw(render.lines(content, width=width, height=height))
+
+
+async def animate(region: Region, compose: Compose) -> None:
+    """Draw a frame now and then, until it is canceled; the terminal is held meanwhile."""
+    with region.held():
+        await keep_drawing(region, compose)
+
+
+async def keep_drawing(region: Region, compose: Compose) -> None:
+    """The same of a terminal that is held."""
+    draw(region, compose)
+    await anyio.sleep(PERIOD)
+    while True:
+        began = time.thread_time()
+        draw(region, compose)
+        spent = time.thread_time() - began
+        await anyio.sleep(max(PERIOD, spent / SHARE) - spent)
+
+
+MOST: Final = 200
+"""So many lines are kept."""
+
+
+class LogLine(NamedTuple):
+    """A line as it is shown, and as it is left standing."""
+
+    short: str
+    full: str
+
+
+class LogLines(io.TextIOBase):
+    """The newest lines, as a stream that can be printed to; from any thread."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._lines: deque[LogLine] = deque(maxlen=MOST)
+        self._begun = ""
+
+    def add(self, line: str, short: str | None = None) -> None:
+        """Add a line."""
+        self._lines.append(LogLine(line if short is None else short, line))
+
+    def lines(self) -> list[LogLine]:
+        """The lines, the newest last."""
+        return list(self._lines)
+
+    def write(self, text: str) -> int:
+        """Take the lines that are whole; one that differs from the last in numbers replaces it.
+
+        A turtle at the wall is warned of 62 times a second.
+        """
+        *whole, self._begun = (self._begun + text).split("\n")
+        for line in whole:
+            if self._lines and _words(self._lines[-1].full) == _words(line):
+                self._lines.pop()
+            self.add(line)
+        return len(text)
+
+    @contextmanager
+    def listening(self) -> Iterator[None]:
+        """A block in which what this process prints comes here, unless stderr goes elsewhere."""
+        is_shown = sys.stderr is None or sys.stderr.isatty()
+        with redirect_stdout(self), redirect_stderr(self) if is_shown else nullcontext():
+            yield
+
+
+def _words(line: str) -> str:
+    return re.sub(r"[-\d.]+", "", line)

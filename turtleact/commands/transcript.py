@@ -11,7 +11,7 @@ import textwrap
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
-from turtleact.commands.stderr import note
+from turtleact.commands.output import note, say
 from turtleact.interfaces import to_json, to_yaml
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ __all__ = [
     "Transcript",
     "View",
     "choose_transcript",
-    "say",
 ]
 
 View = Literal["auto", "plain", "json"]
@@ -161,11 +160,6 @@ def choose_transcript(
             wanted = wants_feedback if wants_feedback_live is None else wants_feedback_live
             return LiveTranscript(sys.stdout, wants_feedback=wanted)
     return PlainTranscript(wants_feedback=wants_feedback)
-
-
-def say(text: str) -> None:
-    """Print a block on stdout."""
-    print(text, end="", flush=True)
 
 
 class PlainTranscript:

@@ -4,11 +4,18 @@ No logic and no time: who decides what is shown, and how often, stands in `turtl
 one door to rich.
 """
 
-from turtleact.render.board import Board, GoalRow, board
-from turtleact.render.braille import Braille, Ink, Trails
-from turtleact.render.goal import GoalView, feedback_table, frame, goal_panel, progress_line
 from turtleact.render.lines import Picture, lines
-from turtleact.render.world import MapView, Target, Turtle, world_map
+from turtleact.render.panels import (
+    Board,
+    GoalRow,
+    GoalView,
+    board,
+    feedback_table,
+    frame,
+    goal_panel,
+    progress_line,
+)
+from turtleact.render.world_map import Braille, Ink, MapView, Target, Trails, Turtle, world_map
 
 __all__ = [
     "Board",

@@ -72,6 +72,6 @@ def find(type_name: _Type, *, count: _CountActions = False) -> Look:
 @on_known_graph
 def echo(name: _Name) -> Look:
     """``action echo``."""
-    from turtleact.commands import goals
+    from turtleact.commands import held_goals
 
-    return lambda node: goals.echo(node, name)
+    return lambda node: held_goals.echo(node, name)

@@ -15,7 +15,7 @@ from turtleact.commands.verbs import completing
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
-    from turtleact.commands.kinds import Kind
+    from turtleact.commands.graph_names import Kind
     from turtleact.commands.locks import Locks
 
 __all__ = [

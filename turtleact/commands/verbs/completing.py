@@ -15,7 +15,7 @@ import typer
 from turtleact.errors import TurtleactError
 
 if TYPE_CHECKING:
-    from turtleact.commands.kinds import Kind
+    from turtleact.commands.graph_names import Kind
     from turtleact.commands.verbs.arguments import Reach
 
 __all__ = [

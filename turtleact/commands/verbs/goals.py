@@ -72,9 +72,9 @@ app = typer.Typer()
 @on_graph
 def goals(name: _Name = None, *, json: _Json = False) -> Look:
     """``goals``."""
-    from turtleact.commands import goals
+    from turtleact.commands import held_goals
 
-    return lambda node: goals.print_goals(node, name, as_json=json)
+    return lambda node: held_goals.print_goals(node, name, as_json=json)
 
 
 @app.command("cancel", cls=Verb, help=VERBS["cancel"], epilog=_EXAMPLES)
@@ -92,11 +92,11 @@ def cancel(what: _Ids = None, *, all_: _All = False, before: _Before = None) -> 
     until = 0 if before is None else moment(before)
 
     async def look(node: Node) -> int:
-        from turtleact.commands import goals
+        from turtleact.commands import held_goals
 
         if is_many:
-            return await goals.cancel_many(node, given[0] if given else None, until)
-        return await goals.cancel(node, ids)
+            return await held_goals.cancel_many(node, given[0] if given else None, until)
+        return await held_goals.cancel(node, ids)
 
     return look
 
@@ -162,7 +162,7 @@ def _follow(goal_id: str, view: View, *, hears_feedback: bool) -> Plan:
     wanted = _goal_id(goal_id)
 
     def plan(interrupts: Interrupts) -> Look:
-        from turtleact.commands import goals, transcript
+        from turtleact.commands import held_goals, transcript
 
         telling = transcript.choose_transcript(
             view, wants_feedback=hears_feedback, wants_feedback_live=False
@@ -171,7 +171,7 @@ def _follow(goal_id: str, view: View, *, hears_feedback: bool) -> Plan:
 
         async def look(node: Node) -> int:
             try:
-                return await goals.follow(node, wanted, telling, hears_feedback=hears_feedback)
+                return await held_goals.follow(node, wanted, telling, hears_feedback=hears_feedback)
             finally:
                 telling.close()
 

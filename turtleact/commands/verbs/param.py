@@ -16,7 +16,7 @@ from turtleact.errors import UsageError
 if TYPE_CHECKING:
     from collections.abc import Awaitable
 
-    from turtleact.commands.parameters import Owner
+    from turtleact.commands.node_parameters import Owner
     from turtleact.node import Node
 
 __all__ = ["app"]
@@ -83,7 +83,7 @@ def list_(
     types: _ShowTypes = False,
 ) -> Look:
     """``param list``."""
-    from turtleact.commands import parameters
+    from turtleact.commands import node_parameters
 
     try:
         pattern = None if filter_ is None else re.compile(filter_)
@@ -92,7 +92,7 @@ def list_(
         raise UsageError(f"--filter {problem}") from None
 
     def look(node: Node) -> Awaitable[int]:
-        return parameters.print_names(
+        return node_parameters.print_names(
             node, node_name, pattern=pattern, prefixes=prefixes or (), types=types, hidden=hidden
         )
 
@@ -110,10 +110,10 @@ def get(
     timeout: _Timeout = "1",
 ) -> Look:
     """``param get``."""
-    from turtleact.commands import parameters
+    from turtleact.commands import node_parameters
 
     owner = _owner(node_name, timeout, hidden=hidden)
-    return lambda node: parameters.print_value(node, owner, name, hide_type=hide_type)
+    return lambda node: node_parameters.print_value(node, owner, name, hide_type=hide_type)
 
 
 @app.command("set", cls=Verb, help="Set a parameter.")
@@ -127,11 +127,11 @@ def set_(
     timeout: _Timeout = "1",
 ) -> Look:
     """``param set``."""
-    from turtleact.commands import parameter_values, parameters
+    from turtleact.commands import node_parameters
 
     owner = _owner(node_name, timeout, hidden=hidden)
-    message = parameter_values.parameter_value(value)
-    return lambda node: parameters.set_value(node, owner, name, message)
+    message = node_parameters.parameter_value(value)
+    return lambda node: node_parameters.set_value(node, owner, name, message)
 
 
 @app.command("delete", cls=Verb, help="Delete a parameter.")
@@ -140,10 +140,10 @@ def delete(
     node_name: _Node, name: _Name, *, hidden: _Hidden = False, timeout: _Timeout = "1"
 ) -> Look:
     """``param delete``."""
-    from turtleact.commands import parameters
+    from turtleact.commands import node_parameters
 
     owner = _owner(node_name, timeout, hidden=hidden)
-    return lambda node: parameters.delete(node, owner, name)
+    return lambda node: node_parameters.delete(node, owner, name)
 
 
 @app.command("describe", cls=Verb, help="Print what parameters are for, and may be.")
@@ -152,20 +152,20 @@ def describe(
     node_name: _Node, names: _Names, *, hidden: _Hidden = False, timeout: _Timeout = "1"
 ) -> Look:
     """``param describe``."""
-    from turtleact.commands import parameters
+    from turtleact.commands import node_parameters
 
     owner = _owner(node_name, timeout, hidden=hidden)
-    return lambda node: parameters.describe(node, owner, names)
+    return lambda node: node_parameters.describe(node, owner, names)
 
 
 @app.command("dump", cls=Verb, help="Print all parameters of a node, as a file in YAML.")
 @on_graph
 def dump(node_name: _Node, *, hidden: _Hidden = False, timeout: _Timeout = "1") -> Look:
     """``param dump``."""
-    from turtleact.commands import parameters
+    from turtleact.commands import node_parameters
 
     owner = _owner(node_name, timeout, hidden=hidden)
-    return lambda node: parameters.dump(node, owner)
+    return lambda node: node_parameters.dump(node, owner)
 
 
 @app.command("load", cls=Verb, help="Set the parameters of a node that a file has.")
@@ -179,14 +179,14 @@ def load(
     timeout: _Timeout = "1",
 ) -> Look:
     """``param load``."""
-    from turtleact.commands import parameter_values, parameters
+    from turtleact.commands import node_parameters
 
     owner = _owner(node_name, timeout, hidden=hidden)
-    found = parameter_values.read_file(path, use_wildcard=not no_wildcard)
-    return lambda node: parameters.load(node, owner, found, path)
+    found = node_parameters.read_file(path, use_wildcard=not no_wildcard)
+    return lambda node: node_parameters.load(node, owner, found, path)
 
 
 def _owner(name: str, timeout: str, *, hidden: bool) -> Owner:
-    from turtleact.commands.parameters import Owner
+    from turtleact.commands.node_parameters import Owner
 
     return Owner(name, hidden, number("--timeout", timeout))

@@ -157,8 +157,8 @@ def send_goal(
     only_one("the goal", GOAL=goal is not None, stdin=stdin, goal_file=goal_file is not None)
 
     def job(interrupts: Interrupts) -> int:
-        from turtleact.commands.goal_text import GoalText
         from turtleact.commands.interfaces import make_known
+        from turtleact.commands.message_text import GoalText
         from turtleact.commands.send_goal import Order, run
 
         text = GoalText.read(goal, stdin=stdin, path=goal_file, interrupts=interrupts)

@@ -93,10 +93,10 @@ def call(
     )
 
     def plan(interrupts: Interrupts) -> Look:
-        from turtleact.commands import calling
-        from turtleact.commands.goal_text import GoalText
+        from turtleact.commands import user_messages
+        from turtleact.commands.message_text import GoalText
 
         text = GoalText.read(values, stdin=stdin, path=None, interrupts=interrupts, what="request")
-        return lambda node: calling.call(node, name, type_name, text, rate=hertz)
+        return lambda node: user_messages.call(node, name, type_name, text, rate=hertz)
 
     return plan

@@ -35,6 +35,6 @@ def snapshot(file: _File) -> Look:
     if path.suffix.lower() not in (".png", ".svg"):
         raise UsageError(f"FILE ends in .png or .svg, unlike {quoted(file)}")
 
-    from turtleact.commands.snapshot import take
+    from turtleact.commands.user_messages import take
 
     return lambda node: take(node, path)

@@ -170,7 +170,7 @@ def echo(
     policies: Policies,
 ) -> Look:
     """``topic echo``."""
-    from turtleact.commands import echo
+    from turtleact.commands import topic_reading
 
     length = whole("--truncate-length", truncate_length)
     seconds = None if timeout is None else number("--timeout", timeout)
@@ -180,7 +180,7 @@ def echo(
     only_one("how messages are printed", raw=raw, csv=csv, flow_style=flow)
     only_one("what is printed", raw=raw, field=field is not None)
     wanted = None if filter_ is None else _compiled(filter_)
-    order = echo.Order(
+    order = topic_reading.Order(
         name,
         type_name,
         () if field is None else tuple(field.split(".")),
@@ -195,37 +195,37 @@ def echo(
         raw=raw,
         policies=policies,
     )
-    return lambda node: echo.echo(node, order)
+    return lambda node: topic_reading.echo(node, order)
 
 
 @app.command("hz", cls=Verb, help="Print how many messages come a second.")
 @on_known_graph
 def hz(name: _Name, *, window: _Window = "10000") -> Look:
     """``topic hz``."""
-    from turtleact.commands import rate
+    from turtleact.commands import topic_reading
 
-    meter = rate.Rate(whole("--window", window, least=1))
-    return lambda node: rate.measure(node, name, meter)
+    meter = topic_reading.Rate(whole("--window", window, least=1))
+    return lambda node: topic_reading.measure(node, name, meter)
 
 
 @app.command("bw", cls=Verb, help="Print how many bytes come a second.")
 @on_known_graph
 def bw(name: _Name, *, window: _Window = "100") -> Look:
     """``topic bw``."""
-    from turtleact.commands import rate
+    from turtleact.commands import topic_reading
 
-    meter = rate.Bandwidth(whole("--window", window, least=1))
-    return lambda node: rate.measure(node, name, meter)
+    meter = topic_reading.Bandwidth(whole("--window", window, least=1))
+    return lambda node: topic_reading.measure(node, name, meter)
 
 
 @app.command("delay", cls=Verb, help="Print how old messages with a header are.")
 @on_known_graph
 def delay(name: _Name, *, window: _Window = "10000") -> Look:
     """``topic delay``."""
-    from turtleact.commands import rate
+    from turtleact.commands import topic_reading
 
-    meter = rate.Delay(whole("--window", window, least=1))
-    return lambda node: rate.measure(node, name, meter)
+    meter = topic_reading.Delay(whole("--window", window, least=1))
+    return lambda node: topic_reading.measure(node, name, meter)
 
 
 @app.command("pub", cls=Verb, help="Publish messages on a topic.")
@@ -254,11 +254,11 @@ def pub(
     every = whole("--print", print_each)
 
     def plan(interrupts: Interrupts) -> Look:
-        from turtleact.commands import publishing
-        from turtleact.commands.goal_text import GoalText
+        from turtleact.commands import user_messages
+        from turtleact.commands.message_text import GoalText
 
         text = GoalText.read(values, stdin=stdin, path=None, interrupts=interrupts, what="message")
-        order = publishing.Order(
+        order = user_messages.Order(
             name,
             type_name,
             text,
@@ -268,7 +268,7 @@ def pub(
             wait=least,
             policies=policies,
         )
-        return lambda node: publishing.publish(node, order)
+        return lambda node: user_messages.publish(node, order)
 
     return plan
 

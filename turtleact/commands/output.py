@@ -1,4 +1,8 @@
-"""What the user is told besides: a line on stderr, whatever is in it and whatever becomes of it."""
+"""What a command prints: blocks on stdout, and lines of its own on stderr.
+
+A peer may say anything in its names and messages, so all text that could come from one is made
+printable first: it must not command the user's terminal.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +10,20 @@ import os
 import sys
 from typing import TextIO
 
-__all__ = ["abandon", "note", "printable", "tell_exit"]
+__all__ = ["abandon", "note", "printable", "say", "say_names", "tell_exit"]
 
 HALF = 2000
 """A note has twice as many characters at most."""
+
+
+def say(text: str) -> None:
+    """Print a block on stdout; a pipe sees it at once."""
+    print(text, end="", flush=True)
+
+
+def say_names(text: str) -> None:
+    """Print names of the graph, made printable."""
+    say(printable(text))
 
 
 def note(text: str) -> None:

@@ -1,4 +1,11 @@
-"""Where the text of a goal, or another message, comes from: the arguments, stdin, or a file."""
+"""Messages as text: what the user writes, and how a message is printed.
+
+A message is written on the command line, or read from stdin or a file. ``topic pub`` and ``service
+call`` print it as rclpy's ``repr`` does; an array of fixed length is shown as numpy shows it, but
+always on one line.
+
+Source: recordings of ROS 2 Jazzy; rosidl_generator_py ``resource/_msg.py.em`` for the notation.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +15,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from turtleact.errors import UsageError
+from turtleact.interfaces.definition import ArrayForm
+from turtleact.interfaces.text import block, listed
+from turtleact.interfaces.types import fields
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
+    from turtleact.interfaces import Message
+    from turtleact.interfaces.definition import Field
 
-__all__ = ["GoalText", "read_text_file"]
+__all__ = ["GoalText", "python_text", "read_text_file", "yaml_lines"]
 
 MOST = 2**22
 """Bytes that are read of a file or a pipe: no message that is taken is longer."""
@@ -121,3 +133,48 @@ def _read_file(path: str, interrupts: Interrupts) -> bytes:
         return interrupts.read(file, MOST + 1)
     finally:
         os.close(file)
+
+
+SILENT = frozenset({"float64", "int64", "bool"})
+"""The types that numpy does not name."""
+
+DTYPES = {"byte": "uint8", "char": "uint8"}
+"""What numpy calls a type otherwise."""
+
+
+def python_text(message: Message) -> str:
+    """A message as rclpy's ``repr`` of it.
+
+    >>> from turtleact.interfaces.standard import Time
+    >>> python_text(Time(sec=1))
+    'builtin_interfaces.msg.Time(sec=1, nanosec=0)'
+    """
+    cls = type(message)
+    values = ", ".join(
+        f"{field.name}={_value(field, getattr(message, field.attribute))}" for field in fields(cls)
+    )
+    return f"{cls.type_name.replace('/', '.')}({values})"
+
+
+def _value(field: Field, value: object) -> str:
+    kind = field.type
+    if kind.is_nested:
+        if not kind.is_sequence:
+            return python_text(value)  # type: ignore[arg-type]  # a message, as declared
+        return f"[{', '.join(map(python_text, value))}]"  # type: ignore[call-overload]  # likewise
+    if kind.is_sequence:
+        items = f"[{', '.join(map(repr, value))}]"  # type: ignore[call-overload]  # likewise
+        if kind.form is not ArrayForm.FIXED or kind.is_string:
+            return items
+        name = DTYPES.get(kind.name, kind.name)
+        return f"array({items})" if name in SILENT else f"array({items}, dtype={name})"
+    return repr(value)
+
+
+def yaml_lines(value: object) -> list[str]:
+    """A plain value as the lines of block YAML; a single one as Python says it, as ros2 does."""
+    if isinstance(value, dict) and value:
+        return block(value)
+    if isinstance(value, list | bytes) and value:
+        return [line for item in value for line in listed(item)]
+    return [str(list(value) if isinstance(value, bytes) else value)]

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import anyio
 import pytest
 
-from turtleact.commands import frames
+from turtleact.commands import terminal
 from turtleact.commands.terminal import Region
 
 from .ttys import filled, open_terminal
@@ -31,13 +31,13 @@ async def test_drawing_takes_a_fifth_of_the_processor_at_most_but_for_the_first_
         now[0] += 0.001 if len(slept) == 1 else 1.0
         return ""
 
-    monkeypatch.setattr(frames, "time", SimpleNamespace(thread_time=lambda: now[0]))
+    monkeypatch.setattr(terminal, "time", SimpleNamespace(thread_time=lambda: now[0]))
     monkeypatch.setattr(anyio, "sleep", sleep)
     with (
         open("/dev/null", "w") as stream,  # noqa: PTH123
         pytest.raises(ZeroDivisionError),
     ):
-        await frames.animate(Region(stream), compose)
+        await terminal.animate(Region(stream), compose)
     assert slept == pytest.approx([1 / 15, 1 / 15 - 0.001, 4.0])
 
 
@@ -48,7 +48,7 @@ def test_a_frame_leaves_room_for_lines_that_a_narrower_window_wraps():
         sizes.append((width, height))
         return ""
 
-    frames.draw(Region(io.StringIO()), compose)
+    terminal.draw(Region(io.StringIO()), compose)
     assert sizes == [(79, 21)]
 
 
@@ -58,4 +58,4 @@ async def test_a_terminal_that_nobody_reads_gets_no_more_frames():
         region = Region(stream)
         with region.held():
             filled(region)
-            frames.draw(region, pytest.fail)  # type: ignore[arg-type]  # it is not called
+            terminal.draw(region, pytest.fail)  # type: ignore[arg-type]  # it is not called

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from turtleact.commands.stderr import note, printable
+from turtleact.commands.output import note, printable
 
 
 @pytest.mark.parametrize(

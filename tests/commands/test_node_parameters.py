@@ -11,7 +11,7 @@ import anyio
 import pytest
 
 from turtleact import open_node
-from turtleact.commands.parameter_values import parameter_value
+from turtleact.commands.node_parameters import parameter_value
 from turtleact.errors import InvalidMessage, UsageError
 from turtleact.interfaces.standard.parameters import (
     DescribeParameters,

@@ -6,8 +6,8 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from turtleact.commands import tracks
-from turtleact.commands.tracks import Course, Tracks, pose_topics
+from turtleact.commands import trails
+from turtleact.commands.trails import Course, PoseTrails, pose_topics
 from turtleact.interfaces import Message, get_interface, int32
 from turtleact.interfaces.standard import Point, TurtlePose
 from turtleact.node import open_node
@@ -59,7 +59,7 @@ def test_a_goal_without_places_leads_nowhere():
     assert (course().ahead(), course().told()) == ([], "")
 
 
-# --- the tracks -----------------------------------------------------------------------------
+# --- the trails -----------------------------------------------------------------------------
 
 
 @asynccontextmanager
@@ -67,7 +67,7 @@ async def tracked(*names, leader=""):
     """A look at turtles, and what publishes where they are."""
     async with open_node("stage") as node:
         publishers = {name: node.publisher(TurtlePose, f"/{name}/pose") for name in names}
-        yield Tracks(node, leader), publishers, node
+        yield PoseTrails(node, leader), publishers, node
 
 
 async def test_turtles_have_a_place_a_name_and_a_colour_each():
@@ -98,14 +98,14 @@ async def test_a_turtle_that_comes_is_found_and_one_that_goes_is_forgotten():
         publishers["a"].publish(TurtlePose())
         late = node.publisher(TurtlePose, "/b/pose")
         await publishers["a"].aclose()
-        for _ in range(tracks.LOOKS):
+        for _ in range(trails.LOOKS):
             looked_at.look()
         late.publish(TurtlePose())
         assert [turtle.name for turtle in looked_at.look().turtles] == ["b"]
 
 
 async def test_of_many_turtles_only_some_are_followed(monkeypatch):
-    monkeypatch.setattr(tracks, "MOST_TURTLES", 2)
+    monkeypatch.setattr(trails, "MOST_TURTLES", 2)
     async with tracked("a", "b", "c") as (looked_at, publishers, _):
         for each in publishers.values():
             each.publish(TurtlePose())
@@ -113,7 +113,7 @@ async def test_of_many_turtles_only_some_are_followed(monkeypatch):
 
 
 async def test_the_one_that_matters_is_followed_in_any_case(monkeypatch):
-    monkeypatch.setattr(tracks, "MOST_TURTLES", 2)
+    monkeypatch.setattr(trails, "MOST_TURTLES", 2)
     async with tracked("a", "b", "c", leader="/c/pose") as (looked_at, publishers, _):
         for each in publishers.values():
             each.publish(TurtlePose())
@@ -134,4 +134,4 @@ async def test_turtles_of_newer_distributions_are_turtles_too():
 )
 def test_the_distance_from_a_line_is_that_of_its_nearest_point(start, end, offset):
     place = (4.0, 3.0) if offset == 3.0 else (3.0, 4.0)
-    assert tracks._offset(place, start, end) == offset
+    assert trails._offset(place, start, end) == offset

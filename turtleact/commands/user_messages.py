@@ -1,31 +1,38 @@
-"""``topic pub``: messages of the user's own, once or again and again.
+"""``topic pub``, ``service call`` and ``snapshot``: messages and requests that the user sends.
 
-Source: ros2cli ``ros2topic/verb/pub.py``; recordings of Jazzy for the words.
+Source: ros2cli ``ros2topic/verb/pub.py`` and ``ros2service/verb/call.py``; recordings of Jazzy for
+the words.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
+
+import anyio
 
 from turtleact.clock import within
 from turtleact.commands.graph import chosen_class
-from turtleact.commands.kinds import types_by_name
-from turtleact.commands.python_text import python_text
-from turtleact.commands.stderr import note
-from turtleact.commands.transcript import say
-from turtleact.interfaces import Message, from_dict
+from turtleact.commands.graph_names import types_by_name
+from turtleact.commands.message_text import python_text
+from turtleact.commands.output import note, say
+from turtleact.errors import ServerUnavailable, ServiceTimeout, TurtleactError
+from turtleact.interfaces import Message, Service, from_dict, from_text
 from turtleact.interfaces.stamps import stamp_of
 from turtleact.interfaces.text import Document, tree_of
 from turtleact.interfaces.types import fields, nested_classes
 from turtleact.names import resolve_name
+from turtleact.sim.world_services import TakeSnapshot
 
 if TYPE_CHECKING:
-    from turtleact.commands.goal_text import GoalText
+    from pathlib import Path
+
+    from turtleact.commands.message_text import GoalText
     from turtleact.commands.policies import Policies
     from turtleact.node import Node
+    from turtleact.services import ServiceType
     from turtleact.topics import Publisher
 
-__all__ = ["Order", "publish"]
+__all__ = ["Order", "call", "publish", "take"]
 
 PATIENCE = 5.0
 """So long a subscription has to be reached, of which the graph tells (s, by its clock)."""
@@ -125,3 +132,84 @@ def _timed(tree: object, message_type: type[Message], now: int) -> object:
         elif nested is not None and field.name in tree and not field.type.is_sequence:
             timed[field.name] = _timed(tree[field.name], nested, now)
     return timed
+
+
+async def call(
+    node: Node, name: str, type_name: str | None, text: GoalText, *, rate: float | None
+) -> int:
+    """Call a service, once it is there; again and again if a rate is given.
+
+    Args:
+        node: A node on the graph.
+        name: The service.
+        type_name: Its type, or None for what the graph says.
+        text: The request.
+        rate: Calls a second, by the clock of the graph; None for one call.
+
+    Raises:
+        InvalidName: if the name breaks ROS 2's rules.
+        TurtleactError: if the service's type is not known.
+        InvalidMessage: if the request does not fit it.
+        ServerUnavailable: if the service is there under another type, or goes away.
+        ServiceError: if it fails.
+    """
+    full_name = resolve_name(name)
+    service_type = chosen_class(node, "service", Service, full_name, type_name)
+    request = from_text(
+        service_type.Request, text.text, root="request", source=text.source, allow_nonfinite=True
+    )
+    client = node.service_client(cast("ServiceType[Message, Message]", service_type), full_name)
+    types = types_by_name(node.transport.endpoints(), "service", hidden=True).get(full_name, ())
+    if types and service_type.type_name not in types:
+        problem = f"it is served as {' and '.join(types)}, not as {service_type.type_name}"
+        raise ServerUnavailable(full_name, problem, kind="service")
+    if not types:
+        say("waiting for service to become available...\n")
+    await client.wait_for_service()
+    while True:
+        begun = node.clock.time()
+        say(f"requester: making request: {python_text(request)}\n\n")
+        response = await client.call(request)
+        say(f"response:\n{python_text(response)}\n\n")
+        if rate is None:
+            return 0
+        await node.clock.sleep_until(begun + 1 / rate)
+
+
+PICTURE_PATIENCE = 10.0
+"""How long a world has for a picture (s, wall clock): it is drawn in a thread."""
+
+
+async def take(node: Node, path: Path) -> int:
+    """Ask the world for a picture, and write it.
+
+    Args:
+        node: A node on the graph.
+        path: The file; its suffix says what the picture shall be.
+
+    Raises:
+        ServerUnavailable: if there is no world on the graph.
+        ServiceTimeout: if it does not answer.
+        TurtleactError: if there is no picture to be had, or the file cannot be written.
+    """
+    services = types_by_name(node.transport.endpoints(), "service")
+    names = [name for name, types in services.items() if TakeSnapshot.type_name in types]
+    if not names:
+        problem = "there is no world on this graph: 'turtleact serve' has one"
+        raise ServerUnavailable("/world/snapshot", problem, kind="service")
+    client = node.service_client(TakeSnapshot, names[0])
+    answer = None
+    with anyio.move_on_after(PICTURE_PATIENCE):
+        await client.wait_for_service()
+        answer = await client.call(TakeSnapshot.Request(path.suffix.lower().removeprefix(".")))
+    if answer is None:
+        raise ServiceTimeout(client.name, PICTURE_PATIENCE)
+    if answer.problem:
+        raise TurtleactError(answer.problem)
+    try:
+        path.write_bytes(answer.data)
+    except OSError as error:
+        problem = f"{path} cannot be written: {error.strerror or error}; name another file"
+        raise TurtleactError(problem) from None
+    say(f"{path}: {len(answer.data)} bytes\n")
+    return 0

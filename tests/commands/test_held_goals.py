@@ -16,8 +16,8 @@ import pytest
 from turtleact import QoS, open_node
 from turtleact.actions.patrol import Patrol
 from turtleact.clock import EPOCH, VirtualClock
-from turtleact.commands import goals as verbs
-from turtleact.commands import live, rate, transcript
+from turtleact.commands import held_goals as verbs
+from turtleact.commands import live, topic_reading, transcript
 from turtleact.commands.held_goals import HeldGoal, held_goals, served_actions
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import get_interface
@@ -417,7 +417,9 @@ async def test_what_echoes_and_measures_ends_with_its_node(graphs):
         open_node("viewer", transport=transport) as viewer,
     ):
         beside.start_soon(verbs.echo, viewer, "/fibonacci")
-        beside.start_soon(rate.measure, viewer, "/fibonacci/_action/feedback", rate.Rate(5))
+        beside.start_soon(
+            topic_reading.measure, viewer, "/fibonacci/_action/feedback", topic_reading.Rate(5)
+        )
         await anyio.wait_all_tasks_blocked()
 
 

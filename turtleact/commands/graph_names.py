@@ -1,4 +1,7 @@
-"""What goes by a name on the graph: actions, services and topics, and what makes them exist."""
+"""The names on a graph: actions, services, topics and nodes, and what makes them exist.
+
+Completion needs this within milliseconds, so nothing heavy is imported here.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,12 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from turtleact.transports.base import Endpoint, EndpointKind
 
-__all__ = ["Kind", "is_hidden_node", "types_by_name"]
+__all__ = ["Kind", "is_hidden_node", "names_like", "types_by_name"]
 
 Kind = Literal["action", "service", "topic"]
+
+MOST_SHOWN = 10
+"""How many names are listed if none is like the one that was looked for."""
 
 SEND_GOAL = "/_action/send_goal"
 
@@ -57,3 +63,12 @@ def is_hidden_node(name: str) -> bool:
     (True, False)
     """
     return name.rpartition("/")[2].startswith("_")
+
+
+def names_like(name: str, known: Iterable[str]) -> str:
+    """The end of an error about an unknown name: the nearest name, or some of those there are."""
+    from turtleact.interfaces.definition import did_you_mean
+
+    names = sorted(set(known))
+    shown = ", ".join([*names[:MOST_SHOWN], *(["…"] if len(names) > MOST_SHOWN else [])])
+    return did_you_mean(name, names) or f" (there are: {shown or 'none'})"

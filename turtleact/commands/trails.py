@@ -1,4 +1,4 @@
-"""Where turtles are and have been, as the graph tells it, and where a goal sends them."""
+"""Where turtles are and have been, as the graph tells, and where a goal sends them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from turtleact.node import Node
     from turtleact.topics import Subscription
 
-__all__ = ["POSES_A_FRAME", "Course", "Tracks", "places_in", "pose_topics", "sends_a_turtle"]
+__all__ = ["POSES_A_FRAME", "Course", "PoseTrails", "places_in", "pose_topics", "sends_a_turtle"]
 
 NEAR: Final = 0.15
 """A place that the turtle has come as near as this (m) is behind it."""
@@ -38,7 +38,7 @@ POSE_TYPES: Final = ("turtlesim/msg/Pose", "turtlesim_msgs/msg/Pose")
 POSE: Final = "/pose"
 
 
-class Tracks:
+class PoseTrails:
     """The turtles of a graph, by the poses that they publish.
 
     Args:

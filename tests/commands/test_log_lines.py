@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 
-from turtleact.commands import printed
-from turtleact.commands.printed import Log
+from turtleact.commands import terminal
+from turtleact.commands.terminal import LogLines
 
 
 def full(log):
@@ -14,7 +14,7 @@ def full(log):
 
 def test_what_is_printed_comes_line_by_line(monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    log = Log()
+    log = LogLines()
     with log.listening():
         print("one", end="")
         print(" and", "two", file=sys.stderr)
@@ -23,14 +23,14 @@ def test_what_is_printed_comes_line_by_line(monkeypatch):
 
 
 def test_what_stderr_takes_elsewhere_goes_there(capsys):
-    log = Log()
+    log = LogLines()
     with log.listening():
         print("for a file", file=sys.stderr)
     assert (full(log), capsys.readouterr().err) == ([], "for a file\n")
 
 
 def test_a_line_that_differs_from_the_last_in_numbers_replaces_it():
-    log = Log()
+    log = LogLines()
     for x in ("11.1", "-0.5"):
         log.write(f"hit the wall at x={x}\n")
     log.write("other\n")
@@ -38,15 +38,15 @@ def test_a_line_that_differs_from_the_last_in_numbers_replaces_it():
 
 
 def test_a_line_that_is_added_replaces_none():
-    log = Log()
+    log = LogLines()
     log.add("goal 1", "1")
     log.add("goal 2", "2")
     assert [line.short for line in log.lines()] == ["1", "2"]
 
 
 def test_the_newest_lines_are_kept():
-    log = Log()
-    for number in range(printed.MOST + 1):
+    log = LogLines()
+    for number in range(terminal.MOST + 1):
         log.add(f"{number}")
     assert full(log)[0] == "1"
-    assert len(full(log)) == printed.MOST
+    assert len(full(log)) == terminal.MOST

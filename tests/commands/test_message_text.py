@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from turtleact.commands.goal_text import MOST, GoalText
+from turtleact.commands.message_text import MOST, GoalText
 from turtleact.errors import UsageError
 
 
