@@ -1,4 +1,10 @@
-"""What all tests share: the event loops that an async test runs on, its watchdog, hypothesis."""
+"""What all tests share: the event loops that an async test runs on, its watchdog, Hypothesis.
+
+An async test runs on asyncio, uvloop and trio, for cancellation, tasks and wake-ups differ between
+them. What is built on top of tasks, nodes and transports does not meet these differences: the tests
+in the folders of `ONE_LOOP` run on asyncio. A test, or through ``pytestmark`` a module, that wants
+other loops names them: ``@pytest.mark.loops("asyncio", "trio")``.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +15,7 @@ import os
 import signal
 import threading
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import anyio
@@ -22,12 +29,15 @@ from turtleact.commands.interrupts import SIGNALS
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Generator, Iterator
 
-BACKENDS = {
+LOOPS = {
     "asyncio": ("asyncio", {"use_uvloop": False}),
     "uvloop": ("asyncio", {"use_uvloop": True}),
     "trio": ("trio", {}),
 }
-INSTALLED = [name for name in BACKENDS if find_spec(name)]
+INSTALLED = [name for name in LOOPS if find_spec(name)]
+ONE_LOOP = {"actions", "commands", "fuzz", "interfaces", "interop", "render", "sim", "web"}
+"""The folders whose async tests run on asyncio only, if no mark says otherwise."""
+TESTS = Path(__file__).parent
 SECONDS = 30.0
 
 os.environ["ROS_DOMAIN_ID"] = "231"  # no test is to see what else runs on this machine
@@ -42,10 +52,35 @@ for number, usual in (
         signal.signal(number, usual)
 
 
-@pytest.fixture(params=[pytest.param(BACKENDS[name], id=name) for name in INSTALLED])
-def anyio_backend(request: pytest.FixtureRequest) -> object:
-    """Every async test runs once on each of them; a test may narrow it by its own parameters."""
-    return request.param
+def pytest_configure(config: pytest.Config) -> None:
+    """Declare the mark."""
+    config.addinivalue_line("markers", "loops(*names): the event loops that a test runs on")
+
+
+@pytest.fixture
+def anyio_backend() -> object:
+    """The loop of an async test: `pytest_generate_tests` gives each test its own."""
+    return LOOPS["asyncio"]
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run an async test on its event loops, unless it or its module parametrizes them itself."""
+    if "anyio_backend" not in metafunc.fixturenames or hasattr(metafunc.module, "anyio_backend"):
+        return
+    marks = metafunc.definition.iter_markers("parametrize")
+    if any("anyio_backend" in mark.args[0] for mark in marks):
+        return
+    loops = loops_of(metafunc.definition)
+    installed = [pytest.param(LOOPS[name], id=name) for name in INSTALLED if name in loops]
+    metafunc.parametrize("anyio_backend", installed)
+
+
+def loops_of(test: pytest.Item) -> tuple[str, ...]:
+    """The names of the event loops that a test should run on."""
+    if mark := test.get_closest_marker("loops"):
+        return mark.args
+    folder = test.path.relative_to(TESTS).parts[0]
+    return ("asyncio",) if folder in ONE_LOOP else tuple(LOOPS)
 
 
 @pytest.fixture

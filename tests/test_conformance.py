@@ -60,14 +60,22 @@ def fault_of(proof: str, folder: Path = TESTS) -> str:
         return "its module has event loops of its own"
     shared = assignments_of(folder / "lab.py") if (folder / "lab.py").exists() else {}
     marks = words_of(marks_of(function, module), shared | assignments_of(folder / path))
-    if "anyio_backend" in marks:
+    if {"anyio_backend", "loops"} & marks:
         return "it does not run on every event loop"
+    if isinstance(function, ast.AsyncFunctionDef) and path.split("/")[0] in one_loop(folder):
+        return "its folder runs on one event loop"
     if marks & EXCUSES:
         return "it may be skipped, or fail"
     runners = LOOPS | set(imported_from(RUNNERS, module))
     if isinstance(function, ast.FunctionDef) and words_of(function.body, {}) & runners:
         return "it runs an event loop of its own"
     return ""
+
+
+def one_loop(folder: Path) -> set[str]:
+    """The folders whose async tests run on one event loop, as ``conftest.py`` says."""
+    names: set[str] = ast.literal_eval(assignments_of(folder / "conftest.py")["ONE_LOOP"])
+    return names
 
 
 @functools.cache
@@ -199,6 +207,8 @@ async def test_on_one_loop(): ...
 async def test_on_another(): ...
 @SHARED
 async def test_on_a_shared_one(): ...
+@pytest.mark.loops("trio")
+async def test_on_a_named_one(): ...
 @pytest.mark.parametrize("n", [pytest.param(1, marks=pytest.mark.xfail)])
 async def test_fails(): ...
 def test_runs_one(): anyio.run(body)
@@ -209,6 +219,7 @@ def test_runs_one_in_virtual_time(): run(body)
 @pytest.fixture
 def folder(tmp_path):
     (tmp_path / "lab.py").write_text('SHARED = mark("anyio_backend")\nboth = mark("body")', "utf-8")
+    (tmp_path / "conftest.py").write_text('ONE_LOOP = {"web"}', "utf-8")
     (tmp_path / "test_it.py").write_text(MODULE, "utf-8")
     (tmp_path / "test_virtual.py").write_text(
         "from plugin import anyio_backend\nasync def test_x(): ...", "utf-8"
@@ -219,6 +230,10 @@ def folder(tmp_path):
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "conftest.py").write_text("def anyio_backend(): ...", "utf-8")
     (tmp_path / "sub" / "test_it.py").write_text("async def test_x(): ...", "utf-8")
+    (tmp_path / "web").mkdir()
+    (tmp_path / "web" / "test_it.py").write_text(
+        "async def test_x(): ...\ndef test_y(): ...", "utf-8"
+    )
     return tmp_path
 
 
@@ -234,6 +249,7 @@ def test_the_rows_of_the_tables_that_compare_are_read():
         "test_it.py::test_on_every_loop",
         "test_it.py::test_on_none",
         "test_it.py::test_in_two_ways",
+        "web/test_it.py::test_y",
     ],
 )
 def test_no_fault_is_found_with_a_proof(folder, proof):
@@ -248,6 +264,8 @@ def test_no_fault_is_found_with_a_proof(folder, proof):
         ("test_it.py::test_on_one_loop", "it does not run on every event loop"),
         ("test_it.py::test_on_another", "it does not run on every event loop"),
         ("test_it.py::test_on_a_shared_one", "it does not run on every event loop"),
+        ("test_it.py::test_on_a_named_one", "it does not run on every event loop"),
+        ("web/test_it.py::test_x", "its folder runs on one event loop"),
         ("test_it.py::test_fails", "it may be skipped, or fail"),
         ("test_marked.py::test_x", "it may be skipped, or fail"),
         ("test_it.py::test_runs_one", "it runs an event loop of its own"),

@@ -170,6 +170,47 @@ def test_no_file_names_the_host_of_a_package_registry():
     assert lines_that_hold(REGISTRY_HOSTS) == []
 
 
+# --- event loops ----------------------------------------------------------------------------
+
+NAMED = """
+import pytest
+async def test_default(): ...
+@pytest.mark.loops("uvloop", "trio")
+async def test_named(): ...
+@pytest.mark.parametrize("anyio_backend", ["trio"])
+async def test_of_its_own(): ...
+def test_plain(): ...
+"""
+
+
+def collected(folder: Path) -> list[str]:
+    """The names of the tests below a folder that has our conftest.py."""
+    shutil.copy(ROOT / "tests" / "conftest.py", folder)
+    said = subprocess.check_output(
+        [sys.executable, "-m", "pytest", "-qo", "anyio_mode=auto", "--collect-only", folder],
+        cwd=folder,
+        text=True,
+    )
+    return re.findall(r"(?<=::)\S+", said)
+
+
+def test_an_async_test_runs_on_every_loop_unless_its_folder_or_a_mark_says_otherwise(tmp_path):
+    marked = ["test_named[uvloop]", "test_named[trio]", "test_of_its_own[trio]", "test_plain"]
+    (tmp_path / "web").mkdir()
+    (tmp_path / "web" / "test_one_loop.py").write_text(NAMED, "utf-8")
+    (tmp_path / "test_all_loops.py").write_text(NAMED, "utf-8")
+    (tmp_path / "test_module.py").write_text(
+        "import pytest\npytestmark = pytest.mark.loops('trio')\nasync def test_here(): ...", "utf-8"
+    )
+    assert collected(tmp_path) == [
+        *(f"test_default[{loop}]" for loop in ("asyncio", "uvloop", "trio")),
+        *marked,
+        "test_here[trio]",
+        "test_default[asyncio]",
+        *marked,
+    ]
+
+
 # --- watchdog -------------------------------------------------------------------------------
 
 HANG = """

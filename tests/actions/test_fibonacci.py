@@ -18,6 +18,8 @@ from turtleact.node import open_node
 from turtleact.tasks import Background
 from turtleact.transports import MemoryTransport
 
+pytestmark = pytest.mark.loops("asyncio", "trio")
+
 TYPES = {"tutorial": (Fibonacci, "partial_sequence"), "example": (ExampleFibonacci, "sequence")}
 FIRST_ELEVEN = [0, 1, 1, 2, 3, 5, 8, 13, 21, 34, 55]
 

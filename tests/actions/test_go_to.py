@@ -14,6 +14,8 @@ from turtleact.interfaces.standard import Kill
 
 from .arena import STYLES, arena
 
+pytestmark = pytest.mark.loops("asyncio", "trio")
+
 MIDDLE = 11.088889122009277 / 2
 FAR = GoTo.Goal(x=9.0, y=MIDDLE, max_linear=1.0)
 

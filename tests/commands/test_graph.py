@@ -131,6 +131,7 @@ LOOKS: dict[str, Callable[[Node], Awaitable[int]]] = {
 }
 
 
+@pytest.mark.loops("asyncio", "uvloop", "trio")
 @pytest.mark.parametrize("verb", LOOKS)
 async def test_a_verb_looks_at_a_graph_on_every_loop(graphs, capsys, verb):
     nodes = graphs.in_turn(graphs.turtlesim, graphs.goals)

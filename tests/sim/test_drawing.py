@@ -19,7 +19,10 @@ from turtleact.sim.drawing import TOLERANCE, Drawing
 
 RED, BLUE = Pen(Colour(255, 0, 0), 3), Pen(Colour(0, 0, 255), 5)
 
-places = st.builds(complex, st.floats(0.0, 11.0), st.floats(0.0, 11.0))
+# On a grid: a line that bends by less than a millionth of a pixel is drawn as if it was straight,
+# which decides where a pixel goes that lies exactly between two.
+sides = st.integers(0, 11 * 1024).map(lambda number: number / 1024)
+places = st.builds(complex, sides, sides)
 steps = st.builds(cmath.rect, st.floats(0.0, 0.1), st.floats(-3.14, 3.14))
 turns = st.floats(-0.3, 0.3)
 

@@ -29,6 +29,8 @@ from ..actions.arena import tasks_alive
 from ..lab import running
 from .stage import ALL, POSES, TICK, stage
 
+pytestmark = pytest.mark.loops("asyncio", "trio")
+
 
 class Jumping:
     """Virtual time that a test can put forward, past those who sleep."""

@@ -16,6 +16,8 @@ from turtleact.web import Limits
 from ..lab import settle
 from .line import Line, bridged, line, websocket_scope
 
+pytestmark = pytest.mark.loops("asyncio", "trio")
+
 
 async def refused(bridge: Any, scope: dict[str, Any]) -> dict[str, Any]:
     """What a client gets that is not let in."""
