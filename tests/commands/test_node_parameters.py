@@ -13,7 +13,7 @@ import pytest
 from turtleact import open_node
 from turtleact.commands.node_parameters import parameter_value
 from turtleact.errors import InvalidMessage, UsageError
-from turtleact.interfaces.standard.parameters import (
+from turtleact.interfaces.standard import (
     DescribeParameters,
     FloatingPointRange,
     GetParameters,

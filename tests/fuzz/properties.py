@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 from turtleact.errors import InvalidInterface, InvalidMessage, InvalidName, TurtleactError
 from turtleact.goal_note import GoalNote
 from turtleact.interfaces import cdr, from_text, get_interface, known_interfaces, to_json, to_yaml
-from turtleact.interfaces.copying import snapshot
+from turtleact.interfaces.classes import make_message
+from turtleact.interfaces.conversion import snapshot
 from turtleact.interfaces.definition import (
     PRIMITIVES,
     ArrayForm,
@@ -22,10 +23,8 @@ from turtleact.interfaces.definition import (
     definition_text,
     parts_of,
 )
-from turtleact.interfaces.making import make_message
 from turtleact.interfaces.parse import parse
-from turtleact.interfaces.registry import REGISTRY
-from turtleact.interfaces.types import Action, Message, Service
+from turtleact.interfaces.types import REGISTRY, Action, Message, Service
 from turtleact.names import action_names, resolve_name, validate_name, validate_node_name
 from turtleact.transports.rmw_zenoh.attachment import gid_in, read_attachment, write_attachment
 from turtleact.transports.rmw_zenoh.failures import error_said, said

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from turtleact.interfaces import cdr, known_interfaces, to_json, to_yaml
-from turtleact.interfaces.classes import interface_source
+from turtleact.interfaces.loading import interface_source
 from turtleact.transports.base import Endpoint, QoS
 from turtleact.transports.rmw_zenoh.attachment import write_attachment
 from turtleact.transports.rmw_zenoh.keys import endpoint_token, node_token

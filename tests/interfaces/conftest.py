@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
 
-from turtleact.interfaces.registry import REGISTRY
+from turtleact.interfaces.types import REGISTRY
 
 
 @pytest.fixture(autouse=True)
-def own_registry(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(REGISTRY, "_known", dict(REGISTRY._known))
-    monkeypatch.setattr(REGISTRY, "files", dict(REGISTRY.files))
-    monkeypatch.setattr(REGISTRY, "prefixes", ())
+def own_registry() -> Iterator[None]:
+    with REGISTRY.isolated():
+        REGISTRY.prefixes = ()
+        yield

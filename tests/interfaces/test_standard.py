@@ -1,17 +1,16 @@
 from __future__ import annotations
 
-import inspect
+import subprocess
 import sys
-from importlib import resources
+from importlib import import_module, resources
 from pathlib import Path
 
 import pytest
 
-from turtleact.interfaces import get_interface, known_interfaces, standard
+from turtleact.interfaces import get_interface, known_interfaces, load_interfaces, standard
+from turtleact.interfaces.generator import generate
 from turtleact.interfaces.parse import parse
-from turtleact.interfaces.registry import REGISTRY
-from turtleact.interfaces.standard import parameters, simulation
-from turtleact.interfaces.types import Action, Message, Service, definition
+from turtleact.interfaces.types import REGISTRY, Action, Message, Service, definition
 
 GOLDEN = Path(__file__).parent / "golden"
 FOLDER = Path(standard.__file__).parent
@@ -20,62 +19,97 @@ SHIPPED = sorted(
     for path in FOLDER.rglob("*")
     if path.suffix in {".msg", ".srv", ".action"}
 )
-CLASSES = [
-    getattr(module, name)
-    for module in (standard, parameters, simulation)
-    for name in module.__all__
-]
-IDS = [cls.type_name for cls in CLASSES]
 
 
 def place(type_name: str) -> str:
     return f"{type_name}.{type_name.split('/')[1]}"
 
 
-@pytest.mark.parametrize("cls", CLASSES, ids=IDS)
-def test_a_class_says_what_its_file_says(cls):
-    text = resources.files(standard).joinpath(place(cls.type_name)).read_text()
-    assert definition(cls) == parse(text, cls.type_name)
+def text_of(type_name: str) -> str:
+    return resources.files(standard).joinpath(place(type_name)).read_text()
 
 
-@pytest.mark.parametrize("cls", CLASSES, ids=IDS)
-def test_a_class_is_what_its_name_gives(cls):
-    assert get_interface(cls.type_name) is cls
+def declared(type_name: str) -> type:
+    package, kind, name = type_name.split("/")
+    found: type = getattr(import_module(f"{standard.__name__}.{package}.{kind}"), name)
+    return found
 
 
-def test_a_class_that_is_imported_late_is_what_its_name_gives(monkeypatch):
-    monkeypatch.delitem(sys.modules, parameters.__name__)
-    monkeypatch.setattr(standard, "parameters", parameters)  # put back behind the test
-    for cls in CLASSES:
-        if cls.__module__ == parameters.__name__:
-            REGISTRY.forget(cls.type_name)
-    found = get_interface("rcl_interfaces/msg/Parameter")
-    assert found is sys.modules[parameters.__name__].Parameter
+def test_the_generated_modules_are_those_of_the_files():
+    written = {
+        path.relative_to(FOLDER).as_posix(): path.read_text() for path in FOLDER.glob("*/*.py")
+    }
+    assert written == generate({name: text_of(name) for name in SHIPPED})
+
+
+@pytest.mark.parametrize("type_name", SHIPPED)
+def test_a_class_says_what_its_file_says(type_name):
+    assert definition(declared(type_name)) == parse(text_of(type_name), type_name)
+
+
+@pytest.mark.parametrize("type_name", SHIPPED)
+def test_a_file_says_what_ros_says(type_name):
+    golden = (GOLDEN / place(type_name)).read_text()
+    assert parse(text_of(type_name), type_name) == parse(golden, type_name)
+
+
+@pytest.mark.parametrize("type_name", SHIPPED)
+def test_a_class_is_what_its_name_gives(type_name):
+    assert get_interface(type_name) is declared(type_name)
+
+
+@pytest.mark.parametrize("name", standard.__all__)
+def test_a_shortcut_gives_a_class(name):
+    assert issubclass(getattr(standard, name), Message | Service | Action)
+    assert name in dir(standard)
+
+
+def test_an_unknown_shortcut_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'Fibonaci'"):
+        _ = standard.Fibonaci
+
+
+def test_a_class_that_was_forgotten_is_what_its_name_gives():
+    REGISTRY.forget("rcl_interfaces/msg/Parameter")
+    assert get_interface("rcl_interfaces/msg/Parameter") is standard.Parameter
+
+
+def test_a_users_file_goes_before_a_class_that_ships(tmp_path):
+    file = tmp_path / "geometry_msgs" / "msg" / "Point.msg"
+    file.parent.mkdir(parents=True)
+    file.write_text("float64 x\n")
+    load_interfaces(tmp_path)
+    assert get_interface("geometry_msgs/msg/Vector3") is standard.Vector3
+    assert get_interface("geometry_msgs/msg/Point") is not standard.Point
+
+
+def test_a_users_class_is_not_replaced_by_one_that_ships():
+    code = (
+        "from turtleact.interfaces import Message, get_interface, int32\n"
+        "class Point(Message, type_name='geometry_msgs/msg/Point'):\n"
+        "    x: int32 = 0\n"
+        "from turtleact.interfaces.standard import Twist\n"
+        "assert get_interface('geometry_msgs/msg/Point') is Point\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_no_generated_module_is_imported_before_it_is_needed():
+    code = (
+        "import sys, turtleact.interfaces as _\n"
+        "print(*sorted(n for n in sys.modules if n.startswith('turtleact.interfaces.standard.')))\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    kinds = [name.removeprefix(f"{standard.__name__}.") for name in ran.stdout.split()]
+    assert [name for name in kinds if "." in name] == [
+        "builtin_interfaces.msg",
+        "service_msgs.msg",
+        "unique_identifier_msgs.msg",
+    ]
 
 
 def test_every_file_is_known():
     assert set(SHIPPED) <= set(known_interfaces())
-
-
-@pytest.mark.parametrize("module", [standard, parameters, simulation])
-def test_every_class_is_exported(module):
-    made = {
-        name
-        for name, value in vars(module).items()
-        if inspect.isclass(value) and value.__module__ == module.__name__
-    }
-    assert made == set(module.__all__)
-
-
-@pytest.mark.parametrize("type_name", SHIPPED)
-def test_a_file_is_a_copy_of_ros(type_name):
-    shipped = resources.files(standard).joinpath(place(type_name))
-    assert shipped.read_bytes() == (GOLDEN / place(type_name)).read_bytes()
-
-
-@pytest.mark.parametrize("type_name", SHIPPED)
-def test_a_file_makes_a_class(type_name):
-    assert issubclass(get_interface(type_name), Message | Service | Action)
 
 
 @pytest.mark.parametrize(

@@ -26,8 +26,7 @@ from turtleact.interfaces import (
     type_hash,
 )
 from turtleact.interfaces.definition import INTEGER_RANGES, ArrayForm, FieldType
-from turtleact.interfaces.registry import REGISTRY
-from turtleact.interfaces.types import nested_classes
+from turtleact.interfaces.types import REGISTRY, nested_classes
 
 from .conftest import Ros
 

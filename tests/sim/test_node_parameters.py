@@ -9,8 +9,7 @@ import pytest
 
 from turtleact.clock import EPOCH, VirtualClock
 from turtleact.errors import InvalidOption
-from turtleact.interfaces.standard import Time
-from turtleact.interfaces.standard.parameters import (
+from turtleact.interfaces.standard import (
     DescribeParameters,
     GetParameters,
     GetParameterTypes,
@@ -23,6 +22,7 @@ from turtleact.interfaces.standard.parameters import (
     SetParameters,
     SetParametersAtomically,
     SetParametersResult,
+    Time,
 )
 from turtleact.node import Node, open_node
 from turtleact.sim.node_parameters import Parameters

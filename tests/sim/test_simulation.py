@@ -8,11 +8,11 @@ import pytest
 
 from turtleact.clock import make_clock
 from turtleact.goal import GoalStatus
-from turtleact.interfaces.standard import RotateAbsolute
-from turtleact.interfaces.standard.simulation import (
+from turtleact.interfaces.standard import (
     GetSimulationState,
     GetSimulatorFeatures,
     ResetSimulation,
+    RotateAbsolute,
     SetSimulationState,
     SimulateSteps,
     SimulationResult,

@@ -10,14 +10,14 @@ import pytest
 
 from turtleact.clock import VirtualClock
 from turtleact.goal import GoalStatus
-from turtleact.interfaces.standard import RotateAbsolute
-from turtleact.interfaces.standard.parameters import (
+from turtleact.interfaces.standard import (
     DescribeParameters,
     GetParameters,
     IntegerRange,
     ListParameters,
     Parameter,
     ParameterValue,
+    RotateAbsolute,
     SetParameters,
 )
 from turtleact.sim.canvas import Pen

@@ -10,7 +10,7 @@ import pytest
 import turtleact
 from turtleact.errors import InvalidMessage, ServerUnavailable
 from turtleact.interfaces import get_interface
-from turtleact.interfaces.standard.parameters import GetParameters, ParameterValue, SetParameters
+from turtleact.interfaces.standard import GetParameters, ParameterValue, SetParameters
 from turtleact.sim.node_parameters import Parameters
 from turtleact.web.hub import Hub, Limits
 from turtleact.web.parameters import LONGEST_PARAMETER, MOST_PARAMETERS

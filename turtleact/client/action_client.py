@@ -24,8 +24,7 @@ from turtleact.client.goal_server import GoalServer
 from turtleact.errors import InvalidOption, ServerUnavailable, TurtleactError, UnknownGoal
 from turtleact.goal import OnFeedback
 from turtleact.goal_id import goal_id_bytes
-from turtleact.interfaces import Message
-from turtleact.interfaces.stamps import nanoseconds
+from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.standard import CancelGoal, Time
 from turtleact.names import ActionNames
 from turtleact.transports.base import (

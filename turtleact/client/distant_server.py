@@ -32,8 +32,7 @@ from turtleact.errors import (
 from turtleact.goal import Goal, GoalStatus, OnFeedback, failure, status_of
 from turtleact.goal_id import new_goal_id
 from turtleact.goal_states import State
-from turtleact.interfaces import Message, snapshotter
-from turtleact.interfaces.stamps import SECOND, stamp_of
+from turtleact.interfaces import SECOND, Message, snapshotter, stamp_of
 from turtleact.interfaces.standard import (
     UUID,
     CancelGoal,

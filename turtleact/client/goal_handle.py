@@ -26,8 +26,7 @@ import msgspec
 from turtleact.client.goal_server import GoalServer
 from turtleact.feedback import FeedbackLog
 from turtleact.goal import Goal, GoalStatus, failure
-from turtleact.interfaces import Message
-from turtleact.interfaces.stamps import stamp_of
+from turtleact.interfaces import Message, stamp_of
 from turtleact.interfaces.standard import CancelGoal, Time
 
 __all__ = [

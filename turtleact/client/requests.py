@@ -20,7 +20,7 @@ from turtleact.client.links import Links
 from turtleact.errors import GoalRejected, ServerUnavailable, ServiceTimeout, UnknownGoal
 from turtleact.goal import GoalStatus, status_of
 from turtleact.goal_note import GoalNote
-from turtleact.interfaces.stamps import nanoseconds
+from turtleact.interfaces import nanoseconds
 from turtleact.interfaces.standard import UUID
 from turtleact.transports.base import Asked, Reply
 

@@ -36,8 +36,16 @@ from turtleact.errors import (
     UsageError,
 )
 from turtleact.goal import CancelCode, GoalStatus, status_of
-from turtleact.interfaces import Action, Implied, Message, implied, to_dict
-from turtleact.interfaces.stamps import SECOND, nanoseconds, stamp_of
+from turtleact.interfaces import (
+    SECOND,
+    Action,
+    Implied,
+    Message,
+    implied,
+    nanoseconds,
+    stamp_of,
+    to_dict,
+)
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo, GoalStatusArray
 from turtleact.names import action_names, resolve_name
 from turtleact.transports import QoS

@@ -18,7 +18,7 @@ from turtleact.commands.message_text import read_text_file
 from turtleact.commands.output import note, say_names
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.interfaces import Message
-from turtleact.interfaces.standard.parameters import (
+from turtleact.interfaces.standard import (
     DescribeParameters,
     GetParameters,
     ListParameters,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import re
     from collections.abc import Iterator, Mapping, Sequence
 
-    from turtleact.interfaces.standard.parameters import (
+    from turtleact.interfaces.standard import (
         FloatingPointRange,
         IntegerRange,
         ParameterDescriptor,

@@ -23,9 +23,8 @@ from turtleact.commands.graph_names import names_like, types_by_name
 from turtleact.commands.message_text import yaml_lines
 from turtleact.commands.output import note, printable, say, say_names
 from turtleact.errors import TurtleactError, UsageError
-from turtleact.interfaces import Message, encode, to_dict
+from turtleact.interfaces import Message, encode, nanoseconds, to_dict
 from turtleact.interfaces.definition import ArrayForm, did_you_mean
-from turtleact.interfaces.stamps import nanoseconds
 from turtleact.interfaces.text import flow
 from turtleact.interfaces.types import fields, nested_classes
 from turtleact.names import resolve_name

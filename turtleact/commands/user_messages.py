@@ -16,8 +16,7 @@ from turtleact.commands.graph_names import types_by_name
 from turtleact.commands.message_text import python_text
 from turtleact.commands.output import note, say
 from turtleact.errors import ServerUnavailable, ServiceTimeout, TurtleactError
-from turtleact.interfaces import Message, Service, from_dict, from_text
-from turtleact.interfaces.stamps import stamp_of
+from turtleact.interfaces import Message, Service, from_dict, from_text, stamp_of
 from turtleact.interfaces.text import Document, tree_of
 from turtleact.interfaces.types import fields, nested_classes
 from turtleact.names import resolve_name

@@ -7,18 +7,31 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from turtleact.interfaces.classes import (
+from turtleact.interfaces.classes import Implied, implied
+from turtleact.interfaces.conversion import (
+    SECOND,
+    from_dict,
+    nanoseconds,
+    snapshot,
+    snapshotter,
+    stamp_of,
+    to_dict,
+)
+from turtleact.interfaces.loading import (
+    get_action,
     get_interface,
+    get_message,
+    get_service,
     interface_source,
     interface_text,
     known_interfaces,
+    load_action,
     load_interface,
     load_interfaces,
+    load_message,
+    load_service,
     load_workspace,
 )
-from turtleact.interfaces.copying import snapshot, snapshotter
-from turtleact.interfaces.implying import Implied, implied
-from turtleact.interfaces.mapping import from_dict, to_dict
 from turtleact.interfaces.type_hash import type_hash
 from turtleact.interfaces.types import (
     Action,
@@ -51,6 +64,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "GOAL_ID",
+    "SECOND",
     "Action",
     "FeedbackFormat",
     "Implied",
@@ -69,7 +83,10 @@ __all__ = [
     "float64",
     "from_dict",
     "from_text",
+    "get_action",
     "get_interface",
+    "get_message",
+    "get_service",
     "implied",
     "int8",
     "int16",
@@ -78,11 +95,16 @@ __all__ = [
     "interface_source",
     "interface_text",
     "known_interfaces",
+    "load_action",
     "load_interface",
     "load_interfaces",
+    "load_message",
+    "load_service",
     "load_workspace",
+    "nanoseconds",
     "snapshot",
     "snapshotter",
+    "stamp_of",
     "string",
     "to_dict",
     "to_json",

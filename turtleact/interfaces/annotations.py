@@ -16,7 +16,6 @@ from typing import (
     ForwardRef,
     NamedTuple,
     TypeAlias,
-    TypeGuard,
     cast,
     get_args,
     get_origin,
@@ -32,8 +31,6 @@ if TYPE_CHECKING:
     from types import FrameType
     from typing import Annotated as array
     from typing import Annotated as bounded
-
-    from turtleact.interfaces.types import Message
 
 __all__ = [
     "SCALARS",
@@ -138,7 +135,7 @@ class Reading(NamedTuple):
     """What an annotation says."""
 
     field_type: FieldType
-    nested: type[Message] | None = None
+    nested: type | None = None
     is_bytes: bool = False
 
 
@@ -165,11 +162,11 @@ def read(annotation: object, scope: Scope) -> Reading:
         return Reading(with_form(FieldType("uint8"), limit), is_bytes=True)
     if isinstance(annotation, type) and annotation in PLAIN:
         return Reading(with_limit(FieldType(PLAIN[annotation]), limit))
-    message = message_class(annotation)
-    return Reading(with_limit(FieldType(message.type_name), limit), message)
+    message, type_name = message_class(annotation)
+    return Reading(with_limit(FieldType(type_name), limit), message)
 
 
-def annotation_of(field_type: FieldType, nested: type[Message] | None) -> object:
+def annotation_of(field_type: FieldType, nested: type | None) -> object:
     """The annotation that says this type."""
     annotation = SCALARS[field_type.name] if nested is None else nested
     if field_type.string_bound is not None:
@@ -254,21 +251,23 @@ def with_limit(single: FieldType, limit: Limit | None) -> FieldType:
     return FieldType(single.name, limit.size)
 
 
-def message_class(annotation: object) -> type[Message]:
-    """The annotation, if it is a message class that has a name."""
+def message_class(annotation: object) -> tuple[type, str]:
+    """The annotation, if it is a message class that has a name, and that name."""
     if not is_message_class(annotation):
         raise InvalidInterface(f"{said(annotation)} is no ROS type{hint(annotation)}", source="")
-    if not annotation.type_name:
-        name = annotation.__name__
+    message = cast("type", annotation)
+    type_name: str = message.type_name  # type: ignore[attr-defined]  # a message class has one
+    if not type_name:
+        name = message.__name__
         problem = (
             f"{name} has no type name: say it, as in "
             f'class {name}(Message, type_name="package_name/msg/{name}")'
         )
         raise InvalidInterface(problem, source="")
-    return annotation
+    return message, type_name
 
 
-def is_message_class(annotation: object) -> TypeGuard[type[Message]]:
+def is_message_class(annotation: object) -> bool:
     """Whether this is a message class: it carries a shape."""
     return isinstance(annotation, type) and hasattr(annotation, "_shape")
 

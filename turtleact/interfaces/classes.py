@@ -1,341 +1,283 @@
-"""Definitions and classes, both ways; and finding an interface by its name.
+"""Classes made of definitions, and the types that a service or an action implies.
 
-An interface that no Python class declares is made from its text when it is first asked for: from
-the folders given to ``load_interfaces``, then from the files that ship in ``standard``, then from
-the ROS packages installed where ``load_workspace`` was told. The one module of its row that opens
-files.
+``make_message`` and its siblings do what a class statement would do. They know neither files nor
+what is known already: the caller gives them ``find``, which returns the class of an interface or
+raises ``UnknownInterface``.
+
+ROS 2 sends no goal, result or feedback bare: each travels in a message or service made for its
+action. ``NAME_Event`` is what the introspection of a service sends. ``implied`` and
+``event_message`` build these types on the action's or service's own classes, once, on first use.
+
+Source: ``rosidl_parser/definition.py``, classes ``Action`` and ``Service``.
 """
 
 from __future__ import annotations
 
-from importlib import import_module
-from pathlib import Path
-from typing import TYPE_CHECKING
+import functools
+from typing import TYPE_CHECKING, ClassVar, cast
+
+import msgspec
 
 from turtleact.errors import InvalidInterface, UnknownInterface
-from turtleact.interfaces import standard
+from turtleact.interfaces.annotations import annotation_of
 from turtleact.interfaces.definition import (
-    MessageDefinition,
-    ServiceDefinition,
-    definition_text,
-    nearest,
-    type_name_pattern,
+    ArrayForm,
+    FieldType,
+    check_type_name,
+    parts_of,
 )
-from turtleact.interfaces.implying import owner_and_part, part_of
-from turtleact.interfaces.making import make_action, make_message, make_service
-from turtleact.interfaces.parse import parse
-from turtleact.interfaces.registry import REGISTRY
-from turtleact.interfaces.types import definition
+from turtleact.interfaces.standard.builtin_interfaces.msg import Time
+from turtleact.interfaces.standard.service_msgs.msg import ServiceEventInfo
+from turtleact.interfaces.standard.unique_identifier_msgs.msg import UUID
+from turtleact.interfaces.types import PARTS, Action, Message, MessageMeta, Service, bool_, int8
 
 if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable
+    from collections.abc import Callable, Mapping
 
-    from turtleact.interfaces.definition import Definition
-    from turtleact.interfaces.registry import Interface
+    from turtleact.interfaces.definition import (
+        ActionDefinition,
+        Field,
+        MessageDefinition,
+        ServiceDefinition,
+    )
+    from turtleact.interfaces.types import Interface, field
+
+    Find = Callable[[str], Interface]
+
+    class SendGoal(Service):
+        """What a type checker sees of ``NAME_SendGoal``."""
+
+        class Request(Message):
+            goal_id: UUID = field(default_factory=UUID)
+            goal: Message = field(default_factory=Message)
+
+        class Response(Message):
+            accepted: bool_ = False
+            stamp: Time = field(default_factory=Time)
+
+    class GetResult(Service):
+        """What a type checker sees of ``NAME_GetResult``."""
+
+        class Request(Message):
+            goal_id: UUID = field(default_factory=UUID)
+
+        class Response(Message):
+            status: int8 = 0
+            result: Message = field(default_factory=Message)
+
+    class FeedbackMessage(Message):
+        """What a type checker sees of ``NAME_FeedbackMessage``."""
+
+        goal_id: UUID = field(default_factory=UUID)
+        feedback: Message = field(default_factory=Message)
+
 
 __all__ = [
-    "class_of",
-    "get_interface",
-    "interface_source",
-    "interface_text",
-    "known_interfaces",
-    "load_interface",
-    "load_interfaces",
-    "load_workspace",
+    "Implied",
+    "event_message",
+    "implied",
+    "make_action",
+    "make_message",
+    "make_service",
+    "owner_and_part",
+    "part_of",
 ]
 
-KINDS = ("msg", "srv", "action")
 
-#: Where packages lie in a folder: side by side, in a ROS prefix, or in one of several prefixes.
-LAYOUTS = ("*", "share/*", "*/share/*")
-
-#: Packages whose classes stand in a module that few need: it is imported with the first of them.
-DECLARED = {
-    "rcl_interfaces": "turtleact.interfaces.standard.parameters",
-    "simulation_interfaces": "turtleact.interfaces.standard.simulation",
-}
-
-
-def get_interface(type_name: str) -> Interface:
-    """The class of an interface, by its full name or by ``package/Name``.
-
-    Types that an action or service implies are found too (``NAME_SendGoal_Request``). The same
-    class is given every time, unless another definition takes the name over.
-
-    Raises:
-        UnknownInterface: with the nearest known name.
-        InvalidInterface: if the file that holds it is malformed.
-
-    >>> get_interface("geometry_msgs/msg/Point")(x=1.0)
-    Point(x=1.0, y=0.0, z=0.0)
-    """
-    for name in full_names(type_name):
-        found = look_up(name, ())
-        if found is not None:
-            return found
-    return needed(None, type_name)
+def make_message(
+    definition: MessageDefinition, find: Find, *, part: str = "", whole: str = ""
+) -> type[Message]:
+    """A message class; as a part of a service or action it is named by that."""
+    package, kind, name = definition.type_name.split("/")
+    annotations: dict[str, object] = {}
+    body: dict[str, object] = {
+        "__module__": f"{package}.{kind}",
+        "__qualname__": f"{whole}.{part}" if part else name,
+        "__annotations__": annotations,
+    }
+    for constant in definition.constants:
+        annotations[constant.name] = ClassVar[annotation_of(constant.type, None)]
+        body[constant.name] = constant.value
+    for field in definition.fields:
+        annotations[field.attribute] = annotation_of(field.type, nested(definition, field, find))
+        if field.default is not None:
+            body[field.attribute] = field.default
+    type_name = "" if part else definition.type_name
+    made = MessageMeta(part or name, (Message,), body, type_name=type_name)
+    return cast("type[Message]", made)
 
 
-def load_interface(source: str | Path, *, type_name: str = "") -> Interface:
-    """The class of an interface that stands in a file or in a text.
-
-    Args:
-        source: The path of a .msg, .srv or .action, or the text itself.
-        type_name: The full name; may be left out for a file at ``PACKAGE/KIND/NAME.EXT``.
-
-    Raises:
-        InvalidInterface: with file, line and column.
-
-    >>> Order = load_interface("int32 count 3", type_name="example_msgs/msg/Order")
-    >>> Order()
-    Order(count=3)
-    """
-    path = as_path(source)
-    if path is None:
-        return class_of(parse(str(source), named(type_name, "text")))
-    name = type_name or name_of(path)
-    text = read(path)
-    return class_of(parse(text, named(name, str(path)), source=str(path)))
+def make_service(definition: ServiceDefinition, find: Find) -> type[Service]:
+    """A service class."""
+    return cast("type[Service]", whole_class(definition, Service, ("Request", "Response"), find))
 
 
-def load_interfaces(folder: str | Path) -> tuple[str, ...]:
-    """Makes every ``PACKAGE/KIND/NAME.EXT`` in a folder known, and gives their names.
-
-    The folder holds packages, as ``src`` of a workspace may, or is where ROS packages were
-    installed: a prefix such as ``/opt/ros/jazzy``, with the packages in ``share``, or a folder of
-    prefixes, as colcon's ``install``. A file is read when its interface is first asked for; it
-    goes before one that ships. A class already known under a name stays, if the file says the same.
-
-    Raises:
-        InvalidInterface: if there is no such folder, or a file's name is no interface's name.
-    """
-    root = Path(folder)
-    if not root.is_dir():
-        raise InvalidInterface("no such folder", source=str(folder))
-    found = {named(name_of(path), str(path)): path for path in files_in(root, *LAYOUTS)}
-    REGISTRY.files.update(found)
-    for name, path in found.items():
-        held = REGISTRY.get(name)
-        if held is not None and parse(read(path), name, source=str(path)) != definition(held):
-            REGISTRY.forget(name)
-    return tuple(sorted(found))
+def make_action(definition: ActionDefinition, find: Find) -> type[Action]:
+    """An action class."""
+    return cast(
+        "type[Action]", whole_class(definition, Action, ("Goal", "Result", "Feedback"), find)
+    )
 
 
-def load_workspace(*prefixes: str | Path) -> None:
-    """Makes the interfaces of installed ROS packages known, after those that ship.
-
-    Looks for ``share/PACKAGE/KIND/NAME.EXT`` when an interface is first asked for, not before.
-    A prefix that does not exist is passed over, as ROS does.
-
-    Args:
-        prefixes: What ``AMENT_PREFIX_PATH`` lists; of two with the same interface, the first gives
-            it. An empty text is none.
-    """
-    added = [Path(prefix) for prefix in prefixes if prefix]
-    REGISTRY.prefixes = tuple(dict.fromkeys((*REGISTRY.prefixes, *added)))
-
-
-def known_interfaces() -> tuple[str, ...]:
-    """The names of all interfaces that can be had, without the types that others imply."""
-    names = {*REGISTRY.names(), *REGISTRY.files, *shipped_names(), *installed_names()}
-    return tuple(sorted(name for name in names if owner_and_part(name)[0] not in names))
-
-
-def interface_text(cls: Interface) -> str:
-    """An interface class as the text of a .msg, .srv or .action.
-
-    >>> from turtleact.interfaces.standard import Fibonacci
-    >>> print(interface_text(Fibonacci))
-    int32 order
-    ---
-    int32[] sequence
-    ---
-    int32[] partial_sequence
-    """
-    return definition_text(definition(cls))
-
-
-def interface_source(type_name: str) -> str:
-    """The text of an interface as its author wrote it, where there is a file, else as is implied.
-
-    A file in an installed ROS package goes before the one that ships, if both say the same: it has
-    comments.
-
-    Raises:
-        UnknownInterface: with the nearest known name.
-        InvalidInterface: if a file that holds it is malformed.
-    """
-    cls = get_interface(type_name)
-    said, name = definition(cls), cls.type_name
-    for file in (REGISTRY.files.get(name), installed(name), shipped(name)):
-        text = "" if file is None else read(file)
-        if file is not None and parse(text, name, source=str(file)) == said:
-            return text
-    return definition_text(said)
-
-
-def class_of(definition: Definition) -> Interface:
-    """The class that a definition describes; the one known already, if it says the same.
-
-    Raises:
-        InvalidInterface: if a message in it is unknown, or contains itself.
-    """
-    return build(definition, ())
-
-
-def build(definition: Definition, making: tuple[str, ...]) -> Interface:
-    """Makes a class, and the messages in it.
-
-    Args:
-        definition: What to make.
-        making: The interfaces that are being made around it.
-    """
-
-    def find(type_name: str) -> Interface:
-        return needed(look_up(type_name, (*making, definition.type_name)), type_name)
-
-    made: Interface
-    if isinstance(definition, MessageDefinition):
-        made = make_message(definition, find)
-    elif isinstance(definition, ServiceDefinition):
-        made = make_service(definition, find)
-    else:
-        made = make_action(definition, find)
-    return REGISTRY.get(definition.type_name) or made
-
-
-def look_up(type_name: str, making: tuple[str, ...]) -> Interface | None:
-    """The class of that full name, known, read from its file, or None."""
-    if type_name in making:
-        circle = " in ".join([type_name, *reversed(making[making.index(type_name) :])])
-        raise InvalidInterface(f"a message contains itself: {circle}", source=making[0])
-    owner, part = owner_and_part(type_name)
-    found = part_of(look_up(owner, making), part) if part else None
-    found = found or REGISTRY.get(type_name) or declared(type_name)
-    if found is not None:
-        return found
-    file = REGISTRY.files.get(type_name) or shipped(type_name) or installed(type_name)
-    return None if file is None else build(parse(read(file), type_name, source=str(file)), making)
-
-
-def declared(type_name: str) -> Interface | None:
-    """The class of that full name in a module that is imported once it is needed, or None."""
-    module = DECLARED.get(type_name.partition("/")[0])
-    if module is None:
+def nested(definition: MessageDefinition, field: Field, find: Find) -> type[Message] | None:
+    """The class of the messages in a field; None where it holds primitives."""
+    if not field.type.is_nested:
         return None
-    import_module(module)
-    return REGISTRY.get(type_name)
-
-
-def full_names(type_name: str) -> list[str]:
-    """The full names that a name may stand for."""
-    package, _, name = type_name.partition("/")
-    candidates = [type_name] if "/" in name else [f"{package}/{kind}/{name}" for kind in KINDS]
-    return [name for name in candidates if type_name_pattern.fullmatch(name)]
-
-
-def needed(found: Interface | None, type_name: str) -> Interface:
-    """What was found under a name, if anything was."""
-    if found is None:
-        raise UnknownInterface(type_name, suggestion(type_name))
+    try:
+        found = find(field.type.name)
+    except UnknownInterface as error:
+        problem = f"{field.name}: {error}"
+        raise InvalidInterface(problem, source=definition.type_name) from error
+    if not issubclass(found, Message):
+        problem = f"{field.name}: {field.type.name} is no message"
+        raise InvalidInterface(problem, source=definition.type_name)
     return found
 
 
-def suggestion(type_name: str) -> str:
-    """The known interface that was most likely meant."""
-    known = known_interfaces()
-    ending = f"/{type_name.rpartition('/')[2]}"
-    return next((name for name in known if name.endswith(ending)), "") or nearest(type_name, known)
+def whole_class(
+    definition: ServiceDefinition | ActionDefinition, base: type, names: tuple[str, ...], find: Find
+) -> type:
+    """A class with its parts inside."""
+    package, kind, name = definition.type_name.split("/")
+    body: dict[str, object] = {"__module__": f"{package}.{kind}"}
+    for part, content in zip(names, parts_of(definition), strict=True):
+        body[part] = make_message(content, find, part=part, whole=name)
+    # The metaclass is type, so that type_name reaches __init_subclass__.
+    return type(name, (base,), body, type_name=definition.type_name)
 
 
-def as_path(source: str | Path) -> Path | None:
-    """The path that is meant, or None for a text."""
-    if isinstance(source, Path):
-        return source
-    is_path = "\n" not in source and source.endswith(tuple(f".{kind}" for kind in KINDS))
-    return Path(source) if is_path else None
+class Implied(msgspec.Struct, frozen=True):
+    """The services and the message that an action is sent in.
+
+    Attributes:
+        send_goal: Service: goal id and goal, answered by whether and when it was accepted.
+        get_result: Service: goal id, answered by status and result.
+        feedback_message: Message: goal id and feedback.
+    """
+
+    send_goal: type[SendGoal]
+    get_result: type[GetResult]
+    feedback_message: type[FeedbackMessage]
 
 
-def files_in(root: Path, *layouts: str) -> list[Path]:
-    """The interface files under a folder, where packages lie as these patterns say."""
-    patterns = [f"{packages}/{kind}/*.{kind}" for packages in layouts for kind in KINDS]
-    return [path for pattern in patterns for path in sorted(root.glob(pattern))]
+#: What stands behind an action's name, and the attribute of ``Implied`` that it names.
+WRAPPERS = {
+    "SendGoal": "send_goal",
+    "GetResult": "get_result",
+    "FeedbackMessage": "feedback_message",
+}
+SUFFIXES = frozenset({*PARTS["srv"], *PARTS["action"], *WRAPPERS, "Event"})
 
 
-def name_of(path: Path) -> str:
-    """The full name that a file's place says, or an empty string."""
-    package, kind, _ = ("", "", "", *path.absolute().parts)[-3:]
-    name = f"{package}/{kind}/{path.stem}"
-    return name if type_name_pattern.fullmatch(name) and path.suffix == f".{kind}" else ""
+def implied(action_type: type[Action]) -> Implied:
+    """What this action is sent in, as classes: the same ones every time.
+
+    Raises:
+        InvalidInterface: if the class has no type name.
+
+    >>> from turtleact.interfaces.standard import Fibonacci
+    >>> implied(Fibonacci).send_goal.Request(goal=Fibonacci.Goal(order=5)).goal
+    Goal(order=5)
+    """
+    if action_type._implied is None:
+        action_type._implied = make_implied(action_type)
+    return cast("Implied", action_type._implied)
 
 
-def named(type_name: str, source: str) -> str:
-    """The name, if there is one."""
-    if not type_name:
-        problem = (
-            'say its full name: type_name="package_name/action/InterfaceName" '
-            "(or keep the file at PACKAGE/KIND/NAME.EXT)"
-        )
-        raise InvalidInterface(problem, source=source)
-    return type_name
+def event_message(service: type[Service]) -> type[Message]:
+    """What the introspection of this service sends: ``NAME_Event``, the same class every time.
+
+    Raises:
+        InvalidInterface: if the class has no type name.
+    """
+    # mypy asks the class's instances for a hash, but it is the class that is looked up.
+    return made_event(service)  # type: ignore[arg-type]
 
 
-def read(file: Traversable) -> str:
-    """The text of a file."""
-    try:
-        return file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInterface(f"cannot be read: {error}", source=str(file)) from error
+def owner_and_part(type_name: str) -> tuple[str, str]:
+    """The service or action that a name says implies it, and as what; two empty strings if none.
+
+    >>> owner_and_part("example_interfaces/action/Fibonacci_SendGoal_Request")
+    ('example_interfaces/action/Fibonacci_SendGoal', 'Request')
+    """
+    owner, _, part = type_name.rpartition("_")
+    return (owner, part) if part in SUFFIXES and "/msg/" not in owner else ("", "")
 
 
-def shipped(type_name: str) -> Traversable | None:
-    """The file that ships for an interface, or None."""
+def part_of(owner: Interface | None, part: str) -> Interface | None:
+    """The type that goes by the name of ``owner`` and ``_PART``, or None."""
+    if owner is None or issubclass(owner, Message):
+        return None
+    if issubclass(owner, Service) and part == "Event":
+        return event_message(owner)
+    if issubclass(owner, Action) and part in WRAPPERS:
+        return cast("Interface", getattr(implied(owner), WRAPPERS[part]))
+    own = PARTS["srv" if issubclass(owner, Service) else "action"]
+    return cast("Interface", getattr(owner, part)) if part in own else None
+
+
+def make_implied(action: type[Action]) -> Implied:
+    """Makes the types; fields and their order are ROS's."""
+    check_type_name(action.type_name, kinds=("action",))
+    send_goal = service(
+        f"{action.type_name}_SendGoal",
+        {"goal_id": UUID, "goal": action.Goal},
+        {"accepted": bool_, "stamp": Time},
+    )
+    get_result = service(
+        f"{action.type_name}_GetResult",
+        {"goal_id": UUID},
+        {"status": int8, "result": action.Result},
+    )
+    feedback_message = message(
+        f"{action.type_name}_FeedbackMessage",
+        {"goal_id": UUID, "feedback": action.Feedback},
+    )
+    return Implied(
+        cast("type[SendGoal]", send_goal),
+        cast("type[GetResult]", get_result),
+        cast("type[FeedbackMessage]", feedback_message),
+    )
+
+
+@functools.cache
+def made_event(service: type[Service]) -> type[Message]:
+    """Makes the type; fields and their order are ROS's."""
+    check_type_name(service.type_name)
+    return message(
+        f"{service.type_name}_Event",
+        {
+            "info": ServiceEventInfo,
+            "request": at_most_one(service.Request),
+            "response": at_most_one(service.Response),
+        },
+    )
+
+
+def service(
+    type_name: str, request: Mapping[str, object], response: Mapping[str, object]
+) -> type[Service]:
+    """A service whose parts have these fields."""
+    name, body = naming(type_name)
+    body["Request"] = message(f"{type_name}_Request", request)
+    body["Response"] = message(f"{type_name}_Response", response)
+    # The metaclass is type, so that type_name reaches __init_subclass__.
+    return cast("type[Service]", type(name, (Service,), body, type_name=type_name))
+
+
+def message(type_name: str, annotations: Mapping[str, object]) -> type[Message]:
+    """A message with these fields."""
+    name, body = naming(type_name)
+    body["__annotations__"] = annotations
+    return cast("type[Message]", MessageMeta(name, (Message,), body, type_name=type_name))
+
+
+def at_most_one(part: type[Message]) -> object:
+    """The annotation of a list that holds one such message, or none."""
+    return annotation_of(FieldType(part.type_name, None, ArrayForm.BOUNDED, 1), part)
+
+
+def naming(type_name: str) -> tuple[str, dict[str, object]]:
+    """The name of a class as rosidl gives it, and a class body that says its place."""
     package, kind, name = type_name.split("/")
-    file = shipped_files().joinpath(package, kind, f"{name}.{kind}")
-    return file if is_there(file) else None
-
-
-def shipped_files() -> Traversable:
-    """The folder of the files that ship."""
-    from importlib import resources  # costs a fifth of the package's start
-
-    return resources.files(standard)
-
-
-def shipped_names() -> set[str]:
-    """The names of the interfaces that ship."""
-    root = shipped_files()
-    kinds = [
-        (package.name, kind)
-        for package in root.iterdir()
-        if package.is_dir()
-        for kind in package.iterdir()
-        if kind.name in KINDS
-    ]
-    return {
-        f"{package}/{kind.name}/{file.name.removesuffix(f'.{kind.name}')}"
-        for package, kind in kinds
-        for file in kind.iterdir()
-    }
-
-
-def installed(type_name: str) -> Traversable | None:
-    """The file of an interface in an installed ROS package, or None."""
-    package, kind, name = type_name.split("/")
-    places = [prefix / "share" / package / kind for prefix in REGISTRY.prefixes]
-    files = (place / f"{name}.{kind}" for place in places)
-    return next((file for file in files if is_there(file)), None)
-
-
-def is_there(file: Traversable) -> bool:
-    """Whether a file exists; one whose name is too long for the system does not."""
-    try:
-        return file.is_file()
-    except OSError:
-        return False
-
-
-def installed_names() -> set[str]:
-    """The names of the interfaces of installed ROS packages."""
-    files = [path for prefix in REGISTRY.prefixes for path in files_in(prefix, "share/*")]
-    return {name_of(path) for path in files} - {""}
+    return name, {"__module__": f"{package}.{kind}", "__qualname__": name}

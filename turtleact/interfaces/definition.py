@@ -37,6 +37,7 @@ __all__ = [
     "constant_name_pattern",
     "definition_text",
     "did_you_mean",
+    "is_bytes",
     "nearest",
     "parts_of",
     "type_name_pattern",
@@ -137,6 +138,11 @@ def zero(field_type: FieldType) -> Primitive | tuple[Primitive, ...] | None:
     if not field_type.is_sequence:
         return element
     return (element,) * field_type.size if field_type.form is ArrayForm.FIXED else ()
+
+
+def is_bytes(field_type: FieldType) -> bool:
+    """Whether a class made of a text holds such a field as ``bytes``: a uint8 array, as a UUID."""
+    return field_type.name == "uint8" and field_type.form is ArrayForm.FIXED
 
 
 class Field(msgspec.Struct, frozen=True):

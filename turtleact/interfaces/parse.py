@@ -13,7 +13,7 @@ import contextlib
 import functools
 import math
 import re
-from typing import TYPE_CHECKING, NoReturn, cast
+from typing import TYPE_CHECKING, NamedTuple, NoReturn, cast
 
 import msgspec
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     from turtleact.interfaces.definition import Definition, Primitive
 
-__all__ = ["parse"]
+__all__ = ["Comments", "parse", "read_comments"]
 
 #: The parts of each kind of interface, as their names end.
 PARTS = {
@@ -119,6 +119,107 @@ def parse(text: str, type_name: str, *, source: str = "") -> Definition:
     if kind == "action":
         return ActionDefinition(type_name, *parts)
     return parts[0]
+
+
+class Comments(msgspec.Struct, frozen=True):
+    """The comments on one part of an interface, without their ``#``.
+
+    Attributes:
+        about: The lines at the top, where a blank line sets them off from the first member.
+        first: The lines at the top that stand on the first member, if nothing stands above them:
+            in a .msg of one field they are about the message.
+        members: The lines above and behind each field and constant.
+    """
+
+    about: tuple[str, ...] = ()
+    first: tuple[str, ...] = ()
+    members: dict[str, tuple[str, ...]] = {}
+
+    def of(self, name: str) -> tuple[str, ...]:
+        """The comments on a field or constant."""
+        return self.members.get(name, ())
+
+
+def read_comments(text: str, type_name: str) -> tuple[Comments, ...]:
+    r"""The comments in the text of an interface, one entry a part.
+
+    Args:
+        text: A text that `parse` has taken.
+        type_name: The full name.
+
+    >>> text = "# A place.\nfloat64 x  # in metres"
+    >>> [comments] = read_comments(text, "example_msgs/msg/Place")
+    >>> comments.first, comments.of("x")
+    (('A place.',), ('in metres',))
+    """
+    texts = re.split("\r\n|\n|\r", text.removeprefix("\ufeff"))
+    lines = [Line(type_name, number, text) for number, text in enumerate(texts, 1)]
+    return tuple(map(part_comments, split(lines, len(PARTS[type_name.split("/")[1]]))))
+
+
+class Commented(NamedTuple):
+    """A member, with the comment lines above it and behind it."""
+
+    name: str
+    above: list[str]
+    behind: list[str]
+
+
+def part_comments(lines: list[Line]) -> Comments:
+    """The comments on one part."""
+    entries, left = commented(lines)
+    about, top = set_off(entries[0].above) if entries else ([], [])
+    is_lone = bool(top) and not about and not any(any(entry.above) for entry in entries[1:])
+    members = {entry.name: trimmed([*entry.above, *entry.behind]) for entry in entries}
+    if entries:
+        name, _, behind = entries[0]
+        members[name] = trimmed(behind if is_lone else [*top, *behind])
+    return Comments(trimmed([*about, "", *left]), tuple(top) if is_lone else (), members)
+
+
+def commented(lines: list[Line]) -> tuple[list[Commented], list[str]]:
+    """The members of a part with their comments, and the comment below the last one.
+
+    A comment belongs to the member below it. An indented one goes on with that behind a member.
+    """
+    entries: list[Commented] = []
+    above: list[str] = []
+    is_behind = False
+    for line in lines:
+        code = without_comment(line.text)
+        comment = uncommented(line.text[len(code) :])
+        if code.strip():
+            match = cast("re.Match[str]", member_pattern.fullmatch(code))
+            entries.append(Commented(match["name"], above, [comment] * bool(comment)))
+            above, is_behind = [], bool(comment)
+        elif is_behind and comment and line.text[0].isspace():
+            entries[-1].behind.append(comment)
+        else:
+            above.append(comment)
+            is_behind = False
+    return entries, above
+
+
+def set_off(above: list[str]) -> tuple[list[str], list[str]]:
+    """The lines about the whole part, which a blank line sets off, and those on a member."""
+    blank = max((index for index, line in enumerate(above) if not line), default=-1)
+    return (
+        (above[:blank], above[blank + 1 :])
+        if any(above[: max(blank, 0)])
+        else ([], above[blank + 1 :])
+    )
+
+
+def trimmed(lines: list[str]) -> tuple[str, ...]:
+    """The lines without blank ones at both ends."""
+    text = "\n".join(lines).strip("\n")
+    return tuple(text.split("\n")) if text else ()
+
+
+def uncommented(text: str) -> str:
+    """A comment without its marks; a rule of marks alone is a blank line."""
+    said = text.lstrip("#").expandtabs().rstrip()
+    return "".join(c for c in said.removeprefix(" ") if c.isprintable())
 
 
 def split(lines: list[Line], count: int) -> list[list[Line]]:

@@ -23,9 +23,8 @@ from yaml.reader import Reader, ReaderError
 from yaml.resolver import BaseResolver
 from yaml.scanner import Scanner
 
-from turtleact.interfaces.copying import error_class
+from turtleact.interfaces.conversion import error_class, from_dict, to_dict
 from turtleact.interfaces.definition import INTEGER_RANGES
-from turtleact.interfaces.mapping import from_dict, to_dict
 from turtleact.interfaces.types import Message
 from turtleact.interfaces.values import Spelled, describe
 

@@ -13,12 +13,12 @@ from __future__ import annotations
 import functools
 from typing import TYPE_CHECKING, NamedTuple
 
+from turtleact.interfaces.classes import event_message, implied
 from turtleact.interfaces.definition import ArrayForm, FieldType, check_type_name
-from turtleact.interfaces.implying import event_message, implied
 from turtleact.interfaces.types import Action, Service, fields, nested_classes
 
 if TYPE_CHECKING:
-    from turtleact.interfaces.registry import Interface
+    from turtleact.interfaces.types import Interface
 
 __all__ = ["type_hash"]
 

@@ -1,8 +1,8 @@
 """Message, Service and Action: interfaces as Python classes.
 
-A class statement is a declaration: its annotations say the fields, class constants the constants,
-and what has no default gets the zero of its type. From ``definition`` and ``annotations`` up; knows
-no text, no wire and no file.
+A class statement declares an interface: its annotations are the fields, its ``ClassVar`` values in
+capitals the constants. A field without a default gets the zero of its type. Generated modules
+import from here. Knows no text, no wire format and no file.
 
 >>> class Goal(Message, type_name="example_msgs/msg/Goal"):
 ...     order: int32
@@ -13,12 +13,27 @@ Goal(order=0, name='turtle1')
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import keyword
+import math
 import sys
-from typing import TYPE_CHECKING, Any, ClassVar, cast, dataclass_transform, overload
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    TypeAlias,
+    cast,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    overload,
+)
 
 import msgspec
+from msgspec import field
 
-from turtleact.errors import InvalidInterface
+from turtleact.errors import InvalidInterface, InvalidMessage
 from turtleact.interfaces.annotations import (
     array,
     bool_,
@@ -32,6 +47,9 @@ from turtleact.interfaces.annotations import (
     int32,
     int64,
     is_message_class,
+    read,
+    resolve,
+    scope_of,
     string,
     uint8,
     uint16,
@@ -39,23 +57,38 @@ from turtleact.interfaces.annotations import (
     uint64,
     wstring,
 )
-from turtleact.interfaces.declaration import Shape, read_body
 from turtleact.interfaces.definition import (
     ActionDefinition,
+    ArrayForm,
+    Constant,
+    Definition,
+    Field,
     MessageDefinition,
+    Primitive,
     ServiceDefinition,
     check_type_name,
+    constant_name_pattern,
     did_you_mean,
+    zero,
 )
-from turtleact.interfaces.registry import REGISTRY
+from turtleact.interfaces.values import converter, describe
 
 if TYPE_CHECKING:
-    from turtleact.interfaces.definition import Constant, Definition, Field
+    from collections.abc import Callable, Iterator, Mapping
+    from types import FrameType
+
+    from turtleact.interfaces.annotations import Reading, Scope
+
+    Default = Primitive | tuple[Primitive, ...] | None
 
 __all__ = [
+    "PARTS",
+    "REGISTRY",
     "Action",
+    "Interface",
     "Message",
     "MessageMeta",
+    "Registry",
     "Service",
     "array",
     "bool_",
@@ -64,6 +97,7 @@ __all__ = [
     "char",
     "constants",
     "definition",
+    "field",
     "fields",
     "float32",
     "float64",
@@ -79,6 +113,84 @@ __all__ = [
     "uint64",
     "wstring",
 ]
+
+
+class Shape(msgspec.Struct, frozen=True):
+    """What a message class declares.
+
+    Attributes:
+        type_name: Its full name, empty as long as it has none.
+        fields: Its fields, in order.
+        constants: Its constants, in order.
+        nested: For each field the class of its messages, or None.
+        bytes_fields: Names of the fields declared as ``bytes``.
+    """
+
+    type_name: str = ""
+    fields: tuple[Field, ...] = ()
+    constants: tuple[Constant, ...] = ()
+    nested: tuple[type[Message] | None, ...] = ()
+    bytes_fields: frozenset[str] = frozenset()
+
+
+class Registry:
+    """Interface classes by type name, and where to look for more of them.
+
+    A class statement with a type name announces its class here. Of equal classes the first one
+    stays, so that ``get_interface`` gives the same class every time. A class with other fields
+    replaces it for later look-ups, unless it is one that ships: those never replace a user's.
+
+    Attributes:
+        files: The paths of interface files that `load_interfaces` has found, by type name.
+        prefixes: The folders where ROS packages are installed; the first one wins.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[str, tuple[Interface, Definition]] = {}
+        self.files: dict[str, str] = {}
+        self.prefixes: tuple[str, ...] = ()
+
+    def add(self, interface: Interface, definition: Definition) -> None:
+        """Make a class known."""
+        name = definition.type_name
+        held = self._known.get(name)
+        if held is not None:
+            if held[1] == definition or interface.__module__.startswith(SHIPPED):
+                return
+            self.forget(name)
+        self._known[name] = (interface, definition)
+
+    def get(self, type_name: str) -> Interface | None:
+        """The class of that name, or None."""
+        held = self._known.get(type_name)
+        return None if held is None else held[0]
+
+    def forget(self, type_name: str) -> None:
+        """Drop an interface and the types it implies (``NAME_Goal``, ``NAME_SendGoal`` …)."""
+        for name in [n for n in self._known if n == type_name or n.startswith(f"{type_name}_")]:
+            del self._known[name]
+
+    def names(self) -> list[str]:
+        """The names known so far."""
+        return list(self._known)
+
+    @contextlib.contextmanager
+    def isolated(self) -> Iterator[None]:
+        """Forget at the end of the block what was made known inside it. For tests."""
+        kept = dict(self._known), dict(self.files), self.prefixes
+        try:
+            yield
+        finally:
+            self._known, self.files, self.prefixes = kept
+
+
+#: Where the classes that ship are declared.
+SHIPPED = "turtleact.interfaces.standard."
+
+#: The one registry of the process. It is process-wide because a class statement can announce its
+#: class nowhere else, as a module announces itself in ``sys.modules``. It holds classes, files and
+#: folders only, never anything of a node or an event loop; `Registry.isolated` resets it.
+REGISTRY = Registry()
 
 
 @dataclass_transform(field_specifiers=(msgspec.field,))
@@ -173,6 +285,9 @@ class Service:
         declare(cls, type_name, base=Service, kind="srv")
 
 
+Interface: TypeAlias = type[Message] | type[Service] | type[Action]
+
+
 def fields(cls: type[Message]) -> tuple[Field, ...]:
     """The fields of a message class, in the order in which they are sent."""
     return cls._shape.fields
@@ -245,6 +360,7 @@ def named_part(cls: type[Service] | type[Action], part: str) -> type[Message]:
         setattr(cls, part, message)
     if not is_message_class(message) or message is Message:
         raise InvalidInterface(f"is no message: write class {part}(Message)", source=qualname)
+    message = cast("type[Message]", message)
     if message.type_name not in ("", type_name):
         problem = (
             f"belongs to {message.type_name}: write class {part}(Message) inside {cls.__name__}"
@@ -260,3 +376,150 @@ def check_strays(cls: type, parts: tuple[str, ...]) -> None:
         if is_message_class(member) and name not in parts and member.__name__ == name:
             problem = f"the parts are {', '.join(parts)}{did_you_mean(name, parts)}"
             raise InvalidInterface(problem, source=f"{cls.__qualname__}.{name}")
+
+
+def read_body(namespace: dict[str, object], frame: FrameType, type_name: str) -> Shape:
+    """The shape that a class body declares; gives each field in it a default of its own.
+
+    Args:
+        namespace: The body; a default is put in for every field.
+        frame: Where the class statement stands.
+        type_name: The full name of the class, or an empty string.
+
+    Raises:
+        InvalidInterface: names the class and the member that is wrong.
+    """
+    source = str(namespace["__qualname__"])
+    scope = scope_of(frame, namespace)
+    members: list[tuple[Field, Reading]] = []
+    constants: list[Constant] = []
+    meanings: dict[str, object] = {}
+    for name, annotation in annotations_of(namespace, source).items():
+        with naming(source, name):
+            meaning = meanings[name] = resolve(annotation, scope)
+            if meaning is ClassVar or get_origin(meaning) is ClassVar:
+                constants += read_constant(name, meaning, namespace, scope)
+            else:
+                reading = read(meaning, scope)
+                members.append((read_field(name, reading, namespace), reading))
+    # With the objects in place of the text, signatures and hints work for local classes too.
+    namespace["__annotations__"] = meanings
+    return Shape(
+        type_name,
+        tuple(field for field, _ in members),
+        tuple(constants),
+        tuple(reading.nested for _, reading in members),
+        frozenset(field.name for field, reading in members if reading.is_bytes),
+    )
+
+
+def annotations_of(namespace: Mapping[str, object], source: str) -> Mapping[str, object]:
+    """The annotations in a class body, in order."""
+    found = namespace.get("__annotations__")
+    if found is None and sys.version_info >= (3, 14):  # pragma: no cover  no older one has it
+        import annotationlib
+
+        annotate = annotationlib.get_annotate_from_class_namespace(namespace)
+        if annotate is not None:
+            with naming(source, "__annotate__"):
+                found = annotationlib.call_annotate_function(annotate, annotationlib.Format.VALUE)
+    return found or {}  # type: ignore[return-value]  # a class body holds nothing else there
+
+
+@contextlib.contextmanager
+def naming(source: str, name: str) -> Iterator[None]:
+    """Adds class and member to what is said about an annotation or default."""
+    try:
+        yield
+    except InvalidInterface as inner:
+        raise InvalidInterface(f"{name}: {inner.problem}", source=source) from inner.__cause__
+
+
+def read_constant(
+    name: str, annotation: object, namespace: Mapping[str, object], scope: Scope
+) -> list[Constant]:
+    """The constant that a ClassVar in capitals declares; other ClassVars are Python's own."""
+    if not constant_name_pattern.fullmatch(name):
+        return []
+    reading = read(next(iter(get_args(annotation)), annotation), scope)
+    if name not in namespace:
+        raise InvalidInterface("a constant needs a value", source="")
+    return [
+        Constant(name, reading.field_type, cast("Primitive", as_default(reading, namespace[name])))
+    ]
+
+
+def read_field(name: str, reading: Reading, namespace: dict[str, object]) -> Field:
+    """One field; its default in the class body becomes what msgspec can use."""
+    default: Default = None
+    if name in namespace:
+        default = as_default(reading, given_default(namespace[name]))
+    ros_name = name[:-1] if name.endswith("_") and keyword.iskeyword(name[:-1]) else name
+    field = Field(ros_name, reading.field_type, default)
+    namespace[name] = initial(reading, field.default)
+    return field
+
+
+def given_default(given: object) -> object:
+    """The default that a class body gives, be it bare or in ``msgspec.field``."""
+    if not isinstance(given, FIELD_SPECIFIER):
+        return given
+    value: Any = given  # msgspec does not export its type
+    if value.name is not None or (value.default, value.default_factory) == NOTHING:
+        problem = "msgspec.field is for default and default_factory alone"
+        raise InvalidInterface(problem, source="")
+    return value.default if value.default_factory is msgspec.NODEFAULT else value.default_factory()
+
+
+def as_default(reading: Reading, value: object) -> Default:
+    """A default as a definition holds it."""
+    if reading.nested is not None:
+        check_nested_default(reading, value)
+        return None
+    try:
+        default = converter(reading.field_type)(value)
+    except InvalidMessage as misfit:
+        raise InvalidInterface(f"its default{misfit.path}: {misfit.problem}", source="") from None
+    values = default if isinstance(default, list | bytes) else [default]
+    if any(isinstance(item, float) and not math.isfinite(item) for item in values):
+        raise InvalidInterface(f"its default {describe(value)} is not finite", source="")
+    return tuple(default) if isinstance(default, list | bytes) else cast("Primitive", default)
+
+
+def check_nested_default(reading: Reading, value: object) -> None:
+    """Lets a default message pass that says no more than no default."""
+    if value != zero_message(reading)():
+        problem = "ROS gives messages no default: leave it out, each starts with its own zeros"
+        raise InvalidInterface(problem, source="")
+
+
+def initial(reading: Reading, default: Default) -> object:
+    """What the class body shall hold for a field: a value, or what makes one for each message."""
+    if reading.nested is not None:
+        return msgspec.field(default_factory=zero_message(reading))
+    value = zero(reading.field_type) if default is None else default
+    if not isinstance(value, tuple):
+        return value
+    if reading.is_bytes:
+        return bytes(cast("tuple[int, ...]", value))
+    return msgspec.field(default_factory=functools.partial(list, value) if value else list)
+
+
+def zero_message(reading: Reading) -> Callable[[], object]:
+    """What makes the message, or list of messages, that a field starts with."""
+    nested = cast("Callable[[], object]", reading.nested)
+    if not reading.field_type.is_sequence:
+        return nested
+    if reading.field_type.form is ArrayForm.FIXED:
+        return functools.partial(several, nested, reading.field_type.size)
+    return list
+
+
+def several(make: Callable[[], object], size: int) -> list[object]:
+    """A list of new messages."""
+    return [make() for _ in range(size)]
+
+
+#: The type of what ``msgspec.field`` gives, which msgspec does not export.
+FIELD_SPECIFIER = type(msgspec.field(default=None))
+NOTHING = (msgspec.NODEFAULT, msgspec.NODEFAULT)

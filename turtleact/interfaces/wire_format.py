@@ -10,8 +10,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from turtleact.errors import InvalidMessage
-from turtleact.interfaces.implying import implied
-from turtleact.interfaces.standard import UUID
+from turtleact.interfaces.classes import implied
+from turtleact.interfaces.standard.unique_identifier_msgs.msg import UUID
 from turtleact.interfaces.type_hash import type_hash
 from turtleact.interfaces.types import Action, Message, Service
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import ModuleType
 
-    from turtleact.interfaces.registry import Interface
+    from turtleact.interfaces.types import Interface
 
 __all__ = ["GOAL_ID", "FeedbackFormat", "WireFormat"]
 

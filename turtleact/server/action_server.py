@@ -32,8 +32,7 @@ from turtleact.goal import (
     failure,
 )
 from turtleact.goal_id import new_goal_id
-from turtleact.interfaces import Message
-from turtleact.interfaces.stamps import stamp_of
+from turtleact.interfaces import Message, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
 from turtleact.server.callbacks import Questions
 from turtleact.server.canceling import Canceling

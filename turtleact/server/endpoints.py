@@ -26,8 +26,15 @@ from typing import Any, cast
 from turtleact.errors import GoalRejected
 from turtleact.goal import CancelCode, Goal, GoalStatus
 from turtleact.goal_note import GoalNote
-from turtleact.interfaces import Action, Implied, Message, WireFormat, implied
-from turtleact.interfaces.stamps import nanoseconds, stamp_of
+from turtleact.interfaces import (
+    Action,
+    Implied,
+    Message,
+    WireFormat,
+    implied,
+    nanoseconds,
+    stamp_of,
+)
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
 from turtleact.server.action_server import SHUTDOWN, ActionServer

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
 from turtleact.errors import InvalidTransition
 from turtleact.goal import Goal, GoalStatus
-from turtleact.interfaces import Message
-from turtleact.interfaces.stamps import stamp_of
+from turtleact.interfaces import Message, stamp_of
 from turtleact.interfaces.standard import Time
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import Any
 
 from turtleact.goal import Goal
 from turtleact.goal_states import pack_state, write_states
-from turtleact.interfaces.stamps import SECOND
+from turtleact.interfaces import SECOND
 from turtleact.interfaces.standard import GoalStatusArray, GoalStatusMessage
 from turtleact.server.action_server import ActionServer
 from turtleact.transports.base import Publication

@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from turtleact.errors import InvalidOption
-from turtleact.interfaces.stamps import stamp_of
-from turtleact.interfaces.standard.parameters import (
+from turtleact.interfaces import stamp_of
+from turtleact.interfaces.standard import (
     DescribeParameters,
     GetParameters,
     GetParameterTypes,

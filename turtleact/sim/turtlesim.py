@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Final
 import anyio
 
 from turtleact.errors import InvalidName, SimError
-from turtleact.interfaces.stamps import stamp_of
+from turtleact.interfaces import stamp_of
 from turtleact.interfaces.standard import Empty, Kill, Spawn, TurtlePose
 from turtleact.names import resolve_name
 from turtleact.sim.canvas import Colour

@@ -24,8 +24,7 @@ from msgspec import field
 
 from turtleact.errors import Abort, SimError
 from turtleact.interfaces import Message, Service, float32, string
-from turtleact.interfaces.standard import Time
-from turtleact.interfaces.standard.simulation import (
+from turtleact.interfaces.standard import (
     GetSimulationState,
     GetSimulatorFeatures,
     ResetSimulation,
@@ -35,6 +34,7 @@ from turtleact.interfaces.standard.simulation import (
     SimulationState,
     SimulatorFeatures,
     StepSimulation,
+    Time,
 )
 from turtleact.sim.kinematics import DT
 from turtleact.sim.pictures import Snapshot, to_png, to_svg

@@ -15,7 +15,7 @@ import msgspec
 
 from turtleact.errors import InvalidMessage, TurtleactError
 from turtleact.interfaces import Message, fields, from_dict
-from turtleact.interfaces.standard.parameters import (
+from turtleact.interfaces.standard import (
     GetParameters,
     ListParameters,
     Parameter,

@@ -2,7 +2,7 @@
 
 Plain CDR, version 1: a header of four bytes, then each value at a multiple of its own size, counted
 from the end of the header. Written in little endian with zeros for padding, read in either. One
-encoder and one decoder a class, compiled when it is first used; they know no path, so ``locating``
+encoder and one decoder a class, compiled when it is first used; they know no path, so ``locate``
 looks again at data that they refuse. Knows no endpoint.
 
 Source: OMG, Data-Distribution Service Interoperability 2.2 (RTPS), chapter 10; what ROS 2 makes of
@@ -15,11 +15,10 @@ import struct
 from typing import TYPE_CHECKING, Literal, TypeVar
 
 from turtleact.errors import InvalidMessage, InvalidOption
-from turtleact.interfaces.cdr.decoding import decoder
+from turtleact.interfaces.cdr.decoding import decoder, locate
 from turtleact.interfaces.cdr.encoding import encoder
 from turtleact.interfaces.cdr.layout import BYTE_ORDERS, HEADER
-from turtleact.interfaces.cdr.locating import locate
-from turtleact.interfaces.copying import snapshot
+from turtleact.interfaces.conversion import snapshot
 from turtleact.interfaces.types import Message
 
 if TYPE_CHECKING:

@@ -1,17 +1,27 @@
-"""The checked deep copy of a message, compiled once a class.
+"""Messages to and from plain Python: checked copies, dicts, and times in nanoseconds.
 
-This stands in the way of every goal, feedback and result, so it is generated source: one function
-a class, a few comparisons a field, nothing allocated but the copy. It takes what is exactly of the
-expected Python type; anything else goes to ``values``, which converts it or says what is wrong.
+``snapshot`` stands in the way of every goal, feedback and result. So its function for a class is
+generated source: a few comparisons a field, and nothing is allocated but the copy. It takes values
+of exactly the expected Python type; ``values`` converts all others, or says what is wrong.
+
+Source: builtin_interfaces/msg/Time, for the times.
 """
 
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, TypeVar
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
 from turtleact.errors import InvalidGoal, InvalidMessage
-from turtleact.interfaces.definition import BYTE_TYPES, INTEGER_RANGES, ArrayForm
+from turtleact.interfaces.definition import (
+    BYTE_TYPES,
+    INTEGER_RANGES,
+    ArrayForm,
+    did_you_mean,
+    zero,
+)
+from turtleact.interfaces.standard.builtin_interfaces.msg import Time
 from turtleact.interfaces.types import Message, fields, nested_classes
 from turtleact.interfaces.values import FLOAT32_LIMIT, converter, describe
 
@@ -20,9 +30,22 @@ if TYPE_CHECKING:
 
     from turtleact.interfaces.definition import Field, FieldType
 
-__all__ = ["error_class", "snapshot", "snapshotter"]
+__all__ = [
+    "SECOND",
+    "compiled",
+    "error_class",
+    "from_dict",
+    "nanoseconds",
+    "snapshot",
+    "snapshotter",
+    "stamp_of",
+    "to_dict",
+]
 
 M = TypeVar("M", bound=Message)
+
+SECOND: Final = 1_000_000_000
+"""A second (ns)."""
 
 
 def snapshot(message: M) -> M:
@@ -53,6 +76,52 @@ def snapshotter(cls: type[M], *, root: str = "message") -> Callable[[M], M]:
         root: The first word of the path in errors; ``goal`` makes them ``InvalidGoal``.
     """
     return compiled(cls, root)
+
+
+def to_dict(message: Message) -> dict[str, object]:
+    """A message as a dict of plain values, nested messages too; ``bytes`` stay ``bytes``.
+
+    Raises:
+        InvalidMessage: if a value in the message does not fit its type.
+    """
+    return plain(snapshot(message))
+
+
+def from_dict(cls: type[M], mapping: Mapping[str, object], *, root: str = "message") -> M:
+    """A message of this class, its fields taken by name from a mapping.
+
+    What is left out keeps its default. A nested message may be a mapping or a message.
+
+    Args:
+        cls: The class.
+        mapping: Values by ROS's field names.
+        root: The first word of the path in errors; ``goal`` makes them ``InvalidGoal``.
+
+    Raises:
+        InvalidMessage: with the path of the first value or name that does not fit.
+    """
+    try:
+        return filled(cls, mapping)
+    except InvalidMessage as inner:
+        raise error_class(root)(f"{root}{inner.path}", inner.problem) from None
+
+
+def nanoseconds(stamp: Time) -> int:
+    """A time in ns since the epoch.
+
+    >>> nanoseconds(Time(sec=1, nanosec=2))
+    1000000002
+    """
+    return stamp.sec * SECOND + stamp.nanosec
+
+
+def stamp_of(time: int) -> Time:
+    """What is sent for a time in ns since the epoch.
+
+    >>> stamp_of(1_000_000_002)
+    Time(sec=1, nanosec=2)
+    """
+    return Time(*divmod(time, SECOND))
 
 
 def error_class(root: str) -> type[InvalidMessage]:
@@ -173,3 +242,91 @@ def wrong_length(field_type: FieldType, value: str) -> str:
         return "False"
     sign = "!=" if field_type.form is ArrayForm.FIXED else ">"
     return f"len({value}) {sign} {field_type.size}"
+
+
+class Slot(NamedTuple):
+    """How one field is filled.
+
+    Attributes:
+        attribute: Its name in Python.
+        convert: What makes its value of what the mapping holds.
+        is_bytes: Whether it is declared as ``bytes``.
+    """
+
+    attribute: str
+    convert: Callable[[object], object]
+    is_bytes: bool
+
+
+def plain(message: Message) -> dict[str, object]:
+    """A checked message as a dict."""
+    result: dict[str, object] = {}
+    for field in fields(type(message)):
+        value = getattr(message, field.attribute)
+        if not field.type.is_nested:
+            result[field.name] = value
+        elif field.type.is_sequence:
+            result[field.name] = [plain(item) for item in value]
+        else:
+            result[field.name] = plain(value)
+    return result
+
+
+def filled(cls: type[M], value: object) -> M:
+    """A message made of a mapping, or of a message that says the same."""
+    if isinstance(value, Message):
+        copy: Callable[[Message], M] = compiled(cls, "")
+        return copy(value)
+    if not isinstance(value, Mapping):
+        raise InvalidMessage("", f"expected {example(cls)}, got {describe(value)}")
+    known = slots(cls)
+    arguments: dict[str, object] = {}
+    for name, item in value.items():
+        slot = known.get(name) if isinstance(name, str) else None
+        if slot is None:
+            raise InvalidMessage("", f"unknown field {describe(name)}{instead(cls, name)}")
+        try:
+            content = slot.convert(item)
+        except InvalidMessage as inner:
+            raise InvalidMessage(f".{name}{inner.path}", inner.problem) from None
+        arguments[slot.attribute] = bytes(content) if slot.is_bytes else content  # type: ignore[call-overload]  # ints, as declared
+    return cls(**arguments)
+
+
+@functools.cache
+def slots(cls: type[Message]) -> dict[str, Slot]:
+    """How each field of a class is filled, by its ROS name."""
+    return {
+        field.name: Slot(
+            field.attribute,
+            converter(field.type, None if nested is None else functools.partial(filled, nested)),
+            field.name in cls._shape.bytes_fields,
+        )
+        for field, nested in zip(fields(cls), nested_classes(cls), strict=True)
+    }
+
+
+def example(cls: type[Message]) -> str:
+    """What a mapping for this class looks like, in words."""
+    if not fields(cls):
+        return "{}, for it has no fields"
+    shown = ", ".join(f"{field.name}: {sample(field)}" for field in fields(cls)[:3])
+    return f"fields such as {{{shown}}}"
+
+
+def sample(field: Field) -> str:
+    """What may stand for a field in an example."""
+    if field.type.is_sequence:
+        return "[]"
+    if field.type.is_nested:
+        return "{}"
+    value = zero(field.type)
+    return '""' if value == "" else str(value).lower()
+
+
+def instead(cls: type[Message], name: object) -> str:
+    """What is known in place of an unknown field."""
+    names = [field.name for field in fields(cls)]
+    if not names:
+        return ": there are no fields"
+    return did_you_mean(str(name), names) or f": the fields are {', '.join(names)}"
