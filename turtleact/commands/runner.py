@@ -10,8 +10,10 @@ every task it finds.
 from __future__ import annotations
 
 import asyncio
+import os
 import threading
 from collections.abc import Coroutine
+from pathlib import Path
 from signal import SIGINT, SIGTERM
 from time import monotonic
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -26,6 +28,9 @@ if TYPE_CHECKING:
 __all__ = ["run"]
 
 T = TypeVar("T")
+
+OURS = str(Path(__file__).parents[1]) + os.sep
+"""Where our own modules are."""
 
 GRACE = 2.0
 """How long the tasks, and then the threads, that a command leaves behind have to end (s)."""
@@ -110,19 +115,23 @@ async def _end_the_rest() -> list[str]:
     left = asyncio.all_tasks() - {own}
     for task in left:
         task.cancel()
-    closing = [loop.create_task(loop.shutdown_asyncgens())]
-    await asyncio.wait([*left, *closing], timeout=GRACE)
+    if left:
+        await asyncio.wait(left, timeout=GRACE)
     if stuck := [_described(task) for task in left if not task.done()]:
-        return stuck
-    closing.append(loop.create_task(loop.shutdown_default_executor()))
+        return stuck  # a generator that one of them runs cannot be closed
+    closing = {
+        loop.create_task(loop.shutdown_asyncgens(), name="an asynchronous generator"),
+        loop.create_task(loop.shutdown_default_executor(), name="a thread of the loop's executor"),
+    }
     await asyncio.wait(closing, timeout=GRACE)
-    return [_described(task) for task in closing if not task.done()]
+    return [task.get_name() for task in closing if not task.done()]
 
 
 def _described(task: asyncio.Task[Any]) -> str:
-    """A task, and where it stands."""
+    """A task, and where it stands, if that is in the user's own code."""
     stack = task.get_stack(limit=1)
-    where = f" ({stack[-1].f_code.co_filename}, line {stack[-1].f_lineno})" if stack else ""
+    own = [frame for frame in stack if not frame.f_code.co_filename.startswith(OURS)]
+    where = f" ({own[-1].f_code.co_filename}, line {own[-1].f_lineno})" if own else ""
     return f"task '{task.get_name()}'{where}"
 
 
