@@ -17,6 +17,7 @@ from turtleact.interfaces import Message, Service, decode, get_interface, int32,
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray, Point, Twist, Vector3
 from turtleact.web import Limits
 from turtleact.web.mailbox import MOST_KEPT
+from turtleact.web.rosapi import Rosapi
 
 from ..lab import Count, Gate, Running, count, goal, running, settle
 from .line import Line, bridged, line, websocket_scope
@@ -310,7 +311,7 @@ async def test_a_handler_that_fails_is_told_of(caplog):
 
 async def test_a_bug_in_a_call_ends_no_connection(caplog, monkeypatch):
     async with bridged() as (_, bridge), line(bridge) as client:
-        monkeypatch.setattr(bridge._hub.rosapi, "call", lambda *_: 1 / 0)
+        monkeypatch.setattr(Rosapi, "call", lambda *_: 1 / 0)
         answer = await client.call("/rosapi/topics")
         assert answer["values"] == "ZeroDivisionError: division by zero"
         assert "a call of /rosapi/topics for a web client failed" in caplog.text

@@ -9,7 +9,7 @@ import anyio
 import pytest
 
 from turtleact import Abort, GoalAborted, GoalResponse, Reject, testing
-from turtleact.web import goals
+from turtleact.web import shared
 
 from ..lab import Count, Gate, Running, count, feedback, goal, result, running, settle
 from .line import Line, bridged, line
@@ -139,7 +139,7 @@ def reject_plainly() -> GoalResponse:
 async def test_a_bug_in_following_a_goal_is_told_and_logged(monkeypatch, caplog):
     async with bridged() as (node, bridge), line(bridge) as client:
         node.action_server(Count, "count", count)
-        monkeypatch.setattr(goals, "read_message", lambda *_, **__: 1 / 0)
+        monkeypatch.setattr(shared, "read_message", lambda *_, **__: 1 / 0)
         send(client)
         assert "ZeroDivisionError" in (await client.hear())["values"]
         assert "goal g:1 of a web client cannot be followed" in caplog.text
@@ -161,7 +161,7 @@ async def test_an_id_that_is_in_use_is_refused():
 
 
 async def test_there_is_an_end_to_goals(monkeypatch):
-    monkeypatch.setattr(goals, "MOST", 1)
+    monkeypatch.setattr(shared, "MOST_GOALS", 1)
     gate = Gate()
     async with bridged() as (node, bridge), line(bridge) as client:
         node.action_server(Count, "count", gate.wait)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from turtleact.interfaces.standard import Point
-from turtleact.web.frames import Rendering
+from turtleact.web.conversion import Rendering
 from turtleact.web.mailbox import (
     MOST_DROPPABLE,
     MOST_KEPT,
@@ -146,7 +146,7 @@ def test_a_mailbox_counts_right_whatever_happens(events):
     left = taken(mailbox)
     assert [frame for frame in left if frame in kept] == kept
     assert left == sorted(left, key=lambda frame: int(str(frame)))
-    assert len(mailbox) == mailbox._droppable_bytes == mailbox._kept_bytes == 0
+    assert len(mailbox) == mailbox.size == 0
 
 
 # throttles

@@ -12,8 +12,8 @@ from turtleact.errors import InvalidMessage, ServerUnavailable
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.standard import GetParameters, ParameterValue, SetParameters
 from turtleact.sim.node_parameters import Parameters
-from turtleact.web.hub import Hub, Limits
-from turtleact.web.parameters import LONGEST_PARAMETER, MOST_PARAMETERS
+from turtleact.web.rosapi import LONGEST_PARAMETER, MOST_PARAMETERS
+from turtleact.web.shared import Limits, Shared
 
 SetBool: Any = get_interface("std_srvs/srv/SetBool")
 
@@ -26,9 +26,9 @@ async def node():
 
 @pytest.fixture
 async def rosapi(node):
-    hub = Hub(node, Limits(), cancel_on_disconnect=False)
-    yield hub.rosapi
-    await hub.aclose()
+    shared = Shared(node, Limits(), cancel_on_disconnect=False)
+    yield shared.rosapi
+    await shared.aclose()
 
 
 async def test_a_parameter_is_set_read_and_deleted(rosapi):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from turtleact.web.pool import MOST_IDLE, Pool
+from turtleact.web.shared import MOST_IDLE, Pool
 
 
 class Thing:

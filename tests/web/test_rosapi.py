@@ -11,7 +11,7 @@ from turtleact.errors import InvalidMessage, ServerUnavailable, UnknownInterface
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.standard import Point, Twist
 from turtleact.transports import MemoryTransport
-from turtleact.web.hub import Hub, Limits
+from turtleact.web.shared import Limits, Shared
 
 from ..lab import Count, HandClock, count
 
@@ -31,9 +31,9 @@ async def rosapi():
         robot.subscription(Twist, "/go")
         robot.service(SetBool, "/pen", lambda request: SetBool.Response())
         robot.action_server(Count, "/count", count)
-        hub = Hub(web, Limits(), cancel_on_disconnect=False)
-        yield hub.rosapi
-        await hub.aclose()
+        shared = Shared(web, Limits(), cancel_on_disconnect=False)
+        yield shared.rosapi
+        await shared.aclose()
 
 
 ANSWERS = [

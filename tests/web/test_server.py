@@ -20,8 +20,7 @@ import turtleact
 from turtleact.errors import InvalidOption, TurtleactError
 from turtleact.interfaces import Message, string
 from turtleact.web import Limits, open_web
-from turtleact.web.server import READ_AHEAD, Web, _bound
-from turtleact.web.sockets import Socket
+from turtleact.web.server import READ_AHEAD, Socket, Web, bound
 
 from ..lab import ON_ASYNCIO, ON_TRIO, other_tasks
 
@@ -48,14 +47,14 @@ async def test_a_node_is_served_once_the_block_begins():
 
 
 def test_small_frames_do_not_wait_for_one_another():
-    with _bound("127.0.0.1", 0) as listener, socket.create_connection(listener.getsockname()):
+    with bound("127.0.0.1", 0) as listener, socket.create_connection(listener.getsockname()):
         accepted, _ = listener.accept()
         with accepted:
             assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
 
 
 def test_a_client_that_says_much_is_not_read_far_ahead():
-    with _bound("127.0.0.1", 0) as listener, socket.create_connection(listener.getsockname()):
+    with bound("127.0.0.1", 0) as listener, socket.create_connection(listener.getsockname()):
         accepted, _ = listener.accept()
         with accepted:
             assert accepted.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) <= 2 * READ_AHEAD
@@ -248,7 +247,7 @@ async def test_a_reader_that_never_reads_is_cut_off_and_slows_nobody(caplog, mon
 @ON_ASYNCIO
 @pytest.mark.parametrize("said", [b"", b"GET / HTTP/1.1\r\nHost: loc"])
 async def test_a_client_that_asks_for_nothing_is_let_go(said, monkeypatch):
-    monkeypatch.setattr("turtleact.web.sockets.REQUEST_WITHIN", 0.05)
+    monkeypatch.setattr("turtleact.web.server.REQUEST_WITHIN", 0.05)
     async with (
         turtleact.open_node("lab") as node,
         open_web(node, port=0) as web,
@@ -319,7 +318,7 @@ async def test_an_app_that_fails_is_logged_with_its_traceback(caplog, monkeypatc
 
 @ON_ASYNCIO
 async def test_a_client_that_does_nothing_but_ping_is_let_go(caplog, monkeypatch):
-    monkeypatch.setattr("turtleact.web.sockets.MOST_PINGS", 3)
+    monkeypatch.setattr("turtleact.web.server.MOST_PINGS", 3)
     async with (
         turtleact.open_node("lab") as node,
         open_web(node, port=0) as web,

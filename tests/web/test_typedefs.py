@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from turtleact.interfaces.standard import UUID, GoalStatusMessage, Twist
-from turtleact.web.spelling import action_class, service_class
-from turtleact.web.typedefs import full_text, short_name, typedefs
+from turtleact.web.names import action_class, service_class
+from turtleact.web.rosapi import full_text, short_name, typedefs
 
 
 def test_a_message_is_described_with_the_messages_in_it():

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 try:
     from turtleact.web.bridge import Bridge, Statistics, open_bridge
-    from turtleact.web.hub import Limits
     from turtleact.web.server import PORT, Web, open_web
+    from turtleact.web.shared import Limits
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError(
         f"turtleact.web needs {error.name}: pip install 'turtleact[web]'", name=error.name

@@ -23,9 +23,9 @@ from starlette.websockets import WebSocket
 
 from turtleact.errors import TurtleactError
 from turtleact.node import Node
+from turtleact.web.access import Access
 from turtleact.web.connection import TRY_AGAIN_LATER, Connection
-from turtleact.web.guard import Guard
-from turtleact.web.hub import Hub, Limits
+from turtleact.web.shared import Limits, Shared
 
 __all__ = ["Bridge", "Statistics", "open_bridge"]
 
@@ -73,12 +73,12 @@ class Bridge:
         is_open: Whether it takes connections.
     """
 
-    def __init__(self, hub: Hub, guard: Guard) -> None:
+    def __init__(self, shared: Shared, access: Access) -> None:
         self.is_open = True
-        self._hub = hub
-        self._guard = guard
+        self._shared = shared
+        self._access = access
         self._connections: set[Connection] = set()
-        self._left = hub.tasks.signal()
+        self._left = shared.tasks.signal()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request; what an ASGI server or an app around this one calls."""
@@ -94,7 +94,7 @@ class Bridge:
         boxes = [connection.mailbox for connection in self._connections]
         return Statistics(
             connections=len(boxes),
-            goals=len(self._hub.goals),
+            goals=len(self._shared.goals),
             waiting=sum(map(len, boxes)),
             dropped=sum(box.dropped for box in boxes),
         )
@@ -106,7 +106,7 @@ class Bridge:
         of a goal or a call which is under way, that it will not hear of it.
         """
         self.is_open = False
-        self._hub.goals.leave()
+        self._shared.goals.leave()
         for connection in self._connections:
             connection.close()
         with anyio.CancelScope(shield=True):
@@ -115,7 +115,7 @@ class Bridge:
             for connection in self._connections:
                 connection.let_go("the bridge is closed")
             await self._wait_until_left()
-            await self._hub.aclose()
+            await self._shared.aclose()
 
     async def _wait_until_left(self) -> None:
         while self._connections:
@@ -129,7 +129,7 @@ class Bridge:
             else:
                 await websocket.close(TRY_AGAIN_LATER)
             return
-        connection = Connection(self._hub, websocket)
+        connection = Connection(self._shared, websocket)
         self._connections.add(connection)
         try:
             await connection.run()
@@ -144,14 +144,14 @@ class Bridge:
         problem = self._problem(websocket)
         if problem:
             return _text(403, problem)
-        if not self.is_open or len(self._connections) >= self._hub.limits.connections:
+        if not self.is_open or len(self._connections) >= self._shared.limits.connections:
             return _text(503, f"{len(self._connections)} clients are connected: come back later")
         return None
 
     def _problem(self, asked: HTTPConnection) -> str:
         """Why somebody is not let in; empty if nothing speaks against it."""
         scheme, _, token = asked.headers.get("authorization", "").partition(" ")
-        return self._guard.problem(
+        return self._access.problem(
             host=asked.headers.get("host", ""),
             origin=asked.headers.get("origin"),
             token=token if scheme.lower() == "bearer" else asked.query_params.get("token", ""),
@@ -191,8 +191,8 @@ async def open_bridge(
         limits: How much clients may ask for.
         cancel_on_disconnect: Whether a client that goes takes its goals along.
     """
-    hub = Hub(node, limits or Limits(), cancel_on_disconnect=cancel_on_disconnect)
-    bridge = Bridge(hub, Guard(frozenset(hosts), frozenset(origins), token))
+    shared = Shared(node, limits or Limits(), cancel_on_disconnect=cancel_on_disconnect)
+    bridge = Bridge(shared, Access(frozenset(hosts), frozenset(origins), token))
     try:
         yield bridge
     finally:

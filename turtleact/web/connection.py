@@ -26,15 +26,13 @@ from turtleact.summaries import summary
 from turtleact.topics import Publisher
 from turtleact.transports import QoS
 from turtleact.web import operations
-from turtleact.web.feeds import Deliver, Feed
-from turtleact.web.frames import Frame, Rendering, reply
-from turtleact.web.hub import Hub
+from turtleact.web.conversion import Frame, Rendering, read_message, reply
 from turtleact.web.mailbox import Mailbox, Throttle
+from turtleact.web.names import absolute
 from turtleact.web.operations import CallService, Id
 from turtleact.web.protocol import Adjust, Do, Effect, Open, Protocol, Reader, Say, Shut, Writer
-from turtleact.web.reading import read_message
 from turtleact.web.serving import Serving
-from turtleact.web.spelling import absolute
+from turtleact.web.shared import Deliver, Feed, Shared
 
 __all__ = ["PATIENCE", "TRY_AGAIN_LATER", "Connection"]
 
@@ -57,22 +55,22 @@ class Connection:
     """One client.
 
     Args:
-        hub: What all connections share.
+        shared: What all connections share.
         websocket: The connection, not accepted yet.
 
     Attributes:
         mailbox: What waits to be sent.
     """
 
-    def __init__(self, hub: Hub, websocket: WebSocket) -> None:
+    def __init__(self, shared: Shared, websocket: WebSocket) -> None:
         self.mailbox = Mailbox()
-        self._hub = hub
+        self._shared = shared
         self._websocket = websocket
-        self._protocol = Protocol(hub.limits.opened)
-        self._serving = Serving(hub.node, self.keep)
+        self._protocol = Protocol(shared.limits.opened)
+        self._serving = Serving(shared.node, self.keep)
         self._readers: dict[str, tuple[Throttle, Feed, Deliver]] = {}
         self._writers: dict[str, tuple[type[Message], Publisher[Message]]] = {}
-        self._filled = hub.tasks.signal()
+        self._filled = shared.tasks.signal()
         self._calls: dict[int, CallService] = {}
         self._count = 0
         self._last_size = 0
@@ -90,7 +88,7 @@ class Connection:
                 group.cancel_scope.cancel()
         finally:
             self._group = None
-            self._hub.goals.lose(self)
+            self._shared.goals.lose(self)
             with anyio.CancelScope(shield=True):
                 await self._close_all()
 
@@ -193,12 +191,12 @@ class Connection:
                 return
             text = said.get("text")
             frame = said["bytes"] if text is None else text
-            if len(frame) > self._hub.limits.message_size:
+            if len(frame) > self._shared.limits.message_size:
                 self._say(self._protocol.complain("too long a message"))
             else:
                 for effect in self._protocol.receive(frame):
                     await self._perform(effect)
-            await self._hub.tasks.checkpoint()
+            await self._shared.tasks.checkpoint()
 
     def _say(self, said: list[Effect]) -> None:
         for effect in said:
@@ -246,12 +244,12 @@ class Connection:
                 self._subscribe(what)
             case Writer():
                 topic = absolute(what.key)
-                message_type = self._hub.directory.topic_class(topic, what.type)
+                message_type = self._shared.directory.topic_class(topic, what.type)
                 qos = QoS(
                     depth=what.depth,
                     durability="transient_local" if what.is_latched else "volatile",
                 )
-                publisher = self._hub.node.publisher(message_type, topic, qos)
+                publisher = self._shared.node.publisher(message_type, topic, qos)
                 self._writers[what.key] = (message_type, publisher)
             case operations.AdvertiseService():
                 self._serving.serve_service(what)
@@ -260,12 +258,12 @@ class Connection:
 
     def _subscribe(self, what: Reader) -> None:
         topic = absolute(what.key)
-        message_type = self._hub.directory.topic_class(topic, what.type)
+        message_type = self._shared.directory.topic_class(topic, what.type)
         throttle = Throttle(what.key)
         wanted = what.delivery
         throttle.adjust(wanted.interval, wanted.queue_length, wanted.compression)
         deliver = partial(self._deliver, throttle)
-        feed = self._hub.feeds.join(topic, message_type, deliver)
+        feed = self._shared.feeds.join(topic, message_type, deliver)
         self._readers[what.key] = (throttle, feed, deliver)
 
     def _deliver(self, throttle: Throttle, message: Rendering) -> None:
@@ -280,7 +278,7 @@ class Connection:
     async def _shut(self, kind: str, key: str) -> None:
         if kind == "reader":
             _, feed, deliver = self._readers.pop(key)
-            await self._hub.feeds.leave(feed, deliver)
+            await self._shared.feeds.leave(feed, deliver)
             self.mailbox.forget(key)
         elif kind == "writer":
             await self._writers.pop(key)[1].aclose()
@@ -307,9 +305,9 @@ class Connection:
             case operations.CallService():
                 self._call(operation)
             case operations.SendActionGoal():
-                self._hub.goals.send(operation, self)
+                self._shared.goals.send(operation, self)
             case operations.CancelActionGoal():
-                problem = self._hub.goals.cancel(operation, self)
+                problem = self._shared.goals.cancel(operation, self)
                 if problem:
                     self._complain(problem, operation.id, level="warning")
             case operations.ActionFeedback():
@@ -320,7 +318,7 @@ class Connection:
                     self._complain(problem, operation.id, level="warning")
 
     def _call(self, said: CallService) -> None:
-        if len(self._calls) >= self._hub.limits.calls:
+        if len(self._calls) >= self._shared.limits.calls:
             problem = f"{len(self._calls)} calls are under way: wait for some"
             self.keep(_response(said, problem, is_result=False))
         else:
@@ -331,7 +329,7 @@ class Connection:
     async def _answer(self, number: int, said: CallService) -> None:
         """Call a service, and tell the client what came of it, unless it was told already."""
         try:
-            frame = _response(said, await self._hub.call(said), is_result=True)
+            frame = _response(said, await self._shared.call(said), is_result=True)
         except TurtleactError as error:
             frame = _response(said, str(error), is_result=False)
         except Exception as error:

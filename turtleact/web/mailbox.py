@@ -13,7 +13,7 @@ import itertools
 from collections import deque
 from typing import Final
 
-from turtleact.web.frames import Compression, Frame, Rendering
+from turtleact.web.conversion import Compression, Frame, Rendering
 
 __all__ = ["Mailbox", "Throttle"]
 
@@ -47,6 +47,11 @@ class Mailbox:
 
     def __len__(self) -> int:
         return len(self._kept) + sum(map(len, self._droppable.values()))
+
+    @property
+    def size(self) -> int:
+        """How much waits (bytes of CBOR, characters of JSON)."""
+        return self._kept_bytes + self._droppable_bytes
 
     @property
     def is_overfull(self) -> bool:

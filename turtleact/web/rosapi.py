@@ -1,39 +1,95 @@
-"""rosapi: what clients ask of the graph, and of the interfaces in it.
+"""rosapi: what clients ask of the graph, of its interfaces, and of parameters.
 
-Its services are answered here, for clients of the web alone; they are not on the graph. The names
-of types are those of ROS 2 (``pkg/msg/Name``), the typedefs those of rosapi.
+Its services are answered here, for web clients only; they are not on the graph. Type names are
+those of ROS 2 (``pkg/msg/Name``), typedefs those of rosapi.
 
-Source: rosapi ``rosapi_node.py``, ``proxy.py`` and ``rosapi_msgs``.
+A parameter with a colon in its name, ``/turtlesim:background_b``, belongs to a node, whose services
+are called. Any other belongs to the clients: the bridge keeps it as long as it runs. Values are
+JSON text.
+
+Source: rosapi ``rosapi_node.py``, ``proxy.py``, ``params.py``, ``objectutils.py`` and
+``stringify_field_types.py``, and ``rosapi_msgs``; package ``rcl_interfaces`` of ROS 2 Jazzy.
 """
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
-from typing import Any, Final, TypeAlias, cast
+import logging
+from collections.abc import Awaitable, Callable, Iterator
+from typing import Any, Final, Protocol, TypeAlias, TypeVar, cast
+
+import msgspec
 
 from turtleact.errors import InvalidMessage, ServerUnavailable, TurtleactError
-from turtleact.interfaces import known_interfaces
-from turtleact.interfaces.definition import did_you_mean
+from turtleact.interfaces import Message, fields, from_dict, interface_text, known_interfaces
+from turtleact.interfaces.definition import ArrayForm, Field, did_you_mean
+from turtleact.interfaces.standard import (
+    GetParameters,
+    ListParameters,
+    Parameter,
+    ParameterType,
+    ParameterValue,
+    SetParameters,
+    SetParametersResult,
+)
+from turtleact.interfaces.types import constants, nested_classes
 from turtleact.node import Node
+from turtleact.services import ServiceType
 from turtleact.transports.base import EndpointKind
-from turtleact.web.directory import ALWAYS, SERVICE_KINDS, Directory
-from turtleact.web.parameters import Parameters
-from turtleact.web.spelling import (
+from turtleact.web.names import (
+    ALWAYS,
+    SERVICE_KINDS,
+    Directory,
     absolute,
     action_class,
     message_class,
     service_class,
     type_name,
 )
-from turtleact.web.typedefs import full_text, typedefs
 
-__all__ = ["Rosapi"]
+__all__ = [
+    "LONGEST_PARAMETER",
+    "MOST_PARAMETERS",
+    "Parameters",
+    "Rosapi",
+    "full_text",
+    "short_name",
+    "typedefs",
+]
+
+logger = logging.getLogger("turtleact.web")
 
 Values: TypeAlias = dict[str, Any]
 Answer: TypeAlias = Callable[..., Values | Awaitable[Values]]
 
 DISTRO: Final = "jazzy"
 """The distribution whose interfaces ship."""
+
+Req = TypeVar("Req", bound=Message)
+Res = TypeVar("Res", bound=Message)
+
+LIST: Final = "/list_parameters"
+MOST_PARAMETERS: Final = 1000
+LONGEST_PARAMETER: Final = 2**16
+
+FIELDS: Final = {number: field.name for number, field in enumerate(fields(ParameterValue))}
+"""Which field holds a value, by the numbers of ``ParameterType``."""
+
+KINDS: Final[dict[int, tuple[bool, type]]] = {
+    ParameterType.PARAMETER_BOOL: (False, bool),
+    ParameterType.PARAMETER_INTEGER: (False, int),
+    ParameterType.PARAMETER_DOUBLE: (False, float),
+    ParameterType.PARAMETER_STRING: (False, str),
+    ParameterType.PARAMETER_BOOL_ARRAY: (True, bool),
+    ParameterType.PARAMETER_INTEGER_ARRAY: (True, int),
+    ParameterType.PARAMETER_BYTE_ARRAY: (True, int),
+    ParameterType.PARAMETER_DOUBLE_ARRAY: (True, float),
+    ParameterType.PARAMETER_STRING_ARRAY: (True, str),
+}
+"""Whether a kind of value is a list, and of what; the likelier ones first."""
+
+PROBLEM: Final = "expected true, false, a number, text, or a list of one of these"
+
+RULE = "=" * 80
 
 
 class Rosapi:
@@ -195,6 +251,129 @@ class Rosapi:
         return sorted({endpoint.node for endpoint in self._directory.find(kinds, absolute(name))})
 
 
+class Ask(Protocol):
+    """Calls a service."""
+
+    async def __call__(self, name: str, service_type: ServiceType[Req, Res], request: Req) -> Res:
+        """Call the service of a name and type."""
+
+
+class Parameters:
+    """Gets and sets parameters.
+
+    Args:
+        node: Its graph has the nodes.
+        ask: Calls its services.
+    """
+
+    def __init__(self, node: Node, ask: Ask) -> None:
+        self._node = node
+        self._ask = ask
+        self._own: dict[str, str] = {}
+
+    async def get(self, name: str, default: str) -> Values:
+        """``get_param``."""
+        value = await self._value(name)
+        if value is None:
+            return {"value": default or "null", "successful": bool(default)}
+        return {"value": value, "successful": True}
+
+    async def set(self, name: str, value: str) -> Values:
+        """``set_param``."""
+        if ":" in name:
+            return await self._set_of_node(name, value)
+        if name not in self._own and len(self._own) >= MOST_PARAMETERS:
+            return {"successful": False, "reason": f"{MOST_PARAMETERS} parameters are set: delete"}
+        if len(name) + len(value) > LONGEST_PARAMETER:
+            reason = f"name and value are at most {LONGEST_PARAMETER} characters"
+            return {"successful": False, "reason": reason}
+        self._own[name] = value
+        return {"successful": True, "reason": ""}
+
+    async def has(self, name: str) -> Values:
+        """``has_param``."""
+        return {"exists": await self._value(name) is not None}
+
+    async def delete(self, name: str) -> Values:
+        """``delete_param``."""
+        if await self._value(name) is None:
+            return {"successful": False, "reason": "there is no such parameter"}
+        if ":" in name:
+            return await self._set_of_node(name, "null")
+        del self._own[name]
+        return {"successful": True, "reason": ""}
+
+    async def names(self) -> Values:
+        """``get_param_names``; a node that does not answer is left out."""
+        found = sorted(self._own)
+        for service, types in self._node.graph().services.items():
+            if not service.endswith(LIST) or ListParameters.type_name not in types:
+                continue
+            try:
+                listed = await self._ask(service, ListParameters, ListParameters.Request())
+            except TurtleactError as error:
+                logger.warning("parameters are left out: %s", error)
+            else:
+                node = service.removesuffix(LIST)
+                found += [f"{node}:{name}" for name in listed.result.names]
+        return {"names": found}
+
+    async def _value(self, name: str) -> str | None:
+        """The value of a parameter, as JSON; None if it is not set."""
+        if ":" not in name:
+            return self._own.get(name)
+        held = await self._held(name)
+        if held.type not in FIELDS or held.type == ParameterType.PARAMETER_NOT_SET:
+            return None
+        value = getattr(held, FIELDS[held.type])
+        return msgspec.json.encode(list(value) if isinstance(value, bytes) else value).decode()
+
+    async def _held(self, name: str) -> ParameterValue:
+        """What a node says of its parameter; of no kind if it has none of that name.
+
+        Raises:
+            TurtleactError: if there is no answer.
+        """
+        node, _, parameter = name.partition(":")
+        service = absolute(f"{node}/get_parameters")
+        answer = await self._ask(service, GetParameters, GetParameters.Request([parameter]))
+        return next(iter(answer.values), ParameterValue())
+
+    async def _set_of_node(self, name: str, text: str) -> Values:
+        try:
+            value = msgspec.json.decode(text)
+        except msgspec.DecodeError as error:
+            raise InvalidMessage("args.value", f"expected a value as JSON text: {error}") from None
+        wanted = _as_parameter(value, (await self._held(name)).type)
+        node, _, parameter = name.partition(":")
+        request = SetParameters.Request([Parameter(parameter, wanted)])
+        answer = await self._ask(absolute(f"{node}/set_parameters"), SetParameters, request)
+        result = next(iter(answer.results), SetParametersResult(reason="the node says nothing"))
+        return {"successful": result.successful, "reason": result.reason}
+
+
+def short_name(type_name: str) -> str:
+    """A type's name without its kind.
+
+    >>> short_name("geometry_msgs/msg/Point")
+    'geometry_msgs/Point'
+    """
+    package, _, name = type_name.rpartition("/")
+    return f"{package.partition('/')[0]}/{name}"
+
+
+def typedefs(cls: type[Message]) -> list[dict[str, object]]:
+    """A message and all messages in it, each once, the outermost first."""
+    return [_typedef(each) for each in _with_nested(cls)]
+
+
+def full_text(cls: type[Message]) -> str:
+    """The text of a message, then those of the messages in it."""
+    first, *rest = _with_nested(cls)
+    blocks = [f"{RULE}\nMSG: {short_name(each.type_name)}\n{interface_text(each)}" for each in rest]
+    return "\n".join([interface_text(first), *blocks])
+
+
 NODE_DETAILS: Final[dict[str, EndpointKind]] = {
     "subscribing": "subscription",
     "publishing": "publisher",
@@ -243,3 +422,71 @@ def _action_feedback_details(type: str) -> Values:
 
 def _get_ros_version() -> Values:
     return {"version": 2, "distro": DISTRO}
+
+
+def _as_parameter(value: object, declared: int) -> ParameterValue:
+    """A value as a node takes it; of the kind that it has declared, where JSON leaves that open.
+
+    Raises:
+        InvalidMessage: if no parameter can be that.
+    """
+    if value is None:
+        return ParameterValue()
+    is_list = isinstance(value, list)
+    kinds = {type(each) for each in cast("list[object]", value if is_list else [value])}
+    if kinds == {int, float}:
+        kinds = {float}
+    fitting = [
+        number
+        for number, (is_array, element) in KINDS.items()
+        if is_array == is_list and (kinds <= {element} or (kinds == {int} and element is float))
+    ]
+    if not fitting:
+        raise InvalidMessage("args.value", PROBLEM)
+    kind = declared if declared in fitting else fitting[0]
+    return from_dict(ParameterValue, {"type": kind, FIELDS[kind]: value}, root="args")
+
+
+def _with_nested(cls: type[Message]) -> list[type[Message]]:
+    found: dict[type[Message], None] = {}
+    _collect(cls, found)
+    return list(found)
+
+
+def _collect(cls: type[Message], found: dict[type[Message], None]) -> None:
+    if cls not in found:
+        found[cls] = None
+        for nested in nested_classes(cls):
+            if nested is not None:
+                _collect(nested, found)
+
+
+def _typedef(cls: type[Message]) -> dict[str, object]:
+    known = fields(cls)
+    return {
+        "type": short_name(cls.type_name),
+        "fieldnames": [field.name for field in known],
+        "fieldtypes": list(_field_types(cls)),
+        "fieldarraylen": [_array_length(field) for field in known],
+        "examples": [_example(cls, field) for field in known],
+        "constnames": [constant.name for constant in constants(cls)],
+        "constvalues": [str(constant.value) for constant in constants(cls)],
+    }
+
+
+def _field_types(cls: type[Message]) -> Iterator[str]:
+    for field in fields(cls):
+        yield short_name(field.type.name) if field.type.is_nested else field.type.name
+
+
+def _array_length(field: Field) -> int:
+    """-1 for a single element, 0 for a list of any length, else the length."""
+    if not field.type.is_sequence:
+        return -1
+    return field.type.size if field.type.form is ArrayForm.FIXED else 0
+
+
+def _example(cls: type[Message], field: Field) -> str:
+    if field.type.is_sequence:
+        return "[]"
+    return "{}" if field.type.is_nested else str(getattr(cls(), field.attribute))

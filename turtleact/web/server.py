@@ -1,35 +1,46 @@
 """A node on a port: uvicorn around a bridge, for the length of a block.
 
 uvicorn runs on asyncio, and so does this, uvloop included; on trio a bridge can be mounted into
-whatever serves ASGI there.
+whatever serves ASGI there. uvicorn's protocols trust their clients a little less here:
 
-Source: uvicorn ``server.py``.
+- A client that connects and says nothing, or half a request, is let go, and the number of
+  connections is bounded: otherwise it costs nothing to take all that the process may open.
+- The app can cut off a client that does not read. A client that answers no ping is gone, unless it
+  has much to say: its answer stands in line behind that.
+- A text that is not UTF-8 is the client's mistake: one line in the log, no traceback.
+
+Source: uvicorn ``server.py``, ``h11_impl.py`` and ``websockets_sansio_impl.py``; RFC 6455, section
+8.1.
 """
 
 from __future__ import annotations
 
 import asyncio
 import errno
+import logging
 import secrets
 import socket
 from collections.abc import AsyncIterator, Collection, Iterator
 from contextlib import asynccontextmanager, contextmanager
-from typing import Final
+from typing import Final, cast
 from urllib.parse import quote
 
 import anyio
 import msgspec
 import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from turtleact.errors import InvalidOption, TurtleactError
 from turtleact.node import Node
 from turtleact.tasks import Background
+from turtleact.web.access import is_loopback
 from turtleact.web.bridge import Bridge, open_bridge
-from turtleact.web.guard import is_loopback
-from turtleact.web.hub import Limits
-from turtleact.web.sockets import Http, Socket
+from turtleact.web.shared import Limits
 
-__all__ = ["PORT", "Web", "open_web"]
+__all__ = ["PORT", "READ_AHEAD", "Http", "Socket", "Web", "bound", "open_web"]
+
+logger = logging.getLogger("turtleact.web")
 
 PORT: Final = 9090
 """rosbridge's own port."""
@@ -42,6 +53,12 @@ READ_AHEAD: Final = 2**14
 
 LAST_ORDERS: Final = 2
 """So long uvicorn waits for requests that are still under way when it ends (s)."""
+
+REQUEST_WITHIN: Final = 10.0
+"""So long a client has to say what it wants (s)."""
+
+MOST_PINGS: Final = 100
+"""So often a client may ask in a second whether the server is there."""
 
 
 class Web(msgspec.Struct, frozen=True):
@@ -115,7 +132,7 @@ async def open_web(
         token = "" if is_loopback(host) else secrets.token_urlsafe(16)
     if not token and not is_loopback(host):
         raise InvalidOption("token", f"must not be empty where other machines come in ({host})")
-    with _bound(host, port) as listener:
+    with bound(host, port) as listener:
         async with open_bridge(
             node,
             hosts={host.lower(), *hosts},
@@ -187,8 +204,78 @@ class _Server(uvicorn.Server):
         yield
 
 
+class Http(H11Protocol):
+    """A connection on which a client asks for something, once.
+
+    There are ``limit_concurrency`` of them at most, those that have become a `Socket` among them.
+    """
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as in uvicorn
+        """Take a connection, unless there are too many."""
+        super().connection_made(transport)
+        if self.limit_concurrency is not None and len(self.connections) > self.limit_concurrency:
+            transport.abort()
+        else:
+            self.loop.call_later(REQUEST_WITHIN, self._give_up)
+
+    def _give_up(self) -> None:
+        is_asked: bool = self.cycle is not None or self.transport.get_protocol() is not self
+        if not is_asked:
+            self.transport.abort()
+
+
+class Socket(WebSocketsSansIOProtocol):
+    """A WebSocket."""
+
+    _heard_at = 0.0
+    _pinged_at = 0.0
+    _pings = 0
+
+    async def run_asgi(self) -> None:
+        """Serve the connection."""
+        extensions = cast("dict[str, object]", self.scope["extensions"])
+        extensions["turtleact.abort"] = self.transport.abort
+        await super().run_asgi()
+
+    def data_received(self, data: bytes) -> None:
+        """Read on."""
+        self._heard_at = self.loop.time()
+        super().data_received(data)
+
+    def handle_ping(self) -> None:
+        """Answer a ping; the answers would pile up to a client that does nothing else."""
+        now = self.loop.time()
+        if now - self._pinged_at >= 1.0:
+            self._pinged_at, self._pings = now, 0
+        self._pings += 1
+        if self._pings <= MOST_PINGS:
+            super().handle_ping()
+        elif self._pings == MOST_PINGS + 1:
+            logger.warning("a web client was let go: it sent %d pings in a second", self._pings)
+            self.transport.abort()
+
+    def keepalive_timeout(self) -> None:
+        """End, unless the pong that is missed stands behind what the client says meanwhile."""
+        if self._heard_at > self.ping_sent_at:
+            self.pong_timer = None
+            self.schedule_ping()
+        else:
+            super().keepalive_timeout()
+
+    def send_receive_event_to_app(self) -> None:
+        """Hand a message to the app; a text that is none ends the connection."""
+        is_read = self.curr_msg_data_type == "text" and not self.close_sent
+        if is_read and not _is_text(self.frames):
+            logger.warning("a web client was let go: it sent a text that is not UTF-8")
+            self.frames = []
+            self.conn.send_close(1007)
+            self.handle_parser_exception()
+        else:
+            super().send_receive_event_to_app()
+
+
 @contextmanager
-def _bound(host: str, port: int) -> Iterator[socket.socket]:
+def bound(host: str, port: int) -> Iterator[socket.socket]:
     """A socket that listens on a port.
 
     Raises:
@@ -209,3 +296,11 @@ def _bound(host: str, port: int) -> Iterator[socket.socket]:
         raise InvalidOption("port" if is_port else "host", problem + hint) from None
     with listener:
         yield listener
+
+
+def _is_text(parts: list[bytes]) -> bool:
+    try:
+        b"".join(parts).decode()
+    except UnicodeDecodeError:
+        return False
+    return True

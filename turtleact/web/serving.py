@@ -22,7 +22,8 @@ from turtleact.node import Node
 from turtleact.server import ServerGoalHandle
 from turtleact.services import ServiceType
 from turtleact.tasks import Signal, current_tasks
-from turtleact.web.frames import request
+from turtleact.web.conversion import json_values, read_message, request
+from turtleact.web.names import absolute, action_class, service_class
 from turtleact.web.operations import (
     ActionFeedback,
     ActionResult,
@@ -30,9 +31,6 @@ from turtleact.web.operations import (
     AdvertiseService,
     ServiceResponse,
 )
-from turtleact.web.reading import read_message
-from turtleact.web.spelling import absolute, action_class, service_class
-from turtleact.web.values import json_values
 
 __all__ = ["Serving"]
 

@@ -1,35 +1,60 @@
-"""Messages as JSON and CBOR say them, and back.
+"""Messages and replies as frames, JSON text or CBOR bytes, and clients' values as messages.
 
-What JSON has no word for is bent both ways, as rosbridge does:
+What JSON cannot express is written the way rosbridge does, in both directions:
 
-- ``uint8[]`` and ``char[]`` are base64 text; a list of numbers is taken, too.
-- NaN and infinity are null; null is taken for NaN where a number with a point belongs.
-- A time is ``sec`` and ``nanosec``; ``secs`` and ``nsecs`` are taken, too.
-- A whole number is taken where one with a point belongs: JavaScript writes ``1`` for ``1.0``.
+- ``uint8[]`` and ``char[]`` are base64 text; a list of numbers is accepted, too.
+- NaN and infinity are null; null is read as NaN where a floating-point number belongs.
+- A time is ``sec`` and ``nanosec``; ``secs`` and ``nsecs`` are accepted, too.
+- A whole number is accepted where a floating-point number belongs: JavaScript writes ``1`` for
+  ``1.0``.
 - A list in place of the outermost object gives the fields in their order.
 
-CBOR has bytes, and tags for lists of numbers.
+CBOR has bytes, and tags for lists of numbers. Large values are checked in a thread, so that other
+clients do not wait: a million numbers take seconds.
 
-Source: rosbridge_library ``message_conversion.py`` and ``cbor_conversion.py``; RFC 8746, section 2.
+The server never sends an operation that the client has not asked for, because the libraries fail on
+operations they do not know.
+
+Source: rosbridge_library ``message_conversion.py`` and ``cbor_conversion.py``; RFC 8746, section 2;
+``ROSBRIDGE_PROTOCOL.md`` of rosbridge_suite, version 2; PNG 1.2.
 """
 
 from __future__ import annotations
 
+import base64
 import binascii
 import functools
 import math
+import re
 import struct
+import zlib
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, Final, Literal, TypeAlias, TypeVar, cast
 
 import cbor2
+import msgspec
+from anyio import to_thread
 
 from turtleact.errors import InvalidMessage
-from turtleact.interfaces import Message, fields, from_dict
+from turtleact.interfaces import Message, encode, fields, from_dict
 from turtleact.interfaces.definition import Field
 from turtleact.interfaces.types import nested_classes
+from turtleact.web.operations import Id
 
-__all__ = ["cbor_values", "json_values", "message_from"]
+__all__ = [
+    "COMPRESSIONS",
+    "Compression",
+    "Frame",
+    "Rendering",
+    "cbor_values",
+    "is_large",
+    "json_values",
+    "message_from",
+    "png",
+    "read_message",
+    "reply",
+    "request",
+]
 
 M = TypeVar("M", bound=Message)
 Convert = Callable[[Any], object]
@@ -52,6 +77,73 @@ TYPED_ARRAYS = {
     "float64": (86, "d"),
 }
 """The tag of a list of such numbers, little-endian, and how `struct` writes one of them."""
+
+LARGE: Final = 2000
+"""So many values are checked in a few milliseconds."""
+
+Frame: TypeAlias = str | bytes
+Compression = Literal["none", "png", "cbor", "cbor-raw"]
+
+COMPRESSIONS: tuple[Compression, ...] = ("none", "png", "cbor", "cbor-raw")
+
+ENCODER = msgspec.json.Encoder()
+beyond_ascii = re.compile(r"[^\x00-\x7f]")
+
+
+def request(op: str, **members: object) -> str:
+    """A frame as JSON text, its members in this order."""
+    return ENCODER.encode({"op": op, **members}).decode()
+
+
+def reply(op: str, id: Id, **members: object) -> str:
+    """The same, with the id of what it answers; without, if that had none."""
+    if id is not None:
+        members["id"] = id
+    return request(op, **members)
+
+
+def png(text: str) -> str:
+    """A frame inside a picture: the bytes of its pixels are the text, padded with line breaks.
+
+    Clients decode it byte by byte as Latin-1, so the text inside is ASCII.
+    """
+    data = beyond_ascii.sub(_escaped, text).encode()
+    width = max(1, math.isqrt(len(data) // 3))
+    row = width * 3
+    height = max(1, -(-len(data) // row))
+    data = data.ljust(row * height, b"\n")
+    rows = b"".join(b"\x00" + data[at : at + row] for at in range(0, len(data), row))
+    picture = (
+        b"\x89PNG\r\n\x1a\n"
+        + _chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+        + _chunk(b"IDAT", zlib.compress(rows))
+        + _chunk(b"IEND", b"")
+    )
+    return request("png", data=base64.b64encode(picture).decode())
+
+
+class Rendering:
+    """A topic's message, and the frames made of it; each is made once, for all who want it.
+
+    Args:
+        message: The message.
+        now: The time (ns since the epoch), which ``cbor-raw`` tells.
+    """
+
+    __slots__ = ("_made", "_message", "_now")
+
+    def __init__(self, message: Message, now: int) -> None:
+        self._message = message
+        self._now = now
+        self._made: dict[tuple[Compression, str], Frame] = {}
+
+    def frame(self, compression: Compression, topic: str) -> Frame:
+        """The ``publish`` frame; the topic is spelled as its client has spelled it."""
+        key = (compression, topic)
+        made = self._made.get(key)
+        if made is None:
+            made = self._made[key] = MAKERS[compression](self._message, topic, self._now)
+        return made
 
 
 def json_values(message: Message) -> object:
@@ -92,6 +184,70 @@ def message_from(cls: type[M], values: object, *, root: str) -> M:
         values = {field.name: value for field, value in zip(known, values, strict=False)}
     convert = _reader(cls)
     return from_dict(cls, values if convert is None else convert(values), root=root)  # type: ignore[arg-type]  # it checks that
+
+
+async def read_message(cls: type[M], values: object, *, root: str) -> M:
+    """As `turtleact.web.values.message_from`; others go on while it reads.
+
+    Raises:
+        InvalidMessage: with the path of the first value or name that does not fit.
+    """
+    if is_large(values):
+        return await to_thread.run_sync(functools.partial(message_from, cls, values, root=root))
+    return message_from(cls, values, root=root)
+
+
+def is_large(values: object) -> bool:
+    """Whether there are more than `LARGE` values in objects and lists.
+
+    >>> is_large({"x": [1] * 100}), is_large({"x": {"y": [1] * 3000}})
+    (False, True)
+    """
+    count, waiting = 0, [values]
+    while waiting:
+        each: Any = waiting.pop()
+        inner = each.values() if isinstance(each, dict) else each if isinstance(each, list) else ()
+        count += len(inner)
+        if count > LARGE:
+            return True
+        waiting.extend(inner)
+    return False
+
+
+def _json(message: Message, topic: str, _now: int) -> Frame:
+    return request("publish", topic=topic, msg=json_values(message))
+
+
+def _png(message: Message, topic: str, _now: int) -> Frame:
+    return png(request("publish", topic=topic, msg=json_values(message)))
+
+
+def _cbor(message: Message, topic: str, _now: int) -> Frame:
+    return cbor2.dumps({"op": "publish", "topic": topic, "msg": cbor_values(message)})
+
+
+def _cbor_raw(message: Message, topic: str, now: int) -> Frame:
+    seconds, nanoseconds = divmod(now, 1_000_000_000)
+    content = {"secs": seconds, "nsecs": nanoseconds, "bytes": encode(message)}
+    return cbor2.dumps({"op": "publish", "topic": topic, "msg": content})
+
+
+MAKERS: dict[Compression, Callable[[Message, str, int], Frame]] = {
+    "none": _json,
+    "png": _png,
+    "cbor": _cbor,
+    "cbor-raw": _cbor_raw,
+}
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def _escaped(found: re.Match[str]) -> str:
+    """A character as JSON escapes it, in UTF-16."""
+    units = struct.unpack(">2H", found[0].encode("utf-16-be").rjust(4, b"\x00"))
+    return "".join(f"\\u{unit:04x}" for unit in cast("tuple[int, ...]", units) if unit)
 
 
 # out

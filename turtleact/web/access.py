@@ -17,10 +17,10 @@ from urllib.parse import urlsplit
 
 import msgspec
 
-__all__ = ["Guard", "is_loopback"]
+__all__ = ["Access", "is_loopback"]
 
 
-class Guard(msgspec.Struct, frozen=True):
+class Access(msgspec.Struct, frozen=True):
     """What a request must show.
 
     Attributes:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from turtleact.web.guard import Guard, is_loopback
+from turtleact.web.access import Access, is_loopback
 
-OPEN = Guard()
-NAMED = Guard(frozenset({"robot.example"}), frozenset({"https://console.example", "null"}))
+OPEN = Access()
+NAMED = Access(frozenset({"robot.example"}), frozenset({"https://console.example", "null"}))
 
 
 @pytest.mark.parametrize(
@@ -69,12 +69,12 @@ def test_pages_that_were_allowed_come_in(origin):
 
 @pytest.mark.parametrize("token", ["", "Secret", "secret ", "sécret"])
 def test_a_wrong_token_is_refused(token):
-    guard = Guard(token="secret")
-    assert "the token is wrong" in guard.problem(host="localhost", origin=None, token=token)
+    access = Access(token="secret")
+    assert "the token is wrong" in access.problem(host="localhost", origin=None, token=token)
 
 
 def test_the_right_token_comes_in():
-    assert Guard(token="secret").problem(host="localhost", origin=None, token="secret") == ""
+    assert Access(token="secret").problem(host="localhost", origin=None, token="secret") == ""
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.5", "::", "robot", ""])

@@ -1,0 +1,450 @@
+"""What all clients of a bridge share: the node, the topics they read, their goals and services.
+
+- A topic is subscribed to once, however many clients read it, and each frame is made once
+  (`Feeds`). Only a latched topic is subscribed to anew for each client: otherwise a late one would
+  not get what the publishers keep.
+- Clients of services and actions are kept open for the next web client (`Pool`).
+- Each goal is followed to its end (`Goals`). It goes on when its client disconnects, unless the
+  bridge is told otherwise: clients come and go during a goal, and cancel it from another
+  connection. Web clients choose the ids of their goals themselves, so two may choose the same: a
+  cancel means the client's own goal of that id, otherwise the only goal of that id that anybody
+  has sent. A cancel that comes before the server has accepted the goal is remembered.
+
+Source: rosbridge_library ``capabilities/action_*.py``; its issues 1003, 1013, 1139 and 1152.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import AsyncIterator, Callable, Hashable
+from contextlib import asynccontextmanager
+from typing import Any, Final, Generic, Protocol, TypeAlias, TypeVar, cast
+
+import msgspec
+
+from turtleact.body import ActionType
+from turtleact.client import ActionClient, ClientGoalHandle
+from turtleact.errors import GoalRejected, ServerUnavailable, TurtleactError
+from turtleact.goal_id import new_goal_id
+from turtleact.interfaces import Message
+from turtleact.node import Node
+from turtleact.services import ServiceClient, ServiceType
+from turtleact.summaries import summary
+from turtleact.tasks import Background, current_tasks
+from turtleact.topics import Subscription
+from turtleact.transports import QoS
+from turtleact.web.conversion import Rendering, json_values, read_message, reply
+from turtleact.web.names import Directory, absolute, action_class
+from turtleact.web.operations import CallService, CancelActionGoal, Id, SendActionGoal
+from turtleact.web.rosapi import Parameters, Rosapi
+
+__all__ = [
+    "MOST_IDLE",
+    "Deliver",
+    "Feed",
+    "Feeds",
+    "Goals",
+    "Limits",
+    "Pool",
+    "Shared",
+    "Teller",
+]
+
+logger = logging.getLogger("turtleact.web")
+
+Req = TypeVar("Req", bound=Message)
+Res = TypeVar("Res", bound=Message)
+
+ANSWER: Final = 5.0
+"""So long a node has to tell of its parameters (s)."""
+
+Deliver: TypeAlias = Callable[[Rendering], None]
+
+DEPTH = 32
+"""So many messages are kept for the one task that hands them to all clients."""
+
+MOST_IDLE: Final = 64
+"""So many that nobody uses are kept; to open one is to be announced on the graph."""
+
+MOST_GOALS: Final = 1024
+"""So many goals are followed at once, those of disconnected clients among them."""
+
+NO_SERVER: Final = "No action server available"
+CLOSING: Final = "The server is closing: there will be no word of this goal"
+REJECTED: Final = "Action goal was rejected"
+
+
+class Limits(msgspec.Struct, frozen=True):
+    """How much clients may ask for.
+
+    Attributes:
+        connections: How many may be connected.
+        opened: Subscriptions, advertisements, services and actions of one client.
+        calls: Service calls of one client that are under way.
+        message_size: Longest message that a client may send (bytes).
+    """
+
+    connections: int = 100
+    opened: int = 256
+    calls: int = 256
+    message_size: int = 10_000_000
+
+
+class Shared:
+    """What the connections share.
+
+    Args:
+        node: What is served.
+        limits: How much clients may ask for.
+        cancel_on_disconnect: Whether a client that goes takes its goals along.
+    """
+
+    def __init__(self, node: Node, limits: Limits, *, cancel_on_disconnect: bool) -> None:
+        self.node = node
+        self.limits = limits
+        self.tasks = current_tasks()
+        self.directory = Directory(node.transport)
+        self.feeds = Feeds(node, self.directory)
+        self.goals = Goals(node, cancel_on_disconnect=cancel_on_disconnect)
+        self.rosapi = Rosapi(node, self.directory, Parameters(node, self._ask))
+        self._clients: Pool[tuple[str, Any], ServiceClient[Message, Message]] = Pool(
+            lambda key: node.service_client(key[1], key[0])
+        )
+
+    async def call(self, said: CallService) -> object:
+        """Call a service, of rosapi or of the graph, and give the values of its response.
+
+        Raises:
+            TurtleactError: if there is no response.
+        """
+        values = await self.rosapi.call(said.service, said.args)
+        if values is not None:
+            return values
+        name = absolute(said.service)
+        service_type = self.directory.service_class(name, said.type or "")
+        request = await read_message(service_type.Request, said.args, root="args")
+        timeout = said.timeout if said.timeout is not None and said.timeout > 0 else None
+        return json_values(
+            await self._ask(
+                name, cast("ServiceType[Message, Message]", service_type), request, timeout
+            )
+        )
+
+    async def _ask(
+        self,
+        name: str,
+        service_type: ServiceType[Req, Res],
+        request: Req,
+        timeout: float | None = ANSWER,
+    ) -> Res:
+        async with self._clients.use((name, service_type)) as client:
+            return cast("Res", await client.call(request, timeout))
+
+    async def aclose(self) -> None:
+        """Close all that was opened."""
+        await self.goals.aclose()
+        await self._clients.aclose()
+
+
+class Feed:
+    """A topic, and those who read it.
+
+    Args:
+        subscription: Its messages.
+        reader: The first of them; what has come already is delivered to it at once.
+        now: The time (ns since the epoch).
+
+    Attributes:
+        readers: All of them.
+    """
+
+    def __init__(
+        self, subscription: Subscription[Message], reader: Deliver, now: Callable[[], int]
+    ) -> None:
+        self.readers: list[Deliver] = [reader]
+        self._subscription = subscription
+        self._now = now
+        self._reading = Background(self._read(), f"a reader of {subscription.topic}")
+
+    async def aclose(self) -> None:
+        """Leave the topic."""
+        await self._subscription.aclose()
+        await self._reading.aclose()
+
+    async def _read(self) -> None:
+        async for message in self._subscription:
+            rendering = Rendering(message, self._now())
+            for deliver in tuple(self.readers):
+                deliver(rendering)
+
+
+class Feeds:
+    """The topics that are read.
+
+    Args:
+        node: Where they are subscribed to.
+        directory: Says which of them are latched.
+    """
+
+    def __init__(self, node: Node, directory: Directory) -> None:
+        self._node = node
+        self._directory = directory
+        self._shared: dict[tuple[str, type[Message]], Feed] = {}
+
+    def join(self, topic: str, message_type: type[Message], deliver: Deliver) -> Feed:
+        """Have a topic's messages delivered; what the publishers keep of a latched one, too.
+
+        Raises:
+            TurtleactError: if the node is closed.
+        """
+        key = (topic, message_type)
+        is_latched = self._directory.is_latched(topic)
+        feed = None if is_latched else self._shared.get(key)
+        if feed is not None:
+            feed.readers.append(deliver)
+            return feed
+        qos = QoS(depth=DEPTH, durability="transient_local" if is_latched else "volatile")
+        subscription = self._node.subscription(message_type, topic, qos)
+        feed = Feed(subscription, deliver, self._node.clock.now)
+        if not is_latched:
+            self._shared[key] = feed
+        return feed
+
+    async def leave(self, feed: Feed, deliver: Deliver) -> None:
+        """Deliver no more; the last one closes the feed."""
+        feed.readers.remove(deliver)
+        if not feed.readers:
+            self._shared = {key: each for key, each in self._shared.items() if each is not feed}
+            await feed.aclose()
+
+
+class Closing(Protocol):
+    """What a pool holds."""
+
+    async def aclose(self) -> None:
+        """Leave the graph."""
+
+
+K = TypeVar("K", bound=Hashable)
+C = TypeVar("C", bound=Closing)
+
+
+class Pool(Generic[K, C]):
+    """Things that are opened once for all who use them.
+
+    Args:
+        open: Opens the thing of a key.
+    """
+
+    def __init__(self, open: Callable[[K], C]) -> None:
+        self._open = open
+        self._held: dict[K, C] = {}  # the one used last stands last
+        self._users: dict[K, int] = {}
+
+    @asynccontextmanager
+    async def use(self, key: K) -> AsyncIterator[C]:
+        """The thing of a key, which stays open for the length of the block at least."""
+        held = self._held.pop(key, None)
+        if held is None:
+            held = self._open(key)
+        self._held[key] = held
+        self._users[key] = self._users.get(key, 0) + 1
+        try:
+            yield held
+        finally:
+            self._users[key] -= 1
+            if not self._users[key]:
+                del self._users[key]
+                await self._tidy()
+
+    async def aclose(self) -> None:
+        """Close all."""
+        held, self._held = self._held, {}
+        for each in held.values():
+            await each.aclose()
+
+    async def _tidy(self) -> None:
+        """Close the one that nobody has used for longest, if there are too many."""
+        idle = [key for key in self._held if key not in self._users]
+        if len(idle) > MOST_IDLE:
+            await self._held.pop(idle[0]).aclose()
+
+
+class Teller(Protocol):
+    """Whom the frames of a goal go to."""
+
+    def keep(self, frame: str) -> None:
+        """Send what must arrive."""
+
+    def put(self, source: str, frame: str) -> None:
+        """Send what newer frames of its source may push out."""
+
+
+Client = ActionClient[Message, Message, Message]
+
+
+class Goals:
+    """All goals of a bridge.
+
+    Args:
+        node: Sends them.
+        cancel_on_disconnect: Whether a client that goes takes its goals along.
+    """
+
+    def __init__(self, node: Node, *, cancel_on_disconnect: bool = False) -> None:
+        self._cancel_on_disconnect = cancel_on_disconnect
+        self._clients: Pool[tuple[str, Any], Client] = Pool(
+            lambda key: node.action_client(key[1], key[0])
+        )
+        self._sent: dict[int, _Sent] = {}
+        self._count = 0
+
+    def __len__(self) -> int:
+        return len(self._sent)
+
+    def send(self, said: SendActionGoal, teller: Teller) -> None:
+        """Send a goal and tell of it, its end in any case."""
+        if said.id is not None and self._own(said.id, teller) is not None:
+            _tell_failure(said, teller, f"a goal of the id '{said.id}' is under way: say another")
+        elif len(self._sent) >= MOST_GOALS:
+            _tell_failure(said, teller, f"{len(self._sent)} goals are under way: wait for some")
+        else:
+            self._count += 1
+            sent = self._sent[self._count] = _Sent(self._count, said, teller)
+            sent.following = Background(self._follow(sent), f"goal {said.id} of a web client")
+
+    def cancel(self, said: CancelActionGoal, teller: Teller) -> str:
+        """Cancel a goal; what is wrong, if something is."""
+        sent = self._own(said.id, teller)
+        if sent is None:
+            found = [each for each in self._sent.values() if each.said.id == said.id]
+            if len(found) != 1:
+                many = f"{len(found)} clients have sent" if found else "nobody has sent"
+                return f"{many} a goal of the id '{said.id}' that is under way"
+            sent = found[0]
+        sent.cancel()
+        return ""
+
+    def lose(self, teller: Teller) -> None:
+        """Tell somebody no more, who has gone."""
+        for sent in self._sent.values():
+            if sent.teller is teller:
+                sent.teller = None
+                if self._cancel_on_disconnect:
+                    sent.cancel()
+
+    def leave(self) -> None:
+        """Tell all who wait for a goal that they will not hear of its end."""
+        for sent in self._sent.values():
+            sent.fail(CLOSING)
+            sent.is_over = True
+
+    async def aclose(self) -> None:
+        """Follow no goal any more; they go on."""
+        for sent in list(self._sent.values()):
+            await sent.following.aclose()
+        await self._clients.aclose()
+
+    def _own(self, id: Id, teller: Teller) -> _Sent | None:
+        for sent in self._sent.values():
+            if sent.said.id == id and sent.teller is teller:
+                return sent
+        return None
+
+    async def _follow(self, sent: _Sent) -> None:
+        try:
+            await self._run(sent)
+        except GoalRejected as rejected:
+            sent.fail(f"{REJECTED}: {rejected.reason}" if rejected.reason else REJECTED)
+        except ServerUnavailable as error:
+            is_usual = error.problem == "no server answers"
+            sent.fail(NO_SERVER if is_usual else f"{NO_SERVER}: {error.problem}")
+        except TurtleactError as error:
+            sent.fail(str(error))
+        except Exception as error:
+            logger.exception("goal %s of a web client cannot be followed", sent.said.id)
+            sent.fail(f"the goal cannot be followed: {summary(error)}")
+        finally:
+            del self._sent[sent.number]
+
+    async def _run(self, sent: _Sent) -> None:
+        said = sent.said
+        name, action_type = absolute(said.action), action_class(said.action_type)
+        goal = await read_message(action_type.Goal, said.args, root="goal")
+        key = (name, cast("ActionType[Message, Message, Message]", action_type))
+        on_feedback = sent.tell_feedback if said.feedback else None
+        async with (
+            self._clients.use(key) as client,
+            client.send_goal(goal, goal_id=sent.goal_id, feedback_callback=on_feedback) as handle,
+        ):
+            handle.detach()
+            sent.accept(handle)
+            outcome = await handle.outcome()
+            sent.tell("action_result", outcome.result, status=int(outcome.status), result=True)
+
+
+class _Sent:
+    """One goal.
+
+    Attributes:
+        number: Tells it from all others of the bridge.
+        said: What its client has said.
+        teller: Its client; None once that has gone.
+        goal_id: Its 16 bytes.
+        following: The task that follows it.
+        is_over: Whether its client was told that there is nothing more to tell.
+    """
+
+    following: Background
+
+    def __init__(self, number: int, said: SendActionGoal, teller: Teller) -> None:
+        self.number = number
+        self.said = said
+        self.teller: Teller | None = teller
+        self.goal_id = new_goal_id()
+        self.is_over = False
+        self._handle: ClientGoalHandle[Message, Message] | None = None
+        self._is_canceled = False
+
+    def accept(self, handle: ClientGoalHandle[Message, Message]) -> None:
+        """Note that the server has taken it; it may be unwanted by now."""
+        self._handle = handle
+        if self._is_canceled:
+            handle.cancel_nowait()
+
+    def cancel(self) -> None:
+        """Cancel it as soon as it is accepted."""
+        self._is_canceled = True
+        if self._handle is not None:
+            self._handle.cancel_nowait()
+
+    def tell_feedback(self, feedback: Message) -> None:
+        """Tell its client of feedback."""
+        self.tell("action_feedback", feedback)
+
+    def tell(self, op: str, message: Message, **members: object) -> None:
+        """Tell its client something, if that is still there."""
+        if self.teller is None or self.is_over:
+            return
+        frame = reply(
+            op,
+            self.said.id,
+            action=self.said.action,
+            values=json_values(message),
+            **members,
+            goal_id=self.goal_id.hex(),
+        )
+        if op == "action_feedback":
+            self.teller.put(f"goal {self.number}", frame)
+        else:
+            self.teller.keep(frame)
+
+    def fail(self, problem: str) -> None:
+        """Tell its client that there is no result."""
+        if self.teller is not None and not self.is_over:
+            _tell_failure(self.said, self.teller, problem)
+
+
+def _tell_failure(said: SendActionGoal, teller: Teller, problem: str) -> None:
+    members = {"action": said.action, "values": problem, "status": 0, "result": False}
+    teller.keep(reply("action_result", said.id, **members))
