@@ -1,7 +1,7 @@
 """Two sides act at nearly the same moment, in every order: one legal history, and all are answered.
 
-Each race is run many times over. Before it acts, each side lets others run a number of times, which
-is drawn anew; so each of the two is the first at times, and at times in the middle of the other.
+Each race is run many times over. Before it acts, each side lets others run for a number of turns. All
+pairs of numbers occur, so that either side comes first, last, or in the middle of the other.
 """
 
 from __future__ import annotations
@@ -41,8 +41,9 @@ from .lab import (
     take_turns,
 )
 
-REPEATS = 500
 MOST_TURNS = 8
+ROUNDS = 2
+REPEATS = ROUNDS * MOST_TURNS**2
 ACCEPTED, CANCELING = GoalStatus.ACCEPTED, GoalStatus.CANCELING
 SUCCEEDED, CANCELED, ABORTED = GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED
 Send: TypeAlias = Callable[..., Awaitable[Outcome[Count.Result]]]
@@ -51,10 +52,10 @@ LEGAL = {(old, new) for (old, _), new in TRANSITIONS.items()}
 
 
 def interleavings() -> Iterator[tuple[int, int]]:
-    """How many turns each side takes before it acts, time and again."""
-    random = Random(2)
-    for _ in range(REPEATS):
-        yield random.randrange(MOST_TURNS), random.randrange(MOST_TURNS)
+    """How many turns each side takes before it acts: each pair of numbers, in random order."""
+    pairs = list(itertools.product(range(MOST_TURNS), repeat=2)) * ROUNDS
+    Random(2).shuffle(pairs)
+    yield from pairs
 
 
 async def turns(number: int) -> None:
