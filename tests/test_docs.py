@@ -41,7 +41,10 @@ MODULES = [
 ]
 
 INSTALL = "python3 -m venv .venv && .venv/bin/pip install . && .venv/bin/turtleact send-goal patrol"
-TEST = 'python3 -m venv .venv && .venv/bin/pip install -e ".[test]" && .venv/bin/pytest'
+TEST = (
+    'python3 -m venv .venv && .venv/bin/pip install -e ".[test]" && '
+    ".venv/bin/pytest -n auto --dist worksteal"
+)
 
 FENCE = re.compile(
     r"(?:^<!-- (?P<mark>[^\n]*?) -->\n+)?^```(?P<language>\w*)[^\n]*\n(?P<text>.*?)^```$",

@@ -1,7 +1,7 @@
 """Two sides act at nearly the same moment, in every order: one legal history, and all are answered.
 
-Each race is run many times over. Before it acts, each side lets others run for a number of turns. All
-pairs of numbers occur, so that either side comes first, last, or in the middle of the other.
+Each race is run many times over. Before it acts, each side lets others run for a number of turns.
+All pairs of numbers occur, so that either side comes first, last, or in the middle of the other.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ LEGAL = {(old, new) for (old, _), new in TRANSITIONS.items()}
 
 def interleavings() -> Iterator[tuple[int, int]]:
     """How many turns each side takes before it acts: each pair of numbers, in random order."""
-    pairs = list(itertools.product(range(MOST_TURNS), repeat=2)) * ROUNDS
+    numbers = range(MOST_TURNS)
+    pairs = list(itertools.product(numbers, numbers)) * ROUNDS
     Random(2).shuffle(pairs)
     yield from pairs
 
