@@ -24,7 +24,10 @@ from typing import NamedTuple
 
 FOLDERS = ("turtleact", "tests", "benchmarks", "examples", "scripts")
 
-ALLOWED: set[tuple[str, str]] = set()
+ALLOWED: set[tuple[str, str]] = {
+    # A function of the public C API, which Zenoh's threads call once each.
+    ("turtleact/transports/rmw_zenoh/session.py", "pythonapi"),
+}
 """A file, and a private name that it may read. Each needs a fallback, and a test of that."""
 
 DOCUMENTED = {

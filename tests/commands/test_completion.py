@@ -19,8 +19,7 @@ from turtleact.interfaces import get_interface, type_hash
 from turtleact.testing import run
 from turtleact.transports import QoS
 from turtleact.transports.base import Endpoint, EndpointKind
-from turtleact.transports.rmw_zenoh.discovery import Graph
-from turtleact.transports.rmw_zenoh.keys import endpoint_token, node_token
+from turtleact.transports.rmw_zenoh.keys import Graph, endpoint_token, node_token
 
 ON_THE_GRAPH: list[tuple[EndpointKind, str, str]] = [
     ("publisher", "/turtle1/pose", "turtlesim/msg/Pose"),

@@ -27,7 +27,6 @@ from turtleact.interfaces.parse import parse
 from turtleact.interfaces.types import REGISTRY, Action, Message, Service
 from turtleact.names import action_names, resolve_name, validate_name, validate_node_name
 from turtleact.transports.rmw_zenoh.attachment import gid_in, read_attachment, write_attachment
-from turtleact.transports.rmw_zenoh.failures import error_said, said
 from turtleact.transports.rmw_zenoh.keys import (
     data_key,
     endpoint_token,
@@ -35,6 +34,7 @@ from turtleact.transports.rmw_zenoh.keys import (
     node_token,
     parse_token,
 )
+from turtleact.transports.rmw_zenoh.services import error_said, said
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -18,7 +18,7 @@ import pytest
 from turtleact import open_node
 from turtleact.interfaces.standard import Twist
 from turtleact.transports import open_zenoh
-from turtleact.transports.rmw_zenoh.census import census
+from turtleact.transports.rmw_zenoh.session import census
 
 PATIENCE = 60.0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from contextlib import asynccontextmanager
 
 import pytest
@@ -71,12 +72,19 @@ async def test_two_transports_are_two_graphs():
 
 async def test_what_was_opened_and_closed_leaves_nothing_behind():
     transport = MemoryTransport()
-    for number in range(3):
-        for opened in [open_it(transport, of_kind(kind, f"/it{number}")) for kind in KINDS]:
-            opened.close()
-        transport.enter(f"/lab{number}").close()
-    tables = (transport._topics, transport._handlers, transport._endpoints, transport._nodes)
-    assert tables == ({}, {}, {}, {})
+
+    def open_and_close(numbers: range) -> int:
+        """Open and close things of as many names, and count the objects that there are then."""
+        for number in numbers:
+            for opened in [open_it(transport, of_kind(kind, f"/it{number}")) for kind in KINDS]:
+                opened.close()
+            transport.enter(f"/lab{number}").close()
+        gc.collect()
+        return len(gc.get_objects())
+
+    before = open_and_close(range(10))
+    assert open_and_close(range(10, 1000)) - before < 100
+    assert (transport.endpoints(), transport.nodes()) == ((), ())
 
 
 def test_its_time_is_the_walls_unless_it_is_given_another():

@@ -19,7 +19,6 @@ import anyio.to_thread
 import msgspec
 import pytest
 import zenoh
-from zenoh.handlers import Callback
 
 import turtleact
 from turtleact.clock import VirtualClock
@@ -44,11 +43,11 @@ from turtleact.interfaces import (
 from turtleact.interfaces.standard import UUID, CancelGoal, Fibonacci, GoalStatusArray
 from turtleact.transports import QoS, ZenohTransport, open_zenoh
 from turtleact.transports.base import Endpoint, Reply, Target
-from turtleact.transports.rmw_zenoh import asking, calls
+from turtleact.transports.rmw_zenoh import services
 from turtleact.transports.rmw_zenoh.attachment import read_attachment, write_attachment
-from turtleact.transports.rmw_zenoh.calls import WireCaller
 from turtleact.transports.rmw_zenoh.config import session_config
 from turtleact.transports.rmw_zenoh.keys import data_key, endpoint_token, gid_of
+from turtleact.transports.rmw_zenoh.services import WireCaller
 from turtleact.transports.rmw_zenoh.session import Declared, Publisher, Query, Session
 from turtleact.transports.rmw_zenoh.topics import WirePublication
 
@@ -111,8 +110,8 @@ class Greeting:
     publisher: Publisher
 
     def __init__(self, sender: ZenohTransport, receiver: ZenohTransport) -> None:
-        self._sender = sender._link
-        self._receiver = receiver._link
+        self._sender = sender.context
+        self._receiver = receiver.context
         self._ready = anyio.Event()
         self._arrived = anyio.Event()
 
@@ -146,23 +145,23 @@ class Greeting:
 
 def has_news(transport: ZenohTransport) -> bool:
     """Whether a state of it is yet to be sent."""
-    publications = [each for each in transport._link.opened if isinstance(each, WirePublication)]
-    return any(each._is_stale for each in publications)
+    publications = [each for each in transport.context.opened if isinstance(each, WirePublication)]
+    return any(each.is_stale for each in publications)
 
 
 def is_up_to_date(transport: ZenohTransport) -> bool:
     """Whether its endpoints have heard what Zenoh knows of their peers."""
-    for each in transport._link.opened:
+    for each in transport.context.opened:
         endpoint: Any = each
-        if endpoint._presence.is_asleep:
+        if endpoint.presence.is_asleep:
             continue
-        if isinstance(each, WirePublication) and not each._is_latched:
-            zenohs, ours = endpoint._publisher._publisher, each._is_read
+        if isinstance(each, WirePublication) and not each.is_latched:
+            zenohs, ours = endpoint.publisher, each.is_read
         elif isinstance(each, WireCaller):
-            zenohs, ours = endpoint._querier._querier, each._is_matching
+            zenohs, ours = endpoint.querier, each.is_matching
         else:
             continue
-        if zenohs.matching_status.matching != ours:
+        if zenohs.is_matching != ours:
             return False
     return True
 
@@ -290,7 +289,7 @@ async def until(transport: ZenohTransport, is_so: Any) -> None:
 
 
 async def until_read(publication: Any) -> None:
-    while not publication._is_read:
+    while not publication.is_read:
         await anyio.sleep(0)
 
 
@@ -392,6 +391,21 @@ async def test_a_request_that_cannot_be_read_is_answered_so(
     assert "service /add: a request cannot be read" in caplog.text
 
 
+async def test_a_flood_of_requests_that_cannot_be_read_fills_no_log(address, caplog):
+    async with beside(address) as (transport, other):
+        transport.serve(service(), SERVING, Adder())
+        for number in range(20):
+            beside_it = write_attachment(number, 0, GID)
+            await anyio.to_thread.run_sync(other.ask, ADD_KEY, b"", beside_it)
+        assert len(other.errors) == 20
+    about = "service /add: a request cannot be read: "
+    assert len(caplog.messages) == 4
+    assert (
+        caplog.messages[-1]
+        == f"{about}17 more such warnings in 10 s from the peer of gid {GID.hex()}"
+    )
+
+
 async def test_a_thread_that_brings_messages_stays_with_python(address):
     """A state made anew for each call would hold nothing of the one before."""
     fresh, state, last = [], threading.local(), threading.Event()
@@ -452,7 +466,7 @@ async def test_a_server_of_ros_is_called(address):
     [
         (lambda query: query.reply(b"?", b""), ServiceError, "its response cannot be read"),
         (lambda query: query.fail("no room", ""), ServiceError, "service '/add': no room"),
-        (lambda query: query._query.drop(), ServerUnavailable, "the server went away before"),
+        (lambda query: query.drop(), ServerUnavailable, "the server went away before"),
     ],
     ids=["bytes", "error", "nothing"],
 )
@@ -478,7 +492,7 @@ async def test_a_server_of_ros_that_is_there_and_answers_nothing_may_have_droppe
         await until(transport, lambda: caller.is_served and len(transport.endpoints()) == 2)
         async with running(lambda: caller.call(numbers())) as called:
             await anyio.to_thread.run_sync(other.came.wait, 10)
-            other.queries[0]._query.drop()
+            other.queries[0].drop()
         assert isinstance(called.error, ServerUnavailable)
         assert called.error.problem == "the server went away before there was an answer"
         assert called.error.otherwise == "dropped the request: ROS 2 keeps 10 that wait"
@@ -536,7 +550,7 @@ async def test_definitions_that_differ_are_named(address):
 
 
 async def test_a_server_that_is_announced_and_cannot_be_reached_is_given_up(address, monkeypatch):
-    monkeypatch.setattr(calls, "GRACE", 0.05)
+    monkeypatch.setattr(services, "GRACE", 0.05)
     async with beside(address) as (transport, other):
         caller = transport.join(client(), ASKING)
         announced = msgspec.structs.replace(service(), type_hash=SERVING.type_hash)
@@ -794,14 +808,14 @@ async def test_a_latched_source_on_demand_is_asked_for_nothing_before_somebody_e
         publication.refresh()
         await peers.settle()
         assert source.times == 0
-        assert peers.here._link.crew._running == {}
+        assert peers.here.context.crew.running == {}
 
 
 async def test_nothing_is_asked_of_zenoh_for_what_is_on_demand_and_not_wanted(address, monkeypatch):
     async with two(address) as peers:
         with monkeypatch.context() as patched:
             posted: list[object] = []
-            patched.setattr(peers.here._link.outbox, "post", posted.append)
+            patched.setattr(peers.here.context.outbox, "post", posted.append)
             peers.here.advertise(shy(publisher()), SPEECH).close()
             peers.here.subscribe(shy(subscription()), SPEECH, Inbox().deliver).close()
             peers.here.serve(shy(service()), SERVING, Adder()).close()
@@ -816,11 +830,11 @@ async def test_what_is_on_demand_and_closed_leaves_nothing_behind(address):
         ]
         for each in opened:
             each.close()
-        assert peers.here._link.asleep == {}
+        assert peers.here.context.asleep == {}
         peers.there.subscribe(subscription(), SPEECH, Inbox().deliver).close()
         await peers.settle()
         assert peers.there.endpoints() == ()
-        assert not peers.here._link.sought
+        assert not peers.here.context.sought
 
 
 # --- many, and slow ones ----------------------------------------------------------------------
@@ -848,7 +862,7 @@ async def test_who_publishes_more_than_goes_out_can_wait(address):
         peers.there.subscribe(subscription(), SPEECH, Inbox().deliver)
         publication = peers.here.advertise(publisher(), SPEECH)
         await peers.settle()
-        peers.here._link.outbox.post(gate.wait)  # as a reader that takes nothing does
+        peers.here.context.outbox.post(gate.wait)  # as a reader that takes nothing does
         while not publication.is_congested:
             publication.publish(feedback(*range(1000)))
         async with running(publication.drained) as waiting:
@@ -874,7 +888,7 @@ async def test_what_waits_behind_a_message_that_cannot_be_sent_is_sent(
         publication = peers.here.advertise(publisher(), SPEECH)
         await peers.settle()
         monkeypatch.setattr(Publisher, "put", fail_once)
-        peers.here._link.outbox.post(gate.wait)
+        peers.here.context.outbox.post(gate.wait)
         for number in range(4):
             publication.publish(feedback(number))
         gate.set()
@@ -913,7 +927,7 @@ async def test_what_is_sent_between_two_messages_keeps_its_place(address, monkey
         publication = peers.here.advertise(publisher(), SPEECH)
         await peers.settle()
         monkeypatch.setattr(Publisher, "put", note)
-        outbox = peers.here._link.outbox
+        outbox = peers.here.context.outbox
         outbox.post(gate.wait)
         publication.publish(feedback(1))
         outbox.post(lambda: seen.append("a reply"))
@@ -987,15 +1001,15 @@ async def test_replies_that_come_with_the_news_that_their_server_has_gone_are_al
             call = caller.ask(numbers(number))
             call.tell(lambda call=call: taken.append(call.take().message))
             # as in a thread of Zenoh; the loop hears of it behind the news
-            call._replied(SERVING.encode(Sum.Response(total=number)), b"")
-        (token,) = peers.there._graph._tokens
-        peers.there._gone(token)
+            call.replied(SERVING.encode(Sum.Response(total=number)), b"")
+        (token,) = peers.there.graph.tokens
+        peers.there.token_gone(token)
         await settle()
         assert sorted(each.total for each in taken) == [1, 2]
 
 
 async def test_a_call_of_a_closed_client_ends_when_its_server_has_gone(address, monkeypatch):
-    monkeypatch.setattr(asking, "LOST", 0.0)
+    monkeypatch.setattr(services, "LOST", 0.0)
     async with two(address) as peers:
         peers.here.serve(service(), SERVING, Adder(gate=anyio.Event()))
         caller = peers.there.join(client(), ASKING)
@@ -1003,8 +1017,8 @@ async def test_a_call_of_a_closed_client_ends_when_its_server_has_gone(address, 
         async with running(lambda: caller.call(numbers(1))) as called:
             await peers.settle()
             caller.close()
-            (token,) = peers.there._graph._tokens
-            peers.there._gone(token)  # and Zenoh says nothing of the call
+            (token,) = peers.there.graph.tokens
+            peers.there.token_gone(token)  # and Zenoh says nothing of the call
             await called.done.wait()
         assert isinstance(called.error, ServerUnavailable)
 
@@ -1052,7 +1066,7 @@ async def test_closing_a_publisher_ends_the_waiting_for_it(address):
         peers.there.subscribe(subscription(), SPEECH, Inbox().deliver)
         publication = peers.here.advertise(publisher(), SPEECH)
         await peers.settle()
-        peers.here._link.outbox.post(gate.wait)
+        peers.here.context.outbox.post(gate.wait)
         while not publication.is_congested:
             publication.publish(feedback(*range(1000)))
         async with running(publication.drained) as waiting:
@@ -1065,14 +1079,14 @@ async def test_closing_a_publisher_ends_the_waiting_for_it(address):
 async def test_who_publishes_without_end_loses_the_oldest(
     address, reliability, caplog, monkeypatch
 ):
-    monkeypatch.setattr("turtleact.transports.rmw_zenoh.boxes.CAPACITY", 100_000)
+    monkeypatch.setattr("turtleact.transports.rmw_zenoh.topics.CAPACITY", 100_000)
     gate, qos = threading.Event(), QoS(depth=3, reliability=reliability)
     async with two(address) as peers:
         inbox = Inbox()
         peers.there.subscribe(subscription(qos=qos), SPEECH, inbox.deliver)
         publication = peers.here.advertise(publisher(qos=qos), SPEECH)
         await peers.settle()
-        peers.here._link.outbox.post(gate.wait)
+        peers.here.context.outbox.post(gate.wait)
         for number in range(1_000):
             publication.publish(feedback(number))
         gate.set()
@@ -1143,10 +1157,10 @@ async def test_a_closed_transport_takes_nothing_more(address):
 
 
 async def test_waiting_for_a_graph_ends_when_its_transport_is_closed(address, monkeypatch):
-    monkeypatch.setattr("turtleact.transports.rmw_zenoh.boxes.GRACE", 0.05)
+    monkeypatch.setattr("turtleact.transports.rmw_zenoh.context.GRACE", 0.05)
     gate = threading.Event()
     async with open_zenoh([], listen=[address]) as transport:
-        transport._link.outbox.post(lambda: gate.wait())  # as a peer does that takes nothing
+        transport.context.outbox.post(lambda: gate.wait())  # as a peer does that takes nothing
         async with running(transport.flush) as flushing, running(transport.explore) as exploring:
             await settle()
             await transport.aclose()
@@ -1181,11 +1195,11 @@ async def test_an_error_in_its_block_closes_a_transport(address):
     with pytest.raises(LookupError):
         async with open_zenoh([], listen=[address]) as transport:
             raise LookupError
-    assert not transport._link.is_open
+    assert not transport.context.is_open
 
 
 async def test_a_handler_that_never_ends_does_not_keep_a_transport_open(address, monkeypatch):
-    monkeypatch.setattr("turtleact.transports.rmw_zenoh.link.GRACE", 0.01)
+    monkeypatch.setattr("turtleact.transports.rmw_zenoh.context.GRACE", 0.01)
 
     class Stubborn(Adder):
         async def reply(self, request: Any, caller: bytes) -> Any:
@@ -1685,27 +1699,36 @@ async def test_the_second_goal_is_sent_with_the_request_for_its_result_and_takes
 
 async def test_a_goal_may_take_longer_than_zenoh_waits(address, monkeypatch):
     monkeypatch.setattr("turtleact.transports.rmw_zenoh.session.PATIENCE", 0.1)
-    gate, asked = Gate(), []
-    async with (
-        two(address) as (here, there, _),
-        turtleact.open_node("robot", transport=here) as robot,
-        turtleact.open_node("guest", transport=there) as guest,
-    ):
-        server = robot.action_server(Count, "count", gate.wait)
-        assert server.endpoints is not None
-        wait = server.endpoints._wait
+    gate, asked = Gate(), list[bytes]()
 
-        async def count_and_wait(request: Any, caller: bytes) -> Any:
+    class Counting:
+        """Counts the requests for results; the third one opens the gate."""
+
+        def __init__(self, handler: Any) -> None:
+            self._handler = handler
+
+        async def reply(self, request: object, caller: bytes) -> Any:
             asked.append(caller)
             if len(asked) == 3:
                 gate.opened.set()
-            return await wait(request, caller)
+            return await self._handler.reply(request, caller)
 
-        monkeypatch.setattr(server.endpoints._get_result, "_handle", count_and_wait)
-        action_client = guest.action_client(Count, "count")
-        assert await action_client.wait_for_server(5)
-        assert await action_client.send_goal(goal(7)) == result(7)
-        assert len(asked) >= 3
+    def serve(endpoint: Endpoint, format: Any, handler: object) -> Any:
+        is_counted = endpoint.name.endswith("get_result")
+        return offer(endpoint, format, Counting(handler) if is_counted else handler)
+
+    async with two(address) as (here, there, _):
+        offer = here.serve
+        monkeypatch.setattr(here, "serve", serve)
+        async with (
+            turtleact.open_node("robot", transport=here) as robot,
+            turtleact.open_node("guest", transport=there) as guest,
+        ):
+            robot.action_server(Count, "count", gate.wait)
+            action_client = guest.action_client(Count, "count")
+            assert await action_client.wait_for_server(5)
+            assert await action_client.send_goal(goal(7)) == result(7)
+            assert len(asked) >= 3
 
 
 async def test_a_call_that_takes_longer_is_told(address, monkeypatch):
@@ -1737,13 +1760,13 @@ async def test_a_token_that_dies_while_it_is_told_of_is_not_in_the_graph(address
     async with two(address) as (here, there, settle):
         there.enter("/ghost")
         await settle()
-        (ghost,) = here._graph._tokens
+        (ghost,) = here.graph.tokens
 
         def tell_late(key):
-            here._link.inbox.push(lambda: here._gone(ghost))
+            here.context.inbox.push(lambda: here.token_gone(ghost))
             return [ghost]
 
-        monkeypatch.setattr(here._link.session, "tokens", tell_late)
+        monkeypatch.setattr(here.context.session, "tokens", tell_late)
         await here.explore()
         assert here.nodes() == ()
 
@@ -1753,7 +1776,7 @@ async def test_a_graph_that_cannot_be_asked_is_not_waited_for(address, monkeypat
         raise TurtleactError("Zenoh cannot")
 
     async with two(address) as (here, *_):
-        monkeypatch.setattr(here._link.session, "tokens", fail)
+        monkeypatch.setattr(here.context.session, "tokens", fail)
         await here.explore()
     assert "Zenoh cannot" in caplog.text
 
@@ -1774,24 +1797,26 @@ def test_a_session_that_zenoh_cannot_close_is_left_behind_with_a_word(caplog):
     assert caplog.messages == [said]
 
 
-def test_a_latched_publisher_is_closed_though_zenoh_waits_to_call_python():
-    session = Session.open(session_config([], [], "peer", 0, ""))
+def test_a_latched_publisher_is_closed_though_zenoh_waits_to_call_python(address):
+    session = Session.open(session_config([], [address], "peer", 0, ""))
+    other = Session.open(session_config([address], [], "peer", 0, ""))
     called, goes_on = threading.Event(), threading.Event()
-    latched = session.declare_latched_publisher("latched", is_reliable=True, depth=1)
-    watched = session._session.declare_publisher("watched")
 
-    def keep_busy(status: zenoh.MatchingStatus) -> None:
+    def keep_busy(is_matching: bool) -> None:
         called.set()
         goes_on.wait(10)
 
-    watched.declare_matching_listener(Callback(keep_busy, indirect=False))
-    reader = session._session.declare_subscriber("watched")
+    latched = session.declare_latched_publisher("latched", is_reliable=True, depth=1)
+    watched = session.declare_publisher("watched", is_reliable=True, matching=keep_busy)
+    reader = other.declare_subscriber("watched", print)
     assert called.wait(10)
     began = time.perf_counter()
     goes_on.set()  # it goes on once it gets the GIL, and its thread ends the task of the publisher
     latched.undeclare()
     assert time.perf_counter() - began < 5
     reader.undeclare()
+    watched.undeclare()
+    other.close()
     session.close()
 
 
@@ -1800,7 +1825,7 @@ async def test_nothing_stays_of_a_latched_subscription_that_is_closed(address):
 
         async def parts() -> list[str]:
             await settle()
-            return await anyio.to_thread.run_sync(here._link.session.tokens, "**/@adv/**")
+            return await anyio.to_thread.run_sync(here.context.session.tokens, "**/@adv/**")
 
         reader = there.subscribe(subscription(qos=LATCHED), SPEECH, Inbox().deliver)
         assert len(await parts()) == 1

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from turtleact.commands.graph_names import Kind
     from turtleact.commands.verbs.arguments import Reach
     from turtleact.node import Node
-    from turtleact.transports.rmw_zenoh.discovery import Graph
+    from turtleact.transports.rmw_zenoh.keys import Graph
 
 __all__ = [
     "EMBEDDED",
@@ -130,7 +130,7 @@ def parameters(where: Reach, owner: str) -> list[str]:
 
 def _census(where: Reach) -> Graph:
     from turtleact.commands.locks import mode_of
-    from turtleact.transports.rmw_zenoh.census import census
+    from turtleact.transports.rmw_zenoh.session import census
 
     locks = where.locks()
     mode = mode_of(where.connect, locks)

@@ -14,7 +14,7 @@ endpoint makes them. Its guarantees:
 
 A service is an object that `Transport.serve` offers. Within its own process `Transport.local` hands
 that very object to a client, which uses it as it likes; no request passes through the transport.
-All others reach it by the `Caller` that `Transport.join` gives, if it is `Replying`.
+All others reach it by the `Caller` that `Transport.join` gives, if it is `AsyncHandler`.
 
 Source: ROS 2 ``rmw``; the QoS policies of the ROS 2 documentation.
 """
@@ -22,7 +22,7 @@ Source: ROS 2 ``rmw``; the QoS policies of the ROS 2 documentation.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Literal, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import msgspec
 
@@ -35,6 +35,7 @@ __all__ = [
     "EVERY_SERVER",
     "STATUS_QOS",
     "Asked",
+    "AsyncHandler",
     "Caller",
     "CallerAware",
     "Closeable",
@@ -42,12 +43,12 @@ __all__ = [
     "EndpointKind",
     "Format",
     "MakeEndpoint",
-    "Prompt",
+    "PendingCall",
     "Publication",
     "QoS",
     "Reply",
-    "Replying",
     "Source",
+    "SyncHandler",
     "Target",
     "TimePolicies",
     "Transport",
@@ -254,7 +255,7 @@ EVERY_SERVER = Target()
 """What ROS 2's clients do."""
 
 
-class Asked(Protocol):
+class PendingCall(Protocol):
     """A request that is under way: taken at last, or dropped, or it goes on for nobody."""
 
     @property
@@ -272,6 +273,10 @@ class Asked(Protocol):
 
     def drop(self) -> None:
         """Want no reply any more; once it was taken, this does nothing."""
+
+
+Asked: TypeAlias = PendingCall
+"""The former name."""
 
 
 class Caller(Closeable, Protocol):
@@ -293,7 +298,7 @@ class Caller(Closeable, Protocol):
             TurtleactError: if the caller is closed.
         """
 
-    def ask(self, request: object) -> Asked | None:
+    def ask(self, request: object) -> PendingCall | None:
         """Send a request to another process now; None if that takes waiting: then see `call`.
 
         Raises:
@@ -305,7 +310,7 @@ class Caller(Closeable, Protocol):
 
 
 @runtime_checkable
-class Replying(Protocol):
+class AsyncHandler(Protocol):
     """A handler that answers callers of any process."""
 
     async def reply(self, request: object, caller: bytes) -> Reply:
@@ -313,8 +318,8 @@ class Replying(Protocol):
 
 
 @runtime_checkable
-class Prompt(Protocol):
-    """A `Replying` handler that needs no task for what it can answer at once."""
+class SyncHandler(Protocol):
+    """A `AsyncHandler` handler that needs no task for what it can answer at once."""
 
     def reply_now(self, request: object, caller: bytes) -> Reply | None:
         """Answer a request if that takes no waiting; else None, with nothing done."""

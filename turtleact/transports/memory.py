@@ -19,6 +19,7 @@ from turtleact.summaries import summary
 from turtleact.tasks import Signal, current_tasks
 from turtleact.transports.base import (
     EVERY_SERVER,
+    AsyncHandler,
     Caller,
     CallerAware,
     Closeable,
@@ -27,7 +28,6 @@ from turtleact.transports.base import (
     Publication,
     QoS,
     Reply,
-    Replying,
     Source,
     Target,
     why_not_served,
@@ -376,7 +376,7 @@ class _Caller:
     @property
     def is_served(self) -> bool:
         if self._seen != self._transport.changes:
-            self._is_served = isinstance(self._handler(), Replying)
+            self._is_served = isinstance(self._handler(), AsyncHandler)
             self._seen = self._transport.changes
         return self._is_served
 
@@ -384,7 +384,7 @@ class _Caller:
         name, handler = self.endpoint.name, self._handler()
         if not self._is_open:
             raise TurtleactError(f"the client of service '{name}' is closed: open another")
-        if not isinstance(handler, Replying):
+        if not isinstance(handler, AsyncHandler):
             raise ServerUnavailable(name, self.why_not_served(), kind="service")
         try:
             return await handler.reply(request, self.gid)

@@ -1,4 +1,4 @@
-"""How a session is configured: what the user says, and what it needs to be a good peer. Pure.
+"""How a session is configured, and why it cannot be opened. Pure.
 
 ``peer`` talks with others directly, and finds them through the router that it connects to; that is
 what a ROS 2 node is. ``client`` talks through the router alone. ``router`` is the one that nodes of
@@ -10,6 +10,7 @@ Source: ``DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5`` of rmw_zenoh; Zenoh's ``DEFAU
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from typing import Literal, TypeAlias, get_args
 
@@ -17,7 +18,15 @@ import msgspec
 
 from turtleact.errors import InvalidOption
 
-__all__ = ["PATIENCE", "Mode", "SessionConfig", "domain_of", "session_config"]
+__all__ = [
+    "PATIENCE",
+    "Mode",
+    "SessionConfig",
+    "domain_of",
+    "session_config",
+    "why_not_open",
+    "words",
+]
 
 Mode: TypeAlias = Literal["peer", "client", "router"]
 
@@ -61,6 +70,12 @@ TIGHTER: dict[str, object] = {
     # A peer that takes nothing is cut off (us): until then it holds up those that do.
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,
 }
+
+
+SOURCE_LINE = re.compile(r" at /\S+:[0-9]+\.?")
+
+#: In brackets stands what happened, behind the address; before them what was tried, with it, too.
+INNER = re.compile(r".*\[(?:\S+: )?(.*)\]")
 
 
 class SessionConfig(msgspec.Struct, frozen=True):
@@ -146,3 +161,30 @@ def _as_json(values: Mapping[str, object]) -> dict[str, str]:
         return {path: json.dumps(value) for path, value in values.items()}
     except (TypeError, ValueError) as error:
         raise InvalidOption("config", f"expected values that JSON can say: {error}") from error
+
+
+def words(text: str) -> str:
+    """What Zenoh says, without the lines of its source that it names, in brackets or behind.
+
+    >>> words("Unicast not supported for foo protocol at /zenoh-link/src/lib.rs:183.")
+    'Unicast not supported for foo protocol'
+    """
+    return SOURCE_LINE.sub("", text).rstrip(".!")
+
+
+def why_not_open(config: SessionConfig, said: str) -> str:
+    """Why a session cannot be opened: where that was, and what to do.
+
+    Args:
+        config: What it was to be opened with.
+        said: The `words` of Zenoh.
+    """
+    if "listener" in said or (config.listen and not config.connect):
+        at = ", ".join(config.listen) or "the configured endpoints"
+        hint = "; is another router there already? connect to it" if "in use" in said else ""
+        inner = INNER.fullmatch(said)
+        return f"cannot listen at {at}: {inner[1] if inner else said}{hint}"
+    to = ", ".join(config.connect) or "the configured endpoints"
+    says_nothing_more = said.startswith("Unable to connect") or "Connection refused" in said
+    more = "" if says_nothing_more else f" ({said})"
+    return f"no ROS 2 graph in reach: nobody at {to} lets us in{more}; is a router running there?"

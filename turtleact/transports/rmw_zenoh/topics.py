@@ -9,25 +9,33 @@ of a reliable topic is bounded in bytes alone, and `is_congested` tells who woul
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 import anyio
 
 from turtleact.errors import InvalidMessage
 from turtleact.transports.base import Format, Publication, QoS, Source
 from turtleact.transports.rmw_zenoh.attachment import gid_in
-from turtleact.transports.rmw_zenoh.boxes import Lane
-from turtleact.transports.rmw_zenoh.link import Counter, Link, Named, Opened, Presence
+from turtleact.transports.rmw_zenoh.context import Context, Counter, Named, Opened, Presence
 
 if TYPE_CHECKING:
     from turtleact.transports.rmw_zenoh.session import Declared, Publisher
 
-__all__ = ["WirePublication", "WireSubscription"]
+__all__ = ["Lane", "WirePublication", "WireSubscription"]
 
 logger = logging.getLogger("turtleact.transport")
 
+T = TypeVar("T")
+
 Deliver: TypeAlias = Callable[[object], None]
+
+#: How much a lane holds, before the oldest is dropped (bytes).
+CAPACITY = 32 * 1024 * 1024
+
+#: How much an entry weighs besides its bytes.
+ENTRY = 256
 
 #: From so many bytes on that wait to be sent, a publication is congested.
 CONGESTED = 1024 * 1024
@@ -40,19 +48,79 @@ RELIEVED = CONGESTED // 2
 STATE_RATE = 1e6
 
 
+class Lane(Generic[T]):
+    """What waits in order, put in by one thread and taken out by another.
+
+    Args:
+        longest: How many entries it holds; any number if left out.
+
+    Attributes:
+        dropped: How many entries were dropped, as it was full.
+    """
+
+    def __init__(self, longest: int | None = None) -> None:
+        self.dropped = 0
+        self._longest = longest
+        self._entries: deque[tuple[T, int]] = deque()
+        self._put = 0  # each of the three is written by one thread only
+        self._taken = 0
+        self._lost = 0
+
+    @property
+    def weight(self) -> int:
+        """How much waits (bytes)."""
+        return self._put - self._taken - self._lost
+
+    def put(self, entry: T, size: int) -> bool:
+        """Put one in; answers whether there is one more to take than before."""
+        weight = size + ENTRY
+        put = self._put = self._put + weight
+        entries = self._entries
+        is_full = put - self._taken - self._lost > CAPACITY or len(entries) == self._longest
+        entries.append((entry, weight))
+        return not (is_full and self._drop())
+
+    def take(self) -> T | None:
+        """Take the oldest out; None if there is none."""
+        try:
+            entry, weight = self._entries.popleft()
+        except IndexError:
+            return None
+        self._taken += weight
+        return entry
+
+    def _drop(self) -> bool:
+        try:
+            _, weight = self._entries.popleft()
+        except IndexError:  # the other thread has taken it meanwhile
+            return False
+        self._lost += weight
+        self.dropped += 1
+        return True
+
+
 class WirePublication:
     """The sending end of a topic.
 
     Args:
-        link: What carries the messages.
+        context: What carries the messages.
         named: The endpoint.
         format: How messages are written.
         source: What makes the messages, if they are not given.
+
+    Attributes:
+        is_read: Whether somebody elsewhere reads it, or may later, as it is latched.
+        is_latched: Whether its last messages are kept.
+        is_stale: Whether a state of the source is yet to be sent.
+        presence: What it is on the wire.
+        publisher: What it has declared; None before that.
     """
 
-    def __init__(self, link: Link, named: Named, format: Format, source: Source | None) -> None:
+    def __init__(
+        self, context: Context, named: Named, format: Format, source: Source | None
+    ) -> None:
         endpoint = named.endpoint
-        self._link = link
+        self._context = context
         self._key = named.key
         self._topic = endpoint.name
         self._qos = endpoint.qos
@@ -61,37 +129,37 @@ class WirePublication:
         self._gid = endpoint.gid
         self._counter = Counter(endpoint.gid)
         self._is_open = True
-        self._is_read = self._is_latched = endpoint.qos.durability == "transient_local"
+        self.is_read = self.is_latched = endpoint.qos.durability == "transient_local"
         self._is_expected = False  # that somebody reads
-        self._is_stale = False
+        self.is_stale = False
         self._is_watched = False  # by the courier below
         self._is_awaited = False  # that it is relieved
-        self._publisher: Publisher | None = None
+        self.publisher: Publisher | None = None
         self._unsent: Lane[tuple[bytes, bytes]] = _lane(endpoint.qos)
-        self._sent = link.tasks.signal()
+        self._sent = context.tasks.signal()
         self._told_readers = False
         self._has_near_readers = False
         # What a latched topic has told is kept by what is declared, so that is done at once.
-        wakes = "" if self._is_latched and source is None else named.on_demand
-        self._presence = Presence(
-            link,
+        wakes = "" if self.is_latched and source is None else named.on_demand
+        self.presence = Presence(
+            context,
             named.token,
             self._declare,
             self._undeclare,
             on_demand=wakes,
             on_wake=self.refresh,
         )
-        link.opened.add(self)
+        context.opened.add(self)
         relay = None if source is None else _Relay(source, self._near_readers_changed)
-        self._near: Publication = link.near.advertise(endpoint, format, relay)
-        if source is not None and self._is_latched:
+        self._near: Publication = context.near.advertise(endpoint, format, relay)
+        if source is not None and self.is_latched:
             self._tell_source()
             self.refresh()
 
     @property
     def has_readers(self) -> bool:
         """Whether anybody would get a message published now, or may later, as it is latched."""
-        return self._is_open and (self._is_read or self._near.has_readers)
+        return self._is_open and (self.is_read or self._near.has_readers)
 
     @property
     def has_near_readers(self) -> bool:
@@ -107,24 +175,24 @@ class WirePublication:
         """Send a message to every subscription."""
         if not self._is_open:
             return
-        if self._is_read and not (self._is_latched and self._source is not None):
+        if self.is_read and not (self.is_latched and self._source is not None):
             self.send(self._format.encode(message))
         self._near.publish(message)
-        if self._is_latched and self._source is not None:
+        if self.is_latched and self._source is not None:
             self._grow_stale()
 
     def expect_readers(self) -> None:
         """Send from now on, be a reader known here or not: news of one come by another way."""
-        self._is_expected = self._is_read = True
+        self._is_expected = self.is_read = True
         self._tell_source()
 
     def refresh(self) -> None:
         """Publish what the source makes now: at once here, once for many calls elsewhere."""
         if self._is_open and self._source is not None:
             self._near.refresh()
-            if self._is_latched:
+            if self.is_latched:
                 self._grow_stale()
-            elif self._is_read:
+            elif self.is_read:
                 self._send_current()
 
     async def drained(self) -> None:
@@ -140,31 +208,31 @@ class WirePublication:
         """Leave the topic, with the last state sent; a second time does nothing."""
         if not self._is_open:
             return
-        if self._is_stale:
+        if self.is_stale:
             self._send_current()
         self._is_open = False
         self._near.close()
         self._sent.fire()
-        self._presence.close()
-        self._link.opened.discard(self)
+        self.presence.close()
+        self._context.opened.discard(self)
 
     # readers
 
     def _matching(self, is_matching: bool) -> None:
         """Called in a thread of the session."""
-        self._link.inbox.push(lambda: self._far_readers_changed(is_matching))
+        self._context.inbox.push(lambda: self._far_readers_changed(is_matching))
 
     def _far_readers_changed(self, has_readers: bool) -> None:
-        self._is_read = has_readers or self._is_expected
+        self.is_read = has_readers or self._is_expected
         self._tell_source()
-        self._link.near.tell_change()  # its token told of the reader, not that it is reached
+        self._context.near.tell_change()  # its token told of the reader, not that it is reached
 
     def _near_readers_changed(self, has_readers: bool) -> None:
         self._has_near_readers = has_readers
         self._tell_source()
 
     def _tell_source(self) -> None:
-        has_readers = self._is_read or self._has_near_readers
+        has_readers = self.is_read or self._has_near_readers
         if self._source is not None and has_readers != self._told_readers:
             self._told_readers = has_readers
             self._source.readers_changed(has_readers=has_readers)
@@ -173,17 +241,17 @@ class WirePublication:
 
     def send(self, data: bytes) -> None:
         """Send what is written already to the subscriptions in other processes."""
-        link = self._link
-        if not self._is_open or not link.is_open or self._presence.is_asleep:
+        context = self._context
+        if not self._is_open or not context.is_open or self.presence.is_asleep:
             return
         if self._unsent.put((data, self._counter.next()), len(data)):
-            link.outbox.post(self._put)  # one for each: what others send keeps its place
+            context.outbox.post(self._put)  # one for each: what others send keeps its place
         else:
             _note_loss(self._topic, self._qos, self._unsent, "published than can be sent")
 
     def _send_current(self) -> int:
         """Send the source's state, and answer how much that is (bytes)."""
-        self._is_stale = False
+        self.is_stale = False
         payloads = () if self._source is None else self._source.written(self._format.encode)
         for payload in payloads:
             self.send(payload)
@@ -191,18 +259,18 @@ class WirePublication:
 
     def _grow_stale(self) -> None:
         """Have the source's state sent, once for all changes until the loop's next turn."""
-        if self._presence.is_asleep:  # it is refreshed once it wakes
+        if self.presence.is_asleep:  # it is refreshed once it wakes
             return
-        self._is_stale = True
+        self.is_stale = True
         if not self._is_watched:
             self._is_watched = True
-            self._link.crew.run(self._carry(), f"the source of topic {self._topic}")
+            self._context.crew.run(self._carry(), f"the source of topic {self._topic}")
 
     async def _carry(self) -> None:
         try:
-            while self._is_stale and self._is_open:
-                await self._link.tasks.checkpoint()
-                if not self._is_stale or not self._is_open:  # closed meanwhile
+            while self.is_stale and self._is_open:
+                await self._context.tasks.checkpoint()
+                if not self.is_stale or not self._is_open:  # closed meanwhile
                     return
                 await anyio.sleep(self._send_current() / STATE_RATE)
                 await self.drained()
@@ -212,46 +280,46 @@ class WirePublication:
     # in the outbox
 
     def _declare(self) -> None:
-        session, is_reliable = self._link.session, self._qos.reliability == "reliable"
-        if self._is_latched:
-            self._link.latched.add(self._gid)
-            self._publisher = session.declare_latched_publisher(
+        session, is_reliable = self._context.session, self._qos.reliability == "reliable"
+        if self.is_latched:
+            self._context.latched.add(self._gid)
+            self.publisher = session.declare_latched_publisher(
                 self._key, is_reliable=is_reliable, depth=self._qos.depth
             )
         else:
-            self._publisher = session.declare_publisher(
+            self.publisher = session.declare_publisher(
                 self._key, is_reliable=is_reliable, matching=self._matching
             )
 
     def _put(self) -> None:
         try:
             entry = self._unsent.take()
-            if entry is not None and self._publisher is not None:
-                self._publisher.put(*entry)
+            if entry is not None and self.publisher is not None:
+                self.publisher.put(*entry)
         finally:
             if self._is_awaited and self._unsent.weight <= RELIEVED:
                 self._is_awaited = False
-                self._link.tasks.from_anywhere(self._sent.fire)
+                self._context.tasks.from_anywhere(self._sent.fire)
 
     def _undeclare(self) -> None:
-        if self._publisher is not None:
-            self._publisher.undeclare()
-        self._link.latched.discard(self._gid)
+        if self.publisher is not None:
+            self.publisher.undeclare()
+        self._context.latched.discard(self._gid)
 
 
 class WireSubscription:
     """The receiving end of a topic.
 
     Args:
-        link: What carries the messages.
+        context: What carries the messages.
         named: The endpoint.
         format: How messages are read.
         deliver: Gets each message.
     """
 
-    def __init__(self, link: Link, named: Named, format: Format, deliver: Deliver) -> None:
+    def __init__(self, context: Context, named: Named, format: Format, deliver: Deliver) -> None:
         endpoint = named.endpoint
-        self._link = link
+        self._context = context
         self._key = named.key
         self._topic = endpoint.name
         self._qos = endpoint.qos
@@ -259,11 +327,11 @@ class WireSubscription:
         self._deliver = deliver
         self._unread: Lane[bytes] = _lane(endpoint.qos)
         self._declared: Declared | None = None
-        near = link.near.subscribe(endpoint, format, deliver)
+        near = context.near.subscribe(endpoint, format, deliver)
         presence = Presence(
-            link, named.token, self._declare, self._undeclare, on_demand=named.on_demand
+            context, named.token, self._declare, self._undeclare, on_demand=named.on_demand
         )
-        self._opened = Opened(link, near, presence)
+        self._opened = Opened(context, near, presence)
 
     def close(self) -> None:
         """Leave the topic; a second time does nothing."""
@@ -271,13 +339,13 @@ class WireSubscription:
 
     def _take_latched(self, payload: bytes, attachment: bytes) -> None:
         """Called in a thread of the session."""
-        if gid_in(attachment) not in self._link.latched:  # else it came as an object
+        if gid_in(attachment) not in self._context.latched:  # else it came as an object
             self._take(payload)
 
     def _take(self, payload: bytes) -> None:
         """Called in a thread of the session."""
         if self._unread.put(payload, len(payload)):
-            self._link.inbox.push(self._read)
+            self._context.inbox.push(self._read)
         else:
             _note_loss(self._topic, self._qos, self._unread, "sent than is read")
 
@@ -288,7 +356,8 @@ class WireSubscription:
         try:
             message = self._format.decode(payload)
         except InvalidMessage as error:
-            logger.warning("topic %s: a message cannot be read: %s", self._topic, error)
+            about = f"topic {self._topic}: a message cannot be read"
+            self._context.complaints.warn(about, b"", error)
             return
         try:
             self._deliver(message)
@@ -298,7 +367,7 @@ class WireSubscription:
     # in the outbox
 
     def _declare(self) -> None:
-        session = self._link.session
+        session = self._context.session
         if self._qos.durability == "transient_local":
             self._declared = session.declare_latched_subscriber(
                 self._key, self._take_latched, depth=self._qos.depth

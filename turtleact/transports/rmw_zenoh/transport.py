@@ -30,28 +30,28 @@ from turtleact.errors import TurtleactError
 from turtleact.tasks import current_tasks
 from turtleact.transports.base import (
     EVERY_SERVER,
+    AsyncHandler,
     Caller,
     CallerAware,
     Closeable,
     Endpoint,
     Format,
     Publication,
-    Replying,
     Source,
     Target,
 )
 from turtleact.transports.memory import MemoryTransport
-from turtleact.transports.rmw_zenoh.calls import WireCaller, WireService
 from turtleact.transports.rmw_zenoh.config import Mode, domain_of, session_config
-from turtleact.transports.rmw_zenoh.discovery import Graph
+from turtleact.transports.rmw_zenoh.context import Context, Named, Opened, Presence
 from turtleact.transports.rmw_zenoh.keys import (
+    Graph,
     all_tokens,
     data_key,
     endpoint_token,
     gid_of,
     node_token,
 )
-from turtleact.transports.rmw_zenoh.link import Link, Named, Opened, Presence
+from turtleact.transports.rmw_zenoh.services import WireCaller, WireService
 from turtleact.transports.rmw_zenoh.session import Session
 from turtleact.transports.rmw_zenoh.topics import WirePublication, WireSubscription
 
@@ -66,6 +66,8 @@ class ZenohTransport:
     Attributes:
         clock: The time of all nodes on it in this process.
         round_trip: How long others took to say who is there (s), when `explore` asked them.
+        context: What its endpoints share; for them alone.
+        graph: What the other sessions have.
         discovery_ends: Until when clients wait for a server that is not seen yet (in the event
             loop's time).
     """
@@ -78,8 +80,8 @@ class ZenohTransport:
         self.round_trip = 0.0
         self.discovery_ends = anyio.current_time() + discovery
         self._near = near
-        self._link = Link(session, near, current_tasks(), domain)
-        self._graph = Graph(session.zid)
+        self.context = Context(session, near, current_tasks(), domain)
+        self.graph = Graph(session.zid)
         self._numbers: dict[str, int] = {}
         self._services: WeakValueDictionary[tuple[str, str, str], WireService] = (
             WeakValueDictionary()
@@ -87,7 +89,7 @@ class ZenohTransport:
         self._count = 0
         self._gone_since: dict[anyio.Event, set[str]] = {}
         self._awaited: set[anyio.Event] = set()  # what waits for the outbox, and for the close
-        self._link.outbox.post(partial(self._watch, session))
+        self.context.outbox.post(partial(self._watch, session))
 
     def advertise(
         self, endpoint: Endpoint, format: Format, source: Source | None = None
@@ -102,11 +104,11 @@ class ZenohTransport:
             InvalidInterface: if the message class has no type name.
             TurtleactError: if the transport is closed.
         """
-        return WirePublication(self._link, self._name(endpoint, format), format, source)
+        return WirePublication(self.context, self._name(endpoint, format), format, source)
 
     def subscribe(self, endpoint: Endpoint, format: Format, deliver: Deliver) -> Closeable:
         """Open the receiving end of a topic; raises as `advertise` does."""
-        return WireSubscription(self._link, self._name(endpoint, format), format, deliver)
+        return WireSubscription(self.context, self._name(endpoint, format), format, deliver)
 
     def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
         """Offer ``handler`` as the server of a service; raises as `advertise` does.
@@ -115,12 +117,12 @@ class ZenohTransport:
         is refused. What a handler raises is told to its caller; those of ROS 2 log it.
         """
         self._check_open()
-        is_for_others = isinstance(handler, Replying)
+        is_for_others = isinstance(handler, AsyncHandler)
         key = (endpoint.node, endpoint.name, endpoint.type_name)
         service = self._services.get(key) if is_for_others else None
         if service is None or not service.is_open:
             named = self._name(endpoint, format)
-            service = WireService(self._link, named, format, is_for_others=is_for_others)
+            service = WireService(self.context, named, format, is_for_others=is_for_others)
             if is_for_others:
                 self._services[key] = service
         return service.add(handler)
@@ -133,7 +135,7 @@ class ZenohTransport:
         without dying is waited for, ten minutes: then the call raises `ServiceTimeout`. Raises as
         `advertise` does.
         """
-        return WireCaller(self._link, self._name(endpoint, format), format, target, self._servers)
+        return WireCaller(self.context, self._name(endpoint, format), format, target, self._servers)
 
     def all_local(self, name: str, type_name: str) -> tuple[object, ...]:
         """All handlers that serve it in this very process."""
@@ -147,12 +149,12 @@ class ZenohTransport:
         """Appear in the graph as a node of this fully qualified name."""
         self._check_open()
         number = self._numbers[node] = self._next_number()
-        token = node_token(self._link.domain, self._link.session.zid, number, node)
-        return Opened(self._link, self._near.enter(node), Presence(self._link, token))
+        token = node_token(self.context.domain, self.context.session.zid, number, node)
+        return Opened(self.context, self._near.enter(node), Presence(self.context, token))
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """All endpoints of the graph, or those of a name: our own, then those of others."""
-        return (*self._near.endpoints(name), *self._graph.endpoints(name))
+        return (*self._near.endpoints(name), *self.graph.endpoints(name))
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """Those of them that were opened on this transport."""
@@ -160,7 +162,7 @@ class ZenohTransport:
 
     def nodes(self) -> tuple[str, ...]:
         """The names of all nodes, in the same order; a name may be there twice."""
-        return (*self._near.nodes(), *self._graph.nodes())
+        return (*self._near.nodes(), *self.graph.nodes())
 
     @property
     def changes(self) -> int:
@@ -179,7 +181,7 @@ class ZenohTransport:
         """
         self._check_open()
         passed = anyio.Event()
-        self._link.outbox.post(lambda: self._link.tasks.from_anywhere(passed.set))
+        self.context.outbox.post(lambda: self.context.tasks.from_anywhere(passed.set))
         await self._wait_unless_closed(passed)
 
     async def explore(self) -> None:
@@ -189,24 +191,24 @@ class ZenohTransport:
             TurtleactError: if the transport is closed, now or while this waits.
         """
         self._check_open()
-        link, found = self._link, anyio.Event()
+        context, found = self.context, anyio.Event()
         gone = self._gone_since[found] = set()
         began = perf_counter()
 
         def ask() -> None:
             tokens: list[str] = []
             try:
-                tokens = link.session.tokens(all_tokens(link.domain))
+                tokens = context.session.tokens(all_tokens(context.domain))
             finally:
-                link.inbox.push(partial(add, tokens))
+                context.inbox.push(partial(add, tokens))
 
         def add(tokens: list[str]) -> None:
             for token in tokens:
                 if token not in gone:  # or it died after it was told of, and would stay for ever
-                    self._appeared(token)
+                    self.token_appeared(token)
             found.set()
 
-        link.outbox.post(ask)
+        context.outbox.post(ask)
         try:
             await self._wait_unless_closed(found)
             self.round_trip = perf_counter() - began
@@ -218,21 +220,21 @@ class ZenohTransport:
 
         What was published before is sent first. A second time does nothing.
         """
-        link = self._link
-        if not link.is_open:
+        context = self.context
+        if not context.is_open:
             return
-        link.is_open = False
+        context.is_open = False
         with anyio.CancelScope(shield=True):
-            opened = tuple(link.opened)
+            opened = tuple(context.opened)
             for each in opened:
                 if isinstance(each, WireCaller):
                     each.give_up()
-            await link.crew.aclose()
+            await context.crew.aclose()
             for each in opened:
                 each.close()
-            await link.outbox.aclose()
-            await anyio.to_thread.run_sync(link.session.close)
-        link.inbox.close()
+            await context.outbox.aclose()
+            await anyio.to_thread.run_sync(context.session.close)
+        context.inbox.close()
         self._near.tell_change()
         for event in self._awaited:  # the outbox may have left them unset
             event.set()
@@ -253,7 +255,7 @@ class ZenohTransport:
         if (node_id := self._numbers.get(endpoint.node)) is None:
             node_id = self._numbers[endpoint.node] = self._next_number()
         hashed = msgspec.structs.replace(endpoint, type_hash=format.type_hash)
-        domain, zid = self._link.domain, self._link.session.zid
+        domain, zid = self.context.domain, self.context.session.zid
         token = endpoint_token(domain, zid, node_id, self._next_number(), hashed)
         named = msgspec.structs.replace(hashed, gid=gid_of(token))
         return Named(named, data_key(domain, named), token)
@@ -263,46 +265,48 @@ class ZenohTransport:
         return self._count - 1
 
     def _check_open(self) -> None:
-        if not self._link.is_open:
+        if not self.context.is_open:
             raise TurtleactError("the Zenoh transport is closed: open another")
 
     # others
 
     def _servers(self, name: str) -> list[Endpoint]:
         """What serves a service of that name elsewhere."""
-        return [each for each in self._graph.endpoints(name) if each.kind == "service"]
+        return [each for each in self.graph.endpoints(name) if each.kind == "service"]
 
     def _watch(self, session: Session) -> None:
         """In the outbox: be told of the tokens of others."""
-        inbox = self._link.inbox
+        inbox = self.context.inbox
         session.watch_tokens(
-            all_tokens(self._link.domain),
-            lambda key: inbox.push(partial(self._appeared, key)),
-            lambda key: inbox.push(partial(self._gone, key)),
+            all_tokens(self.context.domain),
+            lambda key: inbox.push(partial(self.token_appeared, key)),
+            lambda key: inbox.push(partial(self.token_gone, key)),
         )
 
-    def _appeared(self, key: str) -> None:
-        token = self._graph.add(key)
+    def token_appeared(self, key: str) -> None:
+        """Note a token of another session."""
+        token = self.graph.add(key)
         if token is None:
             return
         if token.endpoint is not None:
-            self._link.seek(token.endpoint.name)
+            self.context.seek(token.endpoint.name)
         self._near.tell_change()
 
-    def _gone(self, key: str) -> None:
+    def token_gone(self, key: str) -> None:
+        """Note that a token of another session has gone."""
         for gone in self._gone_since.values():
             gone.add(key)
-        token = self._graph.remove(key)
+        token = self.graph.remove(key)
         if token is None:
             return
         if token.endpoint is not None:
-            self._link.forgo(token.endpoint.name)
+            self.context.forgo(token.endpoint.name)
         if token.endpoint is not None and token.endpoint.kind == "client":
             for handler in self._near.handlers(token.endpoint.name):
                 if isinstance(handler, CallerAware):
                     handler.caller_lost(token.endpoint.gid)
         if token.endpoint is not None and token.endpoint.kind == "service":
-            for each in tuple(self._link.opened):
+            for each in tuple(self.context.opened):
                 if isinstance(each, WireCaller):
                     each.doubt(token.endpoint.name)
         self._near.tell_change()

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from turtleact.transports.base import Endpoint
-from turtleact.transports.rmw_zenoh.discovery import Graph
-from turtleact.transports.rmw_zenoh.keys import endpoint_token, node_token
+from turtleact.transports.rmw_zenoh.keys import Graph, endpoint_token, node_token
 
 
 def token(number: int, name: str, zid: str = "them") -> str:

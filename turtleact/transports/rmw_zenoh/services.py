@@ -22,45 +22,50 @@ from turtleact.errors import (
     InvalidMessage,
     ServerUnavailable,
     ServiceError,
+    ServiceTimeout,
     TurtleactError,
 )
-from turtleact.summaries import loggable, summary
+from turtleact.summaries import loggable, shortened, summary
 from turtleact.tasks import GRACE
 from turtleact.transports.base import (
-    Asked,
+    AsyncHandler,
     Caller,
     Closeable,
     Endpoint,
     Format,
-    Prompt,
+    PendingCall,
     Reply,
-    Replying,
+    SyncHandler,
     Target,
     why_not_served,
 )
-from turtleact.transports.rmw_zenoh.asking import Call
 from turtleact.transports.rmw_zenoh.attachment import (
     Attachment,
+    gid_in,
     note_in,
     read_attachment,
     write_attachment,
 )
-from turtleact.transports.rmw_zenoh.failures import error_said, said
-from turtleact.transports.rmw_zenoh.link import Counter, Link, Named, Presence
+from turtleact.transports.rmw_zenoh.config import PATIENCE
+from turtleact.transports.rmw_zenoh.context import Context, Counter, Named, Presence
 
 if TYPE_CHECKING:
+    from turtleact.tasks import Signal
     from turtleact.transports.rmw_zenoh.session import Declared, Querier, Query
 
-__all__ = ["WireCaller", "WireService"]
+__all__ = ["WireCall", "WireCaller", "WireService", "error_said", "said"]
 
 logger = logging.getLogger("turtleact.services")
+
+#: So long a call goes on without its server (s).
+LOST = 0.25
 
 
 class WireService:
     """The serving end of a service.
 
     Args:
-        link: What carries the messages.
+        context: What carries the messages.
         named: The endpoint.
         format: How requests are read and responses written.
         is_for_others: Whether its handlers answer other processes.
@@ -69,8 +74,10 @@ class WireService:
         is_open: Whether it takes requests, and more handlers.
     """
 
-    def __init__(self, link: Link, named: Named, format: Format, *, is_for_others: bool) -> None:
-        self._link = link
+    def __init__(
+        self, context: Context, named: Named, format: Format, *, is_for_others: bool
+    ) -> None:
+        self._context = context
         self._named = named
         self._name = named.endpoint.name
         self._format = format
@@ -79,10 +86,10 @@ class WireService:
         self._declared: Declared | None = None
         self.is_open = True
         declare = self._declare if is_for_others else None
-        self._presence = Presence(
-            link, named.token, declare, self._undeclare, on_demand=named.on_demand
+        self.presence = Presence(
+            context, named.token, declare, self._undeclare, on_demand=named.on_demand
         )
-        link.opened.add(self)
+        context.opened.add(self)
 
     def add(self, handler: object) -> Closeable:
         """Let a handler answer too; requests of other processes go to the first one.
@@ -90,7 +97,7 @@ class WireService:
         Returns:
             What takes it back. The service is there until the last of them is closed.
         """
-        near = self._link.near.serve(self._named.endpoint, self._format, handler)
+        near = self._context.near.serve(self._named.endpoint, self._format, handler)
         offer = _Offer(self, near, handler)
         self._offers.append(offer)
         return offer
@@ -109,12 +116,12 @@ class WireService:
         self.is_open = False
         for offer in tuple(self._offers):
             offer.close()
-        self._presence.close()
-        self._link.opened.discard(self)
+        self.presence.close()
+        self._context.opened.discard(self)
 
     def _take(self, query: Query) -> None:
         """Called in a thread of the session."""
-        self._link.inbox.push(partial(self._begin, query))
+        self._context.inbox.push(partial(self._begin, query))
 
     def _begin(self, query: Query) -> None:
         try:
@@ -123,16 +130,17 @@ class WireService:
                 raise InvalidMessage("attachment", f"request {beside.sequence} is under way")
             request = self._format.decode(query.payload)
         except InvalidMessage as error:
-            logger.warning("service %s: a request cannot be read: %s", self._name, error)
+            about = f"service {self._name}: a request cannot be read"
+            self._context.complaints.warn(about, gid_in(query.attachment), error)
             self._fail(query, error)
             return
         offer = self._offers[0] if self._offers else None
-        if offer is None or not self._link.is_open:
+        if offer is None or not self._context.is_open:
             self._fail(query, self._closed())
             return
         try:
-            prompt = offer.prompt
-            reply = None if prompt is None else prompt.reply_now(request, beside.gid)
+            sync = offer.sync
+            reply = None if sync is None else sync.reply_now(request, beside.gid)
             if reply is not None:
                 self._respond(query, beside, reply)
         except Exception as error:
@@ -141,7 +149,7 @@ class WireService:
         if reply is None:
             self._under_way.add((beside.gid, beside.sequence))
             answering = self._answer(offer, query, beside, request)
-            self._link.crew.run(answering, f"a request to {self._name}")
+            self._context.crew.run(answering, f"a request to {self._name}")
 
     async def _answer(
         self, offer: _Offer, query: Query, beside: Attachment, request: object
@@ -149,8 +157,8 @@ class WireService:
         """Have a request answered; nothing but a cancellation gets out."""
         error: TurtleactError | None = self._closed()
         try:
-            assert offer.replying is not None  # noqa: S101  # else it was not chosen
-            self._respond(query, beside, await offer.replying.reply(request, beside.gid))
+            assert offer.handler is not None  # noqa: S101  # else it was not chosen
+            self._respond(query, beside, await offer.handler.reply(request, beside.gid))
             error = None
         except Exception as failure:
             error = self._failure(failure)
@@ -162,7 +170,7 @@ class WireService:
     def _respond(self, query: Query, beside: Attachment, reply: Reply) -> None:
         payload = self._format.encode(reply.message)
         attachment = write_attachment(beside.sequence, time.time_ns(), beside.gid, reply.note)
-        self._link.outbox.post(partial(query.reply, payload, attachment))
+        self._context.outbox.post(partial(query.reply, payload, attachment))
 
     def _failure(self, error: Exception) -> TurtleactError:
         """What a client is told of what a handler has raised."""
@@ -173,7 +181,7 @@ class WireService:
 
     def _fail(self, query: Query, error: TurtleactError) -> None:
         kind, text = said(error)
-        self._link.outbox.post(lambda: query.fail(text, kind))
+        self._context.outbox.post(lambda: query.fail(text, kind))
 
     def _closed(self) -> ServerUnavailable:
         return ServerUnavailable(self._name, "the server was closed", kind="service")
@@ -181,7 +189,7 @@ class WireService:
     # in the outbox
 
     def _declare(self) -> None:
-        self._declared = self._link.session.declare_queryable(self._named.key, self._take)
+        self._declared = self._context.session.declare_queryable(self._named.key, self._take)
 
     def _undeclare(self) -> None:
         if self._declared is not None:
@@ -191,11 +199,11 @@ class WireService:
 class _Offer:
     """A handler of a service, and what has it open within the process."""
 
-    __slots__ = ("_near", "_service", "prompt", "replying")
+    __slots__ = ("_near", "_service", "handler", "sync")
 
     def __init__(self, service: WireService, near: Closeable, handler: object) -> None:
-        self.replying = handler if isinstance(handler, Replying) else None
-        self.prompt = handler if isinstance(handler, Prompt) else None
+        self.handler = handler if isinstance(handler, AsyncHandler) else None
+        self.sync = handler if isinstance(handler, SyncHandler) else None
         self._service = service
         self._near = near
 
@@ -208,22 +216,27 @@ class WireCaller:
     """The asking end of a service.
 
     Args:
-        link: What carries the messages.
+        context: What carries the messages.
         named: The endpoint.
         format: How requests are written and responses read.
         target: Which servers are asked, and which of their replies count.
         find: Gives the servers of the same name that others have.
+
+    Attributes:
+        is_matching: Whether Zenoh knows of a server elsewhere.
+        querier: What it has declared; None before that, and after it has left.
+        presence: What it is on the wire.
     """
 
     def __init__(
         self,
-        link: Link,
+        context: Context,
         named: Named,
         format: Format,
         target: Target,
         find: Callable[[str], list[Endpoint]],
     ) -> None:
-        self._link = link
+        self._context = context
         self._key = named.key
         self._endpoint = endpoint = named.endpoint
         self._format = format
@@ -232,32 +245,33 @@ class WireCaller:
         self._find = find
         self._counter = Counter(endpoint.gid)
         self._is_open = True
-        self._is_matching = False
-        self._querier: Querier | None = None
-        self._calls: set[Call] = set()
-        self._near: Caller = link.near.join(endpoint, format)
-        self._presence = Presence(link, named.token, self._declare, self._undeclare)
-        link.opened.add(self)
+        self._has_left = False
+        self.is_matching = False
+        self.querier: Querier | None = None
+        self._calls: set[WireCall] = set()
+        self._near: Caller = context.near.join(endpoint, format)
+        self.presence = Presence(context, named.token, self._declare, self._undeclare)
+        context.opened.add(self)
 
     @property
     def is_served(self) -> bool:
         """Whether a call would reach a server now."""
-        return self._near.is_served or (self._is_matching and self._link.is_open)
+        return self._near.is_served or (self.is_matching and self._context.is_open)
 
     async def call(self, request: object) -> Reply:
         """Send a request, and wait for the reply; see `turtleact.transports.base.Caller`."""
         if self._near.is_served or not self._is_open:
             return await self._near.call(request)
         payload = self._format.encode(request)
-        if not self._is_matching:
+        if not self.is_matching:
             await self._wait_for_route()
-        if not self._is_matching or not self._link.is_open:
+        if not self.is_matching or not self._context.is_open:
             raise self._unavailable(self.why_not_served())
         return await self._send(payload, is_cancelable=True).reply()
 
-    def ask(self, request: object) -> Asked | None:
+    def ask(self, request: object) -> PendingCall | None:
         """Send a request now; None if it would not go to another process, or has to wait."""
-        is_far = self._is_matching and self._link.is_open and not self._near.is_served
+        is_far = self.is_matching and self._context.is_open and not self._near.is_served
         if not is_far or not self._is_open:
             return None
         return self._send(self._format.encode(request), is_cancelable=False)
@@ -271,8 +285,7 @@ class WireCaller:
         if self._is_open:
             self._is_open = False
             self._near.close()
-            if not self._calls:
-                self._leave()
+            self._leave_if_idle()
 
     def give_up(self) -> None:
         """Let all calls under way end: the transport is being closed."""
@@ -285,32 +298,44 @@ class WireCaller:
         if server != self._endpoint.name:
             return
         for call in tuple(self._calls):  # one that is over is taken at once
-            self._link.crew.run(call.end_soon(), f"a call of {self._endpoint.name}")
+            self._context.crew.run(call.end_soon(), f"a call of {self._endpoint.name}")
 
     async def _wait_for_route(self) -> None:
         """Wait until a server whose token has come can be reached, `GRACE` seconds at most."""
         with anyio.move_on_after(GRACE):
-            while not self._is_matching and any(map(self._fits, self._servers())):
-                await self._link.near.wait_for_change()
+            while not self.is_matching and any(map(self._fits, self._servers())):
+                await self._context.near.wait_for_change()
 
-    def _send(self, payload: bytes, *, is_cancelable: bool) -> Call:
-        call = Call(self._link, payload, self._counter.next(), self, is_cancelable=is_cancelable)
+    def _send(self, payload: bytes, *, is_cancelable: bool) -> WireCall:
+        call = WireCall(
+            self._context, payload, self._counter.next(), self, is_cancelable=is_cancelable
+        )
         self._calls.add(call)
-        self._link.outbox.post(lambda: call.send(self._querier))
+        self._context.outbox.post(lambda: call.send(self.querier))
         return call
 
-    def over(self, call: Call) -> None:
+    def finish(self, call: WireCall) -> Reply:
+        """What came of a call that is over, for the last time."""
+        self._calls.discard(call)
+        if not self._is_open:
+            self._leave_if_idle()
+        return self.read(call)
+
+    def forget(self, call: WireCall) -> None:
         """Note that nobody waits for a call any more."""
-        if call in self._calls:
-            self._calls.discard(call)
-            if not self._is_open and not self._calls:
-                self._leave()
+        self._calls.discard(call)
+        self._leave_if_idle()
+
+    def _leave_if_idle(self) -> None:
+        if not self._is_open and not self._calls and not self._has_left:
+            self._leave()
 
     def _leave(self) -> None:
-        self._link.opened.discard(self)  # until now it is to be told of servers that go
-        self._presence.close()
+        self._has_left = True
+        self._context.opened.discard(self)  # until now it is to be told of servers that go
+        self.presence.close()
 
-    def read(self, call: Call) -> Reply:
+    def read(self, call: WireCall) -> Reply:
         """What came of a call; raises what its server raised."""
         if call.error is not None:
             raise error_said(self._endpoint.name, *call.error)
@@ -336,22 +361,22 @@ class WireCaller:
     def why_not_served(self, suffix: str = "") -> str:
         """Why a call would reach no server; see `turtleact.transports.base.Caller`."""
         ours, servers = self._endpoint, self._servers()
-        if not self._link.is_open:
+        if not self._context.is_open:
             return "the Zenoh transport is closed"
         if reachable := [each.node for each in servers if self._fits(each)]:
             return f"node {reachable[0]} serves it, but cannot be reached"
         if not servers:
-            return why_not_served(self._link.near.endpoints(ours.name), ours, suffix)
+            return why_not_served(self._context.near.endpoints(ours.name), ours, suffix)
         return why_not_served(servers, ours, suffix)
 
     def _why_no_answer(self) -> str:
-        if not self._link.is_open:
+        if not self._context.is_open:
             return "the Zenoh transport was closed before there was an answer"
         return "the server went away before there was an answer"
 
     def _why_otherwise(self) -> str:
         """What else may have happened, if one that was asked may be there still."""
-        if self._link.is_open and any(map(self._fits, self._servers())):
+        if self._context.is_open and any(map(self._fits, self._servers())):
             return "dropped the request: ROS 2 keeps 10 that wait"
         return ""
 
@@ -361,22 +386,181 @@ class WireCaller:
 
     def _matching(self, is_matching: bool) -> None:
         """Called in a thread of the session."""
-        self._link.inbox.push(lambda: self._servers_changed(is_matching))
+        self._context.inbox.push(lambda: self._servers_changed(is_matching))
 
     def _servers_changed(self, is_matching: bool) -> None:
-        self._is_matching = is_matching
+        self.is_matching = is_matching
         if not is_matching:
             self.doubt(self._endpoint.name)
-        self._link.near.tell_change()
+        self._context.near.tell_change()
 
     # in the outbox
 
     def _declare(self) -> None:
         is_for_all = self._target.servers == "all"
-        session = self._link.session
-        self._querier = session.declare_querier(self._key, self._matching, is_for_all=is_for_all)
+        session = self._context.session
+        self.querier = session.declare_querier(self._key, self._matching, is_for_all=is_for_all)
 
     def _undeclare(self) -> None:
-        if self._querier is not None:
-            self._querier.undeclare()
-            self._querier = None
+        if self.querier is not None:
+            self.querier.undeclare()
+            self.querier = None
+
+
+class WireCall:
+    """One request and what comes of it.
+
+    Args:
+        context: What carries it.
+        payload: The request.
+        attachment: What goes beside it.
+        caller: Whose call it is.
+        is_cancelable: Whether Zenoh forgets it at once if it is dropped, not with its client.
+
+    Attributes:
+        answer: Payload and attachment of the reply.
+        error: The text of an error, and its kind.
+        is_over: Whether there is a reply or an error, or the end without either.
+    """
+
+    answer: tuple[bytes, bytes] | None = None
+    error: tuple[str, str] | None = None
+    is_over = False
+    _is_wanted = True
+    _changed: Signal | None = None  # made for who waits
+    _told: Callable[[], object] | None = None
+    _give_up: Callable[[], None] | None = None
+
+    def __init__(
+        self,
+        context: Context,
+        payload: bytes,
+        attachment: bytes,
+        caller: WireCaller,
+        *,
+        is_cancelable: bool,
+    ) -> None:
+        self._context = context
+        self._payload = payload
+        self._attachment = attachment
+        self._caller = caller
+        self._is_cancelable = is_cancelable
+
+    def tell(self, told: Callable[[], object]) -> None:
+        """Have something called when it is over; see `turtleact.transports.base.PendingCall`."""
+        self._told = told
+
+    def take(self) -> Reply:
+        """The reply, once it is over; see `turtleact.transports.base.PendingCall`."""
+        if self._is_wanted:
+            self._is_wanted = False
+            return self._caller.finish(self)
+        return self._caller.read(self)
+
+    async def reply(self) -> Reply:
+        """Wait for the reply; see `turtleact.transports.base.PendingCall`."""
+        try:
+            await self._wait()
+        finally:
+            self.drop()
+        return self._caller.read(self)
+
+    def drop(self) -> None:
+        """Want no reply any more; a second time does nothing."""
+        if self._is_wanted:
+            self._is_wanted = False
+            if self._is_cancelable and not self.is_over:
+                self._context.outbox.post(self._cancel)
+            self._caller.forget(self)
+
+    async def end_soon(self) -> None:
+        """End it in a while: Zenoh may have lost it with its server, and never say so."""
+        with anyio.move_on_after(LOST):
+            await self._wait()
+        self.end()
+
+    def end(self) -> None:
+        """Nothing more comes."""
+        self.is_over = True
+        self._tell()
+
+    def _tell(self) -> None:
+        if self._changed is not None:
+            self._changed.fire()
+        if self._told is not None and self._is_wanted:
+            self._told()
+
+    async def _wait(self) -> None:
+        while not self.is_over:
+            if self._changed is None:
+                self._changed = self._context.tasks.signal()
+            await self._changed.wait()
+
+    # in the outbox
+
+    def send(self, querier: Querier | None) -> None:
+        """Send the request."""
+        if querier is None:
+            self._ended()
+            return
+        try:
+            self._give_up = querier.get(
+                self._payload,
+                self._attachment,
+                replied=self.replied,
+                failed=self._failed,
+                ended=self._ended,
+                is_cancelable=self._is_cancelable,
+            )
+        except TurtleactError:
+            self._ended()
+            raise
+
+    def _cancel(self) -> None:
+        if self._give_up is not None:
+            self._give_up()
+
+    # in a thread of the session
+
+    def replied(self, payload: bytes, attachment: bytes) -> None:
+        """Note a reply."""
+        if not self.is_over:  # of several servers the quickest is heard
+            self.answer = payload, attachment
+            counts = self._caller.counts
+            if counts is not None and not counts(payload):
+                return  # another server may know better; if none does, `_ended` comes next
+            self.is_over = True
+            self._context.inbox.push(self._tell)
+
+    def _failed(self, text: str, kind: str) -> None:
+        if not self.is_over:
+            self.error = text, kind
+            self.is_over = True
+            self._context.inbox.push(self._tell)
+
+    def _ended(self) -> None:
+        if not self.is_over:  # else the loop has been told
+            self._context.inbox.push(self.end)
+
+
+def said(error: TurtleactError) -> tuple[str, str]:
+    """The kind of an error, and the text by which `error_said` makes it again."""
+    if isinstance(error, InvalidMessage):
+        return "InvalidMessage", shortened(str(error))
+    if isinstance(error, ServerUnavailable):
+        return "ServerUnavailable", shortened(error.problem)
+    if isinstance(error, ServiceError):
+        return "ServiceError", shortened(error.reason)
+    return "ServiceError", summary(error)
+
+
+def error_said(name: str, text: str, kind: str) -> TurtleactError:
+    """What a server raised; an error of a peer of another kind is its own text."""
+    if kind == "InvalidMessage":
+        path, _, problem = text.partition(": ")
+        return InvalidMessage(path, problem)
+    if kind == "Timeout":
+        return ServiceTimeout(name, PATIENCE)
+    if kind == "ServerUnavailable":
+        return ServerUnavailable(name, text, kind="service")
+    return ServiceError(name, text)

@@ -11,8 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from turtleact.tasks import current_tasks
-from turtleact.transports.rmw_zenoh import boxes
-from turtleact.transports.rmw_zenoh.boxes import CAPACITY, ENTRY, Inbox, Lane, Outbox
+from turtleact.transports.rmw_zenoh import context
+from turtleact.transports.rmw_zenoh.context import (
+    LOGGED,
+    MOST_PEERS,
+    Complaints,
+    Crew,
+    Inbox,
+    Outbox,
+)
+from turtleact.transports.rmw_zenoh.topics import CAPACITY, ENTRY, Lane
 
 from ..lab import settle
 
@@ -90,11 +98,11 @@ async def test_what_another_thread_pushes_is_done_in_the_event_loop():
 async def test_many_things_are_done_in_order_and_in_more_than_one_turn():
     inbox = Inbox(current_tasks())
     seen: list[int] = []
-    for number in range(boxes.IN_A_ROW * 2 + 1):
+    for number in range(context.IN_A_ROW * 2 + 1):
         inbox.push(partial(seen.append, number))
-    while len(seen) <= boxes.IN_A_ROW * 2:
+    while len(seen) <= context.IN_A_ROW * 2:
         await settle()
-    assert seen == list(range(boxes.IN_A_ROW * 2 + 1))
+    assert seen == list(range(context.IN_A_ROW * 2 + 1))
 
 
 async def test_what_fails_is_logged_and_the_rest_is_done(caplog):
@@ -143,14 +151,76 @@ async def test_a_job_that_fails_is_logged_and_the_next_is_done(caplog):
 
 @pytest.mark.parametrize("anyio_backend", ["asyncio"])
 async def test_a_job_that_hangs_is_left_behind(caplog, monkeypatch):
-    monkeypatch.setattr(boxes, "GRACE", 0.01)
+    monkeypatch.setattr(context, "GRACE", 0.01)
     outbox, gate, seen = Outbox("a thread"), threading.Event(), []
     outbox.post(lambda: gate.wait() and 1 / 0)
     outbox.post(lambda: seen.append("done"))
     await outbox.aclose()
     gate.set()
-    outbox._thread.join()
+    outbox.thread.join()
     assert seen == []
     assert caplog.messages == [
         "a peer takes nothing: the Zenoh transport leaves unsent what is left"
     ]
+
+
+# complaints
+
+
+@pytest.fixture
+def complaints(monkeypatch):
+    monkeypatch.setattr(context, "PERIOD", 0.01)
+    return lambda: Complaints(Crew(current_tasks()))
+
+
+async def until_counted(caplog, text: str) -> None:
+    while text not in caplog.text:
+        await anyio.sleep(0.001)
+
+
+async def test_a_peer_that_sends_nonsense_fills_no_log(complaints, caplog):
+    warnings = complaints()
+    for _ in range(2_880):
+        warnings.warn("service /add: a request cannot be read", b"\x0a\x0b", ValueError("no CDR"))
+    assert caplog.messages == ["service /add: a request cannot be read: no CDR"] * LOGGED
+    await until_counted(caplog, "2,877 more")
+    assert caplog.messages[LOGGED:] == [
+        "service /add: a request cannot be read: 2,877 more such warnings in 0.01 s"
+        " from the peer of gid 0a0b"
+    ]
+
+
+async def test_a_peer_that_sends_nonsense_hides_no_other(complaints, caplog):
+    warnings = complaints()
+    for peer in (b"a", b"a", b"a", b"a", b"a", b"b"):
+        warnings.warn("it", peer, ValueError(peer))
+    assert caplog.messages == ["it: b'a'"] * LOGGED + ["it: b'b'"]
+    await until_counted(caplog, "2 more")
+
+
+async def test_after_a_while_a_peer_is_complained_of_again(complaints, caplog):
+    warnings = complaints()
+    for round in range(2):
+        for _ in range(LOGGED + 1):
+            warnings.warn(f"round {round}", b"", ValueError("no CDR"))
+        await until_counted(caplog, f"round {round}: 1 more such warnings in 0.01 s")
+    assert caplog.text.count("round 1: no CDR") == LOGGED
+
+
+async def test_peers_without_number_fill_no_log(complaints, caplog):
+    warnings = complaints()
+    for number in range(10_000):
+        warnings.warn("it", number.to_bytes(16), ValueError("no CDR"))
+    assert len(caplog.messages) <= MOST_PEERS + LOGGED
+    await until_counted(caplog, "more such warnings")
+
+
+async def test_what_was_counted_is_logged_at_the_close(monkeypatch, caplog):
+    monkeypatch.setattr(context, "PERIOD", 1000.0)
+    crew = Crew(current_tasks())
+    warnings = Complaints(crew)
+    for _ in range(LOGGED + 2):
+        warnings.warn("it", b"", ValueError("no CDR"))
+    await settle()
+    await crew.aclose()
+    assert caplog.messages[-1] == "it: 2 more such warnings in 1000 s"

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from turtleact.transports.rmw_zenoh.complaints import why_not_open, words
-from turtleact.transports.rmw_zenoh.config import SessionConfig, session_config
+from turtleact.transports.rmw_zenoh.config import (
+    SessionConfig,
+    session_config,
+    why_not_open,
+    words,
+)
 
 AT = "tcp/127.0.0.1:7447"
 TAKEN = (

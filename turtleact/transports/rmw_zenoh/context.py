@@ -1,0 +1,387 @@
+"""What the endpoints of a transport share: its session, its event loop and threads, its local half.
+
+Between the event loop and other threads stand an `Inbox` and an `Outbox`. Many messages cost one
+wake-up of the loop, and none of them ever makes it wait.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+from collections import Counter as Tally
+from collections import deque
+from collections.abc import Callable, Coroutine
+from time import time_ns
+from typing import TYPE_CHECKING, TypeAlias
+
+import anyio
+import anyio.to_thread
+import msgspec
+
+from turtleact.tasks import GRACE, Background, Tasks
+from turtleact.transports.base import Closeable, Endpoint
+from turtleact.transports.memory import MemoryTransport
+from turtleact.transports.rmw_zenoh.attachment import GID_SIZE, LAYOUT
+
+if TYPE_CHECKING:
+    from turtleact.transports.rmw_zenoh.session import Declared, Session
+
+__all__ = [
+    "Complaints",
+    "Context",
+    "Counter",
+    "Crew",
+    "Inbox",
+    "Named",
+    "Opened",
+    "Outbox",
+    "Presence",
+]
+
+logger = logging.getLogger("turtleact.transport")
+
+Job: TypeAlias = Callable[[], object]
+
+#: So many jobs are done before the event loop has its turn.
+IN_A_ROW = 100
+
+#: How many complaints about one peer are logged, in so many seconds.
+LOGGED = 3
+PERIOD = 10.0
+
+#: How many peers are told apart in that time; a gid is easily made up.
+MOST_PEERS = 100
+
+
+class Named(msgspec.Struct, frozen=True):
+    """An endpoint, and what it is called on the wire.
+
+    Attributes:
+        endpoint: The endpoint, with its type hash and gid.
+        key: The key expression of its topic or service.
+        token: Its liveliness token.
+    """
+
+    endpoint: Endpoint
+    key: str
+    token: str
+
+    @property
+    def on_demand(self) -> str:
+        """Its name, if it is declared once others have an endpoint of that name; else empty."""
+        return self.endpoint.name if self.endpoint.on_demand else ""
+
+
+class Context:
+    """What carries the messages of a transport.
+
+    Attributes:
+        session: The session; used in the outbox only.
+        near: The graph within the process.
+        tasks: The event loop.
+        inbox: What came from other threads.
+        outbox: What goes to Zenoh.
+        crew: What runs beside.
+        complaints: Warnings about what peers send.
+        domain: The ROS domain.
+        opened: The nodes and endpoints that are open, whoever else holds them.
+        latched: The gids of its own latched publishers: a history asks them too.
+        sought: How many endpoints of a name others have.
+        asleep: What is told of only once others have an endpoint of its name.
+        is_open: Whether anything goes through.
+    """
+
+    def __init__(self, session: Session, near: MemoryTransport, tasks: Tasks, domain: int) -> None:
+        self.session = session
+        self.near = near
+        self.tasks = tasks
+        self.inbox = Inbox(tasks)
+        self.outbox = Outbox(f"turtleact-zenoh-{session.zid[:8]}")
+        self.crew = Crew(tasks)
+        self.complaints = Complaints(self.crew)
+        self.domain = domain
+        self.opened: set[Closeable] = set()
+        self.latched: set[bytes] = set()
+        self.sought: Tally[str] = Tally()
+        self.asleep: dict[str, dict[Presence, None]] = {}
+        self.is_open = True
+
+    def seek(self, name: str) -> None:
+        """Note that others have an endpoint of this name."""
+        self.sought[name] += 1
+        for presence in self.asleep.pop(name, ()):
+            presence.wake()
+
+    def forgo(self, name: str) -> None:
+        """Note that they have one less."""
+        self.sought[name] -= 1
+        if not self.sought[name]:
+            del self.sought[name]
+
+
+class Crew:
+    """Tasks that run beside their owner, each until its own end or that of all.
+
+    Attributes:
+        running: Those that have not ended, by number.
+    """
+
+    def __init__(self, tasks: Tasks) -> None:
+        self._tasks = tasks
+        self.running: dict[int, Background] = {}
+        self._count = 0
+
+    def run(self, running: Coroutine[object, object, None], name: str) -> None:
+        """Run a coroutine in a task of its own."""
+        self._count += 1
+        number = self._count
+        background = Background(self._run(running, number), name, self._tasks)
+        if not background.has_ended:  # its first steps may have been all
+            self.running[number] = background
+
+    async def aclose(self) -> None:
+        """Cancel all, and wait for their end, `GRACE` seconds at most each."""
+        for background in tuple(self.running.values()):
+            await background.aclose(GRACE)
+
+    async def _run(self, running: Coroutine[object, object, None], number: int) -> None:
+        try:
+            await running
+        finally:
+            self.running.pop(number, None)
+
+
+class Counter:
+    """Numbers and stamps what one endpoint sends.
+
+    Args:
+        gid: The gid of the endpoint.
+    """
+
+    def __init__(self, gid: bytes) -> None:
+        self._gid = gid
+        self._sequence = 0
+
+    def next(self) -> bytes:
+        """The attachment of the next message."""
+        self._sequence += 1
+        # as `write_attachment` does, without a call between: it is made for each message
+        return LAYOUT.pack(self._sequence, time_ns(), GID_SIZE, self._gid)
+
+
+class Presence:
+    """What an endpoint or a node is on the wire: what it declares, then its liveliness token.
+
+    Args:
+        context: Where.
+        token: The token; it is taken back before the rest.
+        declare: Declares the rest, in the outbox.
+        undeclare: Takes it back, likewise.
+        on_demand: The name of an endpoint that is declared once others have one of that name; if
+            it is empty, all is declared now.
+        on_wake: Called when it is, if not at once.
+
+    Attributes:
+        is_asleep: Whether nothing is declared yet.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        token: str,
+        declare: Callable[[], None] | None = None,
+        undeclare: Callable[[], None] | None = None,
+        *,
+        on_demand: str = "",
+        on_wake: Callable[[], None] | None = None,
+    ) -> None:
+        self.is_asleep = True
+        self._context = context
+        self._token = token
+        self._declare = declare
+        self._undeclare = undeclare
+        self._on_demand = on_demand
+        self._on_wake = on_wake
+        self._declared: Declared | None = None
+        if on_demand and not context.sought[on_demand]:
+            context.asleep.setdefault(on_demand, {})[self] = None
+        else:
+            self._appear()
+
+    def wake(self) -> None:
+        """Appear in the graph after all."""
+        self._appear()
+        if self._on_wake is not None:
+            self._on_wake()
+
+    def _appear(self) -> None:
+        self.is_asleep = False
+        if self._declare is not None:
+            self._context.outbox.post(self._declare)
+        self._context.outbox.post(self._declare_token)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        if not self.is_asleep:
+            self._context.outbox.post(self._undeclare_token)
+            if self._undeclare is not None:
+                self._context.outbox.post(self._undeclare)
+            return
+        others = self._context.asleep.get(self._on_demand, {})
+        others.pop(self, None)
+        if not others:
+            self._context.asleep.pop(self._on_demand, None)
+
+    def _declare_token(self) -> None:
+        self._declared = self._context.session.declare_token(self._token)
+
+    def _undeclare_token(self) -> None:
+        if self._declared is not None:
+            self._declared.undeclare()
+            self._declared = None
+
+
+class Opened:
+    """Something that is open within the process and on the wire, until it is closed.
+
+    Args:
+        context: Where.
+        near: Its half within the process.
+        presence: Its half on the wire.
+
+    Attributes:
+        is_open: Whether it is.
+        presence: Its half on the wire.
+    """
+
+    def __init__(self, context: Context, near: Closeable, presence: Presence) -> None:
+        self.is_open = True
+        self._context = context
+        self._near = near
+        self.presence = presence
+        context.opened.add(self)
+
+    def close(self) -> None:
+        """Leave the graph; a second time does nothing."""
+        if self.is_open:
+            self.is_open = False
+            self._near.close()
+            self.presence.close()
+            self._context.opened.discard(self)
+
+
+class Inbox:
+    """What other threads have for the event loop to do, done in order.
+
+    Args:
+        tasks: The event loop.
+    """
+
+    def __init__(self, tasks: Tasks) -> None:
+        self._tasks = tasks
+        self._jobs: deque[Job] = deque()
+        self._is_armed = False
+        self._is_open = True
+
+    def push(self, job: Job) -> None:
+        """Have something done; from any thread."""
+        self._jobs.append(job)
+        if not self._is_armed:
+            self._is_armed = True
+            self._tasks.from_anywhere(self._work)
+
+    def close(self) -> None:
+        """Do nothing more."""
+        self._is_open = False
+        self._jobs.clear()
+
+    def _work(self) -> None:
+        self._is_armed = False
+        jobs = self._jobs
+        for _ in range(min(len(jobs), IN_A_ROW)):
+            if not self._is_open:
+                return
+            try:
+                jobs.popleft()()
+            except Exception:
+                logger.exception("the Zenoh transport failed on what has come")
+        if self._jobs and not self._is_armed:
+            self._is_armed = True
+            self._tasks.from_anywhere(self._work)
+
+
+class Outbox:
+    """A thread that does what may block, in order; how a job fails is logged.
+
+    Args:
+        name: What the thread is called.
+
+    Attributes:
+        post: Has something done; never blocks.
+        thread: The thread.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
+        self.post: Callable[[Job], None] = self._jobs.put  # without a call between
+        self._is_left = False
+        self.thread = threading.Thread(target=self._work, name=name, daemon=True)
+        self.thread.start()
+
+    async def aclose(self) -> None:
+        """Do what is left, and end; what hangs for `GRACE` seconds is left behind."""
+        self._jobs.put(None)
+        await anyio.to_thread.run_sync(self.thread.join, GRACE)
+        if self.thread.is_alive():
+            self._is_left = True
+            logger.error("a peer takes nothing: the Zenoh transport leaves unsent what is left")
+
+    def _work(self) -> None:
+        while (job := self._jobs.get()) is not None and not self._is_left:
+            try:
+                job()
+            except Exception:
+                if not self._is_left:  # else the session was closed under it
+                    logger.exception("the Zenoh transport failed on what it was to send")
+
+
+class Complaints:
+    """Warnings about what peers send, a few for each peer, so that none can fill a log.
+
+    The first `LOGGED` of a peer are logged as they come. What else comes within `PERIOD` seconds is
+    counted, and the count is logged after that time.
+
+    Args:
+        crew: Runs what logs the counts.
+    """
+
+    def __init__(self, crew: Crew) -> None:
+        self._crew = crew
+        self._counts: Tally[tuple[str, str]] = Tally()
+
+    def warn(self, about: str, peer: bytes, error: Exception) -> None:
+        """Log a warning, or count it.
+
+        Args:
+            about: What went wrong and where, in words.
+            peer: The gid of who sent it; empty if that is not known.
+            error: Why.
+        """
+        if not self._counts:
+            self._crew.run(self._log_counts(), "the counts of complaints")
+        key = about, peer.hex() if len(self._counts) < MOST_PEERS else ""
+        self._counts[key] += 1
+        if self._counts[key] <= LOGGED:
+            logger.warning("%s: %s", about, error)
+
+    async def _log_counts(self) -> None:
+        try:
+            await anyio.sleep(PERIOD)
+        finally:  # at the close too
+            counts, self._counts = self._counts, Tally()
+            for (about, peer), count in counts.items():
+                if count > LOGGED:
+                    who = f" from the peer of gid {peer}" if peer else ""
+                    more = f"{count - LOGGED:,} more such warnings"
+                    logger.warning("%s: %s in %g s%s", about, more, PERIOD, who)
