@@ -76,13 +76,13 @@ async def wait_for_ever(goal: Count.Goal) -> Count.Result:
     return Count.Result(total=goal.target)
 
 
-async def count(goal: Count.Goal) -> AsyncGenerator[Message, None]:
+async def count(goal: Count.Goal) -> AsyncGenerator[Count.Feedback | Count.Result, None]:
     for value in range(goal.target):
         yield Count.Feedback(value=value)
     yield Count.Result(total=goal.target)
 
 
-async def count_in_step(goal: Count.Goal) -> AsyncGenerator[Message, None]:
+async def count_in_step(goal: Count.Goal) -> AsyncGenerator[Count.Feedback | Count.Result, None]:
     for value in range(goal.target):
         yield Count.Feedback(value=value)
         await asyncio.sleep(0)  # all who wait read it now

@@ -86,7 +86,7 @@ FLEETS = [
 # --- processes ------------------------------------------------------------------------------
 
 
-async def count(goal: Count.Goal) -> AsyncGenerator[Message, None]:
+async def count(goal: Count.Goal) -> AsyncGenerator[Count.Feedback | Count.Result, None]:
     for _ in range(goal.feedback):
         yield Count.Feedback(numbers=NUMBERS)
     yield Count.Result(total=goal.feedback)

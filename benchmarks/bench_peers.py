@@ -54,7 +54,7 @@ async def answer(goal: Count.Goal) -> Count.Result:
     return Count.Result(total=goal.target)
 
 
-async def count(goal: Count.Goal) -> AsyncGenerator[Message, None]:
+async def count(goal: Count.Goal) -> AsyncGenerator[Count.Feedback | Count.Result, None]:
     for value in range(FEEDBACK):
         yield Count.Feedback(value=value)
     yield Count.Result(total=goal.target)

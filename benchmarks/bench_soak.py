@@ -55,7 +55,7 @@ Tally = Counter[str]
 Way = Callable[[Client, int, Tally], Awaitable[None]]
 
 
-async def body(goal: Count.Goal) -> AsyncIterator[Message]:
+async def body(goal: Count.Goal) -> AsyncIterator[Count.Feedback | Count.Result]:
     for count in range(FEEDBACK):
         yield Count.Feedback(count=count)
     if is_canceled(goal.number):

@@ -74,7 +74,7 @@ Client: TypeAlias = ActionClient[Count.Goal, Count.Result, Count.Feedback]
 # --- turtleact ------------------------------------------------------------------------------
 
 
-async def count(goal: Count.Goal) -> AsyncGenerator[Message, None]:
+async def count(goal: Count.Goal) -> AsyncGenerator[Count.Feedback | Count.Result, None]:
     feedback = (
         Count.Feedback(text=peers.TEXT) if goal.is_large else Count.Feedback(numbers=peers.NUMBERS)
     )

@@ -136,7 +136,7 @@ class Lab(NamedTuple):
 
 @asynccontextmanager
 async def lab(
-    execute: Callable[..., object], *, transport: MemoryTransport | None = None, **options: Any
+    execute: Any, *, transport: MemoryTransport | None = None, **options: Any
 ) -> AsyncIterator[Lab]:
     """A node that serves `Count` with this body, and a client of it."""
     async with turtleact.open_node("lab", transport=transport) as node:
@@ -144,7 +144,7 @@ async def lab(
         yield Lab(node, server, node.action_client(Count, "count"))
 
 
-async def count(goal: Count.Goal) -> AsyncIterator[Message]:
+async def count(goal: Count.Goal) -> AsyncIterator[Count.Feedback | Count.Result]:
     """The plain body: a generator that never waits."""
     numbers: list[int] = []
     for number in range(goal.upto):
@@ -180,7 +180,7 @@ class Gate:
             self.log.append("over")
         return Count.Result(counted=[goal.upto])
 
-    async def stream(self, goal: Count.Goal) -> AsyncIterator[Message]:
+    async def stream(self, goal: Count.Goal) -> AsyncIterator[Count.Feedback | Count.Result]:
         """A generator body."""
         self.log.append("begun")
         self.started.set()

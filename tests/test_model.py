@@ -1139,7 +1139,7 @@ class World:
 
     # bodies
 
-    async def _body(self, goal: Count.Goal, handle: Handle) -> Count.Result | None:
+    async def _body(self, goal: Count.Goal, handle: Handle) -> Any:
         async with aclosing(self._stream(goal, handle)) as words:
             async for word in words:
                 if isinstance(word, Count.Result):

@@ -124,7 +124,7 @@ async def sending(send: Send, served: Lab, *numbers: int) -> AsyncIterator[list[
         ]
 
 
-def beside(served: Lab, name: str, body: Callable[..., object], **options: Any) -> Lab:
+def beside(served: Lab, name: str, body: Any, **options: Any) -> Lab:
     """Another action of the same node."""
     server = served.node.action_server(Count, name, body, **options)
     return Lab(served.node, server, served.node.action_client(Count, name))

@@ -24,7 +24,6 @@ from turtleact.errors import (
     UnknownGoal,
 )
 from turtleact.goal import TRANSITIONS, CancelCode, GoalStatus
-from turtleact.interfaces import Message
 from turtleact.tasks import current_tasks
 
 from .lab import (
@@ -98,7 +97,7 @@ class Track:
         finally:
             await self._end()
 
-    async def generator(self, goal: Count.Goal) -> AsyncIterator[Message]:
+    async def generator(self, goal: Count.Goal) -> AsyncIterator[Count.Feedback | Count.Result]:
         self._begin()
         try:
             yield feedback(goal.upto)

@@ -22,8 +22,18 @@ from __future__ import annotations
 
 TYPE_CHECKING = False  # as `typing` would say, which takes long to import
 if TYPE_CHECKING:
+    from turtleact.app import WorldNode, open_world
     from turtleact.body import action
-    from turtleact.client import ActionClient, ClientGoalHandle, Outcome
+    from turtleact.client import (
+        Accepted,
+        ActionClient,
+        ClientGoalHandle,
+        Event,
+        FeedbackReceived,
+        Outcome,
+        ResultReceived,
+        StatusChanged,
+    )
     from turtleact.errors import (
         Abort,
         Cancel,
@@ -31,7 +41,9 @@ if TYPE_CHECKING:
         GoalCanceled,
         GoalError,
         GoalRejected,
+        InvalidBody,
         InvalidGoal,
+        InvalidInterface,
         InvalidMessage,
         InvalidName,
         InvalidOption,
@@ -40,20 +52,40 @@ if TYPE_CHECKING:
         ServerUnavailable,
         ServiceError,
         ServiceTimeout,
+        SimError,
         TurtleactError,
         UnknownGoal,
+        UnknownInterface,
+        UsageError,
+        Verdict,
     )
     from turtleact.goal import CancelResponse, GoalResponse, GoalStatus
-    from turtleact.interfaces import Action, Message, Service, load_interface
+    from turtleact.interfaces import (
+        Action,
+        Message,
+        Service,
+        get_action,
+        get_interface,
+        get_message,
+        get_service,
+        load_action,
+        load_interface,
+        load_message,
+        load_service,
+    )
     from turtleact.node import Node, open_node
     from turtleact.server import ActionServer, ServerGoalHandle
     from turtleact.services import ServiceClient, ServiceServer
-    from turtleact.transports import QoS
+    from turtleact.topics import Publisher, Subscription
+    from turtleact.transports import QoS, open_zenoh
 
 __all__ = [
     # a node and what is opened on it
     "open_node",
+    "open_zenoh",
+    "open_world",
     "Node",
+    "WorldNode",
     "ActionServer",
     "ActionClient",
     "ServerGoalHandle",
@@ -61,6 +93,8 @@ __all__ = [
     "Outcome",
     "ServiceServer",
     "ServiceClient",
+    "Publisher",
+    "Subscription",
     "QoS",
     # bodies and what they answer
     "action",
@@ -70,11 +104,24 @@ __all__ = [
     "Abort",
     "Cancel",
     "Reject",
+    # what happens to a goal, as `ClientGoalHandle.events` tells it
+    "Event",
+    "Accepted",
+    "StatusChanged",
+    "FeedbackReceived",
+    "ResultReceived",
     # interfaces
     "Action",
     "Message",
     "Service",
     "load_interface",
+    "load_action",
+    "load_message",
+    "load_service",
+    "get_interface",
+    "get_action",
+    "get_message",
+    "get_service",
     # errors
     "TurtleactError",
     "GoalError",
@@ -85,24 +132,53 @@ __all__ = [
     "ServerUnavailable",
     "ServiceError",
     "ServiceTimeout",
+    "InvalidBody",
     "InvalidGoal",
+    "InvalidInterface",
     "InvalidMessage",
     "InvalidName",
     "InvalidOption",
     "InvalidTransition",
+    "UnknownInterface",
+    "SimError",
+    "UsageError",
+    "Verdict",
 ]
 
 __version__ = "0.1.0"
 
 _HOMES = {
+    "app": ("WorldNode", "open_world"),
     "body": ("action",),
-    "client": ("ActionClient", "ClientGoalHandle", "Outcome"),
+    "client": (
+        "Accepted",
+        "ActionClient",
+        "ClientGoalHandle",
+        "Event",
+        "FeedbackReceived",
+        "Outcome",
+        "ResultReceived",
+        "StatusChanged",
+    ),
     "goal": ("CancelResponse", "GoalResponse", "GoalStatus"),
-    "interfaces": ("Action", "Message", "Service", "load_interface"),
+    "interfaces": (
+        "Action",
+        "Message",
+        "Service",
+        "get_action",
+        "get_interface",
+        "get_message",
+        "get_service",
+        "load_action",
+        "load_interface",
+        "load_message",
+        "load_service",
+    ),
     "node": ("Node", "open_node"),
     "server": ("ActionServer", "ServerGoalHandle"),
     "services": ("ServiceClient", "ServiceServer"),
-    "transports": ("QoS",),
+    "topics": ("Publisher", "Subscription"),
+    "transports": ("QoS", "open_zenoh"),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 

@@ -8,14 +8,34 @@ coroutine function  ``handle.publish_feedback(...)``    ``return A.Result(...)``
 ==================  ==================================  =============================
 
 A body takes the goal message, and the server's goal handle if it declares a second parameter.
+`ActionBody` says so to type checkers, which reject a body with messages of another action.
 """
 
 from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
-from typing import Any, Generic, Literal, ParamSpec, Protocol, TypedDict, TypeVar, Unpack, cast
+from collections.abc import (
+    AsyncGenerator,
+    AsyncIterable,
+    AsyncIterator,
+    Awaitable,
+    Callable,
+    Coroutine,
+)
+from typing import (
+    Any,
+    Generic,
+    Literal,
+    ParamSpec,
+    Protocol,
+    TypeAlias,
+    TypedDict,
+    TypeVar,
+    Unpack,
+    cast,
+    overload,
+)
 
 from turtleact.errors import InvalidBody, InvalidOption
 from turtleact.goal import CancelResponse, GoalResponse
@@ -23,33 +43,71 @@ from turtleact.interfaces import Message
 from turtleact.names import validate_name
 from turtleact.slot import Policy
 
-__all__ = ["ActionDeclaration", "ActionType", "Body", "ServerOptions", "Steps", "action"]
+__all__ = [
+    "ActionBody",
+    "ActionDeclaration",
+    "ActionType",
+    "Body",
+    "ServerOptions",
+    "Steps",
+    "action",
+]
 
 P = ParamSpec("P")
 T = TypeVar("T", covariant=True)
 
-G = TypeVar("G", bound=Message, covariant=True)
-R = TypeVar("R", bound=Message, covariant=True)
-F = TypeVar("F", bound=Message, covariant=True)
+G = TypeVar("G", bound=Message)
+R = TypeVar("R", bound=Message)
+F = TypeVar("F", bound=Message)
+H = TypeVar("H")
+
+G_co = TypeVar("G_co", bound=Message, covariant=True)
+R_co = TypeVar("R_co", bound=Message, covariant=True)
+F_co = TypeVar("F_co", bound=Message, covariant=True)
 
 Steps = AsyncGenerator[object, None]
 
+#: A body as type checkers see it; ``H`` is the class of the goal handle.
+ActionBody: TypeAlias = (
+    Callable[[G], AsyncIterable[F | R]]
+    | Callable[[G, H], AsyncIterable[F | R]]
+    | Callable[[G], Coroutine[Any, Any, R]]
+    | Callable[[G, H], Coroutine[Any, Any, R]]
+)
 
-class ActionType(Protocol[G, R, F]):
-    """What a subclass of `turtleact.Action` is to a type checker: the makers of its messages."""
+# Both protocols below say the same: an action has the classes Goal, Result and Feedback inside.
+# mypy takes a nested class for a read-only member, so it needs the methods. It infers G, R and F
+# from the action before it looks at a body. pyright infers them from both, so that it would settle
+# on `Message` for a body of another action; members that can be set do not let it. mypy takes a
+# variable of this name for true, pyright reads its value.
+MYPY = False
+if MYPY:
 
-    @property
-    def type_name(self) -> str:
-        """``pkg/action/Name``."""
+    class ActionType(Protocol[G_co, R_co, F_co]):
+        """What a subclass of `turtleact.Action` is to mypy: the makers of its messages."""
 
-    def Goal(self, *args: Any, **kwargs: Any) -> G:  # noqa: ANN401  # any arguments
-        """Make a goal."""
+        @property
+        def type_name(self) -> str:
+            """``pkg/action/Name``."""
 
-    def Result(self, *args: Any, **kwargs: Any) -> R:  # noqa: ANN401  # any arguments
-        """Make a result."""
+        def Goal(self, *args: Any, **kwargs: Any) -> G_co:  # noqa: ANN401  # any arguments
+            """Make a goal."""
 
-    def Feedback(self, *args: Any, **kwargs: Any) -> F:  # noqa: ANN401  # any arguments
-        """Make a feedback message."""
+        def Result(self, *args: Any, **kwargs: Any) -> R_co:  # noqa: ANN401  # any arguments
+            """Make a result."""
+
+        def Feedback(self, *args: Any, **kwargs: Any) -> F_co:  # noqa: ANN401  # any arguments
+            """Make a feedback message."""
+
+else:
+
+    class ActionType(Protocol[G, R, F]):
+        """What a subclass of `turtleact.Action` is to pyright: the classes of its messages."""
+
+        type_name: str
+        Goal: type[G]
+        Result: type[R]
+        Feedback: type[F]
 
 
 class ServerOptions(TypedDict, total=False):
@@ -116,11 +174,38 @@ class ActionDeclaration(Generic[P, T]):
         return self.execute(*args, **kwargs)
 
 
+class Declare(Protocol[G, R, F]):
+    """What `action` gives: it declares a body whose messages are those of the action."""
+
+    @overload
+    def __call__(
+        self, execute: Callable[[G], AsyncGenerator[F | R, None]], /
+    ) -> ActionDeclaration[[G], AsyncGenerator[F | R, None]]: ...
+    @overload
+    def __call__(
+        self, execute: Callable[[G], AsyncIterator[F | R]], /
+    ) -> ActionDeclaration[[G], AsyncIterator[F | R]]: ...
+    @overload
+    def __call__(
+        self, execute: Callable[[G, H], AsyncGenerator[F | R, None]], /
+    ) -> ActionDeclaration[[G, H], AsyncGenerator[F | R, None]]: ...
+    @overload
+    def __call__(
+        self, execute: Callable[[G, H], AsyncIterator[F | R]], /
+    ) -> ActionDeclaration[[G, H], AsyncIterator[F | R]]: ...
+    @overload
+    def __call__(
+        self, execute: Callable[[G], Coroutine[Any, Any, R]], /
+    ) -> ActionDeclaration[[G], Coroutine[Any, Any, R]]: ...
+    @overload
+    def __call__(
+        self, execute: Callable[[G, H], Coroutine[Any, Any, R]], /
+    ) -> ActionDeclaration[[G, H], Coroutine[Any, Any, R]]: ...
+
+
 def action(
-    action_type: ActionType[Message, Message, Message],
-    name: str,
-    **options: Unpack[ServerOptions],
-) -> Callable[[Callable[P, T]], ActionDeclaration[P, T]]:
+    action_type: ActionType[G, R, F], name: str, **options: Unpack[ServerOptions]
+) -> Declare[G, R, F]:
     """Declare the function below as the body of an action; nothing is served yet.
 
     Args:
@@ -137,7 +222,7 @@ def action(
     def declare(execute: Callable[P, T]) -> ActionDeclaration[P, T]:
         return ActionDeclaration(action_type, name, execute, options)
 
-    return declare
+    return cast("Declare[G, R, F]", declare)
 
 
 class Body:

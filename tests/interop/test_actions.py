@@ -114,7 +114,7 @@ class TurtleactPeer:
 
     async def _execute(
         self, goal: Fibonacci.Goal, handle: turtleact.ServerGoalHandle[Any, Any, Any]
-    ) -> object:
+    ) -> Any:
         orders, word = self._orders[label_of(handle.goal_id)], "feedback"
         while word == "feedback":
             with anyio.CancelScope(shield=True):  # as rclpy's body: it goes by its orders alone

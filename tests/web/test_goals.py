@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import Any, NoReturn
 
 import anyio
 import pytest
@@ -88,7 +88,7 @@ async def test_a_goal_is_canceled_by_its_sender():
 
 
 async def test_a_goal_that_is_aborted_has_a_result():
-    async def give_up(goal: Count.Goal) -> None:
+    async def give_up(goal: Count.Goal) -> NoReturn:
         raise Abort("no more", result(7))
 
     async with bridged() as (node, bridge), line(bridge) as client:

@@ -13,7 +13,7 @@ from contextlib import asynccontextmanager
 from functools import partial
 from typing import TypeVar, Unpack, cast
 
-from turtleact.body import ActionDeclaration, ActionType, ServerOptions
+from turtleact.body import ActionBody, ActionDeclaration, ActionType, ServerOptions
 from turtleact.client import ActionClient
 from turtleact.client.distant_server import DistantServer
 from turtleact.client.links import Links
@@ -23,7 +23,7 @@ from turtleact.graph import Graph, graph_of
 from turtleact.interfaces import Action, Message, Service, WireFormat
 from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
 from turtleact.node.belongings import Belongings
-from turtleact.server import ActionServer
+from turtleact.server import ActionServer, ServerGoalHandle
 from turtleact.server.claim import Claim
 from turtleact.server.endpoints import ActionEndpoints
 from turtleact.server.hooks import Transition
@@ -98,15 +98,16 @@ class Node:
         if not isinstance(definition, ActionDeclaration):
             raise TypeError(f"{_named(definition)} is no action: declare it by @turtleact.action")
         options = cast("ServerOptions", {**definition.options, **overrides})
+        execute = cast("ActionBody[Message, Message, Message, object]", definition.execute)
         return self.action_server(
-            definition.action_type, name or definition.name, definition.execute, **options
+            definition.action_type, name or definition.name, execute, **options
         )
 
     def action_server(
         self,
         action_type: ActionType[G, R, F],
         name: str,
-        execute: Callable[..., object],
+        execute: ActionBody[G, F, R, ServerGoalHandle[G, R, F]],
         *,
         on_demand: bool = False,
         **options: Unpack[ServerOptions],
