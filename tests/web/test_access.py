@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from turtleact.web.access import Access, is_loopback
+from turtleact.web.access import TELL_EVERY, Access, Refusals, is_loopback
 
 OPEN = Access()
 NAMED = Access(frozenset({"robot.example"}), frozenset({"https://console.example", "null"}))
@@ -80,3 +80,26 @@ def test_the_right_token_comes_in():
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.5", "::", "robot", ""])
 def test_what_others_reach_is_no_loopback(host):
     assert not is_loopback(host)
+
+
+# what is logged
+
+
+def test_the_first_refusal_is_logged_at_once_and_later_ones_as_a_count(caplog):
+    refusals = Refusals()
+    for second in range(5):
+        refusals.note("the token is wrong", float(second))
+    refusals.note("rosbridge is at the path /", TELL_EVERY)
+    assert caplog.messages == [
+        "a web connection was refused: the token is wrong",
+        "5 web connections were refused, the last one: rosbridge is at the path /",
+    ]
+
+
+def test_refusals_that_were_only_counted_are_told_at_the_end(caplog):
+    refusals = Refusals()
+    for _ in range(2):
+        refusals.note("the token is wrong", 0.0)
+    refusals.tell()
+    refusals.tell()
+    assert caplog.messages == ["a web connection was refused: the token is wrong"] * 2

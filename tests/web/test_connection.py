@@ -733,3 +733,40 @@ async def test_count_is_a_body():
         )
         heard = [await client.hear() for _ in range(3)]
         assert [frame["op"] for frame in heard] == ["action_feedback"] * 2 + ["action_result"]
+
+
+# the memory of all clients
+
+
+async def test_frames_that_wait_for_all_clients_are_bounded_together(caplog):
+    limits = Limits(memory=20_000)
+    async with (
+        bridged(limits=limits) as (_, bridge),
+        line(bridge) as greedy,
+        line(bridge) as modest,
+    ):
+        assert await greedy.hears_nothing()
+        greedy.gate = anyio.Event()
+        for _ in range(10):
+            greedy.say("call_service", service="/rosapi/interfaces")
+        with anyio.fail_after(10.0):
+            await greedy.over.wait()
+        assert greedy.aborted
+        assert await modest.hears_nothing()
+        assert bridge.budget.held == 0
+    assert "too much waits for all clients, and most of it for this one" in caplog.text
+
+
+async def test_beyond_the_memory_of_all_clients_messages_of_topics_are_dropped():
+    limits = Limits(memory=10_000)
+    async with bridged(limits=limits) as (node, bridge), line(bridge) as client:
+        publisher = node.publisher(Pixels, "pixels")
+        client.say("subscribe", topic="/pixels")
+        assert await client.hears_nothing()
+        client.gate = anyio.Event()
+        for _ in range(20):
+            publisher.publish(Pixels(name="x" * 1000))
+        await settle()
+        assert bridge.budget.held <= 10_000
+        assert bridge.statistics().dropped > 0
+        assert bridge.statistics().connections == 1

@@ -16,6 +16,7 @@ from turtleact.web.mailbox import (
     MOST_KEPT,
     MOST_KEPT_BYTES,
     MOST_OF_ONE,
+    Budget,
     Mailbox,
     Throttle,
 )
@@ -218,3 +219,50 @@ def test_other_wishes_hold_for_what_waits():
     assert slow.due == pytest.approx(1.5)
     assert slow.release(1.5) is third
     assert slow.compression == "png"
+
+
+# the memory of all clients
+
+
+class Client:
+    """Holds memory, and gives back as much as it is told to."""
+
+    def __init__(self, left: int = 0) -> None:
+        self.left = left
+        self.asked = 0
+
+    def shrink(self) -> int:
+        self.asked += 1
+        return self.left
+
+
+def test_a_budget_counts_what_each_holder_holds_now():
+    budget, one, other = Budget(100), Client(), Client()
+    for holder, size in ((one, 30), (other, 50), (one, 20), (other, 0)):
+        budget.hold(holder, size)
+    assert budget.held == 20
+
+
+def test_beyond_a_budget_the_holder_of_the_most_shrinks():
+    budget, small, large = Budget(100), Client(), Client(left=40)
+    budget.hold(large, 80)
+    budget.hold(small, 30)
+    assert (small.asked, large.asked, budget.held) == (0, 1, 70)
+
+
+def test_holders_shrink_until_the_budget_is_kept():
+    budget = Budget(100)
+    clients = [Client(left=45) for _ in range(3)]
+    for client in clients:
+        budget.hold(client, 50)
+    assert budget.held <= 100
+
+
+def test_a_mailbox_sheds_what_may_be_dropped_and_counts_it():
+    mailbox = Mailbox()
+    mailbox.keep("must arrive")
+    for frame in ("a", "b"):
+        mailbox.put("topic", frame)
+    assert mailbox.shed()
+    assert (mailbox.dropped, taken(mailbox)) == (2, ["must arrive"])
+    assert not mailbox.shed()

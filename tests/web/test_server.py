@@ -7,6 +7,7 @@ import json
 import signal
 import socket
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -219,6 +220,100 @@ async def test_a_message_that_is_too_long_ends_its_connection():
         assert closed.value.rcvd.code == 1009
 
 
+async def shake_hands(web: Web) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    """A connection that sends frames byte by byte, once its handshake is over."""
+    reader, writer = await asyncio.open_connection(web.host, web.port)
+    writer.write(HANDSHAKE)
+    await reader.readuntil(b"\r\n\r\n")
+    return reader, writer
+
+
+def begun(size: int, *, opcode: int = 1) -> bytes:
+    """The beginning of a text message that goes on, under a mask of zeros."""
+    return bytes([opcode, 0x80 | 126]) + size.to_bytes(2, "big") + bytes(4) + b" " * size
+
+
+@ON_ASYNCIO
+async def test_unfinished_messages_of_all_clients_are_bounded_together(caplog):
+    limits = Limits(memory=200_000)
+    async with (
+        turtleact.open_node("lab") as node,
+        open_web(node, port=0, limits=limits) as web,
+        connect(address(web)) as client,
+    ):
+        lines = [await shake_hands(web) for _ in range(4)]
+        for _, writer in lines:
+            writer.write(begun(40_000))
+        lines[2][1].write(begun(50_000, opcode=0))
+        answer = await lines[2][0].read()  # of the one that holds the most
+        assert int.from_bytes(answer[2:4], "big") == 1013
+        assert b"all clients together hold too much memory" in answer
+        assert await ask(client, "/rosapi/nodes") == {"nodes": ["/lab"]}
+        assert web.bridge.statistics().connections == 4
+        assert 120_000 <= web.bridge.budget.held <= 200_000
+        for _, writer in lines:
+            writer.close()
+    assert caplog.messages == [
+        "a web client was let go: all clients together hold too much memory, and this one most of"
+        " it"
+    ]
+
+
+@ON_ASYNCIO
+async def test_a_message_in_a_thousand_parts_is_held_with_what_each_part_takes():
+    async with turtleact.open_node("lab") as node, open_web(node, port=0) as web:
+        _, writer = await shake_hands(web)
+        writer.write(begun(1) + begun(1, opcode=0) * 999)
+        await wait_until(lambda: web.bridge.budget.held >= 65_000)
+        writer.close()
+        await wait_until(lambda: web.bridge.budget.held == 0)
+
+
+@ON_ASYNCIO
+async def test_a_message_of_half_a_frame_counts_as_well():
+    async with turtleact.open_node("lab") as node, open_web(node, port=0) as web:
+        _, writer = await shake_hands(web)
+        writer.write(begun(60_000)[:50_000])
+        await wait_until(lambda: web.bridge.budget.held >= 49_000)
+        writer.write(begun(60_000)[50_000:] + bytes([0x80, 0x80, 0, 0, 0, 0]))  # the end of it
+        await wait_until(lambda: web.bridge.budget.held == 0)
+        writer.close()
+
+
+async def wait_until(condition: Callable[[], bool]) -> None:
+    while not condition():
+        await anyio.sleep(0.001)
+
+
+@ON_ASYNCIO
+@pytest.mark.parametrize(
+    "said",
+    [
+        pytest.param(b"nonsense\r\n\r\n", id="no-http"),
+        pytest.param(b"GET /?token=no HTTP/1.1\r\nHost: localhost\r\n\r\n", id="page"),
+        pytest.param(b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: h2c\r\n\r\n", id="upgrade"),
+        pytest.param("HANDSHAKE", id="websocket"),
+    ],
+)
+async def test_refused_connections_are_a_line_and_a_count_in_the_log(said, caplog):
+    caplog.set_level("INFO")
+    async with (
+        turtleact.open_node("lab") as node,
+        open_web(node, port=0, token="secret") as web,
+    ):
+        caplog.clear()
+        for _ in range(20):
+            reader, writer = await asyncio.open_connection(web.host, web.port)
+            writer.write(HANDSHAKE if isinstance(said, str) else said)
+            await reader.read()
+            writer.close()
+        first = list(caplog.messages)
+    assert len(first) == 1
+    assert first[0].startswith("a web connection was refused: ")
+    (rest,) = [text for text in caplog.messages if "connections were refused" in text]
+    assert rest.startswith(("19 ", "39 "))
+
+
 @ON_ASYNCIO
 async def test_a_reader_that_never_reads_is_cut_off_and_slows_nobody(caplog, monkeypatch):
     monkeypatch.setattr("turtleact.web.connection.PATIENCE", 0.05)
@@ -271,7 +366,7 @@ async def test_a_client_that_has_its_answer_is_let_go():
 
 
 @ON_ASYNCIO
-async def test_there_is_an_end_to_connections(monkeypatch):
+async def test_there_is_an_end_to_connections(monkeypatch, caplog):
     monkeypatch.setattr("turtleact.web.server.ROOM", 1)
     async with (
         turtleact.open_node("lab") as node,
@@ -286,6 +381,7 @@ async def test_there_is_an_end_to_connections(monkeypatch):
         for each in (writer, idle):
             each.close()
         assert await ask(client, "/rosapi/nodes") == {"nodes": ["/lab"]}
+        assert caplog.messages == ["a web connection was refused: 2 connections are open"]
 
 
 @ON_ASYNCIO

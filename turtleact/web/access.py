@@ -12,12 +12,20 @@ Source: RFC 6454 (origins); RFC 6455, section 10.2; RFC 9110, section 7.2 (Host)
 from __future__ import annotations
 
 import hmac
+import logging
+import math
 from ipaddress import ip_address
+from typing import Final
 from urllib.parse import urlsplit
 
 import msgspec
 
-__all__ = ["Access", "is_loopback"]
+__all__ = ["TELL_EVERY", "Access", "Refusals", "is_loopback"]
+
+logger = logging.getLogger("turtleact.web")
+
+TELL_EVERY: Final = 10.0
+"""Refused connections are logged at most once in this time (s)."""
 
 
 class Access(msgspec.Struct, frozen=True):
@@ -56,6 +64,41 @@ class Access(msgspec.Struct, frozen=True):
             return True
         name = _name_of(origin)
         return name != "" and (is_loopback(name) or _place_of(origin) == host.lower())
+
+
+class Refusals:
+    """Logs refused connections: the first at once, later ones as a count.
+
+    Anybody who can reach the port can cause refusals, so each must not cost a line of its own.
+    """
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._reason = ""
+        self._told_at = -math.inf
+
+    def note(self, reason: str, now: float) -> None:
+        """Note a refused connection.
+
+        Args:
+            reason: Why it was refused.
+            now: The time (s) of any clock that never goes back.
+        """
+        self._count += 1
+        self._reason = reason
+        if now - self._told_at >= TELL_EVERY:
+            self._told_at = now
+            self.tell()
+
+    def tell(self) -> None:
+        """Log the connections that were refused since the last line, if there are any."""
+        if self._count == 1:
+            logger.warning("a web connection was refused: %s", self._reason)
+        elif self._count:
+            logger.warning(
+                "%d web connections were refused, the last one: %s", self._count, self._reason
+            )
+        self._count = 0
 
 
 def is_loopback(host: str) -> bool:

@@ -23,7 +23,7 @@ from starlette.websockets import WebSocket
 
 from turtleact.errors import TurtleactError
 from turtleact.node import Node
-from turtleact.web.access import Access
+from turtleact.web.access import Access, Refusals
 from turtleact.web.connection import TRY_AGAIN_LATER, Connection
 from turtleact.web.shared import Limits, Shared
 
@@ -71,10 +71,14 @@ class Bridge:
 
     Attributes:
         is_open: Whether it takes connections.
+        budget: How much memory all clients together may hold.
+        refusals: Logs the connections that are refused.
     """
 
     def __init__(self, shared: Shared, access: Access) -> None:
         self.is_open = True
+        self.budget = shared.budget
+        self.refusals = Refusals()
         self._shared = shared
         self._access = access
         self._connections: set[Connection] = set()
@@ -116,6 +120,7 @@ class Bridge:
                 connection.let_go("the bridge is closed")
             await self._wait_until_left()
             await self._shared.aclose()
+        self.refusals.tell()
 
     async def _wait_until_left(self) -> None:
         while self._connections:
@@ -124,6 +129,7 @@ class Bridge:
     async def _connect(self, websocket: WebSocket) -> None:
         refusal = self._refusal(websocket)
         if refusal is not None:
+            self._note_refusal(refusal)
             if "websocket.http.response" in websocket.scope.get("extensions", {}):
                 await websocket.send_denial_response(refusal)
             else:
@@ -136,6 +142,9 @@ class Bridge:
         finally:
             self._connections.remove(connection)
             self._left.fire()
+
+    def _note_refusal(self, refusal: Response) -> None:
+        self.refusals.note(bytes(refusal.body).decode().rstrip(), anyio.current_time())
 
     def _refusal(self, websocket: WebSocket) -> Response | None:
         """What a client gets that is not let in; None if it is."""
@@ -166,7 +175,9 @@ class Bridge:
         name, media_type = found
         problem = self._problem(asked) if media_type == "text/html" else ""
         if problem:
-            return _text(403, problem)
+            refusal = _text(403, problem)
+            self._note_refusal(refusal)
+            return refusal
         return Response(_file(name), media_type=media_type, headers=HEADERS)
 
 

@@ -91,6 +91,7 @@ class Connection:
             self._shared.goals.lose(self)
             with anyio.CancelScope(shield=True):
                 await self._close_all()
+            self._shared.budget.hold(self, 0)  # last: closing may still have kept frames
 
     def close(self) -> None:
         """Send what must still arrive, then a close frame, and end."""
@@ -106,6 +107,7 @@ class Connection:
         self.mailbox.keep(frame)
         if self.mailbox.is_overfull:
             self.let_go("too much waits for it")
+        self._shared.budget.hold(self, self.mailbox.size)
         self._filled.fire()
 
     def put(self, source: str, frame: Frame) -> None:
@@ -113,7 +115,15 @@ class Connection:
         if self._is_closing:
             return
         self.mailbox.put(source, frame)
+        self._shared.budget.hold(self, self.mailbox.size)
         self._filled.fire()
+
+    def shrink(self) -> int:
+        """Hold less, as all clients together hold too much; gives how much it still holds."""
+        if self.mailbox.shed():
+            return self.mailbox.size
+        self.let_go("too much waits for all clients, and most of it for this one")
+        return 0
 
     def let_go(self, reason: str) -> None:
         """End at once, without a word to a client that does not listen."""
@@ -142,6 +152,7 @@ class Connection:
             due = self._release(anyio.current_time())
             frame = self.mailbox.take()
             if frame is not None:
+                self._shared.budget.hold(self, self.mailbox.size)
                 await self._send(frame)
             elif self._is_closing:
                 break
@@ -175,9 +186,7 @@ class Connection:
         for throttle, _, _ in self._readers.values():
             message = throttle.release(now)
             if message is not None:
-                self.mailbox.put(
-                    throttle.topic, message.frame(throttle.compression, throttle.topic)
-                )
+                self.put(throttle.topic, message.frame(throttle.compression, throttle.topic))
             if throttle.due is not None:
                 due = min(due, throttle.due)
         return due

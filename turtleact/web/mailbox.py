@@ -1,8 +1,12 @@
-"""What waits to be sent to one client, and how much of it: pure, time comes in as ``now=``.
+"""What waits to be sent to one client, and how much all clients may hold: pure.
 
-- What a client has asked for is kept in order and never dropped: responses, results, goals. Who
-  lets too much of it pile up is beyond help (`Mailbox.is_overfull`).
+Time comes in as ``now=``.
+
+- What a client has asked for is kept in order and never dropped: responses, results, goals. A
+  client that lets too much of it pile up is let go (`Mailbox.is_overfull`).
 - Of a topic's messages and of feedback the newest are kept; `Mailbox.dropped` counts the others.
+- `Budget` bounds the memory of all clients together. Without it, each client could stay below its
+  own limits while a hundred of them take a gigabyte.
 
 Source: rosbridge v2, ``throttle_rate`` and ``queue_length`` of ``subscribe``.
 """
@@ -11,11 +15,11 @@ from __future__ import annotations
 
 import itertools
 from collections import deque
-from typing import Final
+from typing import Final, Protocol
 
 from turtleact.web.conversion import Compression, Frame, Rendering
 
-__all__ = ["Mailbox", "Throttle"]
+__all__ = ["Budget", "Holder", "Mailbox", "Throttle"]
 
 MOST_OF_ONE: Final = 32
 """So many frames of one topic or goal wait at most."""
@@ -28,6 +32,56 @@ MOST_KEPT: Final = 1024
 
 MOST_KEPT_BYTES: Final = 32 * 2**20
 """So much that cannot be dropped waits at most (bytes)."""
+
+
+class Holder(Protocol):
+    """Something that holds memory for a client."""
+
+    def shrink(self) -> int:
+        """Hold less, or let the client go; gives how much it still holds (bytes)."""
+
+
+class Budget:
+    """How much memory all clients together may hold.
+
+    If it is exceeded, the holder of the most must shrink, not the one that asked last: otherwise a
+    few clients that fill the budget would shut out all others.
+
+    Args:
+        most: How much that is (bytes).
+
+    Attributes:
+        held: How much is held now (bytes).
+
+    Example:
+        >>> class Client:
+        ...     def shrink(self):
+        ...         print("let go")
+        ...         return 0
+        >>> budget, small, large = Budget(100), Client(), Client()
+        >>> budget.hold(large, 80)
+        >>> budget.hold(small, 30)
+        let go
+        >>> budget.held
+        30
+    """
+
+    def __init__(self, most: int) -> None:
+        self.most = most
+        self.held = 0
+        self._holders: dict[Holder, int] = {}
+
+    def hold(self, holder: Holder, size: int) -> None:
+        """Note how much a holder holds from now on (bytes)."""
+        self._set(holder, size)
+        while self.held > self.most:
+            largest = max(self._holders, key=self._holders.__getitem__)
+            self._set(largest, min(largest.shrink(), self._holders[largest] - 1))
+
+    def _set(self, holder: Holder, size: int) -> None:
+        self.held += size - self._holders.pop(holder, 0)
+        if size:
+            self._holders[holder] = size
 
 
 class Mailbox:
@@ -90,6 +144,13 @@ class Mailbox:
         """Drop what waits of a source that nobody wants any more; it is not counted."""
         for _, frame in self._droppable.pop(source, ()):
             self._droppable_bytes -= len(frame)
+
+    def shed(self) -> bool:
+        """Drop all that may be dropped, and count it; False if there was nothing of the kind."""
+        dropped = sum(map(len, self._droppable.values()))
+        self.dropped += dropped
+        self.drop_all()
+        return dropped > 0
 
     def drop_all(self) -> None:
         """Leave only what must arrive."""

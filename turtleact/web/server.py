@@ -20,9 +20,10 @@ import errno
 import logging
 import secrets
 import socket
+import time
 from collections.abc import AsyncIterator, Collection, Iterator
 from contextlib import asynccontextmanager, contextmanager
-from typing import Final, cast
+from typing import TYPE_CHECKING, Final, cast
 from urllib.parse import quote
 
 import anyio
@@ -34,9 +35,14 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from turtleact.errors import InvalidOption, TurtleactError
 from turtleact.node import Node
 from turtleact.tasks import Background
-from turtleact.web.access import is_loopback
+from turtleact.web.access import Refusals, is_loopback
 from turtleact.web.bridge import Bridge, open_bridge
+from turtleact.web.connection import TRY_AGAIN_LATER
 from turtleact.web.shared import Limits
+
+if TYPE_CHECKING:
+    from starlette.types import Message
+    from websockets.frames import Frame
 
 __all__ = ["PORT", "READ_AHEAD", "Http", "Socket", "Web", "bound", "open_web"]
 
@@ -56,6 +62,14 @@ LAST_ORDERS: Final = 2
 
 REQUEST_WITHIN: Final = 10.0
 """So long a client has to say what it wants (s)."""
+
+LINGER: Final = 1.0
+"""A client that was let go is read for so long (s), and what it says is dropped."""
+
+OVERHEAD: Final = 64
+"""What Python takes for a part of a message, whatever its length (bytes)."""
+
+TOO_MUCH: Final = "all clients together hold too much memory, and this one most of it"
 
 MOST_PINGS: Final = 100
 """So often a client may ask in a second whether the server is there."""
@@ -148,7 +162,7 @@ async def open_web(
 
 @asynccontextmanager
 async def _serving(bridge: Bridge, listener: socket.socket, limits: Limits) -> AsyncIterator[None]:
-    config = uvicorn.Config(
+    config = _Config(
         bridge,
         http=Http,
         ws=Socket,
@@ -162,6 +176,7 @@ async def _serving(bridge: Bridge, listener: socket.socket, limits: Limits) -> A
         ws_per_message_deflate=False,
         timeout_graceful_shutdown=LAST_ORDERS,
     )
+    config.bridge = bridge
     server = _Server(config)
     running = Background(server.serve([listener]), "the web server")
     try:
@@ -175,6 +190,32 @@ async def _serving(bridge: Bridge, listener: socket.socket, limits: Limits) -> A
             server.should_exit = True
             await server.over.wait()
             await running.aclose()
+
+
+class _Config(uvicorn.Config):
+    """uvicorn's, through which its protocols reach the bridge."""
+
+    bridge: Bridge
+
+
+class _Log(logging.Logger):
+    """What uvicorn's protocols log of one connection.
+
+    They log each request that they refuse, in words of their own; those are counted, like all
+    refusals. Bugs are logged as they are.
+    """
+
+    def __init__(self, refusals: Refusals) -> None:
+        super().__init__("turtleact.web", logging.WARNING)
+        self.parent = logger
+        self._refusals = refusals
+
+    def handle(self, record: logging.LogRecord) -> None:
+        """Count a refusal, or log a bug."""
+        if record.levelno < logging.ERROR:
+            self._refusals.note(record.getMessage(), time.monotonic())
+        else:
+            super().handle(record)
 
 
 class _Server(uvicorn.Server):
@@ -212,8 +253,10 @@ class Http(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as in uvicorn
         """Take a connection, unless there are too many."""
+        self.logger = _Log(cast("_Config", self.config).bridge.refusals)
         super().connection_made(transport)
         if self.limit_concurrency is not None and len(self.connections) > self.limit_concurrency:
+            self.logger.warning("%d connections are open", self.limit_concurrency)
             transport.abort()
         else:
             self.loop.call_later(REQUEST_WITHIN, self._give_up)
@@ -225,11 +268,26 @@ class Http(H11Protocol):
 
 
 class Socket(WebSocketsSansIOProtocol):
-    """A WebSocket."""
+    """A WebSocket.
+
+    What it holds for its client counts towards the budget of all clients: the part of a message
+    that has arrived, messages that the app has not read or is still working on, and what the
+    client has not taken yet.
+    """
 
     _heard_at = 0.0
     _pinged_at = 0.0
     _pings = 0
+    _fragments = 0
+    _unread = 0
+    _is_let_go = False
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Take over a connection."""
+        bridge = cast("_Config", self.config).bridge
+        self._budget = bridge.budget
+        self.logger = self.conn.logger = _Log(bridge.refusals)
+        super().connection_made(transport)
 
     async def run_asgi(self) -> None:
         """Serve the connection."""
@@ -239,8 +297,81 @@ class Socket(WebSocketsSansIOProtocol):
 
     def data_received(self, data: bytes) -> None:
         """Read on."""
+        if self._is_let_go:
+            return
         self._heard_at = self.loop.time()
         super().data_received(data)
+        self._count()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Note the end."""
+        super().connection_lost(exc)
+        self._budget.hold(self, 0)
+
+    def resume_writing(self) -> None:
+        """Note that the client has taken what was sent."""
+        super().resume_writing()
+        self._count()
+
+    def shrink(self) -> int:
+        """End the connection, as all clients together hold too much and this one most of it."""
+        logger.warning("a web client was let go: %s", TOO_MUCH)
+        self._is_let_go = True
+        self.frames = []
+        is_open = self.handshake_complete and not self.transport.is_closing()
+        if not is_open or self.close_sent or self._unsent():  # it would not read a close frame
+            self.transport.abort()
+        else:
+            self.conn.send_close(TRY_AGAIN_LATER, TOO_MUCH)
+            self.transport.write(b"".join(self.conn.data_to_send()))
+            self.conn.reader.buffer.clear()
+            self.close_sent = True
+            self.queue.put_nowait({"type": "websocket.disconnect", "code": TRY_AGAIN_LATER})
+            # The kernel resets a connection that is closed before all is read that has arrived,
+            # and the client would not get the close frame. So go on reading for a moment.
+            self.close_timer = self.loop.call_later(LINGER, self.transport.close)
+            self.transport.resume_reading()
+        return 0
+
+    def handle_text(self, event: Frame) -> None:
+        """Take the first part of a text, or all of it."""
+        self._fragments = _cost(event)
+        super().handle_text(event)
+
+    def handle_bytes(self, event: Frame) -> None:
+        """Take the first part of a binary message, or all of it."""
+        self._fragments = _cost(event)
+        super().handle_bytes(event)
+
+    def handle_cont(self, event: Frame) -> None:
+        """Take another part of a message."""
+        self._fragments += _cost(event)
+        super().handle_cont(event)
+
+    async def receive(self) -> Message:  # type: ignore[override]  # uvicorn's types are private
+        """Give the app the next message, now that it is done with those before."""
+        if self.queue.empty():
+            self._unread = 0
+            self._count()
+        return cast("Message", await super().receive())
+
+    async def send(self, message: Message) -> None:  # type: ignore[override]  # likewise
+        """Send what the app sends."""
+        await super().send(message)  # type: ignore[arg-type]  # likewise
+        if message["type"] == "websocket.http.response.body":
+            # A refusal is an answer to the handshake, too. uvicorn does not see it that way, and
+            # would log an error for each.
+            self.handshake_complete = True
+        self._count()
+
+    def _count(self) -> None:
+        """Note how much is held for the client."""
+        if not (self._is_let_go or self.disconnected or self.transport.is_closing()):
+            incoming = len(self.conn.reader.buffer) + self._fragments + self._unread
+            self._budget.hold(self, incoming + self._unsent())
+
+    def _unsent(self) -> int:
+        return self.transport.get_write_buffer_size()
 
     def handle_ping(self) -> None:
         """Answer a ping; the answers would pile up to a client that does nothing else."""
@@ -264,6 +395,8 @@ class Socket(WebSocketsSansIOProtocol):
 
     def send_receive_event_to_app(self) -> None:
         """Hand a message to the app; a text that is none ends the connection."""
+        self._unread += self._fragments
+        self._fragments = 0
         is_read = self.curr_msg_data_type == "text" and not self.close_sent
         if is_read and not _is_text(self.frames):
             logger.warning("a web client was let go: it sent a text that is not UTF-8")
@@ -296,6 +429,11 @@ def bound(host: str, port: int) -> Iterator[socket.socket]:
         raise InvalidOption("port" if is_port else "host", problem + hint) from None
     with listener:
         yield listener
+
+
+def _cost(part: Frame) -> int:
+    """What it takes to hold a part of a message (bytes): many tiny ones are large, too."""
+    return len(part.data) + OVERHEAD
 
 
 def _is_text(parts: list[bytes]) -> bool:

@@ -34,6 +34,7 @@ from turtleact.tasks import Background, current_tasks
 from turtleact.topics import Subscription
 from turtleact.transports import QoS
 from turtleact.web.conversion import Rendering, json_values, read_message, reply
+from turtleact.web.mailbox import Budget
 from turtleact.web.names import Directory, absolute, action_class
 from turtleact.web.operations import CallService, CancelActionGoal, Id, SendActionGoal
 from turtleact.web.rosapi import Parameters, Rosapi
@@ -82,12 +83,17 @@ class Limits(msgspec.Struct, frozen=True):
         opened: Subscriptions, advertisements, services and actions of one client.
         calls: Service calls of one client that are under way.
         message_size: Longest message that a client may send (bytes).
+        memory: How much all clients together may make the server hold (bytes): messages that have
+            not arrived in full or not been read yet, and frames that wait to be sent. If it is
+            exceeded, the client that holds the most loses its messages of topics and feedback, or
+            else is let go.
     """
 
     connections: int = 100
     opened: int = 256
     calls: int = 256
     message_size: int = 10_000_000
+    memory: int = 100_000_000
 
 
 class Shared:
@@ -102,6 +108,7 @@ class Shared:
     def __init__(self, node: Node, limits: Limits, *, cancel_on_disconnect: bool) -> None:
         self.node = node
         self.limits = limits
+        self.budget = Budget(limits.memory)
         self.tasks = current_tasks()
         self.directory = Directory(node.transport)
         self.feeds = Feeds(node, self.directory)
