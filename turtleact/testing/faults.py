@@ -181,7 +181,7 @@ class FaultyTransport:
         return self._transport.endpoints(name)
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """Those of them that were opened in this very process."""
+        """The endpoints that were opened in this process, or those of a name."""
         return self._transport.local_endpoints(name)
 
     def nodes(self) -> tuple[str, ...]:

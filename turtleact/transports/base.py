@@ -1,20 +1,21 @@
 """How messages travel: publish and subscribe, serve and call, between the nodes of one graph.
 
-A transport knows no goal and no message class. It carries what it is given between `Endpoint`
-objects that agree in name and type; where bytes must travel, the `Format` that comes with each
-endpoint makes them. Its guarantees:
+A transport knows no goal and no message class. It carries messages between `Endpoint` objects of
+the same name and type. Where messages travel as bytes, the `Format` of an endpoint converts them.
+A transport guarantees:
 
-- The messages of one publisher reach each subscription in the order in which they were published.
-- `Transport.subscribe` calls ``deliver`` in the event loop of the subscriber; what ``deliver``
-  raises is logged and reaches no publisher.
-- A transient-local publisher's last messages reach a subscription that comes later, first of all.
-- What is closed gets and gives nothing more: the latched messages of a publisher go with it.
-- Quality of service never keeps two endpoints apart.
-- A call ends: with a reply, or with the reason why there is none.
+- Each subscription gets the messages of one publisher in the order in which they were published.
+- `Transport.subscribe` calls ``deliver`` in the event loop of the subscriber. An exception that
+  ``deliver`` raises is logged and never reaches the publisher.
+- A subscription gets the last messages of a transient-local publisher first, even if it was opened
+  after they were published.
+- A closed endpoint neither sends nor receives. A publisher takes its latched messages with it.
+- A mismatch of quality of service never keeps two endpoints apart.
+- A call ends, with a reply or with the reason why there is none.
 
-A service is an object that `Transport.serve` offers. Within its own process `Transport.local` hands
-that very object to a client, which uses it as it likes; no request passes through the transport.
-All others reach it by the `Caller` that `Transport.join` gives, if it is `AsyncHandler`.
+`Transport.serve` offers any object as a service. In the same process `Transport.local` hands that
+object to a client, which uses it directly; no request passes through the transport. Clients in
+other processes call it with the `Caller` that `Transport.join` returns, if it is an `AsyncHandler`.
 
 Source: ROS 2 ``rmw``; the QoS policies of the ROS 2 documentation.
 """
@@ -126,8 +127,8 @@ class Endpoint(msgspec.Struct, frozen=True, gc=False):
         times: More of it, as a peer of ROS 2 declares it.
         type_hash: The hash of its type, where it is known from a wire.
         gid: The 16 bytes that name it on a wire, where it has such.
-        on_demand: Whether other processes are told of it only once one of them has an endpoint of
-            this name: for endpoints by the thousand, few of which are ever used.
+        on_demand: Whether other processes see it only once one of them has an endpoint of this
+            name. For thousands of endpoints of which few are ever used.
     """
 
     kind: EndpointKind
@@ -152,10 +153,10 @@ class Format(Protocol):
         """The hash of the message or service, ``RIHS01_…``."""
 
     def encode(self, message: object) -> bytes:
-        """What is sent, as bytes; raises `InvalidMessage` for what does not fit."""
+        """Encode a message; raises `InvalidMessage` if it does not fit its type."""
 
     def decode(self, data: bytes) -> object:
-        """What was received; raises `InvalidMessage` for bytes that are no such message."""
+        """Decode a message; raises `InvalidMessage` if the bytes are not one."""
 
 
 class MakeEndpoint(Protocol):
@@ -179,40 +180,40 @@ class Publication(Closeable, Protocol):
 
     @property
     def has_readers(self) -> bool:
-        """Whether anybody would get a message published now, or may later, as it is latched."""
+        """Whether anybody would get a message published now, or later because it is latched."""
 
     @property
     def has_near_readers(self) -> bool:
-        """Whether somebody in this very process would get a message, as an object."""
+        """Whether a subscription in this process would get a message."""
 
     @property
     def is_congested(self) -> bool:
-        """Whether more is on its way than the readers take; who loses nothing, waits then."""
+        """Whether messages are published faster than they are read; see `drained`."""
 
     def publish(self, message: object) -> None:
         """Send a message to every subscription; it must not be changed afterwards."""
 
     def send(self, data: bytes) -> None:
-        """Send a message that is written already, to the readers in other processes alone."""
+        """Send an encoded message, only to subscriptions in other processes."""
 
     def expect_readers(self) -> None:
-        """Send from now on, be a reader known here or not: one is there, and news may be late."""
+        """Send from now on even if no reader is known: one exists, but may not be seen yet."""
 
     def refresh(self) -> None:
-        """Publish what the source makes now; over a wire once for many calls in a row."""
+        """Publish the source's current state; over a wire, once for many calls in a row."""
 
     async def drained(self) -> None:
         """Wait until it is not congested. Cancelling: safe."""
 
 
 class Source(Protocol):
-    """What publishes only while somebody reads, and tells a late reader how things stand.
+    """Makes the messages of a topic: the current state, and only while somebody reads it.
 
-    A subclass that says nothing of that has nothing to tell.
+    A subclass without a state implements `readers_changed` alone.
     """
 
     def current(self) -> Sequence[object]:
-        """What a late reader of a transient-local topic gets first, made when it comes."""
+        """The messages that a new reader of a transient-local topic gets first."""
         return ()
 
     def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:  # noqa: ARG002
@@ -222,16 +223,16 @@ class Source(Protocol):
     def readers_changed(self, *, has_readers: bool) -> None:
         """Called when the first reader has come, and when the last one has gone.
 
-        One may be there before the topic's sending end is, and is told of while that is opened.
+        If a reader is there before the publisher, this is called while the publisher is opened.
         """
 
 
 class Reply(msgspec.Struct, frozen=True):
-    """What a server answers.
+    """A server's reply.
 
     Attributes:
         message: The response.
-        note: A short text beside it, which peers of another kind do not see.
+        note: A short text beside it, which only turtleact reads.
     """
 
     message: object
@@ -256,23 +257,23 @@ EVERY_SERVER = Target()
 
 
 class PendingCall(Protocol):
-    """A request that is under way: taken at last, or dropped, or it goes on for nobody."""
+    """A request that is under way. `take`, `reply` or `drop` must be called in the end."""
 
     @property
     def is_over(self) -> bool:
         """Whether there is a reply, or will be none."""
 
     def tell(self, told: Callable[[], object]) -> None:
-        """Have something called in the event loop, once or more, when it is over."""
+        """Call ``told`` in the event loop when the call is over; once or more often."""
 
     def take(self) -> Reply:
-        """The reply, once it is over; raises as `Caller.call`, each time."""
+        """The reply of a call that is over; raises as `Caller.call` does, each time."""
 
     async def reply(self) -> Reply:
         """Wait for the reply; as `take` then."""
 
     def drop(self) -> None:
-        """Want no reply any more; once it was taken, this does nothing."""
+        """Give the reply up. Does nothing once the reply was taken."""
 
 
 Asked: TypeAlias = PendingCall
@@ -284,7 +285,7 @@ class Caller(Closeable, Protocol):
 
     @property
     def is_served(self) -> bool:
-        """Whether a call would reach a server now; what changes it is a change of the graph."""
+        """Whether a call would reach a server now. Changes only when the graph does."""
 
     async def call(self, request: object) -> Reply:
         """Send a request, and wait for the reply.
@@ -299,7 +300,7 @@ class Caller(Closeable, Protocol):
         """
 
     def ask(self, request: object) -> PendingCall | None:
-        """Send a request to another process now; None if that takes waiting: then see `call`.
+        """Send a request to another process now; None if that would have to wait: use `call` then.
 
         Raises:
             InvalidMessage: if the request does not fit its type; nothing was sent.
@@ -311,7 +312,7 @@ class Caller(Closeable, Protocol):
 
 @runtime_checkable
 class AsyncHandler(Protocol):
-    """A handler that answers callers of any process."""
+    """A handler that answers callers of any process, in a task."""
 
     async def reply(self, request: object, caller: bytes) -> Reply:
         """Answer a request; ``caller`` is the gid of its client."""
@@ -319,10 +320,10 @@ class AsyncHandler(Protocol):
 
 @runtime_checkable
 class SyncHandler(Protocol):
-    """A `AsyncHandler` handler that needs no task for what it can answer at once."""
+    """An `AsyncHandler` that can answer some requests at once, without a task."""
 
     def reply_now(self, request: object, caller: bytes) -> Reply | None:
-        """Answer a request if that takes no waiting; else None, with nothing done."""
+        """Answer a request that needs no waiting; for others return None and do nothing."""
 
 
 @runtime_checkable
@@ -330,7 +331,7 @@ class CallerAware(Protocol):
     """A handler that is told when a caller of its service has gone."""
 
     def caller_lost(self, caller: bytes) -> None:
-        """Note that the client of this gid was closed, or has died."""
+        """Called when the client with this gid was closed or has died."""
 
 
 class Transport(Protocol):
@@ -350,7 +351,7 @@ class Transport(Protocol):
     def advertise(
         self, endpoint: Endpoint, format: Format, source: Source | None = None
     ) -> Publication:
-        """Open the sending end of a topic; with a source, nothing is latched but what it makes."""
+        """Open the sending end of a topic; with a source, only its messages are latched."""
 
     def subscribe(
         self, endpoint: Endpoint, format: Format, deliver: Callable[[object], None]
@@ -358,10 +359,10 @@ class Transport(Protocol):
         """Open the receiving end of a topic; ``deliver`` gets each message."""
 
     def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
-        """Offer ``handler`` as the server of a service, and appear in the graph as such.
+        """Offer ``handler`` as the server of a service, and appear in the graph as its server.
 
-        Each request of another process runs in a task of its own, which the transport ends when it
-        is closed itself; closing the service lets those under way go on.
+        Each request of another process runs in its own task. Closing the service lets these tasks
+        finish; closing the transport cancels them.
 
         If a node serves a name and type more than once, it is one service to others, so that no
         client gets two replies: the handler that came first answers. It finds the others by
@@ -372,10 +373,10 @@ class Transport(Protocol):
         """Appear in the graph as a client of a service, and be able to call it."""
 
     def local(self, name: str, type_name: str) -> object | None:
-        """The handler that serves a service in this very process, if there is one."""
+        """The handler that serves a service in this process, if there is one."""
 
     def all_local(self, name: str, type_name: str) -> tuple[object, ...]:
-        """All handlers that serve it in this very process, in the order of their coming."""
+        """All handlers that serve a service in this process, in the order they were offered."""
 
     def enter(self, node: str) -> Closeable:
         """Appear in the graph as a node of this fully qualified name."""
@@ -384,14 +385,14 @@ class Transport(Protocol):
         """All endpoints of the graph, or those of a name, in the order of their opening."""
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """Those of them that were opened in this very process."""
+        """The endpoints that were opened in this process, or those of a name."""
 
     def nodes(self) -> tuple[str, ...]:
-        """The names of all nodes, in the order of their coming; a name may be there twice."""
+        """The names of all nodes, in the order they appeared. A name may occur twice."""
 
     @property
     def changes(self) -> int:
-        """How often a node or endpoint has come or gone: as long as it stands, all is as it was."""
+        """How often a node or endpoint has come or gone. Unchanged means an unchanged graph."""
 
     async def wait_for_change(self) -> None:
         """Wait until a node or endpoint comes or goes. Cancelling: safe."""

@@ -83,7 +83,8 @@ def read_attachment(data: bytes) -> Attachment:
         raise _invalid(f"expected a gid of {GID_SIZE} bytes, not of {size}")
     if sequence < 0 or stamp < 0:
         raise _invalid(f"a sequence number and a time are not negative: {sequence}, {stamp}")
-    return Attachment(sequence, stamp, gid, note_in(data))
+    note = note_in(data) if len(data) > LAYOUT.size else ""  # requests have none
+    return Attachment(sequence, stamp, gid, note)
 
 
 def note_in(data: bytes) -> str:

@@ -1,9 +1,9 @@
-"""Both ends of a service: calls within the process as objects, the others as queries.
+"""Both ends of a service: objects within the process, Zenoh queries to and from other processes.
 
-A request names its client by gid and sequence number. Each is handled in a task of its own, and is
-answered in any case: with the response, or with what the handler raised, which clients of our kind
-raise again. Zenoh ends a query without a word where nobody serves the key, or the server dies: the
-graph then says why.
+A request names its client by gid and sequence number. It is handled in its own task, unless the
+handler can answer at once. It is always answered: with the response, or with the exception of the
+handler, which turtleact's clients raise again. If nobody serves a key, or the server dies, Zenoh
+ends the query without a reason; the client finds the reason in the graph.
 
 Source: rmw_zenoh_cpp ``rmw_service_data.cpp``, ``rmw_client_data.cpp``.
 """
@@ -311,15 +311,8 @@ class WireCaller:
             self._context, payload, self._counter.next(), self, is_cancelable=is_cancelable
         )
         self._calls.add(call)
-        self._context.outbox.post(lambda: call.send(self.querier))
+        self._context.outbox.post(call.send)
         return call
-
-    def finish(self, call: WireCall) -> Reply:
-        """What came of a call that is over, for the last time."""
-        self._calls.discard(call)
-        if not self._is_open:
-            self._leave_if_idle()
-        return self.read(call)
 
     def forget(self, call: WireCall) -> None:
         """Note that nobody waits for a call any more."""
@@ -335,8 +328,11 @@ class WireCaller:
         self._context.opened.discard(self)  # until now it is to be told of servers that go
         self.presence.close()
 
-    def read(self, call: WireCall) -> Reply:
-        """What came of a call; raises what its server raised."""
+    def finish(self, call: WireCall) -> Reply:
+        """What came of a call that is over; raises what its server raised."""
+        self._calls.discard(call)
+        if not self._is_open:
+            self._leave_if_idle()
         if call.error is not None:
             raise error_said(self._endpoint.name, *call.error)
         if call.answer is None:
@@ -452,10 +448,8 @@ class WireCall:
 
     def take(self) -> Reply:
         """The reply, once it is over; see `turtleact.transports.base.PendingCall`."""
-        if self._is_wanted:
-            self._is_wanted = False
-            return self._caller.finish(self)
-        return self._caller.read(self)
+        self._is_wanted = False
+        return self._caller.finish(self)
 
     async def reply(self) -> Reply:
         """Wait for the reply; see `turtleact.transports.base.PendingCall`."""
@@ -463,7 +457,7 @@ class WireCall:
             await self._wait()
         finally:
             self.drop()
-        return self._caller.read(self)
+        return self._caller.finish(self)
 
     def drop(self) -> None:
         """Want no reply any more; a second time does nothing."""
@@ -498,8 +492,9 @@ class WireCall:
 
     # in the outbox
 
-    def send(self, querier: Querier | None) -> None:
+    def send(self) -> None:
         """Send the request."""
+        querier = self._caller.querier
         if querier is None:
             self._ended()
             return

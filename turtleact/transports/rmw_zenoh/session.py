@@ -1,9 +1,9 @@
 """The door to Zenoh: a session, with plain bytes and callbacks in and out.
 
-All of it may block, so that it is called in an `Outbox`; callbacks come in Zenoh's own threads and
-hand on what they get. What is declared must be taken back by hand, as the garbage collector would
-do it in whatever thread it runs. Every entity talks with other sessions alone: within this one,
-messages go as objects. What Zenoh raises becomes a `TurtleactError` here and nowhere else.
+Every method may block, so an `Outbox` calls them. Zenoh calls back in its own threads. Whatever is
+declared must be undeclared by hand, since the garbage collector would do so in any thread. Nothing
+that is declared here talks with its own session: within a process messages are objects. Exceptions
+of Zenoh become `TurtleactError` here and nowhere else.
 
 Source: rmw_zenoh_cpp ``rmw_publisher_data.cpp``, ``rmw_subscription_data.cpp``,
 ``rmw_service_data.cpp`` and ``rmw_client_data.cpp``; eclipse-zenoh 1.10.

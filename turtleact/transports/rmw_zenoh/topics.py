@@ -1,9 +1,10 @@
-"""Both ends of a topic: objects within the process, bytes to and from the others.
+"""Both ends of a topic: objects within the process, bytes to and from other processes.
 
-A publication encodes a message only where somebody elsewhere reads the topic, or may later, as it
-is latched. What it sends waits in its lane for the thread that sends; what a subscription gets
-waits in another for the event loop. A lane of a best-effort topic is as long as its depth says; one
-of a reliable topic is bounded in bytes alone, and `is_congested` tells who would lose nothing.
+A publication encodes a message only if another process reads the topic, or if it is latched. What
+it sends waits in a `Lane` for the thread that sends it. What a subscription receives waits in
+another lane for the event loop. The lane of a best-effort topic holds as many messages as its depth
+says. That of a reliable topic is bounded in bytes only; a publisher that must lose nothing waits
+while `is_congested`.
 """
 
 from __future__ import annotations

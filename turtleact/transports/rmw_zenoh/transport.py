@@ -1,12 +1,12 @@
-"""A graph that reaches other processes, and the nodes of ROS 2, by Zenoh as rmw_zenoh uses it.
+"""A graph of processes, the nodes of ROS 2 among them, on Zenoh as rmw_zenoh uses it.
 
-Within the process nothing goes over the wire: nodes that are given the same transport hand each
-other objects, as on a `MemoryTransport`. Zenoh carries the rest, in bytes that ROS 2 reads.
+Nodes of one process that share a transport hand each other objects, as on a `MemoryTransport`.
+Zenoh carries everything else, as bytes that ROS 2 can read.
 
-- Calls into Zenoh may block; one thread makes them all, in the order in which they were asked for.
-- Callbacks of Zenoh come in its own threads; what they bring is handled in the event loop.
-- A reader that takes nothing holds up the reliable topics that it reads for a second at most, once:
-  then it is cut off, and comes back by itself when it takes again.
+- Calls into Zenoh may block. One thread makes them all, in order.
+- Zenoh calls back in its own threads. What they bring is handled in the event loop.
+- A reader that stops reading delays its reliable topics once, for a second at most. Then Zenoh
+  disconnects it; it reconnects by itself when it reads again.
 
 Source: rmw_zenoh_cpp, ``docs/design.md``.
 """
@@ -96,9 +96,9 @@ class ZenohTransport:
     ) -> Publication:
         """Open the sending end of a topic; with a source, nothing is latched but what it makes.
 
-        What is published reaches readers elsewhere by a thread of its own; see
-        `Publication.is_congested`. Nothing is encoded while nobody elsewhere reads a topic, unless
-        it is latched.
+        A thread sends what is published to readers in other processes; see
+        `Publication.is_congested`. Messages are encoded only while another process reads the topic,
+        or if it is latched.
 
         Raises:
             InvalidInterface: if the message class has no type name.
@@ -113,8 +113,8 @@ class ZenohTransport:
     def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
         """Offer ``handler`` as the server of a service; raises as `advertise` does.
 
-        A request of another process that comes while one of the same gid and number is under way,
-        is refused. What a handler raises is told to its caller; those of ROS 2 log it.
+        A request with the gid and sequence number of one that is under way is refused. An exception
+        of a handler is sent to its caller; clients of ROS 2 log it.
         """
         self._check_open()
         is_for_others = isinstance(handler, AsyncHandler)
@@ -130,19 +130,18 @@ class ZenohTransport:
     def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
         """Appear in the graph as a client of a service, and be able to call it.
 
-        A server in this process is preferred. A call to another process that is canceled is over
-        here; its server is told of it when the caller is closed, not before. A server that hangs
-        without dying is waited for, ten minutes: then the call raises `ServiceTimeout`. Raises as
-        `advertise` does.
+        A server in this process is preferred. A cancelled call ends here at once, but a server in
+        another process is told only when the caller is closed. If a server hangs without dying, the
+        call raises `ServiceTimeout` after ten minutes. Raises as `advertise` does.
         """
         return WireCaller(self.context, self._name(endpoint, format), format, target, self._servers)
 
     def all_local(self, name: str, type_name: str) -> tuple[object, ...]:
-        """All handlers that serve it in this very process."""
+        """All handlers that serve a service in this process."""
         return self._near.all_local(name, type_name)
 
     def local(self, name: str, type_name: str) -> object | None:
-        """The handler that serves a service in this very process, if there is one."""
+        """The handler that serves a service in this process, if there is one."""
         return self._near.local(name, type_name)
 
     def enter(self, node: str) -> Closeable:
@@ -325,20 +324,21 @@ async def open_zenoh(
 ) -> AsyncIterator[ZenohTransport]:
     """A graph of processes for the length of a block.
 
-    What cannot be reached or is taken already is told within a few seconds.
+    Raises within a few seconds if an endpoint cannot be reached or is in use already. Later, a lost
+    connection is restored without notice, also to a router that was restarted.
 
     Args:
-        connect: Where routers or peers are, such as ``tcp/localhost:7447``, which is the default
-            but for a router; each must be reached. Later losses are mended without a word.
-        listen: Where others may connect to us: a free port of this machine if left out,
-            ``tcp/127.0.0.1:7447`` for a router, nowhere for a client.
-        mode: ``"peer"`` is what a node of ROS 2 is; ``"client"`` talks through its router alone;
+        connect: Where routers or peers are. By default ``tcp/localhost:7447``, except for a router.
+            Each must be reached.
+        listen: Where others can connect to this session. By default a free port of this machine for
+            a peer, ``tcp/127.0.0.1:7447`` for a router, and nowhere for a client.
+        mode: ``"peer"`` joins as a node of ROS 2 does. ``"client"`` talks through its router only.
             ``"router"`` is what the nodes of ROS 2 on this machine look for.
-        domain: The ROS domain, 0 to 232; that of ``ROS_DOMAIN_ID`` if left out, else 0.
-        config: More of Zenoh's configuration: a mapping of path (``"transport/link/tx/lease"``) to
-            value, or a whole file as JSON5, such as those that ROS 2 is configured with; in the
-            file's place stands what is said here.
-        clock: The time of the nodes in this process; wall time if left out.
+        domain: The ROS domain, 0 to 232. By default that of ``ROS_DOMAIN_ID``, or 0.
+        config: More of Zenoh's configuration: a mapping from paths (``"transport/link/tx/lease"``)
+            to values, or a whole file as JSON5, such as those that configure ROS 2. The other
+            options take precedence over the file.
+        clock: The time of the nodes in this process; wall time by default.
         discovery: For how long after the opening a goal or a call waits for a server that is not
             seen yet (s, of the event loop's time). After that it fails at once if there is none.
 
