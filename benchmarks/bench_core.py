@@ -238,7 +238,7 @@ async def send_with_feedback(watchers: int, client: Client, times: int) -> None:
     for _ in range(times):
         async with client.send_goal(Count.Goal(target=FEEDBACK)) as goal:
             others = [
-                asyncio.create_task(read_handle(Handle(goal._server, goal._goal)))
+                asyncio.create_task(read_handle(await client.attach(goal.goal_id)))
                 for _ in range(1, watchers)
             ]
             assert await read_handle(goal) == FEEDBACK

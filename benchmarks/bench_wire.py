@@ -32,12 +32,13 @@ from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from importlib.metadata import version
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import turtleact
 from benchmarks import wire_peers as peers
 from benchmarks.wire_peers import Contender, Open, Serve
 from turtleact import Action, ActionClient, GoalStatus, Message
+from turtleact.client.remote_goals import RemoteGoal
 from turtleact.interfaces import int32
 from turtleact.transports import open_zenoh
 
@@ -334,12 +335,12 @@ class State(NamedTuple):
         return cls(goals, tasks, len(gc.get_objects()), pages * os.sysconf("SC_PAGE_SIZE") // 1024)
 
 
-async def look(client: Client, pipe: Connection) -> tuple[State, State]:
+async def look(pipe: Connection) -> tuple[State, State]:
     """What the server holds and what the client, once results are no longer kept."""
     await asyncio.sleep(KEPT + 0.5)
     pipe.send("look")
     theirs = await asyncio.to_thread(pipe.recv)
-    followed: dict[bytes, Any] = client._distant._followed
+    followed = [each for each in gc.get_objects() if type(each) is RemoteGoal]
     return theirs, State.now(len(followed), len(asyncio.all_tasks()) - 1)
 
 
@@ -352,7 +353,7 @@ async def soak(kind: Kind, folder: Path) -> None:
             ("at once", TOGETHER, True),
         ):
             await goals(contender)
-            before = await look(client, pipe)
+            before = await look(pipe)
             began = time.perf_counter()
             async with asyncio.timeout(600):
                 if is_together:
@@ -361,7 +362,7 @@ async def soak(kind: Kind, folder: Path) -> None:
                     for _ in range(count):
                         await contender.goal()
             each = (time.perf_counter() - began) / count * 1e6
-            after = await look(client, pipe)
+            after = await look(pipe)
             for side, old, new in zip(("server", "client"), before, after, strict=True):
                 print(
                     f"{kind.name:<9}{title:<9}{count:>7,}{each:>8,.0f} {side:<7}{new.goals:>6}"

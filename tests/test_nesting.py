@@ -25,8 +25,8 @@ from turtleact.errors import (
 )
 from turtleact.goal import Goal
 
+from .client.test_action_client import Busy, cancel_after, on_asyncio, take
 from .lab import ON_ASYNCIO, Count, Lab, count, goal, lab, other_tasks, result, running, settle
-from .test_client import Busy, cancel_after, on_asyncio, take
 from .test_execution import awaited, entered
 from .test_policies import (
     CANCELED,

@@ -25,6 +25,15 @@ from turtleact.errors import (
 )
 from turtleact.goal import CancelCode
 
+from .client.test_action_client import (
+    Busy,
+    await_it,
+    cancel_after,
+    cancel_it,
+    leave_it,
+    on_asyncio,
+    take,
+)
 from .lab import (
     ON_ASYNCIO,
     ON_TRIO,
@@ -41,7 +50,6 @@ from .lab import (
     settle,
     take_turns,
 )
-from .test_client import Busy, await_it, cancel_after, cancel_it, leave_it, on_asyncio, take
 from .test_execution import awaited, entered
 from .test_server import ids
 
@@ -738,7 +746,7 @@ async def half_started(stage: Stage, **options: Any) -> AsyncIterator[tuple[Lab,
                 await take(1)
             slot = served.server._reception.slot
             assert slot is not None
-            assert two._goal in slot._places
+            assert served.active[-1] in slot._places
             assert two.status is GoalStatus.ACCEPTED
             yield served, two
             await two.outcome()

@@ -861,7 +861,7 @@ async def test_a_body_that_sends_a_goal_while_its_server_closes_is_refused():
 
     async def body(request, handle):
         client = handle.node.action_client(Count, "count")
-        client.server()
+        await client.wait_for_server()
         try:
             await anyio.sleep_forever()
         finally:

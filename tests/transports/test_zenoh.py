@@ -1691,7 +1691,7 @@ async def test_the_second_goal_is_sent_with_the_request_for_its_result_and_takes
         action_client = guest.action_client(Count, "count")
         assert await action_client.wait_for_server(5)
         assert await action_client.send_goal(goal(2)) == result(0, 1)
-        monkeypatch.setattr("turtleact.client.following.Following._see_to", see_to)
+        monkeypatch.setattr("turtleact.client.remote_goals.RemoteGoals._follow_in_task", see_to)
         assert await action_client.send_goal(goal(0)) == result()
         async with action_client.send_goal(goal(0)) as handle:
             assert await handle.result() == result()

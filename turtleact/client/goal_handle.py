@@ -1,8 +1,8 @@
 """A goal as its client sees it: its feedback, its events, its end, and how to cancel it.
 
-It reads a `Goal`: the very one that a server in the same process holds, or one that is kept up to
-date by messages (`GoalServer`). The one who has sent the goal reads without loss, and is waited
-for; others, who have attached themselves, get what is kept.
+It reads a `Goal`: the one that a server in the same process holds, or one that messages keep up to
+date (`turtleact.goal_server`). The sender of the goal reads without loss, and the body waits for
+it; other readers, which have attached themselves, get what is kept.
 
 Source: rclpy ``action/client.py`` for names and meaning.
 """
@@ -11,29 +11,23 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Coroutine
 from threading import get_ident
-from typing import (
-    ClassVar,
-    Generic,
-    Literal,
-    Self,
-    TypeAlias,
-    TypeVar,
-    cast,
-)
+from typing import Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar, cast
 
 import msgspec
 
-from turtleact.client.goal_server import GoalServer
 from turtleact.feedback import FeedbackLog
 from turtleact.goal import Goal, GoalStatus, failure
+from turtleact.goal_server import GoalServer, cancel_and_wait
 from turtleact.interfaces import Message, stamp_of
 from turtleact.interfaces.standard import CancelGoal, Time
+from turtleact.tasks import Home
 
 __all__ = [
     "Accepted",
     "ClientGoalHandle",
     "Event",
     "FeedbackReceived",
+    "GoalReader",
     "Outcome",
     "ResultReceived",
     "StatusChanged",
@@ -113,40 +107,31 @@ Event: TypeAlias = Accepted | StatusChanged | FeedbackReceived[F] | ResultReceiv
 class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
     """What a client holds of its goal.
 
-    ``async for feedback in handle`` gives each feedback message once, in order, those too that were
-    published before the iteration began, and ends when the goal does. Nothing is lost to the sender
-    while it iterates, and a generator that runs far ahead of it waits; before and after that, and
-    for those who have attached themselves, the newest 1,024 are kept, and `missed` counts the
-    others.
+    ``async for feedback in handle`` gives each feedback message once, in order, also those that
+    were published before the iteration began, and ends when the goal does. The sender loses nothing
+    while it iterates; a generator that runs far ahead of it waits. Before and after that, and for
+    clients that have attached themselves, the newest 1,024 messages are kept, and `missed` counts
+    the others.
 
     `done`, `status`, `last_feedback` and `cancel_nowait` are for callers that cannot wait.
-
-    Attributes:
-        missed: How many feedback messages this reader has lost.
     """
 
-    _server: GoalServer
-    _goal: Goal
-    _is_sender: bool = True
-    _next: int = 0
-    _detached: bool = False
-    _readers: int = 0
-    missed: int = 0
+    _reader: GoalReader
 
     @property
     def goal_id(self) -> bytes:
         """The goal's 16 bytes."""
-        return self._server.name_goal(self._goal)
+        return self._reader.goal_id
 
     @property
     def stamp(self) -> Time:
         """When the goal was accepted."""
-        return stamp_of(self._goal.stamp)
+        return stamp_of(self._reader.goal.stamp)
 
     @property
     def status(self) -> GoalStatus:
         """The goal's state, as known now."""
-        return self._goal.status
+        return self._reader.goal.status
 
     @property
     def accepted(self) -> bool:
@@ -156,19 +141,117 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
     @property
     def done(self) -> bool:
         """Whether the goal has ended."""
-        return self._goal.ended != 0
+        return self._reader.goal.ended != 0
 
     @property
     def last_feedback(self) -> F | None:
         """The newest feedback, read or not."""
-        return cast("F | None", self._goal.last_feedback)
+        return cast("F | None", self._reader.goal.last_feedback)
+
+    @property
+    def missed(self) -> int:
+        """How many feedback messages this handle has lost."""
+        return self._reader.missed
 
     def __aiter__(self) -> AsyncIterator[F]:
-        self.start_reading()
-        return _Reading(self)
+        self._reader.start_iteration()
+        return _Feedback(self._reader)
 
-    async def __anext__(self) -> F:
-        goal = self._goal
+    def __anext__(self) -> Coroutine[object, object, F]:
+        return self._reader.read()
+
+    def events(self) -> AsyncIterator[Event[F, R]]:
+        """All that happens to the goal, from its acceptance to its result, each with a ``kind``.
+
+        The feedback among it is that of ``async for feedback in handle``: what one of the two has
+        given, the other does not give again.
+        """
+        self._reader.start_iteration()
+        return _Events(self._reader)
+
+    async def result(self) -> R:
+        """Wait for the result. Cancelling: safe, the goal goes on.
+
+        Raises:
+            GoalAborted: if the goal was aborted.
+            GoalCanceled: if the goal was canceled.
+            ServerUnavailable: if its server has gone.
+        """
+        goal = await self._reader.wait_for_end()
+        if goal.status is GoalStatus.SUCCEEDED:
+            return goal.result  # type: ignore[return-value]  # the server checked it
+        raise failure(goal)
+
+    async def outcome(self) -> Outcome[R]:
+        """Wait for the end; never raises for a goal that did not succeed. Cancelling: safe.
+
+        Raises:
+            ServerUnavailable: if its server has gone.
+        """
+        goal = await self._reader.wait_for_end()
+        if goal.error is not None:
+            raise goal.error
+        return Outcome(goal.status, cast("R", goal.result), goal.reason)
+
+    async def cancel(self) -> CancelGoal.Response:
+        """Ask the server to cancel the goal; the answer says whether it will."""
+        return await self._reader.cancel()
+
+    def cancel_nowait(self) -> None:
+        """Ask the server to cancel the goal; `status` tells in time whether it has agreed."""
+        self._reader.cancel_nowait()
+
+    def detach(self) -> None:
+        """Let the goal go on when the block is left."""
+        self._reader.is_detached = True
+
+
+class GoalReader:
+    """Reads one goal for one handle, and asks its server for what the handle's user wants.
+
+    Args:
+        server: Where the goal is.
+        goal: The goal.
+        home: The event loop of the client.
+        is_sender: Whether the client has sent the goal.
+
+    Attributes:
+        goal: The same.
+        missed: How many feedback messages were lost to this reader.
+        is_detached: Whether the goal goes on when the block of the handle is left.
+    """
+
+    __slots__ = (
+        "_home",
+        "_is_sender",
+        "_iterations",
+        "_next",
+        "_server",
+        "goal",
+        "is_detached",
+        "missed",
+    )
+
+    def __init__(self, server: GoalServer, goal: Goal, home: Home, *, is_sender: bool) -> None:
+        self.goal = goal
+        self.missed = 0
+        self.is_detached = False
+        self._server = server
+        self._home = home
+        self._is_sender = is_sender
+        self._next = 0
+        self._iterations = 0
+
+    @property
+    def goal_id(self) -> bytes:
+        """The goal's 16 bytes."""
+        return self._server.name_goal(self.goal)
+
+    # feedback
+
+    async def read(self) -> Any:  # noqa: ANN401  # the action's own class
+        """Wait for the next feedback message; raises StopAsyncIteration once the goal has ended."""
+        goal = self.goal
         while True:
             log = goal.feedback
             if log is not None:
@@ -182,147 +265,134 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
                         log.read = self._next
                         if log.drained is not None:
                             log.relieve()
-                    return log.items[at]  # type: ignore[return-value]  # the server checked it
+                    return log.items[at]
             if goal.ended:
                 if goal.error is not None:
                     raise goal.error
                 raise StopAsyncIteration
             await self._server.signal(goal).wait()
 
-    def events(self) -> AsyncIterator[Event[F, R]]:
-        """All that happens to the goal, from its acceptance to its result, each with a ``kind``.
-
-        The feedback among it is that of ``async for feedback in handle``: what one of the two has
-        given, the other does not give again.
-        """
-        self.start_reading()
-        return _Events(self)
-
-    async def result(self) -> R:
-        """Wait for the result. Cancelling: safe, the goal goes on.
-
-        Raises:
-            GoalAborted: if the goal was aborted.
-            GoalCanceled: if the goal was canceled.
-            ServerUnavailable: if its server has gone.
-        """
-        goal = self._goal
-        if not goal.ended:
-            await self._wait()
-        if goal.status is GoalStatus.SUCCEEDED:
-            return goal.result  # type: ignore[return-value]  # the server checked it
-        raise failure(goal)
-
-    async def outcome(self) -> Outcome[R]:
-        """Wait for the end; never raises for a goal that did not succeed. Cancelling: safe.
-
-        Raises:
-            ServerUnavailable: if its server has gone.
-        """
-        goal = self._goal
-        if not goal.ended:
-            await self._wait()
-        if goal.error is not None:
-            raise goal.error
-        return Outcome(goal.status, cast("R", goal.result), goal.reason)
+    async def wait_for_change(self) -> None:
+        """Wait for the goal's next change. Cancelling: safe."""
+        await self._server.signal(self.goal).wait()
 
     @property
     def next_unread(self) -> int | None:
         """The number of the feedback that can be read without waiting; None if there is none."""
-        log = self._goal.feedback
+        log = self.goal.feedback
         return None if log is None or self._next >= log.count else max(self._next, log.dropped)
 
-    async def cancel(self) -> CancelGoal.Response:
-        """Ask the server to cancel the goal; the answer says whether it will."""
-        return await self._server.cancel_goal(self._goal)
-
-    def cancel_nowait(self) -> None:
-        """Ask the server to cancel the goal; `status` tells in time whether it has agreed."""
-        if not self.done:
-            self._server.cancel_nowait(self._goal)
-
-    def detach(self) -> None:
-        """Let the goal go on when the block is left."""
-        self._detached = True
-
-    async def leave(self) -> None:
-        """Stop reading; cancel the goal and wait for its end, unless it is detached."""
-        self.stop_reading()
-        if not self._detached:
-            await self._server.cancel_and_wait(self._goal)
-
-    def start_reading(self) -> None:
+    def start_iteration(self) -> None:
         """Have all feedback kept from here on, if it is the sender that reads."""
-        log = self._goal.feedback
+        self._home.check()
+        log = self.goal.feedback
         if log is None:
-            log = self._goal.feedback = FeedbackLog()
-        self._readers += 1
+            log = self.goal.feedback = FeedbackLog()
+        self._iterations += 1
         if self._is_sender:
             log.read = self._next
 
-    def end_reading(self) -> None:
-        """Note that an iteration has been left; a late one does not disturb those begun since."""
-        self._readers -= 1
-        if not self._readers:
-            self.stop_reading()
+    def end_iteration(self, thread: int) -> None:
+        """Note that an iterator made in ``thread`` is gone, from whatever thread this is called.
 
-    def forget_reader(self, thread: int) -> None:
-        """Note that an iterator is gone; one in a cycle is collected in whatever thread."""
-        if get_ident() == thread:
-            self.end_reading()
-        else:
-            self._server.from_anywhere(self.end_reading)
+        The end of one that was left earlier does not disturb those begun since.
+        """
+        if get_ident() != thread:
+            self._server.from_anywhere(lambda: self.end_iteration(thread))
+            return
+        self._iterations -= 1
+        if not self._iterations:
+            self._stop_reading()
 
-    def stop_reading(self) -> None:
+    def _stop_reading(self) -> None:
         """Let the body run ahead: nobody iterates any more."""
-        log = self._goal.feedback
+        log = self.goal.feedback
         if log is not None and self._is_sender:
             log.read = None
             log.relieve()
 
-    async def _wait(self) -> None:
-        """Wait for the end. A sender that does so does not hold the body up, whatever it reads."""
+    # the end
+
+    async def wait_for_end(self) -> Goal:
+        """Wait for the goal's end; a sender that waits for it does not hold the body up."""
+        self._home.check()
+        goal = self.goal
+        if goal.ended:
+            return goal
         if not self._is_sender:
-            await self._server.wait_for_end(self._goal)
-            return
-        log = self._goal.feedback
+            await self._server.wait_for_end(goal)
+            return goal
+        log = goal.feedback
         if log is None:
-            log = self._goal.feedback = FeedbackLog()
+            log = goal.feedback = FeedbackLog()
         log.hurried += 1
         log.relieve()
         try:
-            await self._server.wait_for_end(self._goal)
+            await self._server.wait_for_end(goal)
         finally:
             log.hurried -= 1
+        return goal
+
+    async def cancel(self) -> CancelGoal.Response:
+        """Ask the server to cancel the goal."""
+        self._home.check()
+        return await self._server.cancel_goal(self.goal)
+
+    def cancel_nowait(self) -> None:
+        """Ask the server to cancel the goal, without waiting."""
+        self._home.check()
+        if not self.goal.ended:
+            self._server.cancel_goal_nowait(self.goal)
+
+    async def leave(self, timeout: float) -> None:
+        """Stop reading; cancel the goal and wait for its end, unless it is detached.
+
+        Args:
+            timeout: How long the end is waited for (s, event loop time).
+        """
+        self._stop_reading()
+        if not self.is_detached:
+            await cancel_and_wait(self._server, self.goal, timeout)
 
 
-class _Reading(Generic[F]):
-    """One ``async for``: when it is left, by ``break`` too, the body need not wait for it."""
+class _Iteration:
+    """One ``async for``; when it is left, the body need not wait for its reader any more.
 
-    __slots__ = ("_handle", "_thread")
+    A ``break`` tells nothing to what was iterated over: Python only lets go of the iterator. An
+    async generator would be told of that by the event loop's hooks, but it could not go on after a
+    cancelled ``anext``, and trio warns of each one that is not exhausted. So it is the finalizer
+    that tells. An iterator in a reference cycle is finalized in whatever thread collects it.
+    """
 
-    def __init__(self, handle: ClientGoalHandle[R, F]) -> None:
-        self._handle = handle
+    __slots__ = ("_reader", "_thread")
+
+    def __init__(self, reader: GoalReader) -> None:
+        self._reader = reader
         self._thread = get_ident()
+
+    def __del__(self) -> None:
+        self._reader.end_iteration(self._thread)
+
+
+class _Feedback(_Iteration, Generic[F]):
+    """One ``async for`` over the feedback of a goal."""
+
+    __slots__ = ()
 
     def __aiter__(self) -> Self:
         return self
 
     def __anext__(self) -> Coroutine[object, object, F]:
-        return self._handle.__anext__()
-
-    def __del__(self) -> None:
-        self._handle.forget_reader(self._thread)
+        return self._reader.read()
 
 
-class _Events(Generic[F, R]):
+class _Events(_Iteration, Generic[F, R]):
     """One ``async for`` over all that happens to a goal."""
 
-    __slots__ = ("_handle", "_step", "_thread", "_told")
+    __slots__ = ("_step", "_told")
 
-    def __init__(self, handle: ClientGoalHandle[R, F]) -> None:
-        self._handle = handle
-        self._thread = get_ident()
+    def __init__(self, reader: GoalReader) -> None:
+        super().__init__(reader)
         self._step: Literal["accepted", "under way", "ended", "over"] = "accepted"
         self._told = 0  # how many states of the goal's history
 
@@ -330,37 +400,35 @@ class _Events(Generic[F, R]):
         return self
 
     async def __anext__(self) -> Event[F, R]:
-        handle = self._handle
-        goal = handle._goal  # one of the handle's own readers
+        reader = self._reader
+        goal = reader.goal
         if self._step == "accepted":
             self._step = "under way"
-            return Accepted(handle.goal_id, handle.stamp)
+            return Accepted(reader.goal_id, stamp_of(goal.stamp))
         while self._step == "under way":
-            status = self._next_status(goal)
+            status = self._next_status()
             if status is not None:
                 return StatusChanged(status)
-            if handle.next_unread is not None:
-                return FeedbackReceived(await handle.__anext__())
+            if reader.next_unread is not None:
+                return FeedbackReceived(await reader.read())
             if goal.error is not None:
                 raise goal.error
             if goal.ended:
                 self._step = "ended"
                 return StatusChanged(goal.status)
-            await handle._server.signal(goal).wait()
+            await reader.wait_for_change()
         if self._step == "ended":
             self._step = "over"
-            return ResultReceived(await handle.outcome())
+            return ResultReceived(Outcome(goal.status, cast("R", goal.result), goal.reason))
         raise StopAsyncIteration
 
-    def __del__(self) -> None:
-        self._handle.forget_reader(self._thread)
-
-    def _next_status(self, goal: Goal) -> GoalStatus | None:
+    def _next_status(self) -> GoalStatus | None:
         """The next state of the history, if no unread feedback went before it."""
-        if self._told == len(goal.history):
+        history = self._reader.goal.history
+        if self._told == len(history):
             return None
-        status, count = goal.history[self._told]
-        unread = self._handle.next_unread
+        status, count = history[self._told]
+        unread = self._reader.next_unread
         if unread is not None and unread < count:
             return None
         self._told += 1

@@ -8,6 +8,7 @@ Source: rclpy ``node.py`` for names and meaning.
 
 from __future__ import annotations
 
+import math
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from functools import partial
@@ -15,9 +16,8 @@ from typing import TypeVar, Unpack, cast
 
 from turtleact.body import ActionBody, ActionDeclaration, ActionType, ServerOptions
 from turtleact.client import ActionClient
-from turtleact.client.distant_server import DistantServer
-from turtleact.client.links import Links
-from turtleact.clock import Clock
+from turtleact.client.client_endpoints import ClientEndpoints
+from turtleact.clock import Clock, check_timeout
 from turtleact.errors import TurtleactError
 from turtleact.graph import Graph, graph_of
 from turtleact.interfaces import Action, Message, Service, WireFormat
@@ -170,19 +170,29 @@ class Node:
         for server in self._belongings.servers(ActionServer):
             server.hooks.add(hook)
 
-    def action_client(self, action_type: ActionType[G, R, F], name: str) -> ActionClient[G, R, F]:
+    def action_client(
+        self, action_type: ActionType[G, R, F], name: str, *, cancel_timeout: float | None = 6.0
+    ) -> ActionClient[G, R, F]:
         """Open a client of an action; it need not be served yet.
+
+        Args:
+            action_type: The action, a subclass of `turtleact.Action`.
+            name: The action's name; a relative one is put below the node's namespace.
+            cancel_timeout: When a task that waits for a goal is cancelled, or leaves its block, the
+                goal is canceled, and the task waits so long for its end (s, of the event loop's
+                time; None for as long as it takes).
 
         Raises:
             InvalidName: if the name breaks ROS 2's rules.
+            InvalidOption: if ``cancel_timeout`` is not a number.
         """
         _expect(Action, action_type)
+        check_timeout(cancel_timeout, "cancel_timeout")
+        patience = math.inf if cancel_timeout is None else cancel_timeout
         names = self._action_names(name)
-        links = Links(self.transport, self._endpoint, names, action_type)
-        goal_type = cast("type[Message]", action_type.Goal)
-        distant = DistantServer(links, goal_type, self._tasks, self.clock.now)
-        client = ActionClient(self.transport, action_type, names, distant)
-        client.membership = self._belongings.add(client, links)
+        endpoints = ClientEndpoints(self.transport, self._endpoint, names, action_type)
+        client: ActionClient[G, R, F] = ActionClient(endpoints, self._tasks, patience)
+        client.membership = self._belongings.add(client, endpoints)
         return client
 
     def publisher(

@@ -21,7 +21,7 @@ from turtleact.errors import (
 from turtleact.feedback import FeedbackLog
 from turtleact.goal import CancelCode
 
-from .lab import (
+from ..lab import (
     ON_ASYNCIO,
     ON_TRIO,
     TURNS,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import inspect
 import uuid
 from typing import Any
 
@@ -21,11 +22,12 @@ from turtleact.errors import (
     GoalRejected,
     InvalidName,
     ServerUnavailable,
+    TurtleactError,
 )
 from turtleact.goal import CancelCode
 from turtleact.tasks import current_tasks
 
-from .lab import (
+from ..lab import (
     ON_ASYNCIO,
     TURNS,
     Count,
@@ -81,15 +83,31 @@ async def test_awaiting_a_canceled_goal_raises_its_result():
 async def test_a_goal_that_was_neither_awaited_nor_entered_is_not_sent():
     gate = Gate()
     async with lab(gate.wait) as served:
-        served.client.send_goal(goal())
+        with pytest.warns(RuntimeWarning, match="the goal for '/count' was never sent") as told:
+            served.client.send_goal(goal())
+        line = inspect.currentframe().f_lineno - 1  # type: ignore[union-attr]  # CPython has one
+        assert (told[0].filename, told[0].lineno) == (__file__, line)
         await settle()
         assert (gate.log, served.active) == ([], [])
 
 
-async def test_a_goal_can_be_sent_again():
+async def enter(sending: Any) -> Any:
+    async with sending as handle:
+        return await handle.result()
+
+
+async def await_(sending: Any) -> Any:
+    return await sending
+
+
+@pytest.mark.parametrize("first", [await_, enter])
+@pytest.mark.parametrize("second", [await_, enter])
+async def test_a_goal_is_sent_once(first, second):
     async with lab(count) as served:
         sending = served.client.send_goal(goal(1))
-        assert [await sending, await sending] == [result(0), result(0)]
+        assert await first(sending) == result(0)
+        with pytest.raises(TurtleactError, match="this goal for '/count' was sent already: call"):
+            await second(sending)
 
 
 @ON_ASYNCIO
@@ -770,3 +788,63 @@ async def test_a_goal_canceled_at_any_point_ends_canceled_or_has_succeeded():
                 assert response.return_code == CancelCode.NONE, f"after {turns} turns"
             else:  # it may succeed although it is canceling
                 assert outcome.status is GoalStatus.SUCCEEDED, f"after {turns} turns"
+
+
+# --- given to what wants a coroutine ------------------------------------------------------------
+
+
+@ON_ASYNCIO
+@pytest.mark.parametrize("waits", [False, True])
+async def test_a_task_can_be_made_of_it(waits):
+    gate = Gate()
+    async with lab(gate.wait if waits else count) as served:
+        task = asyncio.create_task(served.client.send_goal(goal(1)))
+        await settle()
+        gate.opened.set()
+        assert await task == (result(1) if waits else result(0))
+
+
+@ON_ASYNCIO
+async def test_a_task_group_takes_it():
+    async with lab(count) as served, asyncio.TaskGroup() as group:
+        tasks = [group.create_task(served.client.send_goal(goal(upto))) for upto in range(3)]
+    assert [task.result() for task in tasks] == [result(), result(0), result(0, 1)]
+
+
+@ON_ASYNCIO
+async def test_canceling_the_task_cancels_the_goal():
+    gate = Gate()
+    async with lab(gate.wait) as served:
+        task = asyncio.create_task(served.client.send_goal(goal()))
+        await settle()
+        (active,) = served.active
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        assert (active.status, gate.log) == (GoalStatus.CANCELED, ["begun", "canceled", "over"])
+
+
+@ON_ASYNCIO
+async def test_canceling_the_task_before_its_first_step_sends_nothing():
+    async with lab(count) as served:
+        task = asyncio.create_task(served.client.send_goal(goal()))
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        assert served.active == []
+
+
+async def test_it_can_be_started_in_a_task_group_of_anyio():
+    gate = Gate()
+    async with lab(gate.wait) as served:
+        async with anyio.create_task_group() as group:
+            group.start_soon(served.client.send_goal, goal())
+            await gate.started.wait()
+            gate.opened.set()
+        assert gate.log == ["begun", "over"]
+
+
+async def test_what_was_never_begun_can_be_closed():
+    async with lab(count) as served:
+        served.client.send_goal(goal()).close()
+        assert served.active == []

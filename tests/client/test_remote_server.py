@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections import defaultdict
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
@@ -13,7 +14,9 @@ import pytest
 
 import turtleact
 from turtleact import CancelResponse, GoalResponse, GoalStatus
+from turtleact.client.client_endpoints import ClientEndpoints
 from turtleact.client.goal_handle import Outcome
+from turtleact.client.remote_goals import RemoteGoal
 from turtleact.errors import (
     Abort,
     Cancel,
@@ -34,7 +37,7 @@ from turtleact.tasks import current_tasks
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import EVERY_SERVER, Reply
 
-from .lab import (
+from ..lab import (
     Count,
     Gate,
     HandClock,
@@ -47,8 +50,8 @@ from .lab import (
     running,
     settle,
 )
-from .test_execution import awaited, entered
-from .test_policies import Send
+from ..test_execution import awaited, entered
+from ..test_policies import Send
 
 ID = bytes(range(16))
 
@@ -58,9 +61,11 @@ class Apart:
 
     Attributes:
         is_prompt: Whether requests are sent without waiting, as over a wire.
+        is_known: Whether clients know before the first reply that the server is turtleact's.
     """
 
     is_prompt = False
+    is_known = True
 
     def __init__(self, transport: MemoryTransport) -> None:
         self._transport = transport
@@ -123,15 +128,18 @@ class Early:
 @pytest.fixture(autouse=True, params=["one by one", "both at once"])
 def is_prompt(request, monkeypatch) -> None:
     """How the two requests of a goal are sent to a server of turtleact."""
-    monkeypatch.setattr(Apart, "is_prompt", request.param == "both at once")
+    is_prompt = request.param == "both at once"
+    monkeypatch.setattr(Apart, "is_prompt", is_prompt)
+    if is_prompt:  # a client knows its server before the first reply
 
+        def knows_ours(endpoints: Any) -> bool:
+            if endpoints.transport.is_known and not hasattr(endpoints, "was_told"):
+                endpoints.was_told = True
+                endpoints.learn(Reply(None, GoalNote().write()))
+            return genuine(endpoints)
 
-def client_of(node: turtleact.Node) -> turtleact.ActionClient[Any, Any, Any]:
-    """A client that knows its server."""
-    client = node.action_client(Count, "count")
-    if Apart.is_prompt:
-        client._distant._links.learn(Reply(None, GoalNote().write()))
-    return client
+        genuine = ClientEndpoints.knows_ours
+        monkeypatch.setattr(ClientEndpoints, "knows_ours", knows_ours)
 
 
 @asynccontextmanager
@@ -146,7 +154,7 @@ async def apart(
         turtleact.open_node("near", transport=near) as node,
     ):
         server = far.action_server(Count, "count", execute, **options)
-        yield Lab(node, server, client_of(node))
+        yield Lab(node, server, node.action_client(Count, "count"))
         assert node.transport.local("/count/_action/send_goal", "") is None
 
 
@@ -160,7 +168,7 @@ def send(request) -> Send:
 @pytest.fixture(autouse=True)
 def no_patience(monkeypatch) -> None:
     """What a server that has died is waited for: nothing."""
-    monkeypatch.setattr("turtleact.client.requests.BACK_WITHIN", 0.0)
+    monkeypatch.setattr("turtleact.client.remote_goals.BACK_WITHIN", 0.0)
 
 
 # --- ends ---------------------------------------------------------------------------------------
@@ -503,13 +511,18 @@ async def test_who_waits_for_acceptance_hears_that_its_client_was_closed(send):
 @pytest.mark.parametrize("turns", range(4))
 async def test_whenever_a_client_is_closed_all_its_goals_say_so(send, turns):
     """Some wait for their turn, some for their acceptance, some for their end."""
-    gate = Gate()
+    gate, begun = Gate(), list[int]()
     async with apart(gate.wait, policy="parallel", max_active=20) as served:
-        sending: list[Running[Any]] = [Running(lambda: send(served, goal())) for _ in range(20)]
+
+        async def begin() -> Any:
+            begun.append(1)
+            return await send(served, goal())
+
+        sending: list[Running[Any]] = [Running(begin) for _ in range(20)]
         async with anyio.create_task_group() as group:
             for each in sending:
                 group.start_soon(each.run)
-            while len(served.client._distant._followed) < len(sending):
+            while len(begun) < len(sending):
                 await current_tasks().checkpoint()
             for _ in range(turns):
                 await current_tasks().checkpoint()
@@ -529,23 +542,29 @@ async def test_a_goal_whose_client_was_closed_cannot_be_canceled():
 
 
 async def test_what_goes_wrong_with_a_reply_is_logged_and_ends_the_goal(send, monkeypatch, caplog):
-    def learn(_links: object, _reply: object) -> None:
+    def read(_text: object) -> None:
         raise RuntimeError("mine")
 
     async with apart(count) as served:
-        monkeypatch.setattr("turtleact.client.links.Links.learn", learn)
+        monkeypatch.setattr(GoalNote, "read", read)
         with pytest.raises(TurtleactError, match="cannot be followed: RuntimeError: mine"):
             await send(served, goal())
     assert "of /count cannot be followed" in caplog.text
 
 
+def remote_goals_in_memory() -> set[RemoteGoal]:
+    gc.collect()
+    return {each for each in gc.get_objects() if type(each) is RemoteGoal}
+
+
 async def test_nothing_is_left_of_goals_that_have_ended(send):
+    before = remote_goals_in_memory()
     async with apart(count) as served:
         for _ in range(20):
             await send(served, goal())
-        distant = served.client._distant
         await settle()
-        assert (distant._followed, served.active) == ({}, [])
+        assert remote_goals_in_memory() <= before
+        assert served.active == []
 
 
 async def test_many_goals_at_once(send):
@@ -656,7 +675,7 @@ async def cut(execute: Any, **options: Any) -> AsyncIterator[tuple[Lab, Cut]]:
         turtleact.open_node("near", transport=graph) as node,
     ):
         server = far.action_server(Count, "count", execute, **options)
-        yield Lab(node, server, client_of(node)), graph
+        yield Lab(node, server, node.action_client(Count, "count")), graph
 
 
 async def test_a_server_that_dies_is_told_to_all_who_wait(send):
@@ -689,7 +708,7 @@ async def test_a_server_that_comes_back_at_once_is_asked_again(send, monkeypatch
     gate = Gate()
     async with cut(gate.wait) as (served, graph), running(lambda: send(served, goal())) as sent:
         await gate.started.wait()
-        monkeypatch.setattr("turtleact.client.requests.BACK_WITHIN", 5.0)
+        monkeypatch.setattr("turtleact.client.remote_goals.BACK_WITHIN", 5.0)
         graph.returns = True
         graph.cut()
         await settle()
@@ -728,7 +747,7 @@ async def test_leaving_the_block_of_a_lost_goal_does_not_hang():
 async def test_lost_feedback_is_waited_for_and_then_logged(caplog, monkeypatch):
     async with cut(count) as (served, graph):
         graph.withholds = 2
-        monkeypatch.setattr("turtleact.client.following.LATE_FEEDBACK", 0.0)
+        monkeypatch.setattr("turtleact.client.remote_goals.LATE_FEEDBACK", 0.0)
         assert await served.client.send_goal(goal(5)) == result(0, 1, 2, 3, 4)
     assert "2 feedback messages of goal" in caplog.text
 
@@ -752,7 +771,7 @@ async def test_an_id_that_is_under_way_is_refused_here():
 
 
 async def test_a_reader_far_behind_loses_the_oldest(monkeypatch):
-    monkeypatch.setattr("turtleact.client.followed.MOST_UNREAD", 3000)
+    monkeypatch.setattr("turtleact.client.remote_goals.MOST_UNREAD", 3000)
 
     async def act(request):
         for number in range(8000):
@@ -848,6 +867,7 @@ async def strange() -> AsyncIterator[tuple[Stranger, turtleact.ActionClient[Any,
     """A stranger that serves `Count`, and the client of another node."""
     transport = MemoryTransport()
     near: Any = Apart(transport)
+    near.is_known = False
     async with (
         turtleact.open_node("far", transport=transport) as far,
         turtleact.open_node("near", transport=near) as node,

@@ -1,0 +1,205 @@
+"""An action server in another process, as its clients see it.
+
+Implements `turtleact.goal_server.GoalServer` by messages; `turtleact.client.remote_goals` sends
+goals and keeps them up to date. Feedback and status come by topic.
+
+- The topics are open before the first request is sent, so no feedback can come too early.
+- A result that overtakes feedback waits for it: the server says how much there is (`GoalNote`).
+- A server that goes away ends its goals here, with a `ServerUnavailable` for all who wait.
+
+Source: rcl_action ``action_client.c``; the ROS 2 design article "Actions".
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from contextvars import copy_context
+from functools import partial
+from typing import Final, cast
+
+import anyio
+
+from turtleact.client.client_endpoints import ClientEndpoints
+from turtleact.client.remote_goals import RemoteGoal, RemoteGoals
+from turtleact.errors import GoalRejected, TurtleactError, UnknownGoal
+from turtleact.goal import Goal, status_of
+from turtleact.goal_id import new_goal_id
+from turtleact.goal_server import GoalOrder
+from turtleact.goal_states import State
+from turtleact.interfaces import Message, snapshotter
+from turtleact.interfaces.standard import CancelGoal
+from turtleact.observers import Observers
+from turtleact.tasks import Tasks
+
+__all__ = ["RemoteActionServer"]
+
+logger = logging.getLogger("turtleact.client")
+
+STATUS_WITHIN: Final = 5.0
+"""How long the first status of a server, and a result that it keeps, are waited for (s)."""
+
+
+class RemoteActionServer:
+    """Stands for a server that is reached by messages only.
+
+    Args:
+        endpoints: The client's endpoints.
+        tasks: The tasks of the event loop.
+        observers: Told of each change of the goals that were sent.
+    """
+
+    def __init__(self, endpoints: ClientEndpoints, tasks: Tasks, observers: Observers) -> None:
+        self.from_anywhere = tasks.from_anywhere
+        goal_type = cast("type[Message]", endpoints.action_type.Goal)
+        self._check_goal = cast("Callable[[object], Message]", snapshotter(goal_type, root="goal"))
+        self._endpoints = endpoints
+        self._goals = RemoteGoals(endpoints, tasks, endpoints.transport.clock.now, observers)
+        self.signal = self._goals.signal
+        self._tasks = tasks
+        self._status = tasks.signal()
+        self._last_told: dict[bytes, State] = {}
+        self._held: dict[bytes, State] | None = None  # the last status, if one has come
+
+    @property
+    def is_open(self) -> bool:
+        """Whether somebody serves the action out there."""
+        return self._endpoints.send_goal.is_served
+
+    # sending
+
+    async def send_goal(self, order: GoalOrder) -> Goal:
+        """Send a goal and return it once it is accepted; its status is followed from then on.
+
+        Cancelling: the goal is canceled, even if it is accepted late; its end is awaited, at most
+        ``order.cancel_timeout`` seconds.
+
+        Raises:
+            InvalidGoal: if the request does not fit the action; nothing was sent.
+            GoalRejected: if it is not taken.
+            ServerUnavailable: if nobody serves the action, or its server goes away.
+        """
+        self._endpoints.watch_status(self._take_states)
+        remote = self._send(order)
+        remote.is_awaited = True
+        goal = remote.goal
+        signal = self.signal(goal)
+        try:
+            while not (remote.is_accepted or goal.ended):
+                await signal.wait()
+        except self._tasks.cancelled:
+            await self._abandon(remote, order.cancel_timeout)
+            raise
+        if goal.error is not None and not remote.is_accepted:
+            raise goal.error
+        return goal
+
+    async def run_goal(self, order: GoalOrder) -> Goal:
+        """Send a goal and return it once it has ended; see `send_goal` for the rest."""
+        remote = self._send(order)
+        goal = remote.goal
+        try:
+            await self.wait_for_end(goal)
+        except self._tasks.cancelled:
+            await self._abandon(remote, order.cancel_timeout)
+            raise
+        return goal
+
+    def _send(self, order: GoalOrder) -> RemoteGoal:
+        message = self._check_goal(order.request)
+        goal_id = order.goal_id or new_goal_id()
+        if goal_id in self._goals.by_id:
+            raise GoalRejected(f"the server still holds a goal of the id {goal_id.hex()}")
+        on_feedback = order.on_feedback
+        if on_feedback is not None:  # in the sender's context, not in that of the topic
+            on_feedback = partial(copy_context().run, on_feedback)  # type: ignore[call-arg]
+        goal = Goal(message, 0, id=goal_id, on_feedback=on_feedback, sender=order.sender)
+        return self._goals.send(goal)
+
+    async def _abandon(self, remote: RemoteGoal, timeout: float) -> None:
+        """Have a goal canceled whose sender was cancelled, and wait for its end; never raises.
+
+        The sender must end cancelled, whatever the server does: it may die while it is asked to
+        cancel, or never answer. A goal that is not accepted yet is canceled by what follows it, as
+        soon as it is; that goes on after the ``timeout``, until the client is closed.
+        """
+        remote.is_abandoned = True
+        with anyio.move_on_after(timeout, shield=True):
+            try:
+                if remote.is_accepted:
+                    await self.cancel_goal(remote.goal)
+                await self.wait_for_end(remote.goal)
+            except TurtleactError as error:
+                logger.info("goal %s could not be canceled: %s", remote.goal.hex, error)
+            except Exception:
+                logger.exception("goal %s could not be canceled", remote.goal.hex)
+
+    # goals that are there
+
+    async def attach(self, goal_id: bytes) -> Goal | None:
+        """A goal that somebody else has sent, by what the status says; None if it is not held."""
+        remote = self._goals.by_id.get(goal_id)
+        if remote is not None:
+            return remote.goal
+        self._goals.open()
+        self._endpoints.watch_status(self._take_states)
+        with anyio.move_on_after(STATUS_WITHIN):
+            while self._held is None:
+                await self._status.wait()
+        if self._held is None or goal_id not in self._held:
+            return None
+        state = self._held[goal_id]
+        goal = Goal(None, 0, id=goal_id)
+        self._goals.attach(goal, state)
+        if status_of(state[2]).is_terminal:  # it may be forgotten since, and nobody tells of that
+            with anyio.move_on_after(STATUS_WITHIN):
+                await self.wait_for_end(goal)
+        return None if isinstance(goal.error, UnknownGoal) else goal
+
+    async def wait_for_end(self, goal: Goal) -> None:
+        """Wait until a goal has ended. Cancelling: safe, the goal goes on."""
+        signal = self.signal(goal)
+        while not goal.ended:
+            await signal.wait()
+
+    def name_goal(self, goal: Goal) -> bytes:
+        """The id of a goal; it has had one from the start."""
+        return cast("bytes", goal.id)
+
+    def _take_states(self, told: dict[bytes, State]) -> None:
+        # Two servers may share the name and tell of their goals by turns.
+        self._held, self._last_told = {**self._last_told, **told}, told
+        for goal_id, remote in tuple(self._goals.by_id.items()):
+            if goal_id in self._held:
+                self._goals.take_state(remote, self._held[goal_id])
+        self._status.fire()
+
+    # canceling
+
+    async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
+        """Ask the server to cancel by id, by stamp (ns), by both, or every goal.
+
+        Raises:
+            ServerUnavailable: if nobody answers, or the client was closed.
+        """
+        return await self._goals.cancel(goal_id, stamp)
+
+    async def cancel_goal(self, goal: Goal) -> CancelGoal.Response:
+        """Ask the server to cancel one goal; raises as `cancel`."""
+        return await self._goals.cancel(goal.id, 0)
+
+    def cancel_goal_nowait(self, goal: Goal) -> None:
+        """Ask the server to cancel a goal, without waiting; a failure is logged."""
+        self._goals.cancel_nowait(goal)
+
+    # closing
+
+    def client_lost(self, sender: object) -> None:  # noqa: ARG002  # it has this one alone
+        """Follow no goal any more, and leave the graph."""
+        self._goals.close()
+        self._endpoints.close()
+
+    async def aclose(self) -> None:
+        """Follow no goal any more, wait for the end of what followed them, and leave the graph."""
+        await self._goals.aclose()
+        self._endpoints.close()
