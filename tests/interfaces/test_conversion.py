@@ -12,7 +12,14 @@ from hypothesis import strategies as st
 
 from turtleact.errors import InvalidGoal, InvalidMessage
 from turtleact.interfaces.conversion import from_dict, snapshot, snapshotter, to_dict
-from turtleact.interfaces.standard import UUID, GoalInfo, PatrolCommandInterface, Point, Time
+from turtleact.interfaces.standard import (
+    UUID,
+    Fibonacci,
+    GoalInfo,
+    PatrolCommandInterface,
+    Point,
+    Time,
+)
 from turtleact.interfaces.types import (
     Message,
     MessageMeta,
@@ -200,9 +207,7 @@ def test_a_nested_twin_is_converted():
     ],
 )
 def test_a_message_that_says_something_else_is_refused(other):
-    with pytest.raises(
-        InvalidMessage, match=r"expected a message \(geometry_msgs/msg/Point\), got"
-    ):
+    with pytest.raises(InvalidMessage, match="message: expected geometry_msgs/msg/Point, not "):
         snapshotter(Point)(other()())
 
 
@@ -210,7 +215,7 @@ def test_a_class_without_a_name_can_be_copied():
     class Nameless(Message):
         x: int32 = 0
 
-    with pytest.raises(InvalidMessage, match=r"expected a message \(.*Nameless\)"):
+    with pytest.raises(InvalidMessage, match=r"expected .*Nameless, not geometry_msgs/msg/Point"):
         snapshotter(Nameless)(unchecked(Point()))
     assert snapshot(Nameless(x=1)) == Nameless(x=1)
 
@@ -310,7 +315,11 @@ def test_bytes_are_made_of_bytes_or_numbers(uuid):
         (Sample, {"path": [{}, 5]}, "message.path[1]: expected fields such as {x: 0.0, y: 0.0, z"),
         (Sample, {"path": [{}] * 3}, "message.path: at most 2 elements, got 3"),
         (Sample, {"raw": [256]}, "message.raw[0]: 256 is out of range"),
-        (Sample, {"at": Time()}, "message.at: expected a message (geometry_msgs/msg/Point), got"),
+        (
+            Sample,
+            {"at": Time()},
+            "message.at: expected geometry_msgs/msg/Point, not builtin_",
+        ),
         (Sample, {"nmae": 1}, "message: unknown field 'nmae', did you mean 'name'?"),
         (Sample, {"from_": 1}, "message: unknown field 'from_', did you mean 'from'?"),
         (Point, {"q": 1}, "message: unknown field 'q': the fields are x, y, z"),
@@ -347,3 +356,10 @@ def test_a_goal_of_a_mapping_names_its_root():
 def test_there_and_back_is_the_same(message):
     back = from_dict(Sample, to_dict(message))
     assert back == message or math.isnan(message.at.x)
+
+
+def test_a_result_given_as_feedback_is_told_by_both_full_names():
+    action = "action_tutorials_interfaces/action/Fibonacci"
+    with pytest.raises(InvalidMessage) as caught:
+        snapshotter(Fibonacci.Feedback, root="feedback")(unchecked(Fibonacci.Result()))
+    assert str(caught.value) == f"feedback: expected {action}_Feedback, not {action}_Result"

@@ -19,6 +19,7 @@ from turtleact.interfaces import (
     int32,
     string,
     type_hash,
+    wstring,
 )
 from turtleact.interfaces.standard import UUID, Time
 
@@ -72,7 +73,9 @@ def test_the_class_is_looked_up_once_and_only_when_needed():
 def test_a_message_of_another_class_is_refused():
     with pytest.raises(InvalidMessage) as caught:
         WireFormat(Sum).encode(REQUEST)
-    assert str(caught.value) == ("message: expected lab_interfaces/srv/Sum_Response, not Request")
+    assert str(caught.value) == (
+        "message: expected lab_interfaces/srv/Sum_Response, not lab_interfaces/srv/Sum_Request"
+    )
 
 
 def test_a_value_that_does_not_fit_is_refused_by_its_path():
@@ -168,3 +171,16 @@ def test_feedback_that_does_not_fit_is_told_with_its_path_in_the_whole_message()
 def test_feedback_that_is_cut_off_is_told_with_its_path_in_the_whole_message():
     with pytest.raises(InvalidMessage, match=r"message\.feedback\.steps: cut off at byte 24"):
         FORMAT.read(FORMAT.write(GOAL, WALKS[1])[:26])
+
+
+@pytest.mark.parametrize("field", ["text", "wide"])
+def test_half_a_surrogate_pair_is_never_written(field):
+    class Said(Action, type_name="lab_interfaces/action/Said"):
+        class Feedback(Message):
+            text: string = ""
+            wide: wstring = ""
+
+    feedback = Said.Feedback(**{field: "caf\udce9"})
+    assert FeedbackFormat(Said).write_unchecked(bytes(16), feedback) is None
+    with pytest.raises(InvalidMessage, match=rf"{field}: character 3 is half a surrogate pair"):
+        FeedbackFormat(Said).write(bytes(16), feedback)

@@ -35,6 +35,7 @@ __all__ = [
     "compiled",
     "error_class",
     "from_dict",
+    "name_of",
     "nanoseconds",
     "snapshot",
     "snapshotter",
@@ -154,14 +155,20 @@ def compiled(cls: type[M], root: str) -> Callable[[M], M]:
 
 def adapted(cls: type[M], value: object) -> M:
     """A message of another class that says the same, as one of this class."""
-    if not (
-        isinstance(value, Message)
-        and type(value).type_name == cls.type_name
-        and fields(type(value)) == fields(cls)
-    ):
-        name = cls.type_name or cls.__qualname__
-        raise InvalidMessage("", f"expected a message ({name}), got {describe(value)}")
+    if not isinstance(value, Message):
+        raise InvalidMessage("", f"expected a message ({name_of(cls)}), got {describe(value)}")
+    given = type(value)
+    if given.type_name != cls.type_name:
+        raise InvalidMessage("", f"expected {name_of(cls)}, not {name_of(given)}")
+    if fields(given) != fields(cls):
+        problem = f"expected {name_of(cls)}, not a message of that name with other fields"
+        raise InvalidMessage("", problem)
     return cls(*[getattr(value, field.attribute) for field in fields(cls)])
+
+
+def name_of(cls: type[Message]) -> str:
+    """What errors call a class: its ROS name, or its Python name if it has none."""
+    return cls.type_name or cls.__qualname__
 
 
 def placed(field: Field, convert: Callable[[object], object], value: object) -> object:

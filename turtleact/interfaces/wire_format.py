@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 from turtleact.errors import InvalidMessage
 from turtleact.interfaces.classes import implied
+from turtleact.interfaces.conversion import name_of
 from turtleact.interfaces.standard.unique_identifier_msgs.msg import UUID
 from turtleact.interfaces.type_hash import type_hash
 from turtleact.interfaces.types import Action, Message, Service
@@ -60,7 +61,9 @@ class WireFormat:
             InvalidMessage: if it is of another class, or a value does not fit its type.
         """
         if type(message) is not self._classes[0]:
-            problem = f"expected {self._classes[0].type_name}, not {type(message).__name__}"
+            given = type(message)
+            got = name_of(given) if issubclass(given, Message) else given.__name__
+            problem = f"expected {self._classes[0].type_name}, not {got}"
             raise InvalidMessage("message", problem)
         try:
             return self._encoded(message, self._header)
