@@ -1,7 +1,7 @@
-"""The graph that a verb looks at: how it is reached, what is asked of it, how the looking ends.
+"""The graph that a verb uses: how to reach it, what to ask of it, and how the verb ends.
 
-A verb is a coroutine function that takes a `Node` and gives the exit status. Its node is hidden,
-and nothing is opened on it but what the verb opens.
+A verb is a coroutine function that takes a `Node` and returns the exit status. The node is hidden,
+and has only what the verb opens on it.
 """
 
 from __future__ import annotations
@@ -44,15 +44,15 @@ I = TypeVar("I", bound="Message | Service | Action")  # noqa: E741  # an interfa
 T = TypeVar("T")
 
 Look: TypeAlias = Callable[[Node], Awaitable[int]]
-"""Looks at the graph and gives the exit status."""
+"""A verb: looks at the graph and returns the exit status."""
 
 
 @asynccontextmanager
 async def open_transport(reach: Reach) -> AsyncIterator[Transport]:
-    """The graph that other processes are on; whoever enters it sees what is there.
+    """Open the graph that other processes are on; it has been explored when the block begins.
 
     Raises:
-        TurtleactError: if there is none in reach.
+        TurtleactError: if no graph is in reach.
     """
     from turtleact.transports import open_zenoh
 
@@ -72,7 +72,7 @@ async def open_transport(reach: Reach) -> AsyncIterator[Transport]:
 
 @asynccontextmanager
 async def open_graph(reach: Reach) -> AsyncIterator[Node]:
-    """A hidden node on that graph; raises as `open_transport` does."""
+    """Open a hidden node on that graph. Raises as `open_transport` does."""
     async with (
         open_transport(reach) as transport,
         open_node(f"_turtleact_cli_{os.getpid()}", transport=transport) as node,
@@ -83,16 +83,16 @@ async def open_graph(reach: Reach) -> AsyncIterator[Node]:
 async def enter_if_there(
     stack: AsyncExitStack, reach: Reach, opened: AbstractAsyncContextManager[T]
 ) -> T | None:
-    """Enter a graph; None if there is none in reach and none was asked for.
+    """Enter a graph, or return None if none is in reach and ``--connect`` names none.
 
     Args:
-        stack: Closes it.
+        stack: Closes the graph.
         reach: Which graph.
-        opened: What opens it: `open_transport` or `open_graph`.
+        opened: `open_transport` or `open_graph` of it.
 
     Raises:
-        UsageError: if the file with the locks is at fault.
-        TurtleactError: if ``--connect`` says where it is, and it is not there.
+        UsageError: if the ``--config`` file is at fault.
+        TurtleactError: if the graph that ``--connect`` names is not there.
     """
     try:
         return await stack.enter_async_context(opened)
@@ -105,15 +105,10 @@ async def enter_if_there(
 
 
 def run(reach: Reach, look: Look, interrupts: Interrupts) -> int:
-    """Look at the graph until the verb or a signal ends it, and give the exit status.
-
-    Args:
-        reach: Which graph.
-        look: The verb; a signal cancels it.
-        interrupts: The signals.
+    """Run a verb on a graph until it ends or a signal cancels it, and return the exit status.
 
     Raises:
-        TurtleactError: if there is no graph in reach; what the verb raises.
+        TurtleactError: if no graph is in reach; and whatever the verb raises.
     """
     return runner.run(until_interrupted(open_graph(reach), look, interrupts), interrupts)
 
@@ -123,16 +118,16 @@ async def until_interrupted(
     act: Callable[[T], Awaitable[int]],
     interrupts: Interrupts,
 ) -> int:
-    """Open something and act on it, until that or a signal ends it, and give the exit status.
+    """Open something and act on it until the act ends or a signal cancels it.
 
     Args:
-        opened: What is opened, and closed at the end.
-        act: Gives the exit status; a signal cancels it, and the opening and closing, too. An
-            opening that does not heed that is not waited for, but ends with the process.
+        opened: A context manager. A signal cancels its opening and closing too; if the opening
+            ignores that, the process ends.
+        act: Called with what was opened; returns the exit status.
         interrupts: The signals.
 
     Raises:
-        TurtleactError: if it cannot be opened; what the acting raises.
+        TurtleactError: if it cannot be opened; and whatever ``act`` raises.
     """
     status: int | None = None
     with interrupts.listening(asyncio.get_running_loop()):
@@ -147,17 +142,17 @@ async def until_interrupted(
 
 
 def interface_class(base: type[I], type_name: str, where: str = "") -> type[I]:
-    """The class of a message, service or action whose name was typed, or is on the graph.
+    """The class of a message, service or action that the user or the graph names.
 
     Args:
-        base: What it must be: `Message`, `Service` or `Action`.
-        type_name: Its name.
-        where: What it is the type of, if the graph says so.
+        base: The kind that it must have: `Message`, `Service` or `Action`.
+        type_name: The name of the interface.
+        where: What has this type, if the graph says so; empty if the user typed the name.
 
     Raises:
-        UnknownInterface: if it was typed and is not known.
-        TurtleactError: if it is on the graph and not known here; the text says how to change that.
-        InvalidInterface: if it is of another kind.
+        UnknownInterface: if the user typed an unknown name.
+        TurtleactError: if the graph names an unknown type; the text says how to make it known.
+        InvalidInterface: if the interface is of another kind.
     """
     try:
         found = get_interface(type_name)
@@ -174,17 +169,17 @@ def interface_class(base: type[I], type_name: str, where: str = "") -> type[I]:
 def chosen_class(
     node: Node, kind: Kind, base: type[I], name: str, type_name: str | None
 ) -> type[I]:
-    """The class of what goes by a name: of the type that was typed, else as the graph says.
+    """The class for a name: of the type that the user typed, else of the type on the graph.
 
     Args:
         node: A node on the graph.
-        kind: What goes by the name.
+        kind: What has the name: an action, a service or a topic.
         base: As for `interface_class`.
-        name: Its full name.
-        type_name: The type, if it was typed; else the first of those on the graph is taken.
+        name: The full name.
+        type_name: The type, if the user typed one; else the first type on the graph counts.
 
     Raises:
-        TurtleactError: if neither says it, with the nearest name; as `interface_class`.
+        TurtleactError: if neither gives a type, with the nearest name; and as `interface_class`.
     """
     if type_name is not None:
         return interface_class(base, type_name)

@@ -25,7 +25,7 @@ ENDPOINTS: dict[Kind, tuple[EndpointKind, ...]] = {
     "service": ("service",),
     "topic": ("publisher", "subscription"),
 }
-"""What makes something of a kind exist."""
+"""The endpoints that make a name of each kind exist."""
 
 
 def types_by_name(
@@ -34,13 +34,13 @@ def types_by_name(
     *kinds: EndpointKind,
     hidden: bool = False,
 ) -> dict[str, tuple[str, ...]]:
-    """The types of all that is of a kind, by name; both sorted.
+    """The names of a kind and their types, both sorted.
 
     Args:
-        endpoints: Of what is looked at: the graph, or a node.
-        kind: Of what kind.
-        *kinds: What it takes to exist; as `ENDPOINTS` says if left out.
-        hidden: Whether hidden names are wanted.
+        endpoints: The endpoints of the graph, or of a node.
+        kind: The kind: actions, services or topics.
+        *kinds: The endpoints that count; those in `ENDPOINTS` if left out.
+        hidden: Whether to include hidden names.
     """
     found: dict[str, set[str]] = {}
     for endpoint in endpoints:
@@ -57,7 +57,7 @@ def types_by_name(
 
 
 def is_hidden_node(name: str) -> bool:
-    """Whether a node is hidden: its own name begins with an underscore.
+    """Whether a node is hidden, that is, its own name begins with an underscore.
 
     >>> is_hidden_node("/_ros2cli"), is_hidden_node("/_lab/turtlesim")
     (True, False)

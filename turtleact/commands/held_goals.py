@@ -77,20 +77,21 @@ LATCHED_PATIENCE = 0.5
 """How long latched messages are waited for (s, by the clock of the graph)."""
 
 ROUND_TRIPS = 5
-"""So many more: who keeps it is to be found, and asked, perhaps by a router in between."""
+"""How many round trips to wait in addition: the keeper of a latched message is found, and then
+asked, perhaps through a router."""
 
 ANSWER = 2.0
-"""How long a server has to answer (s, likewise)."""
+"""How long a server has to answer (s, by the clock of the graph)."""
 
 
 class HeldGoal(NamedTuple):
     """A goal that a server holds.
 
     Attributes:
-        goal_id: Its 16 bytes.
-        action: The action's name.
-        type_name: Its type.
-        status: Its state.
+        goal_id: The 16 bytes of its id.
+        action: The name of the action.
+        type_name: The type of the action.
+        status: The state of the goal.
         stamp: When it was accepted (ns since the epoch, by the server's clock).
     """
 
@@ -102,7 +103,7 @@ class HeldGoal(NamedTuple):
 
 
 def served_actions(node: Node, name: str | None) -> dict[str, str]:
-    """The actions that are served, with their types; one of them if a name is given.
+    """The actions that are served, with their types; only one if a name is given.
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules.
@@ -120,14 +121,14 @@ def served_actions(node: Node, name: str | None) -> dict[str, str]:
 
 
 async def held_goals(node: Node, actions: dict[str, str]) -> tuple[list[HeldGoal], list[str]]:
-    """The goals of some actions, and which of their servers do not answer.
+    """The goals of some actions, and the servers that do not answer.
 
     Args:
         node: A node on the graph.
         actions: The actions, with their types.
 
     Returns:
-        The goals in the order of their acceptance, and the nodes that do not answer.
+        The goals in the order of their acceptance, and the names of the nodes.
     """
     found: dict[tuple[str, bytes], HeldGoal] = {}
     silent: set[str] = set()
@@ -143,14 +144,14 @@ async def held_goals(node: Node, actions: dict[str, str]) -> tuple[list[HeldGoal
 
 
 def silence(silent: list[str]) -> str:
-    """What is said of nodes that do not answer."""
+    """A sentence that names servers that do not answer."""
     if len(silent) == 1:
         return f"server {silent[0]} does not answer"
     return f"servers {', '.join(silent)} do not answer"
 
 
 def goals_in(message: GoalStatusArray, action: str, type_name: str) -> Iterable[HeldGoal]:
-    """The goals that a status message tells of."""
+    """The goals in a status message."""
     for each in message.status_list:
         info = each.goal_info
         status = status_of(each.status)
@@ -158,7 +159,7 @@ def goals_in(message: GoalStatusArray, action: str, type_name: str) -> Iterable[
 
 
 def find_goals(goals: Iterable[HeldGoal], wanted: str) -> HeldGoal | None:
-    """The one goal whose id begins so, or None.
+    """The goal whose id begins with a text; None if there is none.
 
     Raises:
         UsageError: if there are several.
@@ -171,7 +172,7 @@ def find_goals(goals: Iterable[HeldGoal], wanted: str) -> HeldGoal | None:
 
 
 async def find_goal(node: Node, wanted: str) -> HeldGoal:
-    """The one goal on the graph whose id begins so; if its server does not answer, that is noted.
+    """The goal on the graph whose id begins with a text; notes if its server does not answer.
 
     Raises:
         UsageError: if there are several.
@@ -191,7 +192,7 @@ async def find_goal(node: Node, wanted: str) -> HeldGoal:
 async def _listen(
     node: Node, name: str, type_name: str, found: dict[tuple[str, bytes], HeldGoal]
 ) -> None:
-    """Take the latched message of each server of an action."""
+    """Receive the latched message of each server of an action."""
     topic = action_names(name).status
     subscription = node.subscription(GoalStatusArray, topic, STATUS_QOS)
     left = node.count_publishers(topic)
@@ -206,7 +207,7 @@ async def _listen(
 
 
 def _servers(node: Node, actions: dict[str, str]) -> dict[str, str]:
-    """The nodes that serve some actions, each with one of them."""
+    """The nodes that serve some actions, each with one of its actions."""
     services = {action_names(name).cancel_goal: name for name in actions}
     return {
         each.node: services[each.name]
@@ -216,14 +217,14 @@ def _servers(node: Node, actions: dict[str, str]) -> dict[str, str]:
 
 
 async def _ask(node: Node, server: str, action: str, silent: set[str]) -> None:
-    """Ask a server to cancel a goal that nobody has: one that works answers, whatever it says."""
+    """Ask a server to cancel a goal that nobody has; if it does not answer, note that it hangs."""
     client = node.service_client(CancelGoal, action_names(action).cancel_goal)
     try:
         await client.call(CancelGoal.Request(GoalInfo(UUID(uuid.uuid4().bytes))), ANSWER)
     except ServiceTimeout:
         silent.add(server)
     except TurtleactError:
-        pass  # it was closed meanwhile, or answers with an error
+        pass  # it has been closed, or answers with an error
     finally:
         await client.aclose()
 
@@ -236,7 +237,7 @@ DONE, NOT_DONE, ABORTED, CANCELED = 0, 1, 4, 5
 HEADINGS = ("id", "action", "state", "age", "client")
 
 NOBODY = bytes(16)
-"""The id that names no goal."""
+"""The id that means every goal, or none."""
 
 PATIENCE = 10.0
 """How long a server has to answer a request to cancel (s, by the clock of the graph)."""
@@ -295,7 +296,7 @@ def _as_json(node: Node, goal: HeldGoal, now: int) -> str:
 
 
 def _clients(node: Node, action: str) -> list[str]:
-    """The nodes that may have sent a goal: ROS 2 does not say which of them has."""
+    """The nodes that may have sent a goal; ROS 2 does not say which of them did."""
     service = action_names(action).send_goal
     return sorted(
         {
@@ -307,7 +308,7 @@ def _clients(node: Node, action: str) -> list[str]:
 
 
 def _duration(seconds: float) -> str:
-    """A time in the two largest units that it fills."""
+    """A duration in its two largest units."""
     if seconds < 60:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(int(seconds), 60)
@@ -327,10 +328,10 @@ def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
 
 
 async def cancel(node: Node, wanted: Sequence[str]) -> int:
-    """Cancel goals by the beginnings of their ids; print of each what came of it.
+    """Cancel goals by the beginnings of their ids, and print the outcome for each.
 
     Raises:
-        UsageError: if several goals begin so; nothing was canceled.
+        UsageError: if a text fits several goals; then none is canceled.
     """
     goals, silent = await held_goals(node, served_actions(node, None))
     status = DONE
@@ -348,7 +349,7 @@ async def cancel(node: Node, wanted: Sequence[str]) -> int:
 
 
 async def cancel_many(node: Node, name: str | None, before: int) -> int:
-    """Cancel all goals, or those accepted up to a moment; print of each what came of it.
+    """Cancel all goals, or those accepted up to a moment, and print the outcome for each.
 
     Args:
         node: A node on the graph.
@@ -383,7 +384,7 @@ async def cancel_many(node: Node, name: str | None, before: int) -> int:
 
 
 async def _why_not_canceling(node: Node, goal: HeldGoal) -> str | None:
-    """Ask for one goal to be canceled; why it is not, or None if it is."""
+    """Ask for one goal to be canceled; return why it is not, or None if it is."""
     response = await _request(node, goal.action, goal.goal_id, 0)
     if response is None:
         return SILENT
@@ -398,7 +399,7 @@ async def _why_not_canceling(node: Node, goal: HeldGoal) -> str | None:
 async def _request(
     node: Node, action: str, goal_id: bytes, stamp: int
 ) -> CancelGoal.Response | None:
-    """What a server says to a request to cancel; None if it does not answer."""
+    """A server's response to a cancel request; None if it does not answer."""
     client = node.service_client(CancelGoal, action_names(action).cancel_goal)
     info = GoalInfo(UUID(goal_id), stamp_of(stamp))
     response: CancelGoal.Response | None = None
@@ -420,18 +421,18 @@ def _tell(goal_id: str, action: str, problem: str | None) -> None:
 
 
 async def follow(node: Node, wanted: str, transcript: Transcript, *, hears_feedback: bool) -> int:
-    """Wait for the end of a goal, and tell its result; the exit status says how it ended.
+    """Wait for the end of a goal, print its result, and return the exit status.
 
     Args:
         node: A node on the graph.
-        wanted: The beginning of its id.
-        transcript: Who tells the user.
-        hears_feedback: Whether it is told of the feedback that comes meanwhile, too.
+        wanted: The beginning of the goal's id.
+        transcript: Prints the goal.
+        hears_feedback: Whether to receive the feedback until then.
 
     Raises:
-        UsageError: if several goals begin so.
-        ServerUnavailable: if its server goes away.
-        TurtleactError: if no server holds it, or the action's type is not known here.
+        UsageError: if the text fits several goals.
+        ServerUnavailable: if the server goes away.
+        TurtleactError: if no server holds the goal, or the action's type is unknown here.
     """
     goal = await find_goal(node, wanted)
     action_type = interface_class(Action, goal.type_name, f"action '{goal.action}'")
@@ -454,7 +455,7 @@ async def follow(node: Node, wanted: str, transcript: Transcript, *, hears_feedb
                 client, goal.action, kinds.get_result.Request(UUID(goal.goal_id))
             )
             for each in heard:
-                await each.aclose()  # what has come is told, and then the telling ends
+                await each.aclose()  # the tasks still print what has come, and then end
         status = watched.status = GoalStatus(response.status)
         if status is GoalStatus.UNKNOWN:
             problem = f"its server holds no goal {goal.goal_id.hex()} any more"
@@ -466,12 +467,12 @@ async def follow(node: Node, wanted: str, transcript: Transcript, *, hears_feedb
 
 
 class _Watched:
-    """What is heard of a goal that somebody else has sent.
+    """A goal that somebody else sent, kept up to date from its topics.
 
     Attributes:
-        goal_id: Its 16 bytes.
-        status: Its state.
-        last_feedback: The newest feedback, if some has come.
+        goal_id: The 16 bytes of its id.
+        status: Its last known state.
+        last_feedback: The newest feedback; None before the first.
     """
 
     def __init__(self, goal: HeldGoal) -> None:
@@ -480,7 +481,7 @@ class _Watched:
         self.last_feedback: Message | None = None
 
     async def hear_feedback(self, messages: Subscription[Any], transcript: Transcript) -> None:
-        """Note each feedback message, and tell of it if that is wanted."""
+        """Record each feedback message, and print it if that is wanted."""
         async for message in messages:
             if message.goal_id.uuid == self.goal_id:
                 self.last_feedback = message.feedback
@@ -489,7 +490,7 @@ class _Watched:
                     await transcript.drained()
 
     async def hear_statuses(self, messages: Subscription[GoalStatusArray], goal: HeldGoal) -> None:
-        """Note each state."""
+        """Record each state."""
         async for message in messages:
             for each in goals_in(message, goal.action, goal.type_name):
                 if each.goal_id == self.goal_id:
@@ -497,7 +498,7 @@ class _Watched:
 
 
 async def _call(client: Any, action: str, request: Message, timeout: float | None = None) -> Any:  # noqa: ANN401  # of whatever type
-    """The response of a service of an action; an error names the action."""
+    """Call a service of an action; an error names the action."""
     try:
         return await client.call(request, timeout)
     except ServerUnavailable as error:
@@ -508,7 +509,7 @@ async def _call(client: Any, action: str, request: Message, timeout: float | Non
 
 
 async def echo(node: Node, name: str) -> int:
-    """Print the feedback and the states of all goals of an action; ends with the node.
+    """Print the feedback and the states of all goals of an action until the node is closed.
 
     Raises:
         ServerUnavailable: if nobody serves an action of that name.

@@ -1,7 +1,7 @@
-"""The verbs of ``interface``: what there is to be said, and how.
+"""The verbs of ``interface``: list, show and print prototypes of interfaces.
 
-They need no graph: interfaces come from those that ship, the folder that ``--interfaces`` names,
-and the installed ROS workspace.
+They need no graph. Interfaces ship with turtleact, lie in the folder of ``--interfaces``, or belong
+to the sourced ROS workspace.
 
 Source: ros2cli ``ros2interface/verb/*.py`` for what is printed; its Jazzy for the words.
 """
@@ -46,14 +46,14 @@ __all__ = [
 ]
 
 KINDS: Final = {"msg": "Messages", "srv": "Services", "action": "Actions"}
-"""The kinds of interfaces, in the order in which they are listed."""
+"""The kinds of interfaces, in the order of the lists."""
 
 LONGEST_LINE: Final = 2**12
-"""Bytes that are read of a pipe that holds a name: no name is longer."""
+"""How many bytes of a pipe are read for a name; no name is longer."""
 
 
 def make_known(folder: str | None) -> None:
-    """Make known our own interfaces, those of a folder, and those of the installed ROS workspace.
+    """Register our own interfaces, those of a folder, and those of the sourced ROS workspace.
 
     Args:
         folder: As for `turtleact.interfaces.load_interfaces`; none if None.
@@ -61,7 +61,7 @@ def make_known(folder: str | None) -> None:
     Raises:
         InvalidInterface: if there is no such folder.
     """
-    for module in ("actions", "sim.world_services"):  # for the classes that they declare
+    for module in ("actions", "sim.world_services"):  # they declare interfaces
         import_module(f"turtleact.{module}")
 
     load_workspace(*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
@@ -70,7 +70,7 @@ def make_known(folder: str | None) -> None:
 
 
 def print_list(kinds: Sequence[str]) -> None:
-    """Print the names of all interfaces of some kinds; of all kinds if none is given."""
+    """Print the names of all interfaces of some kinds, or of all kinds."""
     for kind in kinds or KINDS:
         names = [name for name in known_interfaces() if name.split("/")[1] == kind]
         say(
@@ -79,15 +79,15 @@ def print_list(kinds: Sequence[str]) -> None:
 
 
 def print_packages(kinds: Sequence[str]) -> None:
-    """Print the names of the packages that have interfaces of some kinds, or of any."""
+    """Print the names of the packages that have interfaces of some kinds, or of any kind."""
     say("".join(f"{package}\n" for package in _by_package(kinds)))
 
 
 def print_package(package: str, kinds: Sequence[str]) -> None:
-    """Print the names of the interfaces in a package, of some kinds, or of all.
+    """Print the names of the interfaces in a package, of some kinds or of all kinds.
 
     Raises:
-        TurtleactError: if there is no such package, with the nearest.
+        TurtleactError: if there is no such package, with the nearest name.
     """
     packages = _by_package(())
     if package not in packages:
@@ -97,7 +97,7 @@ def print_package(package: str, kinds: Sequence[str]) -> None:
 
 
 def print_prototype(type_name: str, *, quotes: bool) -> None:
-    """Print a message of an interface's defaults, as YAML: the goal of an action, and so on.
+    """Print the first message of an interface, such as an action's goal, as YAML with defaults.
 
     Raises:
         UnknownInterface: with the nearest known name.
@@ -107,7 +107,7 @@ def print_prototype(type_name: str, *, quotes: bool) -> None:
 
 
 def first_message(type_name: str) -> Message:
-    """The message of an interface that is sent first, of its defaults: the goal of an action.
+    """The message of an interface that is sent first, with defaults: an action's goal, for example.
 
     Raises:
         UnknownInterface: with the nearest known name.
@@ -119,10 +119,10 @@ def first_message(type_name: str) -> Message:
 
 
 def show(type_name: str, *, comments: bool, nested_comments: bool) -> None:
-    """Print the definition of an interface, and of the messages in it, one tab deeper.
+    """Print the definition of an interface, with the messages in it one tab deeper.
 
     Args:
-        type_name: Its name.
+        type_name: The name of the interface.
         comments: Whether to print its comments and empty lines.
         nested_comments: Whether to print those of the messages in it.
 
@@ -135,11 +135,11 @@ def show(type_name: str, *, comments: bool, nested_comments: bool) -> None:
 
 
 def read_type(type_name: str, interrupts: Interrupts) -> str:
-    """The type that is meant: a dash stands for the first line of stdin.
+    """The name of a type; a dash stands for the first line of stdin.
 
     Raises:
-        UsageError: if nothing can be read there.
-        KeyboardInterrupt: if a signal comes while it is waited for.
+        UsageError: if there is nothing to read.
+        KeyboardInterrupt: if a signal comes during the reading.
     """
     if type_name != "-":
         return type_name
@@ -153,7 +153,7 @@ def read_type(type_name: str, interrupts: Interrupts) -> str:
 
 
 def _by_package(kinds: Sequence[str]) -> dict[str, list[str]]:
-    """The names of the interfaces of some kinds, or of all, by their package."""
+    """The names of the interfaces of some kinds, or of all, by package."""
     packages: dict[str, list[str]] = {}
     for name in known_interfaces():
         package, kind, _ = name.split("/")

@@ -1,25 +1,26 @@
 """The signals that ask the program to end, from its first moment to its last.
 
-A signal is noted, never raised into the middle of an import or of somebody's body. Who is told of
-it depends on where the program stands:
+A signal is recorded; it never raises in the middle of an import or of a body. What it does depends
+on where the program stands:
 
-- before the event loop runs: nobody; the program looks at `Interrupts.received` before it begins.
+- Before the event loop runs, nothing: the program looks at `Interrupts.received` before it starts.
   A second signal ends the process at once.
-- while it reads what the user types (`Interrupts.read`): the signal ends the reading.
-- in a beginning that may take long (`Interrupts.beginning`): the system's alarm clock, which ends
-  the process unless that is over within `GRACE`.
-- in the event loop (`Interrupts.listening`): whoever waits in `Interrupts.wait`. Should the loop
-  not come to the second signal within `GRACE`, or to a deadline (`Interrupts.end_within`), because
-  it is stuck in a body or in writing to somebody who does not read, the system's alarm clock ends
-  the process. A third signal ends it at once. From the first signal on the clock also rings every
-  `GRACE`: one that comes in the moment before a write begins would be told after it only.
-- after the loop: nobody. What has ended has ended; at last they are ignored.
+- While the program reads input (`Interrupts.read`), a signal ends the reading.
+- In a start that may take long (`Interrupts.beginning`), a signal sets the system's alarm clock. It
+  ends the process unless the start is over within `GRACE`.
+- In the event loop (`Interrupts.listening`), a signal wakes the task that waits in
+  `Interrupts.wait`. The loop may be stuck, in a body or in writing to a pipe that nobody reads. So
+  the alarm clock ends the process if the loop does not get to the second signal within `GRACE`, or
+  if a deadline passes (`Interrupts.end_within`, `Interrupts.patience`). A third signal ends the
+  process at once. From the first signal on, the clock also rings every `GRACE`: Python would notice
+  a signal that comes just before a blocking write only after that write.
+- After the loop, nothing; in the end signals are ignored.
 
-One handler for all of this, set once: the loop's own signal handling would leave Python's default
-behind, and with it a traceback, in the moments before and after the loop. The loop is told by
-``call_soon_threadsafe``, as `asyncio.Runner` does for Ctrl-C. What waits for the system meanwhile,
-the loop or a reading, waits for a pipe too, into which the system writes each signal: one that came
-in the moment before that wait began would be told after it only.
+One handler, set once, does all of this. With the loop's own signal handling, Python's default would
+apply just before and after the loop, and print a traceback. The handler wakes the loop through
+``call_soon_threadsafe``, as `asyncio.Runner` does for Ctrl-C. While the loop or a reading waits in
+the system, it also waits for a pipe into which the system writes each signal: otherwise Python
+would notice a signal that came just before that wait only after it.
 """
 
 from __future__ import annotations
@@ -43,17 +44,17 @@ __all__ = ["Interrupts", "leave"]
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 GRACE = 0.5
-"""Wall seconds that the loop has for what it is late with."""
+"""How long the loop may be late (s, wall clock)."""
 
 LONGEST = 1e9
-"""Seconds that the system's alarm clock can be set to without harm: 31 years."""
+"""The longest time for which the alarm clock can safely be set (s): 31 years."""
 
 CHUNK = 2**16
-"""Bytes that are read at once: what a pipe holds on Linux."""
+"""How many bytes are read at once: as many as a pipe holds on Linux."""
 
 
 def leave(status: int) -> NoReturn:
-    """End the process now, with nothing more than what has been printed."""
+    """End the process now; only what has been printed is flushed."""
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
             stream.flush()
@@ -64,8 +65,8 @@ class Interrupts:
     """The signals that asked this process to end.
 
     Attributes:
-        received: Which came, in order.
-        restore: Gives the terminal back; called by a signal handler, before it ends the process.
+        received: The signals that came, in order.
+        restore: Gives the terminal back. A signal handler calls it before it ends the process.
         patience: How long the loop may go on after the first signal, before the alarm clock ends
             the process (s, wall clock).
         must_leave: Whether the process has to end by `leave`, as tasks or threads are left that do
@@ -87,31 +88,31 @@ class Interrupts:
 
     @property
     def status(self) -> int:
-        """The exit status that says which signal ended the program: 130, 143 or 129."""
+        """The exit status for the last signal: 130, 143 or 129."""
         return 128 + self.received[-1]
 
     def install(self) -> None:
-        """Take the signals from now on; one that the parent had ignored stays ignored."""
+        """Handle the signals from now on, except those that the parent process ignored."""
         for number in SIGNALS:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._arrive)
 
     def ignore(self) -> None:
-        """Let the system drop the signals: Python, when it ends, would let them kill it."""
+        """Ignore the signals from now on: they would kill Python while it ends."""
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
 
     def read(self, file: int, most: int, *, line: bool = False) -> bytes:
-        """What a file holds, waited for; a signal ends the waiting.
+        """Read a file to its end, and wait for it if necessary; a signal ends the reading.
 
         Args:
-            file: Its descriptor.
-            most: So many bytes at most; the end of the file comes before.
-            line: Whether the end of the first line is enough. More may have been read.
+            file: The file descriptor.
+            most: How many bytes to read at most.
+            line: Whether to stop at the end of the first line. More may have been read by then.
 
         Raises:
-            KeyboardInterrupt: if a signal comes, or came before.
-            OSError: if it cannot be read.
+            KeyboardInterrupt: if a signal comes, or has come before.
+            OSError: if the file cannot be read.
         """
         data = bytearray()
         self._is_reading = True
@@ -121,7 +122,7 @@ class Interrupts:
                     raise KeyboardInterrupt
                 while len(data) < most and not (line and b"\n" in data):
                     ready, _, _ = select.select([file, signals], (), ())
-                    if signals in ready:  # one that ends nothing
+                    if signals in ready:  # a signal that does not end the program
                         os.read(signals, CHUNK)
                     if file not in ready:
                         continue
@@ -135,7 +136,7 @@ class Interrupts:
 
     @contextmanager
     def listening(self, loop: asyncio.AbstractEventLoop) -> Iterator[None]:
-        """A block in which `wait` hears of signals; behind it they mean nothing any more."""
+        """A block in which `wait` hears of signals; after it they have no effect."""
         import asyncio
 
         self._changed = asyncio.Event()
@@ -156,13 +157,13 @@ class Interrupts:
 
     @contextmanager
     def beginning(self, status: int | None = None) -> Iterator[None]:
-        """A block that has nothing to end yet; behind it a signal means what it does elsewhere.
+        """A block that starts something, so that there is nothing to wind down yet.
 
-        If a signal comes in it, or came before, it has `GRACE` to leave the block, however busy
-        the loop is, or the process ends.
+        After a signal, in the block or before it, the program has `GRACE` to leave the block. Then
+        the process ends, however busy the loop is.
 
         Args:
-            status: With this exit status; None means that of the signal.
+            status: The exit status in that case; None means that of the signal.
         """
         self._is_beginning, self._early = True, status
         if self.received:
@@ -180,9 +181,9 @@ class Interrupts:
             self._arrive(number, None)
 
     def end_within(self, seconds: float, status: int) -> None:
-        """Give the loop some wall seconds and `GRACE` to leave `listening`, or end the process.
+        """End the process if the loop has not left `listening` after some seconds and `GRACE`.
 
-        Of several deadlines the first counts. What has been printed stays; nothing is flushed.
+        Of several deadlines the first counts. Nothing is flushed.
         """
         due = monotonic() + seconds + GRACE
         if due < self._due:
@@ -213,10 +214,10 @@ class Interrupts:
         self.end_within(0.0, self.status if self._early is None else self._early)
 
     def _set_alarm(self) -> None:
-        """Have the system's alarm clock ring when the process is to end, or in `GRACE`.
+        """Set the alarm clock for the deadline, and after a signal for `GRACE` at most.
 
-        It rings every `GRACE` from then on, so that no alarm is the only one: Python 3.11 may note
-        a signal and yet not tell a main thread that is in a loop of its own.
+        It then rings every `GRACE`. A single alarm could get lost: Python 3.11 may record a signal
+        without running its handler if the main thread is in a loop of its own.
         """
         seconds = self._due - monotonic()
         if self.received:
@@ -239,7 +240,7 @@ class Interrupts:
 
 @contextmanager
 def _signals_in_a_pipe() -> Iterator[int]:
-    """The end of a pipe that can be read as soon as a signal has come."""
+    """A pipe that becomes readable when a signal comes; its reading end."""
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
     before = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)

@@ -1,7 +1,7 @@
-"""What there is on the graph, as ``ros2`` lists it: ``list``, ``type``, ``find`` and ``info``.
+"""What exists on the graph, as ``ros2`` lists it: ``list``, ``type``, ``find`` and ``info``.
 
-Actions, services and topics are listed alike (`Kind`). A name with a part that begins with an
-underscore is hidden: it is left out of lists unless asked for, and found by whoever names it.
+Actions, services and topics are listed alike (`Kind`). A name is hidden if one of its parts begins
+with an underscore. Hidden names are listed only on request, but found if you name them.
 
 Source: ros2cli ``ros2{action,node,service,topic}/verb/*.py`` for the order of things; recordings
 of Jazzy for the words.
@@ -55,7 +55,7 @@ async def print_list(node: Node, kind: Kind, *, types: bool, count: bool, hidden
 
 
 async def print_type(node: Node, kind: Kind, name: str) -> int:
-    """Print the types of one name; silent, with another exit status, if it does not exist."""
+    """Print the types of a name; if it does not exist, print nothing and return another status."""
     types = types_by_name(node.transport.endpoints(), kind, hidden=True).get(name, ())
     _say_lines(types)
     return FOUND if types else NOT_FOUND
@@ -92,7 +92,7 @@ async def print_action_info(node: Node, name: str, *, types: bool, count: bool) 
 def _nodes_of_action(
     node: Node, name: str, kind: EndpointKind
 ) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Each node on one side of an action, with the types; of two of one name, both."""
+    """The nodes on one side of an action, with the types; a node name that occurs twice, twice."""
     for who in sorted(set(node.transport.nodes())):
         own = _endpoints_of(node, who)
         types = types_by_name(own, "action", kind, hidden=True).get(name, ())
@@ -101,7 +101,7 @@ def _nodes_of_action(
 
 
 def _is_of(endpoint: Endpoint, action: str) -> bool:
-    """Whether an endpoint is that by which goals of an action are sent."""
+    """Whether an endpoint is the one that sends or takes the goals of an action."""
     return endpoint.name == action_names(action).send_goal
 
 
@@ -109,10 +109,10 @@ def _is_of(endpoint: Endpoint, action: str) -> bool:
 
 
 async def print_service_info(node: Node, name: str) -> int:
-    """Print the type of a service, and how many there are at its ends.
+    """Print the type of a service, and how many clients and servers it has.
 
     Raises:
-        TurtleactError: if there is no such service, with the nearest.
+        TurtleactError: if there is no such service, with the nearest name.
     """
     endpoints = node.transport.endpoints()
     name = _full(name)
@@ -127,7 +127,7 @@ async def print_service_info(node: Node, name: str) -> int:
 
 
 async def print_topics_in_full(node: Node, *, hidden: bool) -> int:
-    """Print the topics that are published, and those that are subscribed to."""
+    """Print the topics with publishers, and those with subscriptions."""
     endpoints = node.transport.endpoints()
     topics = types_by_name(endpoints, "topic", hidden=hidden)
     for word, kind in SIDES.items():
@@ -142,10 +142,10 @@ async def print_topics_in_full(node: Node, *, hidden: bool) -> int:
 
 
 async def print_topic_info(node: Node, name: str, *, verbose: bool) -> int:
-    """Print the type of a topic and how many there are at its ends, or all of them in full.
+    """Print the type of a topic and its number of endpoints, or all endpoints in full.
 
     Raises:
-        TurtleactError: if there is no such topic, with the nearest.
+        TurtleactError: if there is no such topic, with the nearest name.
     """
     endpoints = node.transport.endpoints()
     name = _full(name)
@@ -199,7 +199,7 @@ def _hash_of(type_name: str) -> str:
 
 
 async def print_nodes(node: Node, *, count: bool, hidden: bool) -> int:
-    """Print the names of all nodes, or how many there are; those that share a name are noted."""
+    """Print the names of all nodes, or their number; nodes that share a name are noted."""
     names = sorted(name for name in node.transport.nodes() if hidden or not is_hidden_node(name))
     shared = [name for name, number in Counter(names).items() if number > 1]
     if shared:
@@ -209,10 +209,10 @@ async def print_nodes(node: Node, *, count: bool, hidden: bool) -> int:
 
 
 async def print_node_info(node: Node, name: str, *, hidden: bool) -> int:
-    """Print what a node has: topics, services and actions, with their types.
+    """Print the topics, services and actions of a node, with their types.
 
     Raises:
-        TurtleactError: if there is no such node, with the nearest.
+        TurtleactError: if there is no such node, with the nearest name.
     """
     names = [each for each in node.transport.nodes() if hidden or not is_hidden_node(each)]
     name = _full(name)
@@ -241,7 +241,7 @@ async def print_node_info(node: Node, name: str, *, hidden: bool) -> int:
 
 
 def _full(name: str) -> str:
-    """A name with the slash that may be left out."""
+    """A name with its leading slash."""
     return name if name.startswith("/") else f"/{name}"
 
 
@@ -258,7 +258,7 @@ def _needed_types(endpoints: Iterable[Endpoint], kind: Kind, name: str) -> tuple
 
 
 def _as_said(types: tuple[str, ...]) -> str:
-    """One type as it is, several as a list."""
+    """A single type as it is, several types as a list."""
     return types[0] if len(types) == 1 else str(list(types))
 
 

@@ -49,15 +49,15 @@ if TYPE_CHECKING:
 __all__ = ["Dashboard", "LiveTranscript"]
 
 MOST_LINES = 40
-"""A goal is printed on so many lines at most; the display shows where it leads."""
+"""How many lines of a goal are printed at most."""
 
 
 class LiveTranscript:
-    """A display while the goal runs, the plain transcript above it and when it has ended.
+    """A live display while the goal runs, with the plain transcript above it.
 
     Args:
         stream: The terminal.
-        wants_feedback: Whether each feedback message is printed too, and stays.
+        wants_feedback: Whether to print each feedback message too.
     """
 
     _picture: _Picture  # from the acceptance on
@@ -83,11 +83,11 @@ class LiveTranscript:
         self.follows(sent.followed())
 
     def follows(self, goal: Followed) -> None:
-        """The goal is looked at from now on."""
+        """The goal is followed from now on."""
         self._picture = _Picture(goal)
 
     async def animate(self) -> None:
-        """Draw a frame now and then."""
+        """Draw frames until the goal ends."""
         with redirect_stderr(_Above(self._region, sys.stderr)):
             await animate(self._region, self._picture.compose)
 
@@ -96,14 +96,14 @@ class LiveTranscript:
         self._plain.feedback(feedback)
 
     def status(self, status: GoalStatus) -> None:
-        """The next frame tells it."""
+        """Nothing to do: the next frame shows it."""
 
     def canceling(self) -> None:
         """The goal is asked to cancel."""
         self._plain.canceling()
 
     def ended(self, outcome: Outcome[Message]) -> None:
-        """The goal has ended: its last state is drawn, and gives way to its result."""
+        """The goal has ended: draw its last state, and print the result."""
         draw(self._region, self._picture.compose)
         self._plain.ended(outcome)
 
@@ -113,19 +113,19 @@ class LiveTranscript:
         note(text)
 
     async def drained(self) -> None:
-        """Wait until the terminal has taken all that is to stay."""
+        """Wait until the terminal has taken all text."""
         await self._region.drained()
 
     def close(self) -> None:
-        """Take the display away, and give the terminal back."""
+        """Remove the display, and give the terminal back."""
         self._region.restore()
 
 
 class _Above(io.TextIOBase):
-    """A stream that shares the terminal with a display, which gives way to what is written.
+    """A stream that shares its terminal with a display: what is written appears above the display.
 
     Args:
-        region: Where the display is.
+        region: The region of the display.
         stream: The stream.
     """
 
@@ -140,7 +140,7 @@ class _Above(io.TextIOBase):
         return self._stream.write(text)
 
     def flush(self) -> None:
-        """Let it be seen."""
+        """Flush the stream."""
         self._stream.flush()
 
     def fileno(self) -> int:
@@ -149,7 +149,7 @@ class _Above(io.TextIOBase):
 
 
 class _Picture:
-    """What is to be seen of a goal."""
+    """Composes the display of a goal."""
 
     def __init__(self, shown: Followed) -> None:
         self._shown = shown
@@ -174,7 +174,7 @@ class _Picture:
             self._trails = PoseTrails(shown.node, self._leader)
 
     def compose(self, *, width: int, height: int) -> render.Picture:
-        """The picture as it is now."""
+        """Compose the current picture."""
         handle = self._shown.handle
         world = None
         if self._trails is not None:
@@ -198,7 +198,11 @@ class _Picture:
         return render.frame(goal, world, width=width, height=height)
 
     def _progress(self, now: float) -> tuple[float | None, str]:
-        """How much is done, and in words: by what remains, by the places, else how fresh it is."""
+        """The progress, as a fraction and in words.
+
+        It is taken from a feedback field such as ``remaining``, else from the places that the
+        turtle has passed; else the words say how old the last feedback is.
+        """
         values = {} if self._feedback is None else to_dict(self._feedback)
         for name, value in values.items():
             if "remaining" in name and isinstance(value, float):
@@ -213,7 +217,7 @@ class _Picture:
 
 
 def _target(feedback: Message | None) -> list[render.Target]:
-    """The place that a turtle goes to, if its feedback tells of one."""
+    """The target in the feedback, if there is one."""
     values: Any = {} if feedback is None else to_dict(feedback)
     number = values.get("index", 0)
     places = places_in(values.get("target"))
@@ -221,23 +225,23 @@ def _target(feedback: Message | None) -> list[render.Target]:
 
 
 MOST_LEFT: Final = 20
-"""So many lines of the log are left standing."""
+"""How many lines of the log stay on the screen in the end."""
 
 PATIENCE: Final = 0.5
-"""So long a terminal has to take them (wall seconds)."""
+"""How long the terminal has to take them (s, wall clock)."""
 
 MOST_GOALS: Final = 100
-"""So many goals, the newest, are looked at for a frame."""
+"""How many goals, the newest ones, a frame shows at most."""
 
 MOST_ENDED: Final = 50
-"""So many goals that have ended stay in the table."""
+"""How many ended goals stay in the table."""
 
 MOST_TURTLES: Final = 50
-"""So many turtles are on the map, and are followed on their way: of more, nothing could be told."""
+"""How many turtles the map shows and follows at most."""
 
 
 class Dashboard:
-    """What ``serve`` tells, on a terminal.
+    """What ``serve`` shows on a terminal.
 
     Args:
         stream: The terminal.
@@ -258,18 +262,18 @@ class Dashboard:
         self._sim = sim
 
     def say(self, line: str) -> None:
-        """A line that is always there."""
+        """Add a line to the heading, which is always shown."""
         self._heading.append(line)
         self._has_said.set()
 
     def tell(self, goal: Handle, new: GoalStatus, line: str, time: str) -> None:
-        """A change of a goal.
+        """Record a change of a goal.
 
         Args:
             goal: The goal.
-            new: Its state now.
-            line: The change as the log tells it.
-            time: When it was, as the line says it.
+            new: Its new state.
+            line: The line for the log.
+            time: The time, as it stands in the line.
         """
         goal_id = goal.goal_id
         if goal_id not in self._goals:
@@ -291,7 +295,7 @@ class Dashboard:
 
     @contextmanager
     def listening(self) -> Iterator[None]:
-        """A block in which what is printed goes to the log; if that was never seen, to stderr."""
+        """A block in which prints go to the log, or to stderr if the log is never shown."""
         try:
             with self._log.listening():
                 yield
@@ -301,10 +305,13 @@ class Dashboard:
                     print(line.full, file=sys.stderr)
 
     async def run(self) -> None:
-        """Draw from the first line that is said until it is canceled; lines are left standing."""
+        """Draw from the first heading line until this is cancelled; then print the last lines."""
         if not self._has_said.is_set():
             await self._has_said.wait()
-        with suppress(OSError), self._region.held():  # if it goes, the server goes on without
+        with (
+            suppress(OSError),
+            self._region.held(),
+        ):  # if the terminal goes away, the server goes on
             try:
                 await keep_drawing(self._region, self.compose)
             finally:
@@ -333,7 +340,7 @@ class Dashboard:
         return render.board(shown, width=width, height=height)
 
     def _in_order(self) -> list[_Served]:
-        """The goals that run, then those that have ended, the newest of them first; not all."""
+        """The newest goals: first the running ones, then the ended ones."""
         newest = list(islice(reversed(self._goals.values()), MOST_GOALS))
         return sorted(newest, key=lambda goal: goal.ended_at is not None)
 
@@ -343,11 +350,11 @@ class _Served:
 
     Args:
         goal: The goal.
-        may_follow: Whether the turtle that it drives may be followed.
+        may_follow: Whether its turtle may be followed.
 
     Attributes:
-        is_followed: Whether it is.
-        ended_at: When it ended, by the clock of its node (s), if it has.
+        is_followed: Whether its turtle is followed.
+        ended_at: When it ended, by the clock of its node (s); None if it still runs.
     """
 
     def __init__(self, goal: Handle, *, may_follow: bool) -> None:
@@ -366,7 +373,7 @@ class _Served:
             self._poses = goal.node.subscription(TurtlePose, leader, QoS(depth=POSES_A_FRAME))
 
     def change(self, status: GoalStatus) -> None:
-        """It has another state."""
+        """Record a change of state."""
         self._status = status
         if status.is_terminal:
             self.ended_at = self._clock.time()
@@ -374,7 +381,7 @@ class _Served:
                 self._poses.membership.close()
 
     def look(self) -> list[render.Target]:
-        """Where its turtle has yet to go."""
+        """The places that its turtle has not passed yet."""
         if self._poses is None or self.ended_at is not None:
             return []
         for pose in self._poses.drain():
@@ -389,7 +396,7 @@ class _Served:
 
 
 class _Drawn:
-    """What the turtles of a world have drawn."""
+    """The drawings of a world's turtles."""
 
     def __init__(self, sim: Turtlesim) -> None:
         self._sim = sim

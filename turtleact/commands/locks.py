@@ -1,12 +1,12 @@
-"""The file that says who may come in: TLS, users and passwords, and which names they may use.
+"""The ``--config`` file for access control: TLS, users and passwords, and what clients may use.
 
-A file in TOML, the same for ``serve`` and for those who come in; what is left out is not asked
-for. A path in it is relative to the file.
+Servers and clients read the same TOML file. What it leaves out is not checked. Paths in it are
+relative to the file.
 
 .. code-block:: toml
 
     [tls]
-    ca = "ca.pem"               # who has signed the others' certificates
+    ca = "ca.pem"               # who signed the others' certificates
     certificate = "robot.pem"
     key = "robot.key"
     mutual = true               # ask the others for theirs too
@@ -44,7 +44,7 @@ __all__ = ["Locks", "is_loopback", "mode_of", "read_locks"]
 
 
 class Tls(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What ``[tls]`` says; see the module."""
+    """The section ``[tls]``; see the module."""
 
     ca: str = ""
     certificate: str = ""
@@ -53,7 +53,7 @@ class Tls(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Login(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What ``[login]`` says; see the module."""
+    """The section ``[login]``; see the module."""
 
     user: str = ""
     password: str = ""
@@ -61,7 +61,7 @@ class Login(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Access(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What ``[access]`` says; see the module."""
+    """The section ``[access]``; see the module."""
 
     actions: tuple[str, ...] = ()
     services: tuple[str, ...] = ()
@@ -70,12 +70,12 @@ class Access(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Locks(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a file says.
+    """The contents of such a file.
 
     Attributes:
-        tls: Certificates; None if the link is not encrypted by them.
-        login: Users and passwords; None if nobody is asked.
-        access: What others may use; None if it is everything.
+        tls: The certificates; None if links are not encrypted.
+        login: Users and passwords; None if nobody is asked for them.
+        access: What others may use; None if they may use everything.
     """
 
     tls: Tls | None = None
@@ -84,12 +84,12 @@ class Locks(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def keeps_strangers_out(self) -> bool:
-        """Whether a server with these locks asks who comes in, or lets them use but little."""
+        """Whether a server checks its clients, or restricts what they may use."""
         asks = self.login is not None and bool(self.login.users)
         return asks or self.access is not None or (self.tls is not None and self.tls.mutual)
 
     def settings(self) -> dict[str, object]:
-        """Path to value, as Zenoh's configuration has it."""
+        """Paths and values of Zenoh's configuration."""
         found: dict[str, object] = {}
         if self.tls is not None:
             tls = self.tls
@@ -117,10 +117,10 @@ class Locks(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def read_locks(path: str) -> Locks:
-    """The locks that a file describes, its paths made absolute.
+    """Read such a file; its paths are made absolute.
 
     Raises:
-        UsageError: if it cannot be read, is no TOML, or says what it cannot say.
+        UsageError: if the file cannot be read, is not TOML, or has invalid values.
     """
     from turtleact.commands.message_text import read_text_file  # imports YAML
 
@@ -134,7 +134,7 @@ def read_locks(path: str) -> Locks:
 
 
 def is_loopback(endpoint: str) -> bool:
-    """Whether nobody but this machine can come in at an endpoint, such as ``tcp/127.0.0.1:7447``.
+    """Whether an endpoint, such as ``tcp/127.0.0.1:7447``, admits only this machine.
 
     >>> is_loopback("tcp/localhost:7447"), is_loopback("tls/[::]:7447")
     (True, False)
@@ -164,7 +164,7 @@ _LOOPBACK: Final = re.compile(r"(localhost|127(\.\d+){3}|\[::1\])(:|$)")
 
 
 def _with_paths(locks: Locks, file: Path) -> Locks:
-    """The same with absolute paths; raises for a file that is not there."""
+    """The same with absolute paths; raises if a file does not exist."""
 
     def resolve(name: str, given: str) -> str:
         if not given:
@@ -198,14 +198,14 @@ _DECLARED: Final = [
     "liveliness_query",
     "reply",
 ]
-"""What a participant says to be in the graph, and to answer."""
+"""The messages that a participant needs to join the graph and to answer."""
 
 _EVERYTHING: Final = ["**", "@ros2_lv/**", "**/@adv/**"]
-"""Every key: what begins with an at sign has to be named."""
+"""Every key; wildcards do not match keys with an at sign, so those are named."""
 
 
 def _access_control(access: Access) -> dict[str, object]:
-    """Rules that let others see the graph, and use what is named."""
+    """Rules by which others see the graph, and may use the listed names."""
     actions = [resolve_name(name)[1:] for name in access.actions]
     used = [f"*/{name}/_action/*/*/*" for name in actions]
     used += [f"*/{resolve_name(name)[1:]}/*/*" for name in access.services]

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["GoalText", "python_text", "read_text_file", "yaml_lines"]
 
 MOST = 2**22
-"""Bytes that are read of a file or a pipe: no message that is taken is longer."""
+"""How many bytes of a file or a pipe are read; no valid message is longer."""
 
 
 class GoalText(NamedTuple):
@@ -51,25 +51,25 @@ class GoalText(NamedTuple):
         interrupts: Interrupts,
         what: str = "goal",
     ) -> GoalText:
-        """The text from the one of the three that was chosen; ``{}`` if none was.
+        """Read the text from an argument, from stdin or from a file; ``{}`` if none was given.
 
         Args:
-            given: What stands among the arguments.
-            stdin: Whether stdin is read.
-            path: The file that is read.
-            interrupts: The signals that end the reading.
-            what: What the text is of.
+            given: The argument.
+            stdin: Whether to read stdin.
+            path: The file to read.
+            interrupts: The signals, which end the reading.
+            what: What the text is: "goal", "request" or "message".
 
         Raises:
-            UsageError: if it cannot be read, is empty, is too long, or is not UTF-8.
-            KeyboardInterrupt: if a signal comes while it is waited for.
+            UsageError: if the text cannot be read, is empty, is too long, or is not UTF-8.
+            KeyboardInterrupt: if a signal comes during the reading.
         """
         if not stdin and path is None:
             text, source = "{}" if given is None else given, what
         else:
             source = "stdin" if path is None else path if path.isprintable() else ascii(path)
             text = _decoded(_read(path, source, interrupts, what), source)
-        if not text.strip():  # whoever was to say it has failed
+        if not text.strip():  # the program that should have written it failed
             raise UsageError(f"{source}: is empty; the default {what} is {{}}")
         return cls(text, source)
 
@@ -125,7 +125,7 @@ def _read_file(path: str, interrupts: Interrupts) -> bytes:
     if not path:
         raise UsageError("--goal-file: the path is empty")
     try:
-        # Else a named pipe that nobody writes to would be waited for here.
+        # Otherwise opening a named pipe would wait for a writer.
         file = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except ValueError:  # a null byte in the path
         raise UsageError("--goal-file: a path holds no null character") from None
@@ -136,14 +136,14 @@ def _read_file(path: str, interrupts: Interrupts) -> bytes:
 
 
 SILENT = frozenset({"float64", "int64", "bool"})
-"""The types that numpy does not name."""
+"""The types that numpy does not print."""
 
 DTYPES = {"byte": "uint8", "char": "uint8"}
-"""What numpy calls a type otherwise."""
+"""Types that have another name in numpy."""
 
 
 def python_text(message: Message) -> str:
-    """A message as rclpy's ``repr`` of it.
+    """A message as rclpy's ``repr`` prints it.
 
     >>> from turtleact.interfaces.standard import Time
     >>> python_text(Time(sec=1))
@@ -172,7 +172,7 @@ def _value(field: Field, value: object) -> str:
 
 
 def yaml_lines(value: object) -> list[str]:
-    """A plain value as the lines of block YAML; a single one as Python says it, as ros2 does."""
+    """A plain value as lines of block YAML; a scalar as Python prints it, as ros2 does."""
     if isinstance(value, dict) and value:
         return block(value)
     if isinstance(value, list | bytes) and value:

@@ -67,16 +67,16 @@ DONE, FAILED = 0, 1
 """Exit statuses."""
 
 PATIENCE = 5.0
-"""Seconds that a node has for an answer, by the clock of the graph."""
+"""How long a node has to answer (s, by the clock of the graph)."""
 
 
 class Owner(NamedTuple):
     """The node whose parameters are meant.
 
     Attributes:
-        name: Its name; a slash before it may be missing.
-        hidden: Whether it may be one whose name begins with an underscore.
-        timeout: How long it is waited for (s, by the clock of the graph).
+        name: The name of the node, with or without a slash before it.
+        hidden: Whether it may be a hidden node.
+        timeout: How long to wait for the node (s, by the clock of the graph).
     """
 
     name: str
@@ -95,18 +95,18 @@ async def print_names(
 ) -> int:
     """Print the names of the parameters of a node, or of all nodes that have some.
 
-    Of all nodes, one that does not answer is noted, and is an error at the end.
+    When listing all nodes, a node that does not answer is noted, and the exit status is 1.
 
     Args:
         node: A node on the graph.
         name: The node; None for all.
-        pattern: What the names must begin with; None for anything.
-        prefixes: The groups that are wanted; none means all.
-        types: Whether to print of which kind they are.
-        hidden: Whether to look at nodes whose name begins with an underscore.
+        pattern: Matches the beginning of the names to print; None for all names.
+        prefixes: The groups to print; all if empty.
+        types: Whether to print the types too.
+        hidden: Whether to include hidden nodes.
 
     Raises:
-        TurtleactError: if the node is not there or has none, or does not answer.
+        TurtleactError: if the node does not exist, has no parameters, or does not answer.
     """
 
     async def lines(owner: str) -> list[str]:
@@ -260,7 +260,7 @@ def _has_parameters(node: Node, name: str) -> bool:
 
 
 async def _ask(node: Node, service_type: ServiceType[Req, Res], owner: str, request: Req) -> Res:
-    """Call one of the services of a node's parameters, which is named like its type."""
+    """Call one of a node's parameter services, which are named after their types."""
     words = service_type.type_name.rpartition("/")[2].removesuffix("Parameters").lower()
     client = node.service_client(service_type, f"{owner}/{words}_parameters")
     try:
@@ -276,7 +276,7 @@ async def _names(node: Node, owner: str, prefixes: Sequence[str]) -> list[str]:
 
 
 async def _values(node: Node, owner: str, names: Sequence[str]) -> list[ParameterValue]:
-    """The values of parameters that must be there."""
+    """The values of parameters that must exist."""
     response = await _ask(node, GetParameters, owner, GetParameters.Request(list(names)))
     if len(response.values) < len(names):
         await _refuse_unknown(node, owner, names)
@@ -284,7 +284,7 @@ async def _values(node: Node, owner: str, names: Sequence[str]) -> list[Paramete
 
 
 async def _described(node: Node, owner: str, names: Sequence[str]) -> list[ParameterDescriptor]:
-    """What is known of parameters that must be there."""
+    """The descriptions of parameters that must exist."""
     request = DescribeParameters.Request(list(names))
     response = await _ask(node, DescribeParameters, owner, request)
     if len(response.descriptors) < len(names):
@@ -293,7 +293,7 @@ async def _described(node: Node, owner: str, names: Sequence[str]) -> list[Param
 
 
 async def _refuse_unknown(node: Node, owner: str, names: Sequence[str]) -> None:
-    """Raises for the first parameter that a node has not, with the nearest."""
+    """Raise for the first parameter that a node does not have, with the nearest name."""
     known = await _names(node, owner, ())
     for name in names:
         if name not in known:
@@ -339,7 +339,10 @@ def _description(known: ParameterDescriptor) -> Iterator[str]:
 
 
 def _insert(tree: dict[str, object], name: str, value: object) -> None:
-    """Put a value where the dots of its name lead; one that is in the way leaves them in it."""
+    """Insert a value at the path that its dotted name gives.
+
+    If another value is in the way, the name keeps its dots.
+    """
     first, _, rest = name.partition(".")
     inner = tree.setdefault(first, {}) if rest else None
     if isinstance(inner, dict):
@@ -349,19 +352,19 @@ def _insert(tree: dict[str, object], name: str, value: object) -> None:
 
 
 WILDCARD = "/**"
-"""What a file of parameters calls all nodes."""
+"""Stands for all nodes in a file of parameters."""
 
 BELOW = "ros__parameters"
-"""What a file of parameters puts them below."""
+"""The key that holds a node's parameters in such a file."""
 
 
 class Kind(NamedTuple):
-    """A kind of value.
+    """A type of parameter.
 
     Attributes:
-        field: The field of ``ParameterValue`` that holds it.
-        name: What it is called.
-        label: What is printed before it.
+        field: The field of ``ParameterValue`` that holds the value.
+        name: The name of the type.
+        label: Is printed before a value.
     """
 
     field: str
@@ -395,17 +398,17 @@ SINGLE: Final = {
     float: ParameterType.PARAMETER_DOUBLE,
     str: ParameterType.PARAMETER_STRING,
 }
-"""The kinds of values that a text can say; that of a list of them is five above."""
+"""The types of single values; the type of a list of them is five higher."""
 
 ARRAY: Final = ParameterType.PARAMETER_BOOL_ARRAY - ParameterType.PARAMETER_BOOL
 
 
 def parameter_value(text: str) -> ParameterValue:
-    """The value that a text says: a bool, a number, a list of one kind, or else the text itself.
+    """The value in a text: a bool, a number, a list of one type, or else the text itself.
 
     Raises:
-        UsageError: if it is a list of several kinds, or nothing.
-        InvalidMessage: if it is no YAML.
+        UsageError: if it is a list of mixed types, or empty.
+        InvalidMessage: if it is not YAML.
 
     >>> parameter_value("150").integer_value, parameter_value("it: is").string_value
     (150, 'it: is')
@@ -418,12 +421,12 @@ def read_file(path: str, *, use_wildcard: bool) -> dict[str, dict[str, Parameter
     """The parameters in a file, by the name of their node as it is written there.
 
     Args:
-        path: A file in YAML, such as `dump` prints.
-        use_wildcard: Whether those for all nodes (``/**``) are meant, too.
+        path: A YAML file such as `dump` prints.
+        use_wildcard: Whether to include those for all nodes (``/**``).
 
     Raises:
-        UsageError: if it cannot be read, or is no such file.
-        InvalidMessage: if it is no YAML.
+        UsageError: if the file cannot be read, or has another form.
+        InvalidMessage: if it is not YAML.
     """
     if not path:
         raise UsageError("FILE: the path is empty")
@@ -443,14 +446,14 @@ def read_file(path: str, *, use_wildcard: bool) -> dict[str, dict[str, Parameter
 
 
 def plain(value: ParameterValue) -> object:
-    """A value as Python has it; None if it is not set."""
+    """A value as a Python object; None if it is not set."""
     kind = KINDS.get(value.type)
     found = None if kind is None else getattr(value, kind.field)
     return found if found is None or isinstance(found, bool | int | float | str) else list(found)
 
 
 def kind_name(number: int) -> str:
-    """What a kind of value is called."""
+    """The name of a type of parameter."""
     kind = KINDS.get(number)
     return "not set" if kind is None else kind.name
 

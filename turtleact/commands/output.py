@@ -13,7 +13,7 @@ from typing import TextIO
 __all__ = ["abandon", "note", "printable", "say", "say_names", "tell_exit"]
 
 HALF = 2000
-"""A note has twice as many characters at most."""
+"""A note has at most twice this many characters."""
 
 
 def say(text: str) -> None:
@@ -27,7 +27,7 @@ def say_names(text: str) -> None:
 
 
 def note(text: str) -> None:
-    """Print a line on stderr; where that cannot be, nobody is there to be told."""
+    """Print a line on stderr; if nobody can read that, do nothing."""
     if sys.stderr is None:
         return
     try:
@@ -37,26 +37,26 @@ def note(text: str) -> None:
 
 
 def tell_exit(stop: SystemExit) -> int:
-    """Say that somebody's code has ended the program, and give the exit status as Python would."""
+    """Report that the user's code called `sys.exit`; return the exit status that Python would."""
     code = stop.code
     note(f"somebody's code has ended the program: sys.exit({'' if code is None else repr(code)})")
     return 0 if code is None else code & 0xFF if isinstance(code, int) else 1
 
 
 def printable(text: str) -> str:
-    """A text that commands no terminal: of all control characters only line breaks are left."""
+    """A text without commands to a terminal: control characters except line breaks are escaped."""
     return "".join(c if c.isprintable() or c == "\n" else _escaped(c) for c in text)
 
 
 def abandon(stream: TextIO) -> None:
-    """Let what is written to this stream go nowhere, so that Python's own last flush succeeds."""
+    """Redirect a stream to nowhere, so that Python's own last flush succeeds."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream.fileno())
     os.close(nowhere)
 
 
 def _shortened(text: str) -> str:
-    """A text without its middle, if it is too long to be read: an argument may have any length."""
+    """A text, without its middle if it is too long to read: an argument may have any length."""
     left_out = len(text) - 2 * HALF
     return text if left_out <= 0 else f"{text[:HALF]}… {left_out} characters …{text[-HALF:]}"
 

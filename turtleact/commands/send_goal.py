@@ -1,7 +1,7 @@
-"""``send-goal``: one goal's way from its text to the exit status.
+"""``send-goal``: one goal, from its text to the exit status.
 
-Knows when a goal is sent, canceled and let go of; what is printed of it stands in
-`turtleact.commands.transcript` and `turtleact.commands.live`.
+This module decides when a goal is sent, canceled and let go of. `turtleact.commands.transcript` and
+`turtleact.commands.live` print it.
 
 Source: ros2cli ``ros2action/verb/send_goal.py`` for the order of things.
 """
@@ -59,12 +59,12 @@ class Order(NamedTuple):
 
     Attributes:
         name: The action.
-        type_name: Its type, or None for whatever it is served with.
+        type_name: Its type; None for the type with which it is served.
         text: The goal.
         place: Where it is sent.
         feedback: Whether to print each feedback message.
-        timeout: Wall seconds after which the goal is canceled, or given up if no server has taken
-            it; 0 leaves once it is accepted.
+        timeout: When to cancel the goal, or to give up if no server has accepted it (s, wall
+            clock); 0 means to leave once it is accepted.
         view: How it is shown; ``auto`` is live on a terminal.
     """
 
@@ -78,14 +78,14 @@ class Order(NamedTuple):
 
 
 def run(order: Order, interrupts: Interrupts) -> int:
-    """Send the goal, follow it to its end, and give the exit status.
+    """Send the goal, follow it to its end, and return the exit status.
 
     Raises:
-        InvalidName: if the action's name is no name.
+        InvalidName: if the action's name breaks ROS 2's rules.
         InvalidGoal: if the goal does not fit the action.
         UnknownInterface: if the type is not known.
         InvalidInterface: if it is not an action.
-        ServerUnavailable: if nobody serves the action, or not with this type.
+        ServerUnavailable: if nobody serves the action with this type.
     """
     name = resolve_name(order.name)
     goal = None
@@ -103,14 +103,14 @@ def run(order: Order, interrupts: Interrupts) -> int:
 
 
 def embedded_world(speed: float | str, seed: int) -> AbstractAsyncContextManager[Node]:
-    """The world that goals are sent to; numpy and the rest are imported here, and no sooner."""
+    """Open the embedded world; numpy and the like are imported only here."""
     from turtleact.app import open_world
 
     return open_world(speed=speed, seed=seed)
 
 
 class _Sending:
-    """One goal, from the opening of the world to the exit status."""
+    """Sends one goal, from the opening of the graph to the exit status."""
 
     def __init__(
         self,
@@ -131,7 +131,7 @@ class _Sending:
         self._is_silent = False
 
     async def run(self) -> int:
-        """Open the world, and send the goal into it."""
+        """Open the graph or a world, and send the goal."""
         order = self._order
         # The loop may be stuck in a body or in its output, and would never come to the signal.
         self._interrupts.patience = 2 * CANCEL_TIMEOUT
@@ -148,7 +148,7 @@ class _Sending:
 
     @asynccontextmanager
     async def _find_node(self) -> AsyncIterator[Node]:
-        """A node on the graph in reach, if there are actions, else one in an embedded world."""
+        """Open a node on the graph in reach, or in an embedded world if it has no actions."""
         place, reach = self._order.place, self._order.place.reach
         async with AsyncExitStack() as stack:
             if reach is not None:
@@ -223,7 +223,7 @@ class _Sending:
             return CANCELED if self._canceled_by is None else self._canceled_by
         return SUCCEEDED if outcome.status is GoalStatus.SUCCEEDED else ABORTED
 
-    # what comes in between
+    # signals, timeouts and servers that do not answer
 
     async def _heed_interrupts(self, sending: anyio.CancelScope, beside: TaskGroup) -> None:
         """Cancel the goal, or the sending of it, at the first signal; let go at the second.
@@ -256,7 +256,7 @@ class _Sending:
             leave(self._interrupted())
 
     async def _heed_silence(self, sending: anyio.CancelScope) -> None:
-        """Say that a server has not taken the goal in time; give up if the user has set one."""
+        """Report that a server has not accepted the goal in time; give up if there is a timeout."""
         limit = self._order.timeout
         seconds = max(limit or 0.0, PATIENCE)
         await anyio.sleep(seconds)
@@ -278,7 +278,7 @@ class _Sending:
 
     async def _time_out(self, sent: Sent, seconds: float) -> None:
         await anyio.sleep(seconds)
-        if sent.handle.status.is_terminal:  # in the same moment
+        if sent.handle.status.is_terminal:  # it ended in the same moment
             return
         self._transcript.note(f"no result after {seconds:g} s")
         self._transcript.canceling()
@@ -304,7 +304,7 @@ class _Sending:
         leave(status)
 
     def _way_back(self, sent: Sent) -> str:
-        """How to get back to a goal that goes on."""
+        """A sentence that says how to get back to a goal that goes on."""
         if self._is_embedded:
             return ENDED_WITH_WORLD
         command = f"turtleact watch {sent.handle.goal_id.hex()}{self._order.place.options}"
@@ -329,12 +329,12 @@ async def _is_served(node: Node, name: str | None = None) -> bool:
 
 
 def find_action(node: Node, name: str, type_name: str | None) -> type[Action]:
-    """The class of an action that is served; of several types the first.
+    """The class of an action that is served; the first one if it has several types.
 
     Raises:
-        ServerUnavailable: if nobody serves it, or not with that type; the text says what there is.
-        UnknownInterface: if the type that was given is not known.
-        TurtleactError: if the type on the graph is not known here.
+        ServerUnavailable: if nobody serves it with that type; the text says what is served.
+        UnknownInterface: if the type that the user typed is unknown.
+        TurtleactError: if the type on the graph is unknown here.
     """
     actions = node.graph().actions
     types = actions.get(name, ())

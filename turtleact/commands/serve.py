@@ -1,7 +1,7 @@
-"""``serve``: the world, the built-in actions and the user's own, until somebody ends it.
+"""``serve``: a world, the built-in actions and the user's own actions, until a signal comes.
 
-Where nothing is said it is the router that the nodes of this machine look for, or, if there is one
-already, a peer that finds the others by it. One line on stdout says when goals can be sent; then
+By default the server is the router that the nodes of this machine look for. If there is a router
+already, the server joins its graph as a peer. One line on stdout says when goals can be sent, then
 there is a line for each change of a goal. A terminal shows the same as a dashboard.
 """
 
@@ -42,22 +42,22 @@ if TYPE_CHECKING:
 __all__ = ["Service", "run"]
 
 ROUTER = "tcp/127.0.0.1:7447"
-"""Where the nodes of a machine look for their router."""
+"""Where the nodes of a machine look for a router."""
 
 MOST_LISTED = 12
-"""So many actions are told of when it is ready."""
+"""How many actions the line names that says when the server is ready."""
 
 
 class Service(NamedTuple):
-    """What is to be served, and where.
+    """What to serve, and where.
 
     Attributes:
         targets: The user's actions, as `find_actions` reads them.
-        listen: The endpoints to listen at; none means as the module says.
+        listen: The endpoints to listen at; if there are none, the default above applies.
         reach: The endpoints to connect to, and the domain.
-        fleet: The turtles; None for none, and no built-in actions.
+        fleet: The turtles; None for no world and no built-in actions.
         page: The page and rosbridge; None for neither.
-        config: Paths and values of Zenoh's configuration, such as those of its locks.
+        config: Paths and values of Zenoh's configuration, such as those for access control.
         is_live: Whether a terminal shows a dashboard.
         turtlesim_only: Whether the world serves only what turtlesim does, and no built-in actions.
     """
@@ -73,13 +73,13 @@ class Service(NamedTuple):
 
 
 def run(service: Service, interrupts: Interrupts) -> int:
-    """Serve until a signal comes, then end what runs, and give the exit status.
+    """Serve until a signal comes, then end the running goals, and return the exit status.
 
     Raises:
-        UsageError: if a target means no action, or there is no token where one is needed.
+        UsageError: if a target means no action, or a token is missing.
         TurtleactError: if the graph cannot be opened.
     """
-    if logging.lastResort is not None:  # where the user's modules set no logging up themselves
+    if logging.lastResort is not None:  # it serves modules that configure no logging
         logging.lastResort.setFormatter(_Escaping())
     if service.page is not None:
         _check_for_web()
@@ -98,7 +98,7 @@ def run(service: Service, interrupts: Interrupts) -> int:
 
 
 def _check_for_web() -> None:
-    """See that what ``--web`` needs is installed."""
+    """Check that the packages for ``--web`` are installed."""
     try:
         importlib.import_module("turtleact.web")
     except ModuleNotFoundError as missing:
@@ -137,11 +137,11 @@ async def _serve(
 
 @asynccontextmanager
 async def _open_web(page: Page, node: Node) -> AsyncIterator[str]:
-    """The page and rosbridge, and their address.
+    """Open the page and rosbridge; gives their address.
 
     Raises:
-        UsageError: if there is no token where one is needed.
-        TurtleactError: if they cannot be opened; both name the option of the command line.
+        UsageError: if a token is missing.
+        TurtleactError: if the port cannot be opened. Both errors name the option.
     """
     from turtleact.web import open_web
 
@@ -161,7 +161,7 @@ async def _open_web(page: Page, node: Node) -> AsyncIterator[str]:
 async def _open_node(
     service: Service, graph: Callable[[Clock], AbstractAsyncContextManager[Transport]], log: _Log
 ) -> AsyncIterator[Node]:
-    """The node that serves the targets, on a graph with a world or without."""
+    """Open the node that serves the targets, on a graph with or without a world."""
     async with AsyncExitStack() as stack:
         if service.fleet is not None:
             from turtleact.app import open_world
@@ -187,12 +187,12 @@ async def _open_node(
 async def _open_graph(
     service: Service, opened: list[tuple[ZenohTransport, str]], clock: Clock
 ) -> AsyncIterator[Transport]:
-    """The graph, as the user wants it; else as router, or as a peer where there is one.
+    """Open the graph that the user asked for, else as router, else as a peer of the router.
 
     Args:
         service: What the user wants.
-        opened: Gets the graph, and where it is.
-        clock: Its time.
+        opened: The graph and its endpoints are appended to this.
+        clock: The clock of the graph.
     """
     connect, domain, _ = service.reach
     opening = partial(open_zenoh, domain=domain, config=service.config, clock=clock)
@@ -227,25 +227,21 @@ async def _open_graph(
 
 
 def _listed(names: list[str]) -> str:
-    """Some names, in a line that is not too long."""
+    """Names in one line, not too many of them."""
     some = names if len(names) <= MOST_LISTED else names[: MOST_LISTED - 1]
     more = [f"and {len(names) - len(some)} more"] if some is not names else []
     return ", ".join([*some, *more]) or "nothing"
 
 
 class _Escaping(logging.Formatter):
-    """A record as by default, but that it commands no terminal, whatever a body has raised."""
+    """Formats records as usual, but escapes control characters, which a body may have raised."""
 
     def format(self, record: logging.LogRecord) -> str:
         return printable(super().format(record))
 
 
 class _Log:
-    """Lines on stdout, or on a dashboard.
-
-    Args:
-        board: The dashboard, if there is one.
-    """
+    """Tells the user what happens: by lines on stdout, or on a dashboard."""
 
     def __init__(self, board: Dashboard | None) -> None:
         self.board = board
@@ -253,7 +249,7 @@ class _Log:
     def tell(
         self, goal: ServerGoalHandle[Any, Any, Any], _old: GoalStatus, new: GoalStatus
     ) -> None:
-        """A line for a change of a goal."""
+        """Print a line for a change of a goal."""
         reason = f": {printable(goal.reason)}" if goal.reason else ""
         time = f"{datetime.now():%H:%M:%S.%f}"
         line = f"{time} {goal.action_name} {goal.goal_id.hex()} {new.name}{reason}"
@@ -263,7 +259,7 @@ class _Log:
             self.say(line)
 
     def say(self, line: str) -> None:
-        """A line that is there at once; where nobody reads any more, the server goes on without."""
+        """Print a line at once; if nobody reads stdout any more, the server goes on without it."""
         if self.board is not None:
             self.board.say(line)
             return

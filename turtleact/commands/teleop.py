@@ -1,7 +1,7 @@
 """``teleop``: drive a turtle with the keys of ``turtle_teleop_key``, and see where it goes.
 
-The turtle is one of the graph in reach; if there is none, of a world in this process. Keys are read
-by the event loop: no thread waits for them.
+The turtle belongs to the graph in reach, or to an embedded world if there is none. The event loop
+reads the keys; no thread waits for them.
 
 Source: turtlesim 1.8.2, ``tutorials/teleop_turtle_key.cpp``, for the keys, speeds and words.
 """
@@ -44,7 +44,7 @@ Use G|B|V|C|D|E|R|T keys to rotate to absolute orientations. 'F' to cancel a rot
 """
 
 DRIVES: Final = {"up": (1.0, 0.0), "down": (-1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0)}
-"""The shares of the linear and angular speed that a key asks for."""
+"""The factors of the linear and angular speed for each key."""
 
 HEADINGS: Final = {
     "g": 0.0,
@@ -56,7 +56,7 @@ HEADINGS: Final = {
     "v": -1.5708,
     "b": -0.7854,
 }
-"""The headings (rad) that a key asks for; the keys lie around F."""
+"""The heading for each key (rad); the keys lie around F."""
 
 CANCEL, QUIT = "f", "q"
 
@@ -67,18 +67,18 @@ SHOWN: Final = (
     "C V B",
     "F  cancel   Q  quit",
 )
-"""The keys, as a live display shows them."""
+"""The legend of the live display."""
 
 COMMANDS, ROTATION = "cmd_vel", "rotate_absolute"
 
 BACKGROUND: Final = 0.2
-"""How often a process in the background looks whether it is in the foreground again (s)."""
+"""How often a process in the background checks whether it is in the foreground again (s)."""
 
 OK: Final = 0
 """The exit status if the user quits."""
 
 GONE: Final = 2.0
-"""A turtle that is missing for so long has gone (wall seconds): a reset takes it away for less."""
+"""How long a turtle is missing before it counts as gone (s, wall clock); a reset takes less."""
 
 
 class Order(NamedTuple):
@@ -87,10 +87,10 @@ class Order(NamedTuple):
     Attributes:
         turtle: Which turtle; None for turtle1, or the only one.
         remaps: Other names for ``turtle1/cmd_vel`` and ``turtle1/rotate_absolute``.
-        linear: The speed ahead (m/s).
+        linear: The speed (m/s).
         angular: The turn rate (rad/s).
-        is_plain: Whether a terminal shows no map, too.
-        reach: Where to look for turtles; None means in the embedded world alone.
+        is_plain: Whether to show no map even on a terminal.
+        reach: Where to look for turtles; None means only in an embedded world.
     """
 
     turtle: str | None
@@ -102,10 +102,10 @@ class Order(NamedTuple):
 
 
 def run(order: Order, interrupts: Interrupts) -> int:
-    """Drive until Q, a signal or the end of the turtle, and give the exit status.
+    """Drive until Q, a signal or the end of the turtle, and return the exit status.
 
     Raises:
-        UsageError: if stdin is no terminal.
+        UsageError: if stdin is not a terminal.
         TurtleactError: if no such turtle is in reach.
     """
     if sys.stdin is None or not sys.stdin.isatty():
@@ -127,7 +127,7 @@ def run(order: Order, interrupts: Interrupts) -> int:
 
 @asynccontextmanager
 async def _find_node(order: Order) -> AsyncIterator[tuple[Node, str]]:
-    """A node, and the turtle on its graph that is meant; if need be in a world of its own."""
+    """Open a node, on the graph in reach or in an embedded world; gives the turtle's name too."""
     async with AsyncExitStack() as stack:
         if order.reach is not None:
             opened = graph.open_transport(order.reach)
@@ -152,10 +152,10 @@ async def _find_node(order: Order) -> AsyncIterator[tuple[Node, str]]:
 
 
 def _choose(order: Order, node: Node) -> str | None:
-    """The turtle that is meant; None if there is none at all, and a world may be started.
+    """The name of the turtle to drive; None if there are no turtles, so a world may be started.
 
     Raises:
-        TurtleactError: if it is not there, or if it is not clear which one is meant.
+        TurtleactError: if the turtle does not exist, or if it is not clear which one is meant.
     """
     wanted, turtles = _wanted(order), turtles_in_reach(node)
     if not turtles:
@@ -176,13 +176,13 @@ def _choose(order: Order, node: Node) -> str | None:
 
 
 def _wanted(order: Order) -> str:
-    """The turtle that was named; nothing if none was."""
+    """The turtle that the user named; empty if none."""
     remapped = order.remaps.get(f"turtle1/{COMMANDS}", "").removesuffix(f"/{COMMANDS}")
     return (order.turtle or remapped).strip("/")
 
 
 def turtles_in_reach(node: Node) -> list[str]:
-    """Whatever reads a ``cmd_vel``, by its name, sorted."""
+    """The names of all turtles, that is, of what subscribes to a ``cmd_vel``, sorted."""
     return sorted(
         {
             each.name.removesuffix(f"/{COMMANDS}").strip("/")
@@ -195,14 +195,14 @@ def turtles_in_reach(node: Node) -> list[str]:
 
 
 class _Driving:
-    """A turtle that is driven.
+    """Drives a turtle.
 
     Args:
         order: What the user wants.
-        node: Where it is driven from.
-        turtle: Its name.
+        node: The node that drives it.
+        turtle: The name of the turtle.
         region: The terminal.
-        is_live: Whether it shows a map.
+        is_live: Whether to show a map.
     """
 
     def __init__(
@@ -240,23 +240,23 @@ class _Driving:
             raise TurtleactError(f"turtle '{self._turtle}' has gone: nobody reads {topic} any more")
 
     def _name(self, what: str) -> str:
-        """The topic or action of the turtle, unless it is to have another name."""
+        """The name of a topic or action of the turtle, remapped if the user says so."""
         named = f"/{self._turtle}/{what}" if self._turtle else f"/{what}"
         return self._order.remaps.get(f"turtle1/{what}", named)
 
     # keys
 
     async def _read(self) -> None:
-        """Do what keys ask for, until that is to quit."""
+        """Read keys and obey them, until one quits."""
         keys, typed_at = Keys(), sys.stdin.fileno()
         while True:
             await anyio.wait_readable(typed_at)
-            if not self._region.is_in_foreground():  # they are for somebody else
+            if not self._region.is_in_foreground():  # the keys are for another process
                 await anyio.sleep(BACKGROUND)
                 continue
             try:
                 data = os.read(typed_at, 1024)
-            except OSError:  # the terminal has gone
+            except OSError:  # the terminal is gone
                 data = b""
             for key in keys.read(data):
                 self._press(key)
@@ -276,7 +276,7 @@ class _Driving:
             self._rotation.cancel_nowait()
 
     async def _rotate(self, theta: float) -> None:
-        """Turn the turtle to a heading (rad); how that ends is told only if it fails."""
+        """Turn the turtle to a heading (rad); report it only if that fails."""
         try:
             async with self._rotations.send_goal(RotateAbsolute.Goal(theta)) as handle:
                 handle.detach()  # it goes on when the user quits
@@ -288,10 +288,10 @@ class _Driving:
         if outcome.status is GoalStatus.ABORTED:
             self._tell(f"the rotation was aborted: {outcome.reason or 'no reason given'}")
 
-    # what is told
+    # what the user sees
 
     async def _watch(self) -> None:
-        """End it when the turtle has gone."""
+        """Quit when the turtle is gone."""
         while True:
             with anyio.move_on_after(math.inf if self._is_there() else GONE) as missing:
                 await self._node.transport.wait_for_change()

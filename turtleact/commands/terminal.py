@@ -1,15 +1,15 @@
-"""The part of a terminal that a live display draws on, and the terminal as it was found.
+"""A live display on a terminal: the region that it draws on, its frame rate and its log lines.
 
-`Region` alone moves the cursor and changes how the terminal works: while it is held, the cursor is
-hidden, what the user types is not shown and, if keys are to be read, comes at once. All of it is
-undone however the process ends or stops, but by SIGKILL and SIGSTOP, which ask nobody.
+Only `Region` moves the cursor and changes the terminal's modes. While it is held, the cursor is
+hidden and typed characters are not echoed; if keys are read, each one comes at once. All of this is
+undone however the process ends or stops, except by SIGKILL and SIGSTOP, which cannot be handled.
 
-While it is held, nothing that is written waits for the terminal (`Outlet`): one that takes nothing,
-as its user has stopped it with Ctrl-S or its connection hangs, misses frames, and holds up nobody.
+While it is held, writing never waits for the terminal (`Outlet`). A terminal that takes nothing,
+because its user pressed Ctrl-S or its connection hangs, misses frames.
 
-Two things are left to the terminal. Lines that it wraps anew when its window gets narrower may push
-the first of them out of the window, where nothing can take them back. And what is typed is kept for
-whoever reads next, such as the shell.
+Two things cannot be helped. When the window gets narrower, the terminal wraps lines anew, which may
+push the first of them out of the window for good. And what the user types is kept for the next
+reader, such as the shell.
 
 Source: ECMA-48 for the control sequences; the terminals' mode 2026 for frames without flicker; the
 GNU C Library manual, "Signaling Yourself", for how to stop.
@@ -56,8 +56,8 @@ CONTROL_CHARACTERS: Final = 6
 """Where ``tcgetattr`` keeps the modes that ECHO is one of, and where VMIN and VTIME."""
 
 GIVE_BACK: Final = "\r\x1b[K\x1b7\x1b[B\x1b[J\x1b8\x1b[?25h"
-"""Takes the lines away and shows the cursor. Erasing the screen from its very top would make some
-terminals keep what stood there in their history, so the first line is erased by itself."""
+"""Removes the lines and shows the cursor. The first line is erased by itself: if the screen is
+erased from its very top, some terminals keep what stood there in their history."""
 
 
 def can_move(stream: TextIO | None) -> bool:
@@ -71,19 +71,16 @@ def can_move(stream: TextIO | None) -> bool:
 
 
 class Outlet:
-    """The way to a terminal, on which nothing waits: what it does not take is kept.
+    """Writes to a terminal without waiting: what the terminal does not take yet is kept.
 
-    The terminal is opened a second time: not to wait is a property of an opened file, and the one
-    that the process was given is the shell's, too. Where it cannot be opened, a frame is written
+    The terminal is opened a second time, because non-blocking mode belongs to the opened file, and
+    the process shares its own with the shell. If the terminal cannot be opened, a frame is written
     only if the terminal takes something, and may then wait.
 
-    Args:
-        stream: The terminal.
-
     Attributes:
-        is_writing: Whether this very moment something is written: what a signal handler writes
-            then comes in its middle.
-        due: What is to be done as soon as nothing is.
+        is_writing: Whether text is being written right now. What a signal handler writes would end
+            up in the middle of it.
+        due: Called as soon as nothing is being written.
     """
 
     def __init__(self, stream: TextIO) -> None:
@@ -94,7 +91,7 @@ class Outlet:
         self._descriptor = _opened_again(stream)
 
     def write(self, text: str) -> None:
-        """Write what the terminal takes now, behind all that was kept."""
+        """Write after the text that is kept; what the terminal does not take now is kept too."""
         if self._descriptor is None:
             self._stream.write(text)
             self._stream.flush()
@@ -103,7 +100,7 @@ class Outlet:
             self.push()
 
     def push(self) -> bool:
-        """Write what is kept; whether the terminal has taken all of it."""
+        """Write the text that is kept, and return whether the terminal has taken all of it."""
         if self._descriptor is None:
             return not self._stream.isatty() or bool(select.select([], [self._stream], [], 0)[1])
         self.is_writing = True
@@ -121,34 +118,34 @@ class Outlet:
         return not self._kept
 
     def interject(self, text: str) -> None:
-        """Write at once and before all that was kept, if the terminal takes it."""
+        """Write at once, before the text that is kept, if the terminal takes it."""
         if self._descriptor is not None:
             with suppress(BlockingIOError):
                 os.write(self._descriptor, text.encode())
 
     async def drained(self) -> None:
-        """Wait until all of it is taken. Cancelling: safe."""
+        """Wait until the terminal has taken everything. Cancelling: safe."""
         while self._descriptor is not None and not self.push():
             await anyio.wait_writable(self._descriptor)
 
     def close(self) -> None:
-        """Write nothing more; what is still kept is lost."""
+        """Write nothing more; text that is still kept is lost."""
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is not None:
             os.close(descriptor)
 
 
 class Region:
-    """Some lines at the end of the screen that are drawn again and again.
+    """Lines at the end of the screen that are redrawn again and again.
 
-    Between two frames the hidden cursor stands at the beginning of the first line. A terminal
-    that is resized, and wraps the lines anew, keeps the cursor with its line: so the next frame
-    begins where the last one did. Each line is erased before it is drawn, or a terminal would take
-    lines that it has wrapped for one, and wrap them together the next time.
+    Between two frames the hidden cursor stands at the beginning of the first line. When a terminal
+    is resized and wraps lines anew, the cursor stays with its line, so the next frame starts where
+    the last one did. Each line is erased before it is drawn: otherwise the terminal would treat
+    lines that it wrapped as one, and wrap them together the next time.
 
     Args:
         stream: The terminal.
-        keyboard: Where keys are read from, if they are: each comes at once then.
+        keyboard: Where keys are read, if they are; each key then comes at once.
     """
 
     def __init__(self, stream: TextIO, keyboard: TextIO | None = None) -> None:
@@ -160,7 +157,7 @@ class Region:
         self._modes: list[Any] | None = None  # as they were found, while there is no echo
 
     def size(self) -> tuple[int, int]:
-        """Columns and lines of the window, as they are now."""
+        """The current columns and lines of the window."""
         try:
             columns, rows = os.get_terminal_size(self._stream.fileno())
         except OSError:
@@ -170,13 +167,13 @@ class Region:
     def is_ready(self) -> bool:
         """Whether a frame would be drawn now.
 
-        None is while the process runs in the background, as the terminal is another's then, nor
-        while the terminal has yet to take what was written before.
+        None is drawn while the process runs in the background, where the terminal belongs to
+        another one, or while the terminal has not taken everything that was written before.
         """
         return self.is_in_foreground() and (self._outlet is None or self._outlet.push())
 
     def draw(self, lines: Sequence[str]) -> None:
-        """Put these lines where the last ones were, if it is ready; the window has a line more."""
+        """Draw lines in place of the last ones, if `is_ready`; the window needs one line more."""
         if not self.is_ready():
             return
         if self._is_held and self._modes is None:
@@ -187,23 +184,23 @@ class Region:
         self._write(f"\x1b[?2026h\x1b[?25l\r{text}\x1b[J{back}\r\x1b[?2026l")
 
     def say(self, text: str) -> None:
-        """Print text that stays; the next frame is drawn below it."""
+        """Print text that stays above the next frame."""
         self.clear()
         self._write(text)
 
     def clear(self) -> None:
-        """Take the lines away, and show the cursor."""
+        """Remove the lines, and show the cursor."""
         if self._is_drawn:
             self._write(GIVE_BACK)
             self._is_drawn = False
 
     async def drained(self) -> None:
-        """Wait until the terminal has taken all that was written. Cancelling: safe."""
+        """Wait until the terminal has taken all text. Cancelling: safe."""
         if self._outlet is not None:
             await self._outlet.drained()
 
     def is_in_foreground(self) -> bool:
-        """Whether the terminal is ours to draw on; one that controls no process is."""
+        """Whether the process is in the foreground, or the terminal controls no process."""
         try:
             return os.tcgetpgrp(self._stream.fileno()) == os.getpgrp()
         except OSError:
@@ -211,10 +208,10 @@ class Region:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """A block in which frames are drawn; behind it the terminal is as it was.
+        """A block in which frames are drawn; after it the terminal is as it was before.
 
-        SIGTSTP (Ctrl-Z) and SIGQUIT do what they do by default, but give the terminal
-        back first; after SIGCONT the next frame is drawn where the cursor stands then.
+        SIGTSTP (Ctrl-Z) and SIGQUIT have their default effect after the terminal has been given
+        back. After SIGCONT the next frame is drawn where the cursor stands.
         """
         handlers: dict[signal.Signals, Callable[[int, FrameType | None], None]] = {
             signal.SIGTSTP: self._follow,
@@ -239,10 +236,10 @@ class Region:
                 signal.signal(number, signal.SIG_DFL)
 
     def restore(self) -> None:
-        """Give the terminal back as it was found; never blocks, and may be called at any moment."""
+        """Give the terminal back as it was; never blocks, and may be called at any moment."""
         is_drawn, self._is_drawn = self._is_drawn, False
         modes, self._modes = self._modes, None
-        with suppress(OSError, termios.error):  # where it has gone, there is nothing to give back
+        with suppress(OSError, termios.error):  # if it is gone, there is nothing to give back
             if is_drawn and self._outlet is not None:
                 if self._outlet.is_writing:  # and the process is about to end
                     self._outlet.interject(GIVE_BACK)
@@ -254,7 +251,7 @@ class Region:
                 termios.tcsetattr(self._typed_at(), termios.TCSANOW, modes)
 
     def _follow(self, number: int, _: FrameType | None) -> None:
-        """Do what a signal does by default; the process may be continued."""
+        """Let a signal have its default effect; the process may be continued after it."""
         if self._outlet is not None and self._outlet.is_writing:
             self._outlet.due = partial(self._follow, number, None)
             return
@@ -264,13 +261,13 @@ class Region:
         signal.signal(number, self._follow)
 
     def _forget(self, _: int, __: FrameType | None) -> None:
-        """The screen has been somebody else's."""
+        """Forget the last frame: another process has used the screen."""
         self._is_drawn = False
         if self._keyboard is not None and self._modes is None and self.is_in_foreground():
             self._silence()
 
     def _silence(self) -> None:
-        """Let the terminal not show what is typed: it would tear the frame apart."""
+        """Turn echo off: typed characters would tear the frame apart."""
         typed_at = self._typed_at()
         try:
             modes = termios.tcgetattr(typed_at)
@@ -297,7 +294,7 @@ class Region:
 
 
 def _opened_again(stream: TextIO) -> int | None:
-    """The terminal behind a stream, opened anew, so that writing to it never waits."""
+    """The terminal behind a stream, opened again, so that writing to it never waits."""
     try:
         name = os.ttyname(stream.fileno())
         descriptor = os.open(name, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
@@ -310,24 +307,24 @@ def _opened_again(stream: TextIO) -> int | None:
 
 
 PERIOD: Final = 1 / 15
-"""Wall seconds from frame to frame, at least."""
+"""The shortest time between two frames (s, wall clock)."""
 
 SHARE: Final = 0.2
-"""The part of the processor's time that drawing may take; what others take meanwhile is not its."""
+"""The share of processor time that drawing may take."""
 
 FULL: Final = 2
-"""Lines of a frame that fill the window, beside one that may: they become two if it shrinks."""
+"""Lines of a frame that fill the width of the window; each becomes two if the window shrinks."""
 
 
 class Compose(Protocol):
-    """Makes the picture as it is now."""
+    """Composes the current picture."""
 
     def __call__(self, *, width: int, height: int) -> render.Picture:
-        """For so many columns and lines."""
+        """Compose it for a number of columns and lines."""
 
 
 def draw(region: Region, compose: Compose) -> None:
-    """Draw a frame, unless the terminal has yet to take the one before."""
+    """Draw a frame, unless the terminal has not taken the previous one yet."""
     if not region.is_ready():
         return
     from turtleact import render  # rich takes long to import
@@ -339,13 +336,17 @@ def draw(region: Region, compose: Compose) -> None:
 
 
 async def animate(region: Region, compose: Compose) -> None:
-    """Draw a frame now and then, until it is canceled; the terminal is held meanwhile."""
+    """Hold the terminal and draw frames until this is cancelled."""
     with region.held():
         await keep_drawing(region, compose)
 
 
 async def keep_drawing(region: Region, compose: Compose) -> None:
-    """The same of a terminal that is held."""
+    """Draw frames until this is cancelled, on a terminal that is held.
+
+    At most 15 frames a second, and for at most a fifth of the processor's time, not counting the
+    first frame, which imports what it needs.
+    """
     draw(region, compose)
     await anyio.sleep(PERIOD)
     while True:
@@ -356,18 +357,18 @@ async def keep_drawing(region: Region, compose: Compose) -> None:
 
 
 MOST: Final = 200
-"""So many lines are kept."""
+"""How many log lines are kept."""
 
 
 class LogLine(NamedTuple):
-    """A line as it is shown, and as it is left standing."""
+    """A line as the display shows it, and as it is printed in the end."""
 
     short: str
     full: str
 
 
 class LogLines(io.TextIOBase):
-    """The newest lines, as a stream that can be printed to; from any thread."""
+    """The newest lines of a log; a stream that any thread can print to."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -383,9 +384,9 @@ class LogLines(io.TextIOBase):
         return list(self._lines)
 
     def write(self, text: str) -> int:
-        """Take the lines that are whole; one that differs from the last in numbers replaces it.
+        """Add complete lines. A line that differs from the last only in numbers replaces it.
 
-        A turtle at the wall is warned of 62 times a second.
+        For example, a turtle at the wall causes 62 warnings a second.
         """
         *whole, self._begun = (self._begun + text).split("\n")
         for line in whole:
@@ -396,7 +397,7 @@ class LogLines(io.TextIOBase):
 
     @contextmanager
     def listening(self) -> Iterator[None]:
-        """A block in which what this process prints comes here, unless stderr goes elsewhere."""
+        """A block in which stdout is added to this log, and stderr too if it is a terminal."""
         is_shown = sys.stderr is None or sys.stderr.isatty()
         with redirect_stdout(self), redirect_stderr(self) if is_shown else nullcontext():
             yield

@@ -52,17 +52,17 @@ IDL_NAMES = {
     "float32": "float",
     "float64": "double",
 }
-"""What IDL calls a type otherwise, and so ``--no-arr``."""
+"""Types that have another name in IDL, which ``--no-arr`` prints."""
 
 LONGEST = 300
-"""So many characters of an error are shown, which tells a message."""
+"""How many characters of an error are shown that contains a message."""
 
 DONE, TIMEOUT = 0, 124
 """Exit statuses."""
 
 
 ABSENCE = 1.0
-"""A topic that nobody publishes for so long is told of (s, by the clock of the graph)."""
+"""How long a topic is without a publisher before that is noted (s, by the clock of the graph)."""
 
 
 class Order(NamedTuple):
@@ -70,18 +70,18 @@ class Order(NamedTuple):
 
     Attributes:
         name: The topic.
-        type_name: Its type, or None for what the graph says.
-        path: The field that is printed, from the outside in; the whole message if empty.
-        once: Whether to leave after the first message.
-        csv: Whether to print values with commas between, not YAML.
+        type_name: The type of the topic; None for the type on the graph.
+        path: The names that lead to the field to print; empty for the whole message.
+        once: Whether to exit after the first message.
+        csv: Whether to print comma-separated values instead of YAML.
         flow: Whether to print YAML on one line.
-        longest: Lists and strings that are longer are cut; None cuts none.
-        arrays: Whether lists are printed, or just what they are.
-        strings: Whether strings are printed, or just how long they are.
-        timeout: When to leave (s, by the clock of the graph); None for never.
-        wanted: A Python expression that is true of messages ``m`` to be printed; None for all.
-        raw: Whether to print messages as bytes, as CDR.
-        policies: The quality of service that is asked for.
+        longest: The length to which lists and strings are cut; None cuts none.
+        arrays: Whether to print the elements of lists, or only their type.
+        strings: Whether to print strings, or only their length.
+        timeout: When to exit (s, by the clock of the graph); None for never.
+        wanted: A Python expression that is true for the messages ``m`` to print; None for all.
+        raw: Whether to print messages as CDR bytes.
+        policies: The quality of service to ask for.
     """
 
     name: str
@@ -100,12 +100,12 @@ class Order(NamedTuple):
 
 
 async def echo(node: Node, order: Order) -> int:
-    """Print the messages of a topic; ends with the node, or as the order says.
+    """Print the messages of a topic until the node is closed, or as long as the order says.
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules.
-        TurtleactError: if the topic's type is not known, or another than the order says.
-        UsageError: if its messages have no such field, or what is asked of them fails.
+        TurtleactError: if the topic's type is unknown, or differs from that of the order.
+        UsageError: if its messages do not have the field, or the filter fails.
     """
     name = resolve_name(order.name)
     message_type = chosen_class(node, "topic", Message, name, order.type_name)
@@ -121,12 +121,12 @@ async def echo(node: Node, order: Order) -> int:
 
 
 async def note_absence(node: Node, name: str) -> None:
-    """Tell the user whenever the last publisher of a topic has gone; ends when it is canceled."""
+    """Note each time that the last publisher of a topic has gone, until this is cancelled."""
     while True:
         await _wait_for_publishers(node, name)
         while node.count_publishers(name):
             await node.transport.wait_for_change()
-        async with within(ABSENCE, node.clock):  # as of one after the other, for a message each
+        async with within(ABSENCE, node.clock):  # publishers may follow each other, one a message
             await _wait_for_publishers(node, name)
             continue
         note(f"nobody publishes topic '{name}' any more; waiting for somebody who does")
@@ -140,7 +140,7 @@ async def _wait_for_publishers(node: Node, name: str) -> None:
 async def _print(
     node: Node, subscription: Subscription[Message], message_type: type[Message], order: Order
 ) -> int:
-    """Print what comes, for as long as the order says."""
+    """Print messages for as long as the order says."""
     count = missed = 0
     async with within(order.timeout, node.clock):
         async for message in subscription:
@@ -159,12 +159,12 @@ async def _print(
 
 
 def _is_terminal() -> bool:
-    """Whether a string of a peer could command the terminal that it is printed on."""
+    """Whether stdout is a terminal, which a peer's string could command."""
     return sys.stdout is not None and sys.stdout.isatty()
 
 
 def _durability(node: Node, name: str) -> Durability:
-    """What gets us all that there is: latched messages too, if anybody keeps some."""
+    """The durability that gets all messages: latched ones too if a publisher keeps some."""
     endpoints = node.transport.endpoints()
     publishers = [each for each in endpoints if each.kind == "publisher" and each.name == name]
     is_latched = any(each.qos.durability == "transient_local" for each in publishers)
@@ -172,7 +172,7 @@ def _durability(node: Node, name: str) -> Durability:
 
 
 def _check_type(node: Node, name: str, message_type: type[Message]) -> None:
-    """Refuse a type of which no message can come, as the topic is of others."""
+    """Raise if no publisher of the topic has this type."""
     endpoints = node.transport.endpoints()
     types = types_by_name(endpoints, "topic", "publisher", hidden=True).get(name, ())
     others = [each for each in types if each != message_type.type_name]
@@ -182,7 +182,7 @@ def _check_type(node: Node, name: str, message_type: type[Message]) -> None:
 
 
 def _is_wanted(message: Message, wanted: CodeType, path: Sequence[str]) -> bool:
-    """Whether a message, or the field of it that is printed, is what the user asks for."""
+    """Whether the user's filter is true for a message, or for the field to print."""
     value: object = message
     for name in path:
         value = getattr(value, name)
@@ -193,7 +193,7 @@ def _is_wanted(message: Message, wanted: CodeType, path: Sequence[str]) -> bool:
 
 
 def _check_path(message_type: type[Message], path: Sequence[str]) -> None:
-    """Refuse a field that the messages have not."""
+    """Raise if the messages do not have the field."""
     cls: type[Message] | None = message_type
     for depth, name in enumerate(path):
         where = ".".join(path[: depth + 1])
@@ -209,14 +209,14 @@ def _check_path(message_type: type[Message], path: Sequence[str]) -> None:
 
 
 def _note_missed(subscription: Subscription[Message], noted: int) -> int:
-    """Tell the user of messages that were dropped unread since the last time."""
+    """Note how many messages were dropped since the last time."""
     if subscription.missed > noted:
         note(f"{subscription.missed - noted} messages were lost: they came faster than they go")
     return subscription.missed
 
 
 def _text(message: Message, order: Order) -> str:
-    """What is printed of a message."""
+    """A message as it is printed."""
     if order.raw:
         return f"{encode(message)!r}\n---\n"
     value: object = to_dict(message)
@@ -233,7 +233,7 @@ def _text(message: Message, order: Order) -> str:
 
 
 def _described(cls: type[Message], values: dict[str, object], order: Order) -> dict[str, object]:
-    """The fields of a message, with words in place of what is not to be printed."""
+    """The fields of a message, with descriptions in place of what is left out."""
     described = dict(values)
     for field, nested in zip(fields(cls), nested_classes(cls), strict=True):
         value = values[field.name]
@@ -257,7 +257,7 @@ def _kind_of_list(kind: FieldType, length: int) -> str:
 
 
 def _cut(value: object, longest: int) -> object:
-    """A value whose lists and strings are no longer; three dots say where there was more."""
+    """A value with its lists and strings cut; three dots stand for the rest."""
     if isinstance(value, dict):
         return {name: _cut(item, longest) for name, item in value.items()}
     if isinstance(value, str):
@@ -275,33 +275,33 @@ def _csv(value: object) -> str:
 
 
 PERIOD = 1.0
-"""Seconds from line to line, by the clock of the graph."""
+"""The time between two lines (s, by the clock of the graph)."""
 
 METER_DEPTH = 100_000
 """Messages that a meter keeps while the output is stuck."""
 
 SILENT = "no new messages\n"
-"""What is told of a topic that has had messages."""
+"""What is printed when a topic falls silent."""
 
 
 class Meter(Protocol):
-    """What is measured of the messages of a topic."""
+    """Measures the messages of a topic."""
 
     def begin(self, name: str, message_type: type[Message]) -> str:
-        """What is told before the first message; raises if there is nothing to measure."""
+        """Text to print first; raises if the messages cannot be measured."""
 
     def add(self, now: int, message: Message) -> None:
-        """Note that a message came at this time (ns)."""
+        """Add a message that came at this time (ns)."""
 
     def line(self, now: int) -> str:
-        """What there is to be told at this time (ns); empty if there is nothing."""
+        """The line to print at this time (ns); empty if there is nothing to say."""
 
 
 class Rate:
-    """The times between messages.
+    """Measures the times between messages, and their rate.
 
     Args:
-        window: How many of them are looked at, the newest.
+        window: How many times to keep.
     """
 
     def __init__(self, window: int) -> None:
@@ -310,11 +310,11 @@ class Rate:
         self._is_news = False
 
     def begin(self, name: str, message_type: type[Message]) -> str:  # noqa: ARG002  # of any type
-        """Nothing is told before."""
+        """Nothing to print first."""
         return ""
 
     def add(self, now: int, message: Message) -> None:  # noqa: ARG002  # only its coming counts
-        """Note that a message came at this time (ns); time that goes back begins anew."""
+        """Add a message that came at this time (ns); if time goes back, start over."""
         if self._last is not None and now < self._last:
             self._between.clear()
         elif self._last is not None:
@@ -323,7 +323,7 @@ class Rate:
         self._last = now
 
     def line(self, now: int) -> str:  # noqa: ARG002  # only the times between messages count
-        """What there is to be told; empty before the second message."""
+        """The rate; empty before the second message."""
         if not self._between:
             return ""
         if not self._is_news:
@@ -336,27 +336,27 @@ class Rate:
 
 
 class Bandwidth:
-    """How many bytes of messages come a second, as CDR.
+    """Measures how many bytes of messages come a second, as CDR.
 
     Args:
-        window: How many messages are looked at, the newest.
+        window: How many messages to keep.
     """
 
     def __init__(self, window: int) -> None:
         self._came: deque[tuple[int, int]] = deque(maxlen=window)
 
     def begin(self, name: str, message_type: type[Message]) -> str:  # noqa: ARG002  # of any type
-        """As ros2 says it."""
+        """The line that ros2 prints."""
         return f"Subscribed to [{name}]\n"
 
     def add(self, now: int, message: Message) -> None:
-        """Note how large a message is; time that goes back begins anew."""
+        """Add the size of a message; if time goes back, start over."""
         if self._came and now < self._came[-1][0]:
             self._came.clear()
         self._came.append((now, len(encode(message))))
 
     def line(self, now: int) -> str:
-        """From the first message of the window up to now; empty before the second one."""
+        """The bandwidth from the first message of the window until now; empty before the second."""
         if len(self._came) < 2 or now <= self._came[0][0]:
             return ""
         sizes = [size for _, size in self._came]
@@ -370,10 +370,10 @@ class Bandwidth:
 
 
 class Delay:
-    """How old messages are when they come, by the stamp in their header.
+    """Measures how old messages are when they come, by the stamp in their header.
 
     Args:
-        window: How many messages are looked at, the newest.
+        window: How many messages to keep.
     """
 
     def __init__(self, window: int) -> None:
@@ -381,7 +381,7 @@ class Delay:
         self._is_news = False
 
     def begin(self, name: str, message_type: type[Message]) -> str:
-        """Nothing is told before.
+        """Nothing to print first.
 
         Raises:
             TurtleactError: if the messages have no header.
@@ -393,13 +393,13 @@ class Delay:
         return ""
 
     def add(self, now: int, message: Message) -> None:
-        """Note how old a message is."""
+        """Add the age of a message."""
         stamp = message.header.stamp  # type: ignore[attr-defined]  # as `begin` has seen
         self._delays.append(now - nanoseconds(stamp))
         self._is_news = True
 
     def line(self, now: int) -> str:  # noqa: ARG002  # how old they were then is what counts
-        """What there is to be told; empty before the first message."""
+        """The mean age; empty before the first message."""
         if not self._delays:
             return ""
         if not self._is_news:
@@ -410,7 +410,7 @@ class Delay:
 
 
 async def measure(node: Node, name: str, meter: Meter) -> int:
-    """Print what is measured of a topic each second, once it is there; ends with the node.
+    """Print the measurements of a topic each second, until the node is closed.
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules.
@@ -445,7 +445,7 @@ async def _wait_for_topic(node: Node, name: str) -> None:
 
 
 def _spread(seconds: list[float]) -> str:
-    """The line on how much times differ."""
+    """The line on how much the times differ."""
     mean = math.fsum(seconds) / len(seconds)
     deviation = math.sqrt(math.fsum((each - mean) ** 2 for each in seconds) / len(seconds))
     return (
@@ -455,7 +455,7 @@ def _spread(seconds: list[float]) -> str:
 
 
 def _sizes(first: float, *more: float) -> list[str]:
-    """Numbers of bytes, all in the unit that suits the first."""
+    """Sizes in bytes, all in the unit that suits the first."""
     if first < 1000:
         return [f"{each:.0f} B" for each in (first, *more)]
     unit, size = ("KB", 1e3) if first < 1e6 else ("MB", 1e6)

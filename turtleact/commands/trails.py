@@ -20,30 +20,30 @@ if TYPE_CHECKING:
 __all__ = ["POSES_A_FRAME", "Course", "PoseTrails", "places_in", "pose_topics", "sends_a_turtle"]
 
 NEAR: Final = 0.15
-"""A place that the turtle has come as near as this (m) is behind it."""
+"""A turtle that has come this near to a place has passed it (m)."""
 
 COLOURS: Final = ("cyan", "magenta", "blue", "yellow", "red", "green")
-"""Of the turtles, in the order of their names."""
+"""The colours of the turtles, in the order of their names."""
 
 MOST_TURTLES: Final = 32
-"""So many turtles are followed: of more, nothing could be told on a map."""
+"""How many turtles are followed; a map could not show more."""
 
 POSES_A_FRAME: Final = 8192
-"""So many are kept from frame to frame: those of a second at the highest speed."""
+"""How many poses are kept between two frames: those of a second at the highest speed."""
 
 LOOKS: Final = 15
-"""The graph is searched for new turtles in each so-manieth look."""
+"""Every how many looks the graph is searched for new turtles."""
 
 POSE_TYPES: Final = ("turtlesim/msg/Pose", "turtlesim_msgs/msg/Pose")
 POSE: Final = "/pose"
 
 
 class PoseTrails:
-    """The turtles of a graph, by the poses that they publish.
+    """The turtles of a graph and their trails, from the poses that they publish.
 
     Args:
         node: A node on the graph.
-        leader: The topic of the pose of the one that matters most, if one does.
+        leader: The pose topic of the turtle that matters most, if one does.
     """
 
     def __init__(self, node: Node, leader: str = "") -> None:
@@ -56,10 +56,10 @@ class PoseTrails:
         self._search()
 
     def look(self, course: Course | None = None) -> MapView:
-        """Take in where the turtles have gone since the last look.
+        """Read the new poses, and return the map.
 
         Args:
-            course: Where the leader is to go.
+            course: The course of the leader, which is updated.
         """
         self._looks += 1
         if self._looks % LOOKS == 0:
@@ -77,7 +77,7 @@ class PoseTrails:
         return MapView(SIDE, turtles, self._trails, () if course is None else course.ahead())
 
     def _search(self) -> None:
-        """Follow the turtles that have come, and forget those that have gone."""
+        """Follow new turtles, and forget those that are gone."""
         topics = pose_topics(self._node)
         for gone in self._poses.keys() - topics.keys():
             leaving = self._poses.pop(gone).membership
@@ -93,14 +93,11 @@ class PoseTrails:
 
 
 class Course:
-    """The places that a goal leads to, and how many of them its turtle has come near to.
-
-    Args:
-        goal: The goal.
+    """The places that a goal leads to, and how many of them its turtle has passed.
 
     Attributes:
-        stops: How many places there are, over all rounds.
-        passed: How many of them the turtle has come near to, in order.
+        stops: How many places there are, all rounds together.
+        passed: How many of them the turtle has passed, in order.
     """
 
     def __init__(self, goal: Message) -> None:
@@ -110,26 +107,26 @@ class Course:
         self._last: tuple[float, float] | None = None
 
     def follow(self, x: float, y: float) -> None:
-        """Note where the turtle has come in a straight line (m)."""
+        """Record that the turtle has moved to a point in a straight line (m)."""
         here, self._last = self._last or (x, y), (x, y)
         if self.passed < self.stops:
             place = self._places[self.passed % len(self._places)]
             self.passed += _offset(place, here, (x, y)) <= NEAR
 
     def ahead(self) -> list[Target]:
-        """The places that are yet to come in this round, numbered as in the goal."""
+        """The places ahead in this round, numbered as in the goal."""
         if self.passed >= self.stops:
             return []
         first = self.passed % len(self._places)
         return [Target(*place, i) for i, place in enumerate(self._places[first:], first + 1)]
 
     def told(self) -> str:
-        """How far it is, in words; nothing if there are no places."""
+        """The progress in words; empty if there are no places."""
         return f"{self.passed} of {self.stops} places" if self.stops else ""
 
 
 def pose_topics(node: Node) -> dict[str, str]:
-    """The topics on which turtles tell where they are, in name order, with their types."""
+    """The topics on which turtles publish their poses, sorted, with their types."""
     return {
         each.name: each.type_name
         for each in sorted(node.transport.endpoints(), key=lambda each: each.name)
@@ -138,7 +135,7 @@ def pose_topics(node: Node) -> dict[str, str]:
 
 
 def places_in(value: object) -> Iterator[tuple[float, float]]:
-    """Whatever has an x and a y in a message, as plain values, in order."""
+    """All pairs of x and y in the plain values of a message, in order."""
     if isinstance(value, dict):
         if isinstance(value.get("x"), float) and isinstance(value.get("y"), float):
             yield value["x"], value["y"]
@@ -150,11 +147,11 @@ def places_in(value: object) -> Iterator[tuple[float, float]]:
 
 
 def sends_a_turtle(name: str, goal: Message) -> tuple[bool, str]:
-    """Whether a goal looks as if it drove a turtle, and the topic of that turtle's pose.
+    """Whether a goal seems to drive a turtle, and that turtle's pose topic.
 
     Args:
         name: The action's name: ``/turtle1/rotate_absolute`` drives ``turtle1``.
-        goal: The goal; one that has places, but names no turtle, drives ``turtle1``.
+        goal: The goal. One that has places but names no turtle drives ``turtle1``.
     """
     named = str(getattr(goal, "turtle", "")) or name.rpartition("/")[0].strip("/")
     has_places = any(True for _ in places_in(to_dict(goal)))
@@ -164,7 +161,7 @@ def sends_a_turtle(name: str, goal: Message) -> tuple[bool, str]:
 def _offset(
     place: tuple[float, float], start: tuple[float, float], end: tuple[float, float]
 ) -> float:
-    """The distance of a place from a straight line (m)."""
+    """The distance of a place from a line segment (m)."""
     length = distance(*start, *end)
     if not length:
         return distance(*place, *end)

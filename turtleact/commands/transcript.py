@@ -1,6 +1,6 @@
-"""What a command prints of a goal's way: as ``ros2 action send_goal`` does, or as JSON.
+"""What a command prints about a goal: as ``ros2 action send_goal`` does, or as JSON.
 
-Each block is flushed as it is printed, so that a pipe sees it at once.
+Each block is flushed, so that a pipe sees it at once.
 """
 
 from __future__ import annotations
@@ -38,32 +38,32 @@ WAITING = "Waiting for an action server to become available...\n"
 
 
 class Transcript(Protocol):
-    """Who tells the user of a goal, from the first moment to the last."""
+    """Tells the user about a goal, from its sending to its end."""
 
     @property
     def wants_feedback(self) -> bool:
-        """Whether each feedback message is to be told."""
+        """Whether `feedback` is to be called for each feedback message."""
 
     def sending(self, goal: Message) -> None:
         """The goal is about to be sent."""
 
     def rejected(self, reason: str) -> None:
-        """The server did not take the goal; the reason is noted besides."""
+        """The server rejected the goal. The reason is noted separately."""
 
     def accepted(self, sent: Sent) -> None:
-        """The server took the goal."""
+        """The server accepted the goal."""
 
     def follows(self, goal: Followed) -> None:
-        """A goal that somebody else has sent is looked at from now on."""
+        """A goal that somebody else sent is followed from now on."""
 
     async def animate(self) -> None:
-        """Runs from then to the end, and is then canceled."""
+        """Run beside the goal until it ends; is then cancelled."""
 
     def feedback(self, feedback: Message) -> None:
         """A feedback message came."""
 
     def status(self, status: GoalStatus) -> None:
-        """The goal has this status, new or not."""
+        """The goal has this status, which may be the same as before."""
 
     def canceling(self) -> None:
         """The goal is asked to cancel."""
@@ -72,17 +72,17 @@ class Transcript(Protocol):
         """The goal has ended."""
 
     def note(self, text: str) -> None:
-        """Something that belongs to no goal happened."""
+        """Tell the user something else."""
 
     async def drained(self) -> None:
-        """Wait until all of it can be read. Cancelling: safe."""
+        """Wait until everything has been written. Cancelling: safe."""
 
     def close(self) -> None:
-        """Nothing moves any more; what stands stays. Never blocks, and may be called anywhere."""
+        """Stop the display; what was printed stays. Never blocks, and may be called anywhere."""
 
 
 class Held(Protocol):
-    """What a client holds of a goal."""
+    """A goal, as a client sees it."""
 
     @property
     def goal_id(self) -> bytes:
@@ -98,15 +98,15 @@ class Held(Protocol):
 
 
 class Followed(NamedTuple):
-    """A goal that is looked at.
+    """A goal that is followed.
 
     Attributes:
-        node: Where it is looked at from.
+        node: The node that follows it.
         name: The action.
-        goal_type: The type of what was sent.
-        goal: What was sent; None if somebody else has sent it.
-        handle: What is held of it.
-        age: Seconds since it was accepted.
+        goal_type: The type of the goal message.
+        goal: The goal message; None if somebody else sent it.
+        handle: The goal, as a client sees it.
+        age: How long ago it was accepted (s).
     """
 
     node: Node
@@ -121,11 +121,11 @@ class Sent(NamedTuple):
     """A goal that was accepted.
 
     Attributes:
-        node: Where it was sent from.
+        node: The node that sent it.
         name: The action.
-        type_name: Its type.
-        goal: What was sent.
-        handle: What the client holds of it.
+        type_name: The type of the action.
+        goal: The goal message.
+        handle: The client's goal handle.
     """
 
     node: Node
@@ -135,19 +135,20 @@ class Sent(NamedTuple):
     handle: ClientGoalHandle[Message, Message]
 
     def followed(self) -> Followed:
-        """The same, as something that is looked at."""
+        """The same goal, as one that is followed."""
         return Followed(self.node, self.name, type(self.goal), self.goal, self.handle)
 
 
 def choose_transcript(
     view: View, *, wants_feedback: bool, wants_feedback_live: bool | None = None
 ) -> Transcript:
-    """JSON if asked for, a live display on a terminal that can show it, else plain.
+    """A transcript: JSON if asked for, live on a terminal that can show it, else plain.
 
     Args:
         view: What was asked for.
-        wants_feedback: Whether each feedback message is printed, and stays.
-        wants_feedback_live: Whether it does so beside a live display; the same if left out.
+        wants_feedback: Whether to print each feedback message.
+        wants_feedback_live: Whether to do so on a live display too; as ``wants_feedback`` if left
+            out.
     """
     if view == "json":
         return JsonTranscript()
@@ -163,12 +164,14 @@ def choose_transcript(
 
 
 class PlainTranscript:
-    """The transcript of ``ros2 action send_goal``, with all YAML indented alike.
+    """The transcript of ``ros2 action send_goal``, except that all YAML is indented alike.
+
+    ROS 2 indents only the first line below ``Feedback:`` and ``Result:``: that is no YAML any more.
 
     Args:
-        wants_feedback: Whether each feedback message is printed.
+        wants_feedback: Whether to print each feedback message.
         say: Prints a block.
-        most_lines: Of a goal that has more, the middle is left out.
+        most_lines: If the goal has more lines, the middle is left out.
     """
 
     def __init__(

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 __all__ = ["Order", "call", "publish", "take"]
 
 PATIENCE = 5.0
-"""So long a subscription has to be reached, of which the graph tells (s, by its clock)."""
+"""How long a subscription that the graph shows has to be reached (s, by the graph's clock)."""
 
 
 class Order(NamedTuple):
@@ -42,13 +42,13 @@ class Order(NamedTuple):
 
     Attributes:
         name: The topic.
-        type_name: Its type, or None for what the graph says.
+        type_name: The type of the topic; None for the type on the graph.
         text: The message.
         rate: Messages a second, above zero.
-        times: How many messages; 0 for no end.
-        every: Which of them are printed: each so-manieth; 0 for none.
-        wait: How many subscriptions are waited for first.
-        policies: The quality of service that is asked for.
+        times: How many messages to publish; 0 for no limit.
+        every: Which messages to print: one of this many; 0 for none.
+        wait: How many subscriptions to wait for first.
+        policies: The quality of service to offer.
     """
 
     name: str
@@ -62,12 +62,12 @@ class Order(NamedTuple):
 
 
 async def publish(node: Node, order: Order) -> int:
-    """Publish a message, at a rate by the clock of the graph.
+    """Publish a message at a rate, by the clock of the graph.
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules.
-        TurtleactError: if the topic's type is not known.
-        InvalidMessage: if the message does not fit it.
+        TurtleactError: if the topic's type is unknown.
+        InvalidMessage: if the message does not fit the type.
     """
     name = resolve_name(order.name)
     message_type = chosen_class(node, "topic", Message, name, order.type_name)
@@ -78,7 +78,7 @@ async def publish(node: Node, order: Order) -> int:
         timed = _timed(tree, message_type, node.clock.now())
         return from_dict(message_type, timed, root="message")  # type: ignore[arg-type]  # it checks that
 
-    make()  # a mistake is told before anybody is waited for
+    make()  # an error is raised before waiting for subscriptions
     type_name = message_type.type_name
     types = types_by_name(node.transport.endpoints(), "topic", hidden=True).get(name, ())
     if types and type_name not in types:
@@ -110,13 +110,13 @@ async def _wait_for_subscriptions(
         say(f"Waiting for at least {least} matching subscription(s)...\n")
     while count() < least:
         await node.transport.wait_for_change()
-    async with within(PATIENCE, node.clock):  # who is known to be there is reached a little later
+    async with within(PATIENCE, node.clock):  # a known subscription is reached a little later
         while count() and not publisher.has_subscriptions:
             await node.transport.wait_for_change()
 
 
 def _timed(tree: object, message_type: type[Message], now: int) -> object:
-    """A plain message in which ``header: auto`` and a time ``now`` are the present (ns)."""
+    """A message's plain values, with ``header: auto`` and ``now`` replaced by the time (ns)."""
     if not isinstance(tree, dict):
         return tree
     stamp = stamp_of(now)
@@ -136,21 +136,21 @@ def _timed(tree: object, message_type: type[Message], now: int) -> object:
 async def call(
     node: Node, name: str, type_name: str | None, text: GoalText, *, rate: float | None
 ) -> int:
-    """Call a service, once it is there; again and again if a rate is given.
+    """Call a service once it exists; again and again if there is a rate.
 
     Args:
         node: A node on the graph.
         name: The service.
-        type_name: Its type, or None for what the graph says.
+        type_name: The type of the service; None for the type on the graph.
         text: The request.
-        rate: Calls a second, by the clock of the graph; None for one call.
+        rate: Calls a second, by the clock of the graph; None for a single call.
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules.
-        TurtleactError: if the service's type is not known.
-        InvalidMessage: if the request does not fit it.
-        ServerUnavailable: if the service is there under another type, or goes away.
-        ServiceError: if it fails.
+        TurtleactError: if the service's type is unknown.
+        InvalidMessage: if the request does not fit the type.
+        ServerUnavailable: if the service has another type, or goes away.
+        ServiceError: if the service fails.
     """
     full_name = resolve_name(name)
     service_type = chosen_class(node, "service", Service, full_name, type_name)
@@ -180,16 +180,16 @@ PICTURE_PATIENCE = 10.0
 
 
 async def take(node: Node, path: Path) -> int:
-    """Ask the world for a picture, and write it.
+    """Ask the world for a picture, and write it to a file.
 
     Args:
         node: A node on the graph.
-        path: The file; its suffix says what the picture shall be.
+        path: The file; its suffix chooses the format.
 
     Raises:
         ServerUnavailable: if there is no world on the graph.
         ServiceTimeout: if it does not answer.
-        TurtleactError: if there is no picture to be had, or the file cannot be written.
+        TurtleactError: if the world cannot make the picture, or the file cannot be written.
     """
     services = types_by_name(node.transport.endpoints(), "service")
     names = [name for name, types in services.items() if TakeSnapshot.type_name in types]

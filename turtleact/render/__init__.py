@@ -1,7 +1,7 @@
-"""What a terminal shows of goals, feedback and turtles: values in, rich renderables out.
+"""Pictures of goals, feedback and turtles for a terminal: values in, rich renderables out.
 
-No logic and no time: who decides what is shown, and how often, stands in `turtleact.commands`. The
-one door to rich.
+There is no logic and no time here: `turtleact.commands` decides what is shown, and how often. Only
+this package imports rich.
 """
 
 from turtleact.render.lines import Picture, lines

@@ -1,4 +1,4 @@
-"""Something rich can draw as lines of text, and plain values as text on one line."""
+"""Rich renderables as lines of text, and plain values as text on one line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from turtleact.goal import GoalStatus
 __all__ = ["STYLES", "Picture", "cut", "inline", "lines", "printable", "shortened"]
 
 Picture: TypeAlias = RenderableType
-"""Whatever rich can draw."""
+"""Anything that rich can draw."""
 
 STYLES: Final = {
     GoalStatus.ACCEPTED: "blue",
@@ -26,17 +26,17 @@ STYLES: Final = {
 }
 
 LONGEST_LIST: Final = 8
-"""So many elements of a list are shown, the first and the last."""
+"""How many elements of a list are shown: its first and its last."""
 
 LONGEST_TEXT: Final = 400
-"""So many characters of a text are looked at; the window shows fewer."""
+"""How many characters of a text are used; the window shows fewer."""
 
 
 def lines(content: Picture, *, width: int, height: int) -> list[str]:
-    """Something rendered for this terminal: at most ``height`` lines of at most ``width`` columns.
+    """Render a picture for this terminal: at most ``height`` lines of at most ``width`` columns.
 
-    None ends in blanks: a terminal that gets narrower would wrap them too. The environment says
-    which colors there are: TERM, COLORTERM, NO_COLOR.
+    No line ends in blanks, since a terminal that gets narrower would wrap those too. The variables
+    TERM, COLORTERM and NO_COLOR choose the colours.
     """
     console = Console(
         file=StringIO(), width=width, height=height, force_terminal=True, highlight=False
@@ -53,7 +53,7 @@ def cut(text: str, style: str = "") -> Text:
 
 
 def shortened(text: str, columns: int) -> str:
-    """A text that is cut to so many columns."""
+    """A text, cut to a number of columns."""
     return text if len(text) <= columns else f"{text[: max(columns - 1, 0)]}…"
 
 
@@ -73,7 +73,7 @@ def inline(value: object) -> str:
 
 
 def printable(text: str) -> str:
-    """A text without control characters: they must not reach the terminal."""
+    """A text without control characters, which must not reach the terminal."""
     return "".join(c if c.isprintable() else "·" for c in text[:LONGEST_TEXT])
 
 

@@ -37,13 +37,13 @@ __all__ = [
 ]
 
 NARROWEST: Final = 40
-"""Columns below which there is no map."""
+"""The width below which there is no map."""
 
 NARROWEST_TABLE: Final = 26
-"""Columns that a map leaves for the feedback beside it."""
+"""How many columns a map leaves for the feedback beside it."""
 
 LOWEST, HIGHEST = 5, 24
-"""Rows of a map, without its border."""
+"""The rows of a map, not counting its border."""
 
 
 class GoalView(NamedTuple):
@@ -51,13 +51,13 @@ class GoalView(NamedTuple):
 
     Attributes:
         name: The action.
-        goal: What was sent; None if that is not known.
-        goal_id: Its id in hexadecimal.
+        goal: The goal message; None if it is unknown.
+        goal_id: The id of the goal, in hexadecimal.
         status: Its state.
-        age: Seconds since it was accepted.
-        feedback: The last message, if there is one.
-        fraction: How much is done, 0 to 1, if it can be told.
-        progress: The same in words.
+        age: How long ago it was accepted (s).
+        feedback: The last feedback, if there is one.
+        fraction: The progress, 0 to 1, if it is known.
+        progress: The progress in words.
     """
 
     name: str
@@ -87,7 +87,7 @@ def goal_panel(view: GoalView) -> Group:
 
 
 def progress_line(fraction: float | None, text: str) -> Picture:
-    """A bar, if the fraction is known, and what it says in words."""
+    """A progress bar, if the fraction is known, and the progress in words."""
     if fraction is None:
         return cut(f"  {text}", "dim")
     line = Table.grid(expand=True, padding=(0, 1, 0, 0))
@@ -98,7 +98,7 @@ def progress_line(fraction: float | None, text: str) -> Picture:
 
 
 def feedback_table(feedback: Message | None, *, width: int, rows: int) -> Picture:
-    """The fields of a message, a row each; long ones are cut, and so are more than ``rows``."""
+    """The fields of a message, each in a row; long ones are cut, and so is the table."""
     if feedback is None:
         return cut("  no feedback yet", "dim")
     content = {name: inline(value) for name, value in to_dict(feedback).items()}
@@ -118,13 +118,13 @@ def feedback_table(feedback: Message | None, *, width: int, rows: int) -> Pictur
 
 
 def frame(goal: GoalView, world: MapView | None, *, width: int, height: int) -> Picture:
-    """All of it, arranged for a window: the map beside the feedback, or none if it is too narrow.
+    """The display of a goal: a map beside the feedback, or no map if the window is too narrow.
 
     Args:
         goal: The goal.
         world: The world, if the goal drives a turtle.
-        width: Columns of the window.
-        height: Lines that may be used.
+        width: The columns of the window.
+        height: How many lines to use at most.
     """
     head, progress = goal_panel(goal), progress_line(goal.fraction, goal.progress)
     left = height - 4
@@ -140,20 +140,20 @@ def frame(goal: GoalView, world: MapView | None, *, width: int, height: int) -> 
 
 
 def _feedback(goal: GoalView, *, width: int, rows: int) -> Picture:
-    """The last feedback; what came before somebody else's goal was looked at is not known."""
+    """The last feedback. If the goal is somebody else's, earlier feedback is unknown."""
     if goal.goal is None and goal.feedback is None:
         return cut("  no feedback since you watch", "dim")
     return feedback_table(goal.feedback, width=width, rows=rows)
 
 
 NARROWEST_BOARD: Final = 30
-"""Columns that a map leaves for the goals beside it."""
+"""How many columns a map leaves for the goals beside it."""
 
 WIDE: Final = 72
-"""Columns from which on a table tells of a goal's id and progress, too."""
+"""The width from which a table shows goal ids and progress too."""
 
 LEAST_LOG: Final = 3
-"""Lines that a map leaves for the log below it."""
+"""How many lines a map leaves for the log below it."""
 
 
 class GoalRow(NamedTuple):
@@ -161,10 +161,10 @@ class GoalRow(NamedTuple):
 
     Attributes:
         name: The action.
-        goal_id: Its id in hexadecimal.
+        goal_id: The id of the goal, in hexadecimal.
         status: Its state.
-        age: How long it has run so far, or ran (s).
-        progress: How much is done, in words.
+        age: How long it has run (s).
+        progress: The progress in words.
     """
 
     name: str
@@ -178,12 +178,12 @@ class Board(NamedTuple):
     """A server or a robot as it is now.
 
     Attributes:
-        heading: Lines that are always there.
+        heading: Lines that are always shown.
         world: The world, if there is one.
-        goals: The goals, in the order in which they are shown; None if there are never any.
-        more: How many goals there are besides.
-        keys: Lines that say which keys there are, beside the map.
-        log: What has happened, the newest last.
+        goals: The goals, in order; None if there is no table of goals.
+        more: How many goals are left out.
+        keys: The legend of the keys, beside the map.
+        log: The log, the newest line last.
     """
 
     heading: Sequence[str]
@@ -195,12 +195,12 @@ class Board(NamedTuple):
 
 
 def board(view: Board, *, width: int, height: int) -> Picture:
-    """All of it, arranged for a window: the table beside the map, or in its place, then the log.
+    """The display of a server or a robot: a table beside the map or in its place, then the log.
 
     Args:
-        view: What there is.
-        width: Columns of the window.
-        height: Lines that may be used.
+        view: The contents.
+        width: The columns of the window.
+        height: How many lines to use at most.
     """
     head = [cut(printable(line), "bold") for line in view.heading[:height]]
     left = height - len(head)
@@ -223,7 +223,7 @@ def board(view: Board, *, width: int, height: int) -> Picture:
 
 
 def _table(view: Board, width: int, rows: int) -> list[Picture]:
-    """The keys, and the goals; at most so many lines."""
+    """The keys and the goals, in at most ``rows`` lines."""
     keys: list[Picture] = [cut(line) for line in view.keys]
     if view.goals is None:
         return keys[:rows]

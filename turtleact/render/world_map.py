@@ -26,11 +26,11 @@ LONGEST_NAME: Final = 12
 BLANK: Final = chr(0x2800)
 
 Marks: TypeAlias = dict[tuple[int, int], tuple[str, str]]
-"""What stands in a cell, by row from the top and column: a character and its style."""
+"""The mark in a cell, by row from the top and column: a character and its style."""
 
 
 class Turtle(NamedTuple):
-    """Where a turtle is: x and y (m), theta (rad, 0 is to the right); its name and colour."""
+    """A turtle: x and y (m), theta (rad, 0 is to the right), its name and colour."""
 
     x: float
     y: float
@@ -40,7 +40,7 @@ class Turtle(NamedTuple):
 
 
 class Target(NamedTuple):
-    """A place to go to: x and y (m), and its number."""
+    """A target: x and y (m), and its number."""
 
     x: float
     y: float
@@ -52,9 +52,9 @@ class MapView(NamedTuple):
 
     Attributes:
         side: Length of its four walls (m), above zero.
-        turtles: Where they are.
-        ink: What was drawn.
-        targets: Where to.
+        turtles: The turtles.
+        ink: What they have drawn.
+        targets: Where they go.
     """
 
     side: float
@@ -64,10 +64,10 @@ class MapView(NamedTuple):
 
 
 def world_map(view: MapView, rows: int) -> Text:
-    """The world between its walls, ``rows`` high and twice as wide, border not counted.
+    """The world between its walls, ``rows`` high and twice as wide, not counting the border.
 
-    Of what falls into one cell, a turtle is shown before a target, a target before a name, and a
-    name before a trail. A name stands where it hides least, or not at all if there is no room.
+    If several things fall into one cell, a turtle hides a target, a target a name, and a name a
+    trail. A name stands where it hides least, or nowhere if there is no room.
     """
     columns = 2 * rows
     canvas = Braille(columns, rows) if view.ink is None else view.ink.canvas(columns, rows)
@@ -85,7 +85,7 @@ def world_map(view: MapView, rows: int) -> Text:
 
 
 def _cell(x: float, y: float, columns: int, rows: int) -> tuple[int, int]:
-    """Row, counted from the top, and column of the cell that holds a dot; the nearest one."""
+    """The row, from the top, and the column of the cell nearest to a dot."""
     column = min(max(round(x) // 2, 0), columns - 1)
     return min(max(rows - 1 - round(y) // 4, 0), rows - 1), column
 
@@ -132,10 +132,10 @@ def _bordered(canvas: Braille, marks: Marks) -> Text:
 
 
 STRIDE: Final = 0.08
-"""A trail goes on after so many metres."""
+"""How far a turtle moves before its trail is extended (m)."""
 
 LONGEST: Final = 2000
-"""So many places of a trail are kept, for a map of another size."""
+"""How many points of a trail are kept, to redraw it for a map of another size."""
 
 
 class Braille:
@@ -156,14 +156,14 @@ class Braille:
         self._colours = [[""] * columns for _ in range(rows)]
 
     def dot(self, x: int, y: int, colour: str = "") -> None:
-        """Set a dot; one beyond the edge is left out."""
+        """Set a dot, unless it is outside."""
         if 0 <= x < self.width and 0 <= y < self.height:
             row, column = len(self._cells) - 1 - y // 4, x // 2
             self._cells[row][column] |= self.BITS[y % 4][x % 2]
             self._colours[row][column] = colour
 
     def line(self, x0: int, y0: int, x1: int, y1: int, colour: str = "") -> None:
-        """Set the dots between two dots, both of them too."""
+        """Set all dots of a line, its ends included."""
         steps = max(abs(x1 - x0), abs(y1 - y0), 1)
         for step in range(steps + 1):
             x = round(x0 + (x1 - x0) * step / steps)
@@ -174,19 +174,19 @@ class Braille:
         return ["".join(chr(0x2800 + bits) for bits in row) for row in self._cells]
 
     def colours(self) -> list[list[str]]:
-        """The colours of the cells, likewise; empty where no dot was given one."""
+        """The colours of the cells, from the top row; empty for a cell without a coloured dot."""
         return self._colours
 
 
 class Ink(Protocol):
-    """What was drawn in a world."""
+    """The drawings in a world."""
 
     def canvas(self, columns: int, rows: int) -> Braille:
-        """All of it, the world's lower left corner at (0, 0), on a canvas of this size."""
+        """Draw everything on a canvas of this size; the world's lower left corner is at (0, 0)."""
 
 
 class Trails:
-    """Where turtles have been, drawn as they go: a frame costs what is new.
+    """Where turtles have been; drawn as they go, so that a frame costs only what is new.
 
     Args:
         side: Length of the world's walls (m).
@@ -199,13 +199,13 @@ class Trails:
         self._colours: dict[str, str] = {}
 
     def follow(self, turtle: str, x: float, y: float, colour: str) -> None:
-        """Go on with a turtle's trail, if it has gone far enough.
+        """Extend a turtle's trail, if the turtle has moved far enough.
 
         Args:
-            turtle: Its name.
+            turtle: The name of the turtle.
             x: Where it is (m).
             y: Where it is (m).
-            colour: Of the whole trail.
+            colour: The colour of the whole trail.
         """
         places = self._places.setdefault(turtle, [])
         self._colours[turtle] = colour
@@ -217,7 +217,7 @@ class Trails:
         del places[:-LONGEST]
 
     def canvas(self, columns: int, rows: int) -> Braille:
-        """All trails; of a size that is new they are drawn anew."""
+        """All trails, redrawn if the size is new."""
         if (self._canvas.width, self._canvas.height) != (2 * columns, 4 * rows):
             self._canvas = Braille(columns, rows)
             for turtle, places in self._places.items():
