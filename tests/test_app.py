@@ -66,7 +66,7 @@ async def test_a_world_has_one_turtle_and_the_built_in_actions():
 async def test_a_world_that_is_turtlesim_only_serves_what_turtlesim_serves():
     async with open_world(speed="max", turtlesim_only=True) as node:
         graph = node.graph()
-    assert graph.nodes == ("/turtleact", "/turtlesim")
+    assert graph.nodes == ("/_turtleact", "/turtlesim")
     assert list(graph.actions) == ["/turtle1/rotate_absolute"]
     assert list(graph.topics) == [
         "/parameter_events",

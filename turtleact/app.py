@@ -126,7 +126,8 @@ async def open_world(
             if on_transition is not None:
                 actions.on_transition(on_transition)
             serve_built_ins(actions, side=SIDE)
-        yield await stack.enter_async_context(aclosing(WorldNode("turtleact", transport, sim)))
+        name = "_turtleact" if turtlesim_only else "turtleact"  # turtlesim shows one node
+        yield await stack.enter_async_context(aclosing(WorldNode(name, transport, sim)))
 
 
 @asynccontextmanager
