@@ -20,7 +20,7 @@ from turtleact.commands import graph
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard import TurtlePose, Twist
-from turtleact.sim.node_parameters import Parameters
+from turtleact.sim.parameter_services import Parameters
 from turtleact.tasks import Background
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Endpoint

@@ -13,7 +13,7 @@ import pytest
 
 from turtleact.interfaces import decode
 from turtleact.interfaces.standard import Point
-from turtleact.web.conversion import Rendering, png, reply, request
+from turtleact.web.message_conversion import Rendering, png, reply, request
 
 
 def read_png(picture: bytes) -> tuple[int, int, bytes]:

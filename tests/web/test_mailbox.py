@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from turtleact.interfaces.standard import Point
-from turtleact.web.conversion import Rendering
 from turtleact.web.mailbox import (
     MOST_DROPPABLE,
     MOST_KEPT,
@@ -20,6 +19,7 @@ from turtleact.web.mailbox import (
     Mailbox,
     Throttle,
 )
+from turtleact.web.message_conversion import Rendering
 
 
 def taken(mailbox: Mailbox) -> list[Any]:

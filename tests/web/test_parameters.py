@@ -11,7 +11,7 @@ import turtleact
 from turtleact.errors import InvalidMessage, ServerUnavailable
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.standard import GetParameters, ParameterValue, SetParameters
-from turtleact.sim.node_parameters import Parameters
+from turtleact.sim.parameter_services import Parameters
 from turtleact.web.rosapi import LONGEST_PARAMETER, MOST_PARAMETERS
 from turtleact.web.shared import Limits, Shared
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from turtleact.interfaces.standard import UUID, GoalStatusMessage, Twist
-from turtleact.web.names import action_class, service_class
+from turtleact.web.name_lookup import action_class, service_class
 from turtleact.web.rosapi import full_text, short_name, typedefs
 
 

@@ -201,7 +201,9 @@ class Drive:
                 message = await anext(self._poses)
             except StopAsyncIteration:
                 raise Abort(self._why) from None
-            for message in self._poses.drain():  # noqa: B007  # the newest counts
+            # More may have come while this task waited for its turn. Only the newest tells where
+            # the turtle is now; steering by an older one would swing.
+            for message in self._poses.drain():  # noqa: B007
                 pass
             seen = self._read(message)
             if not self._objection(seen):
@@ -212,6 +214,8 @@ class Drive:
 
     async def aclose(self) -> None:
         """Stop the turtle where it is, and leave its topics."""
+        # Before the first await: a cancelled task may not get another turn, and a turtle that keeps
+        # its commands would drive on for a second.
         self._stop()
         await self._watch.aclose()
         await self._twists.aclose()
@@ -219,6 +223,8 @@ class Drive:
 
     def _take(self, message: TurtlePose) -> bool:
         """Take a pose at which nothing new is to be said: whoever drives need not wake for it."""
+        # Called for each pose while it is being published, 62 times a second and turtle, so this
+        # must be short, and must not await. The message is read in full only if somebody asks.
         helm, x, y = self._helm, message.x, message.y
         before = helm.at
         if not helm.holds((x, y, message.theta)) or self._clock.time() >= self._until:
@@ -238,11 +244,14 @@ class Drive:
         poses, self._taken_since = 1 + self._taken_since, 0
         if before is None:
             return
+        # One pose may be late by chance. The estimate follows by `LEARNING` for each pose, and no
+        # pose counts more than twice the pace so far.
         lasted = self._robot.dt if is_a_tick else (self._decided - before) / poses
         change = min(lasted, 2.0 * self._pace) - self._pace
         self._pace += (1.0 - (1.0 - LEARNING) ** poses) * change
         limits = self._helm.steering.limits
         dt = min(max(self._robot.dt / 8.0, self._pace), math.pi / 2.0 / limits.max_angular)
+        # A new law ends what the helm holds, so small changes are not worth one.
         if abs(dt - limits.dt) > limits.dt / 4.0:
             limits = replace(limits, dt=dt)
             self._helm.steering = replace(self._helm.steering, limits=limits)
@@ -394,11 +403,13 @@ class Turtles:
             Abort: if nothing is heard of its pose, or another goal has come first.
         """
         topic = self._topic(turtle)
-        if topic in self._driven:  # two goals may have been accepted before either has begun
+        # Two goals may have been accepted before either has begun: `check_turtle` saw neither.
+        if topic in self._driven:
             raise Abort(_taken(turtle))
         drive = Drive(self._node, self._robot, turtle, steering, self._proving)
         self._driven.add(topic)
         try:
+            # The first pose says where the turtle is; the way to it from nowhere does not count.
             await drive.wait_for_pose()
             drive.travelled = 0.0
             yield drive

@@ -94,6 +94,8 @@ class _GoTo:
         self._steering(goal)
         if not math.isfinite(goal.theta):
             raise Reject(f"theta is {goal.theta}: it is an angle in rad")
+        # Beyond some size, neighbouring floats are further apart than the heading may be off: the
+        # angle would be a matter of chance.
         apart = math.ulp(goal.theta)
         if abs(goal.theta) > math.pi and 0.0 < goal.heading_tolerance < apart:
             problem = f"is {goal.theta}: angles so large are {apart:.2g} rad apart"
@@ -125,6 +127,7 @@ class _GoTo:
                     await drive.towards(target, theta=theta, until=min(due, deadline))
                 await drive.rest()
             finally:
+                # However it ends: a canceled or aborted goal tells how far it came.
                 result.distance, result.duration = drive.travelled, clock.time() - started
                 handle.set_partial_result(result)
         yield result

@@ -224,7 +224,10 @@ class _Patrol:
                 result.bound = await tour.bound(drive, goal)
                 seen = None
                 for stop in range(tour.stops):
-                    await anyio.lowlevel.checkpoint()  # a stop where it stands makes no other
+                    # A turtle that stands on its targets reaches all of them without waiting for
+                    # a pose: a long list of such stops must not block the event loop,
+                    await anyio.lowlevel.checkpoint()
+                    # nor may endless rounds of them pass without time passing.
                     if tour.index(stop) % AT_ONCE == 0:
                         if drive.seen is seen:  # no pose has come since
                             await drive.stay()
@@ -239,6 +242,7 @@ class _Patrol:
                         raise drive.too_late(f"targets[{tour.index(stop)}]")
                 await drive.rest()
             finally:
+                # However it ends: a canceled or aborted patrol tells what it has done.
                 result.distance = drive.travelled
                 result.duration = clock.time() - started
                 note(result)

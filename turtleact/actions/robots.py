@@ -196,6 +196,8 @@ def _read_stamped(message: Message, fields: _Fields) -> Sighting:
 
 def _heading(x: float, y: float, z: float, w: float, *, path: str) -> float:
     """The heading (rad) of a quaternion of any length, seen from above."""
+    # Some drivers send quaternions that are not quite of length 1, and zeros before they know where
+    # they are. Any length has a heading, zero has none.
     if not x * x + y * y + z * z + w * w > 0.0:
         raise InvalidMessage(path, f"({x}, {y}, {z}, {w}) is no rotation")
     return wrap_angle(math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))

@@ -91,6 +91,7 @@ class Drawing:
             start: Where it begins (m).
             end: Where it ends (m); the same place makes a dot.
         """
+        # Lines of a fleet that may still go on come before this one: later lines cover them.
         self._end_fleet()
         self._unread.extend((turtle, _packed(pen), start.real, start.imag, end.real, end.imag))
         if len(self._unread) >= UNREAD * _FIELDS:
@@ -202,10 +203,12 @@ class Drawing:
         from turtleact.sim.rasterising import draw_lines
 
         noted = np.frombuffer(self._unread).reshape(-1, _FIELDS).copy()
+        # With more than one pen the order counts, and only `_read` keeps it.
         if (noted[:, 1] != noted[0, 1]).any():
             self._read(len(noted))
             return
         self._unread = array("d")
+        # Runs of single turtles are older than what was noted, so they are drawn first.
         self._draw_runs()
         pen = _unpacked(noted[0, 1])
         start = noted[:, 2:4].copy().view(np.complex128)[:, 0] * METER
@@ -320,6 +323,8 @@ class Pens:
             for index in moved:
                 self._draw(self._names[index], before[index], now[index])
             return {}
+        # Somebody looks at a colour, or a turtle was teleported: now the order within the tick
+        # shows, so the turtles draw one after the other, in name order as in turtlesim.
         index_of = {name: index for index, name in enumerate(self._names)}
         colours: dict[str, Colour] = {}
         wanted = {*sensed, *self._jumps, *(self._names[index] for index in moved)}
@@ -350,7 +355,7 @@ class Pens:
 
     def _follow_fleet(self, before: Sequence[complex], now: Sequence[complex]) -> bool:
         """Draw the lines of many turtles at once, if all have one pen, and it is on."""
-        if isinstance(now, list):
+        if isinstance(now, list):  # a few turtles: see `World.places`
             return False
         if self._fleet is None:
             self._fleet = _Fleet.of([self._holders[name] for name in self._names])

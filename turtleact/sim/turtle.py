@@ -165,6 +165,7 @@ class Turtle:
 
     def rotate(self, turn: _Turn) -> None:
         """Turn for one tick."""
+        # A velocity of zero in the last tick is a command like any other, as in turtlesim.
         omega = turn.tick(self._world.heading(self.name))
         if omega is None:
             logger.info("Rotation goal completed successfully")
@@ -203,9 +204,12 @@ class Turtle:
     # the action
 
     async def _rotate(self, goal: RotateAbsolute.Goal, handle: Handle) -> RotateAbsolute.Result:
+        # The goal may have been accepted just before the turtle was killed.
         if self._gone:
             raise Abort(self._gone)
-        for twist in self.commands.drain():  # those before the goal do not end it
+        # Commands that came before the goal must not end it: they are taken up now, while there is
+        # no goal that they could abort.
+        for twist in self.commands.drain():
             self.take_up(twist)
         if self.turn is not None:
             logger.warning(
@@ -217,7 +221,9 @@ class Turtle:
         try:
             await turn.ended.wait()
         except anyio.get_cancelled_exc_class():
-            if turn.ended.is_set():  # the last tick was first
+            # The last tick may have ended the goal before the cancellation reached this task. The
+            # turtle is there then, and turtlesim says so, too.
+            if turn.ended.is_set():
                 return turn.take()
             self.turn = None
             self._world.set_velocity(self.name, 0.0)
@@ -296,6 +302,7 @@ class Rotation:
         now, turned = array("f", (theta, self._start - theta))
         remaining = wrap(self._target - now, _HALF)
         self.remaining, self.delta = array("f", (remaining, wrap(turned, _HALF)))
+        # As in turtlesim, the difference is taken the other way round here.
         if abs(wrap(now - self._target, _HALF)) < TOLERANCE:
             return None
         return -TURN_SPEED if remaining < 0.0 else TURN_SPEED

@@ -26,7 +26,7 @@ from turtleact.interfaces.standard import Empty, Kill, Spawn, TurtlePose
 from turtleact.names import resolve_name
 from turtleact.sim.canvas import Colour
 from turtleact.sim.drawing import Pens
-from turtleact.sim.node_parameters import Parameters
+from turtleact.sim.parameter_services import Parameters
 from turtleact.sim.pictures import BACKGROUND, Figure, Snapshot, thumbnail
 from turtleact.sim.turtle import TOPIC_QOS, Habitat, Turtle
 from turtleact.sim.world import FEW
@@ -177,6 +177,7 @@ class Turtlesim:
             at = bisect_left(told, (index(turtle.name),))
             if self._heard.pop(turtle.name, None) is not None:
                 del told[at]
+            # `told` is kept sorted by index, so that the poses of a fleet can be read as columns.
             if turtle.poses.has_subscriptions:
                 self._heard[turtle.name] = turtle.poses
                 told.insert(at, (index(turtle.name), turtle.poses))
@@ -218,6 +219,8 @@ class Turtlesim:
 
     async def _spawn(self, request: Spawn.Request) -> Spawn.Response:
         async with self._roster:
+            # Names are checked before the world is changed: a turtle whose topics cannot be named
+            # would be in the world and unreachable.
             try:
                 resolve_name(f"{request.name or 'turtle'}/pose", self._node.namespace)
                 name = self._world.spawn(request.x, request.y, request.theta, request.name)
@@ -265,6 +268,8 @@ class Turtlesim:
         """Part with all turtles, have the world make others, and welcome those."""
         async with self._roster:
             logger.info("Resetting turtlesim.")
+            # The order matters: the old turtles must not be known any more when they are closed, as
+            # closing waits for their goals, and ticks pass meanwhile.
             before = list(self._turtles.values())
             self._turtles.clear()
             self._spawned.clear()
@@ -282,6 +287,8 @@ class Turtlesim:
             self._heard.pop(turtle.name, None)
             self._sensed.pop(turtle.name, None)
             turtle.leave(f"turtle '{turtle.name}' was killed")
+        # Shielded: a turtle that is gone from the world must not keep its topics because whoever
+        # killed it went away.
         with anyio.CancelScope(shield=True):
             async with anyio.create_task_group() as closing:
                 for turtle in turtles:

@@ -232,7 +232,9 @@ class World:
         where = Spawn.of(x, y, theta)
         check_finite(name or "a new turtle", **where._asdict())
         name = self._names.free_name(name)
-        self.take_up()  # what was asked for is kept by index
+        # Commands and teleports are kept by index, and a new turtle moves the indices behind it.
+        # So they are taken up first, as the next step would.
+        self.take_up()
         self._turtles.insert(self._names.add(name), where.place)
         self._turtles = _fitting(self._turtles, self._rule)
         return name
@@ -244,7 +246,7 @@ class World:
             SimError: if there is no such turtle.
         """
         index = self._names.index(turtle)
-        self.take_up()
+        self.take_up()  # as in `spawn`: indices are about to change
         self._names.remove(index)
         self._turtles.remove(index)
         self._turtles = _fitting(self._turtles, self._rule)
@@ -283,6 +285,7 @@ class World:
         Raises:
             SimError: if there is no such turtle.
         """
+        # Rounded to float32 only here, so that roundings do not add up over the steps.
         x, depth, theta, vx, vy, omega = self._turtles.state(self._names.index(turtle))
         speed = math.sqrt(vx * vx + vy * vy)
         return Pose(*array("f", (x, SIDE - depth, theta, speed, omega)))
@@ -347,12 +350,16 @@ class World:
 
     def _take_up(self) -> None:
         self._is_asked = False
+        # A command to all replaces those to single turtles before it (`set_velocities` drops them),
+        # and single ones that come later replace their part of it.
         if self._fleet_command is not None:
             self._turtles.drive_all(self._fleet_command, self._tick)
             self._fleet_command = None
         if self._commands:
             self._turtles.drive(self._commands, self._tick)
             self._commands.clear()
+        # Teleports come last and in order, as turtlesim makes them after taking up commands: each
+        # starts from where the one before has put the turtle.
         for index, teleport in self._teleports:
             before = self._turtles.state(index)
             after = teleport.place_after(before)

@@ -125,7 +125,9 @@ class Ticking:
         """Make no tick until `resume`, and let the clock stand; a step under way ends here."""
         now = self._clock.time()
         self._clock.stop_at(now)
-        self._start = max(self._start, now - self._count * DT)  # what is late stays late no longer
+        # A tick that is late now would come at once after the pause, as if time had passed in it.
+        # So the schedule is moved: the next tick is due now, not earlier.
+        self._start = max(self._start, now - self._count * DT)
         self._end_step("paused")
         self.is_paused = True
 
@@ -160,11 +162,15 @@ class Ticking:
         if not ticks:
             return
         step = self._step = _Step(ticks, on_tick)
+        # The clock runs just as far as the last of these ticks. Whoever waits by it for a later
+        # moment waits on, so a program that steps the world misses none of its own deadlines.
         self._clock.stop_at(self._due(ticks - 1))
         self._changed.fire()
         try:
             await step.ended.wait()
         except BaseException:
+            # Cancelled: stop here, or the ticks that are left would be made for nobody. If another
+            # caller has paused or resumed the world meanwhile, this step is over already.
             if self._step is step:
                 self.pause()
             raise
@@ -185,12 +191,16 @@ class Ticking:
     async def _run(self) -> None:
         clock = self._clock
         while True:
+            # A machine that is a little late catches up tick by tick, so the schedule does not
+            # drift. If it was suspended, or is too slow for the speed asked for, catching up would
+            # take forever: the schedule starts anew from now, and a step ends accordingly later.
             if clock.time() - self._due() > MOST_BEHIND:
                 self._start = clock.time() - self._count * DT
                 if self._step is not None:
                     clock.stop_at(self._due(self._step.left - 1))
             await clock.sleep_until(self._due())
-            if self.is_paused and self._step is None:  # it was late, and is due as the clock stands
+            # In a pause the clock stands, and a tick that was late is due all the same.
+            if self.is_paused and self._step is None:
                 await self._changed.wait()
                 continue
             self._count += 1
@@ -257,6 +267,7 @@ class Simulation:
                 SimulationResult.RESULT_FEATURE_UNSUPPORTED,
                 f"state {wanted} cannot be set: give one of {known}",
             )
+        # A pause that is asked for during a step ends the step, so it is not "paused already".
         if wanted == self._state and not self._ticking.is_stepping:
             return SimulationResult(
                 SetSimulationState.Response.ALREADY_IN_TARGET_STATE,
@@ -300,6 +311,7 @@ class Simulation:
         except SimError as error:
             raise Abort(str(error), SimulateSteps.Result(_failure(error))) from None
         except anyio.get_cancelled_exc_class():
+            # The ticks that were made stay made: the world cannot go back.
             problem = f"canceled after {made} of {goal.steps} steps"
             failed = SimulationResult(SimulationResult.RESULT_OPERATION_FAILED, problem)
             handle.set_partial_result(SimulateSteps.Result(failed))
@@ -385,6 +397,7 @@ class Pictures:
         if make is None:
             problem = f"there is no picture as '{request.format}': ask for {' or '.join(FORMATS)}"
             return TakeSnapshot.Response(problem=problem)
+        # The snapshot is taken here, between two ticks; only the picture is made in the thread.
         return TakeSnapshot.Response(await anyio.to_thread.run_sync(make, self._look()))
 
 

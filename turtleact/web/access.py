@@ -55,6 +55,7 @@ class Access(msgspec.Struct, frozen=True):
         if origin is not None and not self._is_allowed(origin, host):
             named = f"pages of '{origin[:100]}' may not come in"
             return f"{named}: allow them by 'origins', or --allow-origin"
+        # Compared in constant time: how long it takes must not tell how much of a guess was right.
         if self.token and not hmac.compare_digest(token.encode(), self.token.encode()):
             return "the token is wrong: say it as ?token=… or as 'Authorization: Bearer …'"
         return ""

@@ -109,11 +109,16 @@ class Bridge:
         Each gets what must still arrive and a close frame, and has `FAREWELL` seconds for it; that
         of a goal or a call which is under way, that it will not hear of it.
         """
+        # First the clients hear that they will hear no more of their goals, then their connections
+        # are closed, and only when all have gone what they shared: a connection that is still there
+        # may use it.
         self.is_open = False
         self._shared.goals.leave()
         for connection in self._connections:
             connection.close()
         with anyio.CancelScope(shield=True):
+            # Shielded, as closing must be complete even if the program is being cancelled; bounded,
+            # as a client that reads nothing must not hold up its end.
             with anyio.move_on_after(FAREWELL):
                 await self._wait_until_left()
             for connection in self._connections:

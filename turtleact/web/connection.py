@@ -26,9 +26,9 @@ from turtleact.summaries import summary
 from turtleact.topics import Publisher
 from turtleact.transports import QoS
 from turtleact.web import operations
-from turtleact.web.conversion import Frame, Rendering, read_message, reply
 from turtleact.web.mailbox import Mailbox, Throttle
-from turtleact.web.names import absolute
+from turtleact.web.message_conversion import Frame, Rendering, read_message, reply
+from turtleact.web.name_lookup import absolute
 from turtleact.web.operations import CallService, Id
 from turtleact.web.protocol import Adjust, Do, Effect, Open, Protocol, Reader, Say, Shut, Writer
 from turtleact.web.serving import Serving
@@ -85,8 +85,11 @@ class Connection:
                 if await self._accept():
                     group.start_soon(self._write)
                     await self._read()
+                # The client has gone, so nobody takes what the writer still has.
                 group.cancel_scope.cancel()
         finally:
+            # Goals first: they must not be told to a client that is gone. They go on, and so may
+            # outlive the connection by hours.
             self._group = None
             self._shared.goals.lose(self)
             with anyio.CancelScope(shield=True):
@@ -95,6 +98,8 @@ class Connection:
 
     def close(self) -> None:
         """Send what must still arrive, then a close frame, and end."""
+        # From here on nothing that may be dropped is taken (`put`), so the writer comes to an end
+        # as soon as it has sent what must arrive, and then sends the close frame.
         self._is_closing = True
         for said in self._calls.values():
             self.keep(_response(said, "the server is closing", is_result=False))
@@ -132,6 +137,8 @@ class Connection:
         logger.warning(
             "a web client was let go: %s (%d frames dropped before)", reason, self.mailbox.dropped
         )
+        # Cancelling the writer does not help where its bytes wait in the transport: only the server
+        # around the app can cut the connection, if it offers that.
         abort = self._websocket.scope.get("extensions", {}).get("turtleact.abort")
         if abort is not None:
             abort()
@@ -149,6 +156,8 @@ class Connection:
 
     async def _write(self) -> None:
         while True:
+            # Throttled messages whose time has come go into the mailbox, so that they keep their
+            # place among what waits there already.
             due = self._release(anyio.current_time())
             frame = self.mailbox.take()
             if frame is not None:
@@ -165,6 +174,8 @@ class Connection:
 
     async def _send(self, frame: Frame) -> None:
         """Send a frame; end if the client is gone, or takes nothing."""
+        # Servers take a frame before the one before it has left the machine. So what is waited for
+        # here is mostly the frame before, and its size says how long that may take.
         with anyio.move_on_after(PATIENCE + self._last_size / SLOWEST) as scope:
             try:
                 if isinstance(frame, str):
@@ -205,6 +216,7 @@ class Connection:
             else:
                 for effect in self._protocol.receive(frame):
                     await self._perform(effect)
+            # A client that never stops sending would otherwise keep the event loop to itself.
             await self._shared.tasks.checkpoint()
 
     def _say(self, said: list[Effect]) -> None:
@@ -236,6 +248,8 @@ class Connection:
         try:
             await action()
         except TurtleactError as error:
+            # The protocol noted it as open when it asked for it; a client that tries again must not
+            # be told that it is open already.
             if forget is not None:
                 self._protocol.forget(*forget)
             self._complain(str(error), id)
@@ -344,6 +358,7 @@ class Connection:
         except Exception as error:
             logger.exception("a call of %s for a web client failed", said.service)
             frame = _response(said, summary(error), is_result=False)
+        # `close` has already answered, and emptied the table, if the server is going.
         if self._calls.pop(number, None) is not None:
             self.keep(frame)
 

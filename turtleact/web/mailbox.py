@@ -17,7 +17,7 @@ import itertools
 from collections import deque
 from typing import Final, Protocol
 
-from turtleact.web.conversion import Compression, Frame, Rendering
+from turtleact.web.message_conversion import Compression, Frame, Rendering
 
 __all__ = ["Budget", "Holder", "Mailbox", "Throttle"]
 
@@ -74,6 +74,8 @@ class Budget:
     def hold(self, holder: Holder, size: int) -> None:
         """Note how much a holder holds from now on (bytes)."""
         self._set(holder, size)
+        # Shrinking may take a holder several turns: first it drops what may be dropped, then it is
+        # let go. It counts as smaller after each, so that this ends.
         while self.held > self.most:
             largest = max(self._holders, key=self._holders.__getitem__)
             self._set(largest, min(largest.shrink(), self._holders[largest] - 1))
@@ -124,11 +126,15 @@ class Mailbox:
         self._droppable_bytes += len(frame)
         if len(line) > MOST_OF_ONE:
             self._drop(source)
+        # The frame just put in stays even if it is larger than the bound: a camera's picture would
+        # never arrive otherwise.
         while self._droppable_bytes > MOST_DROPPABLE and self._droppable_bytes > len(frame):
             self._drop(self._oldest())
 
     def take(self) -> Frame | None:
         """The next frame, in the order of their coming; None if there is none."""
+        # Every frame has a number in the order of coming, whichever line it stands in. So a client
+        # never sees a result before feedback that came earlier.
         source = self._oldest() if self._droppable else None
         if source is not None and not (
             self._kept and self._kept[0][0] < self._droppable[source][0][0]

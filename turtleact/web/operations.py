@@ -224,8 +224,11 @@ def parse(frame: str | bytes) -> Operation | Malformed:
     """
     if isinstance(frame, bytes):
         return Malformed("a binary frame: say it as JSON in a text frame")
+    # Counted before it is read, which is fast; brackets inside texts count too, and do no harm.
     if frame.count("[") + frame.count("{") > MOST_NESTED:
         return Malformed(f"more than {MOST_NESTED} objects and lists")
+    # Python reads half a surrogate pair from JSON, but cannot encode it: the first answer that
+    # quotes it would fail.
     if half_pattern.search(frame) and not _is_sound(frame):
         return Malformed("half a surrogate pair, which cannot be sent")
     try:

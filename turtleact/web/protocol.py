@@ -20,7 +20,7 @@ from typing import Final, TypeAlias
 import msgspec
 
 from turtleact.web import operations
-from turtleact.web.conversion import COMPRESSIONS, Compression, reply
+from turtleact.web.message_conversion import COMPRESSIONS, Compression, reply
 from turtleact.web.operations import Id, parse
 
 __all__ = [

@@ -35,7 +35,7 @@ from turtleact.interfaces.types import constants, nested_classes
 from turtleact.node import Node
 from turtleact.services import ServiceType
 from turtleact.transports.base import EndpointKind
-from turtleact.web.names import (
+from turtleact.web.name_lookup import (
     ALWAYS,
     SERVICE_KINDS,
     Directory,
@@ -443,6 +443,8 @@ def _as_parameter(value: object, declared: int) -> ParameterValue:
     ]
     if not fitting:
         raise InvalidMessage("args.value", PROBLEM)
+    # JSON has one kind of number, and an empty list is of no kind: what the node has declared
+    # decides.
     kind = declared if declared in fitting else fitting[0]
     return from_dict(ParameterValue, {"type": kind, FIELDS[kind]: value}, root="args")
 

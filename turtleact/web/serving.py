@@ -22,8 +22,8 @@ from turtleact.node import Node
 from turtleact.server import ServerGoalHandle
 from turtleact.services import ServiceType
 from turtleact.tasks import Signal, current_tasks
-from turtleact.web.conversion import json_values, read_message, request
-from turtleact.web.names import absolute, action_class, service_class
+from turtleact.web.message_conversion import json_values, read_message, request
+from turtleact.web.name_lookup import absolute, action_class, service_class
 from turtleact.web.operations import (
     ActionFeedback,
     ActionResult,
@@ -85,6 +85,7 @@ class Serving:
 
     def withdraw(self, kind: str, name: str) -> Server:
         """Serve something no more: closing what is given tells all who wait for it."""
+        # First the questions are given up, so that closing the server does not wait for answers.
         for question in self._asked.values():
             if question.about == (kind, name):
                 question.lose()
@@ -172,6 +173,9 @@ class Serving:
             try:
                 await question.wait()
             except self._tasks.cancelled:
+                # The goal is being canceled, or its server closed. The client is asked to end it
+                # and decides how: its goal may be done by now. If it is gone, nobody is left to
+                # ask.
                 if question.is_lost:
                     raise
                 self._keep(request("cancel_action_goal", **members))
@@ -184,6 +188,7 @@ class Serving:
         try:
             return await _result(question.said, result_type)
         except Cancel as verdict:
+            # In ROS 2 a goal ends CANCELED only if somebody asked for that.
             if handle.is_cancel_requested:
                 raise
             raise Abort("the client canceled it unasked", verdict.result) from None

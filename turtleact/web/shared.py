@@ -33,9 +33,9 @@ from turtleact.summaries import summary
 from turtleact.tasks import Background, current_tasks
 from turtleact.topics import Subscription
 from turtleact.transports import QoS
-from turtleact.web.conversion import Rendering, json_values, read_message, reply
 from turtleact.web.mailbox import Budget
-from turtleact.web.names import Directory, absolute, action_class
+from turtleact.web.message_conversion import Rendering, json_values, read_message, reply
+from turtleact.web.name_lookup import Directory, absolute, action_class
 from turtleact.web.operations import CallService, CancelActionGoal, Id, SendActionGoal
 from turtleact.web.rosapi import Parameters, Rosapi
 
@@ -251,6 +251,8 @@ class Pool(Generic[K, C]):
     @asynccontextmanager
     async def use(self, key: K) -> AsyncIterator[C]:
         """The thing of a key, which stays open for the length of the block at least."""
+        # Taken out and put in again, so that the one used last stands last. No await lies between:
+        # nobody else can open a second one for the key.
         held = self._held.pop(key, None)
         if held is None:
             held = self._open(key)
@@ -316,6 +318,7 @@ class Goals:
         elif len(self._sent) >= MOST_GOALS:
             _tell_failure(said, teller, f"{len(self._sent)} goals are under way: wait for some")
         else:
+            # Numbered by us: two clients may use one id, and one client an id again.
             self._count += 1
             sent = self._sent[self._count] = _Sent(self._count, said, teller)
             sent.following = Background(self._follow(sent), f"goal {said.id} of a web client")
@@ -342,6 +345,7 @@ class Goals:
 
     def leave(self) -> None:
         """Tell all who wait for a goal that they will not hear of its end."""
+        # `is_over` keeps the end of the goal, should it still come, from being told after this.
         for sent in self._sent.values():
             sent.fail(CLOSING)
             sent.is_over = True
@@ -384,6 +388,7 @@ class Goals:
             self._clients.use(key) as client,
             client.send_goal(goal, goal_id=sent.goal_id, feedback_callback=on_feedback) as handle,
         ):
+            # Detached: leaving this block, when the bridge closes, must not cancel the goal.
             handle.detach()
             sent.accept(handle)
             outcome = await handle.outcome()
@@ -421,6 +426,7 @@ class _Sent:
 
     def cancel(self) -> None:
         """Cancel it as soon as it is accepted."""
+        # Without a handle the server has not answered yet: `accept` cancels it then.
         self._is_canceled = True
         if self._handle is not None:
             self._handle.cancel_nowait()

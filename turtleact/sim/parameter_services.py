@@ -137,6 +137,7 @@ class Parameters:
 
     def _set_declared(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         """Set all of them, or none."""
+        # All are checked before any is set: rclcpp sets them atomically, too.
         problem = "" if parameters else _NO_PARAMETERS
         for each in parameters:
             problem = problem or _problem(self._declared[each.name][0], each.value)

@@ -39,7 +39,7 @@ from turtleact.interfaces.standard import (
     Twist,
     Vector3,
 )
-from turtleact.web.conversion import cbor_values, json_values, message_from, read_message
+from turtleact.web.message_conversion import cbor_values, json_values, message_from, read_message
 
 
 class Everything(Message, type_name="lab_interfaces/msg/Everything"):

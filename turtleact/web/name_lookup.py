@@ -136,6 +136,7 @@ class Directory:
         types = self.types(TOPIC_KINDS, topic)
         if spelled:
             wanted = type_name(spelled, "msg")
+            # rosbridge refuses that, too (`TypeConflictException`).
             if types and wanted not in types:
                 problem = f"topic '{topic}' is one of {', '.join(types)}, not of {wanted}"
                 raise InvalidOption("type", problem)

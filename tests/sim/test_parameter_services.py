@@ -25,7 +25,7 @@ from turtleact.interfaces.standard import (
     Time,
 )
 from turtleact.node import Node, open_node
-from turtleact.sim.node_parameters import Parameters
+from turtleact.sim.parameter_services import Parameters
 from turtleact.topics import Subscription
 from turtleact.transports import MemoryTransport
 

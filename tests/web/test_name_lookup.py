@@ -6,7 +6,7 @@ import pytest
 
 from turtleact.errors import InvalidName, UnknownInterface
 from turtleact.interfaces import get_interface
-from turtleact.web.names import (
+from turtleact.web.name_lookup import (
     absolute,
     action_class,
     message_class,
