@@ -1,10 +1,8 @@
 """The command line's door: arguments in, exit status out.
 
 What the verbs take is declared in `turtleact.commands.verbs`; here they are run, and whatever ends
-them becomes a line on stderr and an exit status. Nothing is imported before it is wanted: Typer
-alone takes five times as long as an empty Python program, so ``--help`` does without it; and until
-`main` is entered, Ctrl-C is a traceback of Python's. From there on it waits until a handler takes
-it: where it is raised in the middle of an import, it may be printed and lost.
+them becomes a line on stderr and an exit status. Nothing is imported before it is needed, because
+a user waits for each import: Typer alone takes five times as long as an empty Python program.
 
 ====== =================================================
 status meaning
@@ -18,7 +16,7 @@ status meaning
 124    timeout
 130    SIGINT (Ctrl-C); 143 SIGTERM; 129 SIGHUP
 141    whoever read the output has gone
-any    somebody's code has called `sys.exit`
+any    the status that a user's code gave to `sys.exit`
 ====== =================================================
 """
 
@@ -34,39 +32,37 @@ if TYPE_CHECKING:
 
 __all__ = ["main", "run"]
 
-OK, FAILED, USAGE, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
+FAILED, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
+
+PATIENCE = 1.5
+"""Seconds after which the Tab key offers nothing: nobody waits longer for a completion."""
 
 
 def main() -> int:
     """Run the program and give its exit status; the entry point of ``turtleact``."""
     try:
-        import _signal  # type: ignore[import-not-found]  # `signal` takes 6 ms more
         import os
+        import signal
 
-        if shell := os.environ.get("_TURTLEACT_COMPLETE"):
-            _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # silent, as all of it
-            from turtleact.commands.completion import complete
-            from turtleact.commands.interrupts import leave
+        # Until the handlers stand, Ctrl-C ends the program silently, as it ends any program in C.
+        # As an exception in the middle of an import it could be swallowed, or print a traceback.
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
 
-            leave(complete(shell, sys.argv[1:]))
-
-        before = _signal.pthread_sigmask(_signal.SIG_BLOCK, [_signal.SIGINT])
         from turtleact.commands.interrupts import Interrupts
 
         interrupts = Interrupts()
+        if "_TURTLEACT_COMPLETE" in os.environ:
+            _complete(interrupts)
         interrupts.install()
-        _signal.pthread_sigmask(_signal.SIG_SETMASK, before)
-        if interrupts.received:
-            raise KeyboardInterrupt
-        status = run(sys.argv[1:], interrupts)
-        interrupts.ignore()
-        if interrupts.must_leave:
-            from turtleact.commands.interrupts import leave
-
-            leave(status)
-    except KeyboardInterrupt:  # in the moment before the handler stood
-        _note("interrupted")
+    except KeyboardInterrupt:  # in the few milliseconds before
         return INTERRUPTED
+    status = run(sys.argv[1:], interrupts)
+    interrupts.ignore()
+    if interrupts.must_leave:
+        from turtleact.commands.interrupts import leave
+
+        leave(status)
     return status
 
 
@@ -74,7 +70,9 @@ def run(arguments: Sequence[str], interrupts: Interrupts) -> int:
     """Run one command line and give its exit status. Never raises what a user might meet."""
     _make_printable()
     try:
-        status = _run(arguments, interrupts)
+        from turtleact.commands.verbs import parse
+
+        status = parse(arguments)(interrupts)
         if sys.stdout is not None:
             sys.stdout.flush()
     except KeyboardInterrupt:
@@ -85,39 +83,27 @@ def run(arguments: Sequence[str], interrupts: Interrupts) -> int:
     return status
 
 
-def _run(arguments: Sequence[str], interrupts: Interrupts) -> int:
-    match arguments:
-        case [] | ["-h" | "--help", *_]:
-            print(_help())
-        case ["--version", *_]:
-            from turtleact import __version__
+def _complete(interrupts: Interrupts) -> None:
+    """Let Typer tell the shell what may stand at the cursor, and end the process.
 
-            print(f"turtleact {__version__}")
-        case ["--show-completion" | "--install-completion" as option, *shells]:
-            from turtleact.commands.shells import install, script
+    The shell waits, and shows what is printed: so this takes `PATIENCE` at most, and is silent
+    whatever goes wrong. It ends at once, because the threads of Zenoh would take their time.
+    """
+    import os
+    import threading
+    from contextlib import suppress
 
-            act = script if option == "--show-completion" else install
-            print(act(shells[0] if shells else None).removesuffix("\n"))
-        case _:
-            from turtleact.commands.verbs import parse
+    from turtleact.commands.interrupts import leave
 
-            return parse(arguments)(interrupts)
-    return OK
+    watch = threading.Timer(PATIENCE, os._exit, (0,))
+    watch.daemon = True
+    watch.start()
+    status = 0
+    with suppress(Exception):
+        from turtleact.commands.verbs import parse
 
-
-def _help() -> str:
-    from turtleact.commands import OPTIONS, VERBS
-
-    option_lines, verb_lines = (
-        "\n".join(f"  {name:{max(map(len, each))}}  {text}" for name, text in each.items())
-        for each in (OPTIONS, VERBS)
-    )
-    return f"{_HELP}\n\nOptions:\n{option_lines}\n\nCommands:\n{verb_lines}"
-
-
-_HELP = """Usage: turtleact [OPTIONS] COMMAND [ARGS]...
-
-  ROS 2 actions, without ROS."""
+        status = parse(())(interrupts)
+    leave(status)
 
 
 def _report(error: BaseException) -> int:

@@ -28,6 +28,12 @@ class Ran(NamedTuple):
     out: str
     err: str
 
+    @property
+    def problem(self):
+        """What is in Typer's box around a mistake in the command line, on one line."""
+        box = [line for line in self.err.splitlines() if line.startswith("│")]
+        return " ".join(line.strip("│ ") for line in box)
+
 
 class Program:
     """A command line in a process of its own, on the stage unless something else is given."""

@@ -158,7 +158,7 @@ def test_comments_and_empty_lines_may_be_left_out(turtleact, paint):
 def test_both_options_on_comments_are_refused(turtleact):
     ran = turtleact("interface", "show", "std_msgs/msg/String", "--all-comments", "--no-comments")
     assert (ran.status, ran.out) == (2, "")
-    assert "give one of --all-comments and --no-comments" in ran.err
+    assert "give one of --all-comments and --no-comments" in ran.problem
 
 
 def test_a_file_that_says_something_else_than_what_is_used_is_not_shown(turtleact, install):

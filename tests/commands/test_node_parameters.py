@@ -320,7 +320,7 @@ def test_a_file_that_cannot_be_loaded_is_a_usage_error(on_turtlesim, tmp_path, t
 
 def test_a_file_without_a_name_is_a_usage_error(on_turtlesim):
     ran = on_turtlesim("load", "/turtlesim", "")
-    assert (ran.status, ran.err) == (2, "turtleact: FILE: the path is empty\n")
+    assert (ran.status, ran.err) == (2, "turtleact: .: Is a directory\n")
 
 
 # --- values ---------------------------------------------------------------------------------
@@ -409,4 +409,4 @@ def test_an_unknown_parameter_is_told_with_the_nearest(on_turtlesim, line):
 def test_a_filter_that_is_no_expression_is_a_usage_error(turtleact):
     ran = turtleact("param", "list", "--filter", "(")
     assert ran.status == 2
-    assert "--filter is a regular expression, not '('" in ran.err
+    assert "--filter takes a regular expression, not '('" in ran.problem

@@ -20,8 +20,7 @@ import pytest
 
 from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.serve import Service, _listed, run
-from turtleact.commands.verbs.arguments import Reach
-from turtleact.commands.verbs.serve import Page
+from turtleact.commands.settings import Page, Reach
 from turtleact.errors import TurtleactError
 
 LAB = """

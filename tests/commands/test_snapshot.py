@@ -38,7 +38,7 @@ def test_the_suffix_says_what_is_written(on_graph, tmp_path, name, start):
 def test_another_suffix_is_an_error_of_usage(turtleact, name):
     ran = turtleact("snapshot", name)
     assert (ran.status, ran.out) == (2, "")
-    assert ran.err == f"turtleact: FILE ends in .png or .svg, unlike '{name}'\n"
+    assert ran.problem == f"FILE must end in .png or .svg, unlike '{name}'"
 
 
 def test_a_file_that_cannot_be_written_is_named(on_graph, tmp_path):

@@ -285,12 +285,12 @@ def test_it_is_the_program_of_ros(on_graph, graphs, keyboard):
 def test_arguments_that_it_has_not_are_refused(turtleact, arguments, problem):
     ran = turtleact("run", "turtlesim", "turtle_teleop_key", "--ros-args", *arguments)
     assert (ran.status, ran.out) == (2, "")
-    assert problem in ran.err
+    assert problem in ran.problem
 
 
 def test_arguments_stand_behind_ros_args(turtleact):
     ran = turtleact("run", "turtlesim", "turtle_teleop_key", "fast")
-    assert ran.err == "turtleact: expected --ros-args, not 'fast'\n"
+    assert ran.problem == "expected --ros-args, not 'fast'"
 
 
 # --- the terminal ---------------------------------------------------------------------------

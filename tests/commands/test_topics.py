@@ -17,7 +17,7 @@ import pytest
 from turtleact import Message, QoS, open_node
 from turtleact.commands import user_messages as publishing_verb
 from turtleact.commands.message_text import GoalText, python_text
-from turtleact.commands.policies import Policies
+from turtleact.commands.settings import Policies
 from turtleact.commands.topic_reading import Bandwidth, Rate
 from turtleact.interfaces import array, float64, get_interface, int32, load_interface, string
 from turtleact.interfaces.standard import UUID, GoalInfo, GoalStatusArray, GoalStatusMessage, Twist
@@ -349,7 +349,6 @@ def test_messages_are_picked_by_python_and_printed_as_bytes(on_graph, options, o
     ("expression", "problem"),
     [
         ("m.datum", "--filter: AttributeError: 'String' object has no attribute 'datum'; m is "),
-        ("m.data >", "--filter is a Python expression such as m.x > 5, not 'm.data >': invalid"),
         ("1/0", "--filter: ZeroDivisionError: division by zero; m is String(data='a')"),
     ],
 )
@@ -357,6 +356,14 @@ def test_a_filter_that_fails_is_a_usage_error(on_graph, expression, problem):
     ran = on_graph(publishing("/it", text("a")), "topic", "echo", "/it", "--filter", expression)
     assert (ran.status, ran.out) == (2, "")
     assert ran.err.startswith(f"turtleact: {problem}")
+
+
+def test_a_filter_that_is_no_python_is_a_usage_error(turtleact):
+    ran = turtleact("topic", "echo", "/it", "--filter", "m.data >")
+    assert (ran.status, ran.out) == (2, "")
+    assert ran.problem.startswith(
+        "--filter takes a Python expression such as m.x > 5, not 'm.data >': invalid"
+    )
 
 
 def test_a_type_that_the_topic_has_not_is_refused(on_graph, graphs):

@@ -1,38 +1,35 @@
-"""The verbs of the command line.
+"""The commands: one module for each that does something, and `verbs`, where Typer reads them.
 
-Each is declared in `turtleact.commands.verbs`; these tables alone are what ``turtleact --help``
-needs, so that it answers before Typer could be imported.
+These tables are all that ``turtleact --help`` and the completion of a verb need, so that neither
+has to import the verbs themselves.
 """
 
 from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["OPTIONS", "VERBS"]
+__all__ = ["GROUPS", "VERBS"]
+
+GROUPS: Final = {
+    "action": ("send_goal", "list", "info", "type", "find", "echo"),
+    "topic": ("list", "info", "type", "find", "echo", "hz", "bw", "delay", "pub"),
+    "service": ("list", "info", "type", "find", "call"),
+    "node": ("list", "info"),
+    "param": ("list", "get", "set", "delete", "describe", "dump", "load"),
+    "interface": ("list", "package", "packages", "proto", "show"),
+}
+"""The groups of verbs that ``ros2`` has too."""
 
 VERBS: Final = {
-    "send-goal": "Send a goal, follow it to its end, print the result.",
-    "serve": "Serve a world of turtles and your own actions, to this machine or beyond.",
-    "run": "Run a program of ROS 2 that has its like here, such as turtlesim turtlesim_node.",
-    "teleop": "Drive a turtle with the keys of turtle_teleop_key.",
-    "snapshot": "Write a picture of the world in reach, as PNG or SVG.",
-    "goals": "List the goals that servers hold.",
-    "cancel": "Cancel goals, whoever has sent them.",
+    "send-goal": "Send a goal, follow it to its end and print the result.",
+    "goals": "List the goals that the servers hold.",
+    "cancel": "Cancel goals, no matter which client sent them.",
     "watch": "Print the feedback of a goal, then its result.",
-    "result": "Print the result of a goal, once there is one.",
-    "action": "The verbs of 'ros2 action': send_goal, list, info, type, find, echo.",
-    "topic": "The verbs of 'ros2 topic': list, info, type, find, echo, pub, hz, bw, delay.",
-    "service": "The verbs of 'ros2 service': list, info, type, find, call.",
-    "node": "The verbs of 'ros2 node': list, info.",
-    "param": "The verbs of 'ros2 param': list, get, set, delete, describe, dump, load.",
-    "interface": "The verbs of 'ros2 interface': list, package, packages, proto, show.",
+    "result": "Wait for the result of a goal and print it.",
+    "serve": "Serve a world of turtles, and your own actions.",
+    "run": "Run a ROS 2 program that has a counterpart here, such as turtlesim turtlesim_node.",
+    "teleop": "Drive a turtle with the keyboard.",
+    "snapshot": "Save a picture of the world as PNG or SVG.",
+    **{name: f"Like 'ros2 {name}': {', '.join(verbs)}." for name, verbs in GROUPS.items()},
 }
-"""What there is, and what it does."""
-
-OPTIONS: Final = {
-    "--version": "Print the version.",
-    "--install-completion": "Let bash, zsh or fish complete the command line.",
-    "--show-completion": "Print what --install-completion would tell that shell.",
-    "-h, --help": "Show this message and exit.",
-}
-"""What may stand in the place of a verb, and what it does."""
+"""What each verb does, in the order of ``turtleact --help``."""

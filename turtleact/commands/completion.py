@@ -1,125 +1,299 @@
-"""What may stand where the cursor is: words of a command line in, lines for the shell out.
+"""What the Tab key offers for each argument, as Typer's ``autocompletion=`` asks for it.
 
-The verbs and their options are Typer's to know, the values of arguments `candidates`'. Whatever
-goes wrong is silence: a line that is typed is no place for errors; and it is not waited for long.
+Each function takes Typer's context, which holds the arguments typed so far, and the word begun, and
+gives the values that may stand there. Typer drops those that do not begin with that word, and
+speaks to the shell. Everything is looked up anew, and nothing is started. A line being typed is no
+place for errors: whatever goes wrong, nothing is offered.
 """
 
 from __future__ import annotations
 
+import ast
 import os
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
-from typing import Final
+import re
+from collections.abc import Callable, Iterable, Iterator
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, TypeAlias
 
-from turtleact.commands import OPTIONS, VERBS
+import typer
 
-__all__ = ["candidates", "complete", "lines"]
+from turtleact.commands.graph_names import is_hidden_node, types_by_name
+from turtleact.commands.settings import Reach
+from turtleact.errors import TurtleactError, UnknownInterface
 
-PATIENCE: Final = 1.5
-"""Wall seconds after which there is nothing to be said."""
+if TYPE_CHECKING:
+    from turtleact.commands.graph_names import Kind
+    from turtleact.node import Node
+    from turtleact.transports.rmw_zenoh.keys import Graph
 
-BREAKS: Final = (":", "=")
-"""Where bash parts words: each of these is a word of its own to it."""
+__all__ = [
+    "EMBEDDED",
+    "SUFFIXES",
+    "actions",
+    "goal_ids",
+    "interfaces",
+    "messages",
+    "nodes",
+    "packages",
+    "parameters",
+    "services",
+    "targets",
+    "topics",
+    "types",
+    "words",
+]
 
-_NEEDS_QUOTES: Final = frozenset(" \t\"'\\$`&|;<>(){}[]*?!#~")
-_ESCAPED: Final = str.maketrans({each: f"\\{each}" for each in '"\\$`'})
+Candidates: TypeAlias = list[str] | list[tuple[str, str]]
+"""Values, or values with a few words on each."""
+
+Complete: TypeAlias = Callable[[typer.Context, str], Candidates]
+
+SUFFIXES: Final = {"action": "action", "service": "srv", "topic": "msg"}
+"""What the kinds of interfaces are called in type names."""
+
+EMBEDDED: Final = {
+    "/command_turtle": ("patrol_interfaces/action/PatrolCommandInterface",),
+    "/fibonacci": (
+        "action_tutorials_interfaces/action/Fibonacci",
+        "example_interfaces/action/Fibonacci",
+    ),
+    "/go_to": ("turtleact_interfaces/action/GoTo",),
+    "/patrol": ("turtleact_interfaces/action/Patrol",),
+    "/turtle1/rotate_absolute": ("turtlesim/action/RotateAbsolute",),
+    "/world/simulate_steps": ("simulation_interfaces/action/SimulateSteps",),
+}
+"""The actions, with their types, of the world that ``send-goal`` starts if it finds no graph."""
+
+LARGEST: Final = 100_000
+"""Only so many characters of a module are searched for actions."""
+
+_DECLARING: Final = re.compile(r"\bturtleact\b")
+_FOR_BASH: Final = str.maketrans({each: f"\\{each}" for each in '"\\$`'})
 
 
-def complete(shell: str, words: Sequence[str]) -> int:
-    """Print what may stand in the place of the last word; always a success.
+def _silent(complete: Complete) -> Complete:
+    """Offer nothing instead of raising, also where a module ends the program on import."""
 
-    Args:
-        shell: As in `turtleact.commands.shells`.
-        words: The command line up to the cursor, the program first.
+    @wraps(complete)
+    def offer(ctx: typer.Context, incomplete: str) -> Candidates:
+        try:
+            return complete(ctx, incomplete)
+        except (Exception, SystemExit):
+            return []
+
+    return offer
+
+
+def words(*known: str) -> Callable[[], list[str]]:
+    """One of these words."""
+    return lambda: list(known)
+
+
+# the graph
+
+
+@_silent
+def actions(ctx: typer.Context, incomplete: str) -> Candidates:
+    """The actions in reach."""
+    return _as_begun(_types_by_name(ctx, "action"), incomplete)
+
+
+@_silent
+def topics(ctx: typer.Context, incomplete: str) -> Candidates:
+    """The topics on the graph."""
+    return _as_begun(_types_by_name(ctx, "topic"), incomplete)
+
+
+@_silent
+def services(ctx: typer.Context, incomplete: str) -> Candidates:
+    """The services on the graph."""
+    return _as_begun(_types_by_name(ctx, "service"), incomplete)
+
+
+@_silent
+def nodes(ctx: typer.Context, incomplete: str) -> Candidates:
+    """The nodes on the graph that are not hidden."""
+    names = {name for name in _look(_reach(ctx)).nodes() if not is_hidden_node(name)}
+    return _as_begun(sorted(names), incomplete)
+
+
+@_silent
+def parameters(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # Typer filters
+    """The parameters of the node that was typed before."""
+    from turtleact.commands import graph
+    from turtleact.commands.interrupts import Interrupts
+    from turtleact.commands.node_parameters import names_of
+
+    found: list[str] = []
+
+    async def look(node: Node) -> int:
+        found.extend(await names_of(node, ctx.params["node_name"]))
+        return 0
+
+    graph.run(_reach(ctx), look, Interrupts())
+    return found
+
+
+@_silent
+def goal_ids(ctx: typer.Context, incomplete: str) -> Candidates:
+    """The goals that servers hold, newest first; after ``--all`` and ``--before`` the actions."""
+    if ctx.params.get("all_") or ctx.params.get("before"):
+        return _as_begun(_types_by_name(ctx, "action"), incomplete)
+    from turtleact.commands import graph
+    from turtleact.commands.held_goals import held_goals, served_actions
+    from turtleact.commands.interrupts import Interrupts
+
+    found: dict[str, str] = {}
+
+    async def look(node: Node) -> int:
+        goals, _ = await held_goals(node, served_actions(node, None))
+        for goal in reversed(goals):
+            found[goal.goal_id.hex()] = f"{goal.action} {goal.status.name}"
+        return 0
+
+    graph.run(_reach(ctx), look, Interrupts())
+    return list(found.items())
+
+
+# interfaces
+
+
+def types(kind: Kind, *, of_name: bool = True) -> Complete:
+    """The types of the name that was typed before, or else all interfaces of that kind."""
+
+    @_silent
+    def complete(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
+        known: tuple[str, ...] = ()
+        if of_name:
+            name = "/" + str(ctx.params["name"]).removeprefix("/")
+            known = _types_by_name(ctx, kind).get(name, ())
+        return list(known) or _interfaces(ctx, SUFFIXES[kind])
+
+    return complete
+
+
+@_silent
+def interfaces(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
+    """All interfaces."""
+    return _interfaces(ctx)
+
+
+@_silent
+def packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
+    """All packages that have interfaces."""
+    return sorted({name.partition("/")[0] for name in _interfaces(ctx)})
+
+
+@_silent
+def messages(ctx: typer.Context, incomplete: str) -> Candidates:  # as above
+    """A message with its default values, of the type that was typed before, on one line."""
+    from turtleact.commands.interfaces import first_message, make_known
+    from turtleact.interfaces import get_interface, to_dict
+    from turtleact.interfaces.text import flow
+
+    type_name = ctx.params["type_name"]
+    try:  # most interfaces are known without what `make_known` imports
+        get_interface(type_name)
+    except UnknownInterface:
+        make_known(_folder(ctx))
+    text = flow(to_dict(first_message(type_name)))
+    # Of the three shells, bash alone types a value as it is: there the quotes must come with it.
+    is_bash = os.environ.get("_TURTLEACT_COMPLETE") == "complete_bash"
+    return [f'"{text.translate(_FOR_BASH)}"' if is_bash and not incomplete else text]
+
+
+# modules
+
+
+@_silent
+def targets(ctx: typer.Context, incomplete: str) -> Candidates:
+    """The modules in the working directory that mention turtleact; after a colon, their actions.
+
+    Nothing is imported. Any function with a decorator called ``action`` counts.
     """
-    watch = threading.Timer(PATIENCE, os._exit, (0,))
-    watch.daemon = True
-    watch.start()
-    text = ""
-    with suppress(Exception, SystemExit):
-        text = "".join(f"{line}\n" for line in lines(shell, words))
-    watch.cancel()
-    with suppress(OSError, ValueError):  # nobody reads, or not these letters
-        print(text, end="", flush=True)
-    return 0
+    given = list(ctx.params.get("targets") or ())
+    if len(given) > 1 and given[-1] == ":":  # bash splits words at a colon
+        return list(_actions(given[-2]))
+    name, separator, _ = incomplete.partition(":")
+    if separator:
+        return [f"{name}:{each}" for each in _actions(name)]
+    files = sorted(Path().glob("*.py"))
+    return [each.stem for each in files if each.stem.isidentifier() and _mentions_us(each)]
 
 
-def lines(shell: str, words: Sequence[str]) -> Iterator[str]:
-    """What is printed; see `complete`."""
-    if shell == "fish":
-        typed, kept = list(words), ""
-    else:
-        typed, kept = _joined(words) if shell == "bash" else (list(words), "")
-    *before, last = typed
-    begun = last if shell == "fish" else _unquoted(last)
-    for value, about in candidates([_unquoted(word) for word in before][1:], begun):
-        if shell == "bash":
-            yield _for_bash(value.removeprefix(kept), last[:1])
-        else:
-            yield f"{value}\t{about}" if about else value
+def _actions(module: str) -> Iterator[str]:
+    path = Path(*module.split("."))
+    file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    for statement in ast.parse(_text(file)).body:
+        if isinstance(statement, ast.AsyncFunctionDef | ast.FunctionDef) and any(
+            re.search(r"\baction\(", ast.unparse(each)) for each in statement.decorator_list
+        ):
+            yield statement.name
 
 
-def candidates(before: Sequence[str], begun: str) -> Iterator[tuple[str, str]]:
-    """What may stand behind some words, and a few words on each.
+def _mentions_us(file: Path) -> bool:
+    return bool(_DECLARING.search(_text(file)))
 
-    Args:
-        before: The words before it, without the program.
-        begun: What stands there already.
+
+def _text(path: Path) -> str:
+    with path.open(encoding="utf-8", errors="replace") as file:
+        return file.read(LARGEST)
+
+
+# what they share
+
+
+def _types_by_name(ctx: typer.Context, kind: Kind) -> dict[str, tuple[str, ...]]:
+    """The names of a kind with their types; without a graph, those of the embedded world."""
+    given = ctx.params
+    embedded = EMBEDDED if kind == "action" else {}
+    if given.get("embedded") or given.get("seed") or given.get("speed"):
+        return embedded
+    where = _reach(ctx)
+    try:
+        return types_by_name(_look(where).endpoints(), kind)
+    except TurtleactError:
+        return {} if where.connect else embedded
+
+
+def _as_begun(names: Iterable[str], begun: str) -> list[str]:
+    """Names as the user has begun to type them: with the first slash or without."""
+    is_relative = begun != "" and not begun.startswith("/")
+    return [name.removeprefix("/") if is_relative else name for name in names]
+
+
+def _interfaces(ctx: typer.Context, kind: str | None = None) -> list[str]:
+    """The names of all interfaces of a kind (``msg``, ``srv``, ``action``), or of all kinds."""
+    from turtleact.commands.interfaces import make_known
+    from turtleact.interfaces import known_interfaces
+
+    make_known(_folder(ctx))
+    return [name for name in known_interfaces() if kind in (None, name.split("/")[1])]
+
+
+def _folder(ctx: typer.Context) -> str | None:
+    folder = ctx.params.get("interfaces")
+    return None if folder is None else str(folder)
+
+
+def _reach(ctx: typer.Context) -> Reach:
+    """The graph that the options on the line mean."""
+    from turtleact.commands.verbs.options import reach
+
+    given = ctx.params
+    return reach(given.get("connect"), given.get("domain") or 0, given.get("config"))
+
+
+def _look(where: Reach) -> Graph:
+    """Who is on the graph.
+
+    Raises:
+        TurtleactError: if there is none in reach.
     """
-    if not before:
-        for name, text in (OPTIONS if begun.startswith("-") else VERBS).items():
-            long_name = name.rpartition(" ")[2]
-            if long_name.startswith(begun):
-                yield long_name, text
-        return
-    from typer._completion_classes import BashComplete
-    from typer.main import get_command
+    from turtleact.commands.locks import mode_of
+    from turtleact.transports.rmw_zenoh.session import census
 
-    from turtleact.commands.verbs import assemble
-
-    verb = before[0]
-    command = get_command(assemble([verb] if verb in VERBS else VERBS))
-    for item in BashComplete(command, {}, "turtleact", "").get_completions(list(before), begun):
-        yield str(item.value), item.help or ""
-
-
-def _joined(words: Sequence[str]) -> tuple[list[str], str]:
-    """The words of bash as they were typed, and what of the last one bash keeps."""
-    typed: list[str] = []
-    kept, is_open = "", False
-    for word in words:
-        is_break = word in BREAKS
-        if typed and (is_open or is_break):
-            kept = typed[-1] + (word if is_break else "")
-            typed[-1] += word
-        else:
-            kept = ""
-            typed.append(word)
-        is_open = is_break
-    return typed, kept
-
-
-def _unquoted(word: str) -> str:
-    """What a word says, its quotes closed or not."""
-    result, quote, is_escaped = "", "", False
-    for character in word:
-        if is_escaped:
-            result, is_escaped = result + character, False
-        elif character == "\\" and quote != "'":
-            is_escaped = True
-        elif character in "'\"" and quote in ("", character):
-            quote = "" if quote else character
-        else:
-            result += character
-    return result
-
-
-def _for_bash(value: str, first: str) -> str:
-    """A value as bash is to type it, behind what the word begins with: it types it as it is."""
-    if first == "'":
-        return value.replace("'", r"'\''")
-    escaped = value.translate(_ESCAPED)
-    if first == '"':
-        return escaped
-    return f'"{escaped}"' if _NEEDS_QUOTES.intersection(value) else value
+    locks = where.locks()
+    mode = mode_of(where.connect, locks)
+    return census(where.connect or None, where.domain, locks.settings(), mode)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractAsyncContextManager
 
     from turtleact.commands.interrupts import Interrupts
-    from turtleact.commands.verbs.arguments import Reach
+    from turtleact.commands.settings import Reach
     from turtleact.interfaces import Action, Message, Service
     from turtleact.transports import Transport
 

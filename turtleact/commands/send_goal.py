@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from turtleact.client import Outcome
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.message_text import GoalText
-    from turtleact.commands.verbs.send_goal import Place
+    from turtleact.commands.settings import Place
     from turtleact.interfaces import Message
     from turtleact.node import Node
 

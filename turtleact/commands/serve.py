@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     from turtleact.clock import Clock
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.live import Dashboard
-    from turtleact.commands.verbs.arguments import Reach
-    from turtleact.commands.verbs.serve import Fleet, Page
+    from turtleact.commands.settings import Fleet, Page, Reach
     from turtleact.goal import GoalStatus
     from turtleact.server import ServerGoalHandle
     from turtleact.transports import Transport, ZenohTransport

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from turtleact import render
     from turtleact.client import ClientGoalHandle
     from turtleact.commands.interrupts import Interrupts
-    from turtleact.commands.verbs.arguments import Reach
+    from turtleact.commands.settings import Reach
 
 __all__ = ["Keys", "Order", "run"]
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from types import CodeType
 
-    from turtleact.commands.policies import Durability, Policies
+    from turtleact.commands.settings import Durability, Policies
     from turtleact.interfaces.definition import FieldType
     from turtleact.node import Node
     from turtleact.topics import Subscription

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from turtleact.commands.message_text import GoalText
-    from turtleact.commands.policies import Policies
+    from turtleact.commands.settings import Policies
     from turtleact.node import Node
     from turtleact.services import ServiceType
     from turtleact.topics import Publisher

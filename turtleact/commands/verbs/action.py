@@ -1,77 +1,127 @@
-"""``action``, as Typer sees it."""
+"""``action``, as Typer reads it."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 import typer
 
-from turtleact.commands import VERBS
-from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.arguments import type_of
-from turtleact.commands.verbs.looking import Look, on_graph, on_known_graph
-from turtleact.commands.verbs.reading import Verb, new_group
+from turtleact.commands import VERBS, completion
+from turtleact.commands.verbs.options import (
+    Config,
+    Connect,
+    Domain,
+    Interfaces,
+    on_graph,
+    on_known_graph,
+    reach,
+    type_of,
+)
+from turtleact.commands.verbs.parsing import Job, Verb, new_group
 from turtleact.commands.verbs.send_goal import EXAMPLES, send_goal
 
 __all__ = ["app"]
 
-_Name = Annotated[
+Name: TypeAlias = Annotated[
     str,
     typer.Argument(
-        metavar="NAME", help="The action, such as /patrol.", autocompletion=completing.actions
+        metavar="NAME", help="The action, such as /patrol.", autocompletion=completion.actions
     ),
 ]
-_Type = Annotated[str, type_of("action")]
-_ShowTypes = Annotated[bool, typer.Option("--show-types", "-t", help="Show the types, too.")]
-_CountActions = Annotated[
-    bool, typer.Option("--count-actions", "-c", help="Only print how many there are.")
+Type: TypeAlias = Annotated[str, type_of("action")]
+ShowTypes: TypeAlias = Annotated[
+    bool, typer.Option("--show-types", "-t", help="Print the types too.")
 ]
-_Count = Annotated[bool, typer.Option("--count", "-c", help="Only print how many there are.")]
+CountActions: TypeAlias = Annotated[
+    bool, typer.Option("--count-actions", "-c", help="Print only how many there are.")
+]
+Count: TypeAlias = Annotated[
+    bool, typer.Option("--count", "-c", help="Print only how many there are.")
+]
 
 app = new_group("action")
 app.command("send_goal", cls=Verb, help=VERBS["send-goal"], epilog=EXAMPLES)(send_goal)
 
 
-@app.command("list", cls=Verb, help="List the actions that there are.")
-@on_graph
-def list_(*, types: _ShowTypes = False, count: _CountActions = False) -> Look:
-    """``action list``."""
+@app.command("list", cls=Verb)
+def list_(
+    *,
+    types: ShowTypes = False,
+    count: CountActions = False,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """List the actions on the graph."""
     from turtleact.commands import listing
 
-    return lambda node: listing.print_list(node, "action", types=types, count=count, hidden=False)
+    return on_graph(
+        reach(connect, domain, config),
+        lambda node: listing.print_list(node, "action", types=types, count=count, hidden=False),
+    )
 
 
-@app.command("info", cls=Verb, help="Print which nodes serve an action, or are its clients.")
-@on_graph
-def info(name: _Name, *, types: _ShowTypes = False, count: _Count = False) -> Look:
-    """``action info``."""
+@app.command(cls=Verb)
+def info(
+    name: Name,
+    *,
+    types: ShowTypes = False,
+    count: Count = False,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Print which nodes serve an action and which are its clients."""
     from turtleact.commands import listing
 
-    return lambda node: listing.print_action_info(node, name, types=types, count=count)
+    return on_graph(
+        reach(connect, domain, config),
+        lambda node: listing.print_action_info(node, name, types=types, count=count),
+    )
 
 
-@app.command("type", cls=Verb, help="Print the type of an action.")
-@on_graph
-def type_(name: _Name) -> Look:
-    """``action type``."""
+@app.command("type", cls=Verb)
+def type_(name: Name, *, connect: Connect = None, domain: Domain = 0, config: Config = None) -> Job:
+    """Print the type of an action."""
     from turtleact.commands import listing
 
-    return lambda node: listing.print_type(node, "action", name)
+    return on_graph(
+        reach(connect, domain, config), lambda node: listing.print_type(node, "action", name)
+    )
 
 
-@app.command("find", cls=Verb, help="List the actions of a type.")
-@on_graph
-def find(type_name: _Type, *, count: _CountActions = False) -> Look:
-    """``action find``."""
+@app.command(cls=Verb)
+def find(
+    type_name: Type,
+    *,
+    count: CountActions = False,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """List the actions of a type."""
     from turtleact.commands import listing
 
-    return lambda node: listing.print_found(node, "action", type_name, count=count, hidden=False)
+    return on_graph(
+        reach(connect, domain, config),
+        lambda node: listing.print_found(node, "action", type_name, count=count, hidden=False),
+    )
 
 
-@app.command("echo", cls=Verb, help="Print the feedback and the states of all goals.")
-@on_known_graph
-def echo(name: _Name) -> Look:
-    """``action echo``."""
+@app.command(cls=Verb)
+def echo(
+    name: Name,
+    *,
+    interfaces: Interfaces = None,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Print the feedback and the states of all goals of an action."""
     from turtleact.commands import held_goals
 
-    return lambda node: held_goals.echo(node, name)
+    return on_known_graph(
+        reach(connect, domain, config),
+        interfaces,
+        lambda _: lambda node: held_goals.echo(node, name),
+    )

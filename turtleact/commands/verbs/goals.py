@@ -1,85 +1,116 @@
-"""``goals``, ``cancel``, ``watch`` and ``result``, as Typer sees them."""
+"""``goals``, ``cancel``, ``watch`` and ``result``, as Typer reads them."""
 
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from turtleact.commands import VERBS
-from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.arguments import only_one, quoted
-from turtleact.commands.verbs.looking import Look, Plan, on_graph, planned_on_known_graph
-from turtleact.commands.verbs.reading import Verb
+from turtleact.commands import VERBS, completion
+from turtleact.commands.verbs.options import (
+    Config,
+    Connect,
+    Domain,
+    Interfaces,
+    Plain,
+    on_graph,
+    on_known_graph,
+    only_one,
+    quoted,
+    reach,
+)
+from turtleact.commands.verbs.parsing import SETTINGS, Job, Verb
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.transcript import View
+    from turtleact.commands.verbs.options import Look, Plan
     from turtleact.node import Node
 
 __all__ = ["app", "moment"]
 
 _GOAL_ID = re.compile(r"[0-9a-f]{4,32}")
 _SECONDS = re.compile(r"(?P<whole>[0-9]{1,10})(?:\.(?P<part>[0-9]{0,9}))?")
+_LATEST = 2**31 * 1_000_000_000
+"""The first moment that is too late for ROS 2's ``builtin_interfaces/msg/Time``."""
 
-_Name = Annotated[
+Name: TypeAlias = Annotated[
     str | None,
     typer.Argument(
         metavar="NAME",
-        help="The action; all of them if left out.",
-        autocompletion=completing.actions,
+        help="The action. If left out, all actions.",
+        autocompletion=completion.actions,
     ),
 ]
-_Id = Annotated[
+Id: TypeAlias = Annotated[
     str,
     typer.Argument(
-        metavar="ID", help="The goal's id, or how it begins.", autocompletion=completing.goal_ids
+        metavar="ID",
+        help="The goal's id, or its first four digits or more.",
+        autocompletion=completion.goal_ids,
     ),
 ]
-_Ids = Annotated[
+Ids: TypeAlias = Annotated[
     list[str] | None,
     typer.Argument(
-        metavar="ID...|NAME",
-        help="The goals' ids; with --all or --before the action.",
-        autocompletion=completing.goal_ids,
+        metavar="ID|NAME",
+        help="The ids of goals. With --all or --before, the action.",
+        autocompletion=completion.goal_ids,
     ),
 ]
-_Plain = Annotated[bool, typer.Option("--plain", help="No live display, even on a terminal.")]
-_Json = Annotated[bool, typer.Option("--json", help="Print one JSON object a line.")]
-_All = Annotated[bool, typer.Option("--all", help="All goals of an action, or of all actions.")]
-_Before = Annotated[
+Json: TypeAlias = Annotated[bool, typer.Option("--json", help="Print one JSON object a line.")]
+All: TypeAlias = Annotated[
+    bool, typer.Option("--all", help="Cancel all goals of the action, or of all actions.")
+]
+Before: TypeAlias = Annotated[
     str | None,
     typer.Option(
         "--before",
-        metavar="T",
-        help="Goals accepted up to then: 2026-11-21T20:15, or seconds since 1970.",
+        metavar="TIME",
+        help="Cancel the goals accepted until then: 2026-11-21T20:15, or seconds since 1970.",
     ),
 ]
 
-_EXAMPLES = """\b
-Examples:
+_EXAMPLES = """\
+[bold]Examples[/]
   turtleact cancel 71a9 0d4f
   turtleact cancel --all /patrol
   turtleact cancel --before 2026-11-21T20:15:00Z
 """
 
-app = typer.Typer()
+app = typer.Typer(**SETTINGS)
 
 
-@app.command("goals", cls=Verb, help=VERBS["goals"])
-@on_graph
-def goals(name: _Name = None, *, json: _Json = False) -> Look:
+@app.command(cls=Verb, help=VERBS["goals"])
+def goals(
+    name: Name = None,
+    *,
+    json: Json = False,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
     """``goals``."""
     from turtleact.commands import held_goals
 
-    return lambda node: held_goals.print_goals(node, name, as_json=json)
+    return on_graph(
+        reach(connect, domain, config),
+        lambda node: held_goals.print_goals(node, name, as_json=json),
+    )
 
 
-@app.command("cancel", cls=Verb, help=VERBS["cancel"], epilog=_EXAMPLES)
-@on_graph
-def cancel(what: _Ids = None, *, all_: _All = False, before: _Before = None) -> Look:
+@app.command(cls=Verb, help=VERBS["cancel"], epilog=_EXAMPLES)
+def cancel(
+    what: Ids = None,
+    *,
+    all_: All = False,
+    before: Before = None,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
     """``cancel``."""
     only_one("which goals are meant", all=all_, before=before is not None)
     given = what or []
@@ -98,29 +129,44 @@ def cancel(what: _Ids = None, *, all_: _All = False, before: _Before = None) -> 
             return await held_goals.cancel_many(node, given[0] if given else None, until)
         return await held_goals.cancel(node, ids)
 
-    return look
+    return on_graph(reach(connect, domain, config), look)
 
 
-@app.command("watch", cls=Verb, help=VERBS["watch"])
-@planned_on_known_graph
-def watch(goal_id: _Id, *, plain: _Plain = False) -> Plan:
+@app.command(cls=Verb, help=VERBS["watch"])
+def watch(
+    goal_id: Id,
+    *,
+    plain: Plain = False,
+    interfaces: Interfaces = None,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
     """``watch``."""
-    return _follow(goal_id, "plain" if plain else "auto", hears_feedback=True)
+    plan = _follow(goal_id, "plain" if plain else "auto", hears_feedback=True)
+    return on_known_graph(reach(connect, domain, config), interfaces, plan)
 
 
-@app.command("result", cls=Verb, help=VERBS["result"])
-@planned_on_known_graph
-def result(goal_id: _Id) -> Plan:
+@app.command(cls=Verb, help=VERBS["result"])
+def result(
+    goal_id: Id,
+    *,
+    interfaces: Interfaces = None,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
     """``result``."""
-    return _follow(goal_id, "plain", hears_feedback=False)
+    plan = _follow(goal_id, "plain", hears_feedback=False)
+    return on_known_graph(reach(connect, domain, config), interfaces, plan)
 
 
 def moment(text: str) -> int:
     """A moment as nanoseconds since the epoch, above zero.
 
     Args:
-        text: Seconds since the epoch, or a date and time as ISO 8601 says them; the local time if
-            it names no zone.
+        text: Seconds since the epoch, or a date and time as in ISO 8601; local time if it names no
+            zone.
 
     Raises:
         UsageError: if it is neither.
@@ -131,13 +177,9 @@ def moment(text: str) -> int:
     else:
         nanoseconds = _moment_of_iso(text)
     if not 0 < nanoseconds < _LATEST:
-        problem = "is a time such as 2026-11-21T20:15:00Z, or seconds since 1970"
+        problem = "takes a time such as 2026-11-21T20:15:00Z, or seconds since 1970"
         raise UsageError(f"--before {problem}, not {quoted(text)}")
     return nanoseconds
-
-
-_LATEST = 2**31 * 1_000_000_000
-"""The first moment that ROS 2's ``builtin_interfaces/msg/Time`` cannot say."""
 
 
 def _moment_of_iso(text: str) -> int:
@@ -153,7 +195,7 @@ def _moment_of_iso(text: str) -> int:
 def _goal_id(text: str) -> str:
     digits = text.replace("-", "").lower()
     if not _GOAL_ID.fullmatch(digits):
-        problem = "is no goal id: it has 32 hexadecimal digits, of which the first 4 will do"
+        problem = "is not a goal id, which has 32 hexadecimal digits; the first 4 are enough"
         raise UsageError(f"{quoted(text)} {problem}")
     return digits
 

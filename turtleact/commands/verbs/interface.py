@@ -1,129 +1,121 @@
-"""``interface``, as Typer sees it."""
+"""``interface``, as Typer reads it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Annotated, TypeAlias
 
 import typer
 
+from turtleact.commands import completion
 from turtleact.commands.interrupts import Interrupts
-from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.arguments import Interfaces, Job, only_one
-from turtleact.commands.verbs.grouping import grouped, then
-from turtleact.commands.verbs.reading import Verb, new_group
+from turtleact.commands.verbs.options import Interfaces, folder, only_one
+from turtleact.commands.verbs.parsing import Job, Verb, new_group
 
 __all__ = ["app"]
 
-_Type = Annotated[
+Type: TypeAlias = Annotated[
     str,
     typer.Argument(
         metavar="TYPE",
         help="The interface, such as std_msgs/msg/String.",
-        autocompletion=completing.interfaces,
+        autocompletion=completion.interfaces,
     ),
 ]
-_ShownType = Annotated[
+ShownType: TypeAlias = Annotated[
     str,
     typer.Argument(
         metavar="TYPE",
-        help="The interface, such as std_msgs/msg/String; - reads it from stdin.",
-        autocompletion=completing.interfaces,
+        help="The interface, such as std_msgs/msg/String. A dash (-) reads it from stdin.",
+        autocompletion=completion.interfaces,
     ),
 ]
-_Package = Annotated[
+Package: TypeAlias = Annotated[
     str,
     typer.Argument(
         metavar="PACKAGE",
         help="The package, such as geometry_msgs.",
-        autocompletion=completing.packages,
+        autocompletion=completion.packages,
     ),
 ]
-_Messages = Annotated[bool, typer.Option("--only-msgs", "-m", help="Messages only.")]
-_Services = Annotated[bool, typer.Option("--only-srvs", "-s", help="Services only.")]
-_Actions = Annotated[bool, typer.Option("--only-actions", "-a", help="Actions only.")]
-_AllComments = Annotated[
-    bool, typer.Option("--all-comments", help="Also the comments of the messages in it.")
+Messages: TypeAlias = Annotated[bool, typer.Option("--only-msgs", "-m", help="Messages only.")]
+Services: TypeAlias = Annotated[bool, typer.Option("--only-srvs", "-s", help="Services only.")]
+Actions: TypeAlias = Annotated[bool, typer.Option("--only-actions", "-a", help="Actions only.")]
+AllComments: TypeAlias = Annotated[
+    bool, typer.Option("--all-comments", help="Print the comments of nested messages too.")
 ]
-_NoComments = Annotated[
-    bool, typer.Option("--no-comments", help="Neither comments nor empty lines.")
+NoComments: TypeAlias = Annotated[
+    bool, typer.Option("--no-comments", help="Leave out comments and empty lines.")
 ]
-_NoQuotes = Annotated[bool, typer.Option("--no-quotes", help="No quotes around it.")]
-
-Act: TypeAlias = Callable[[Interrupts], None]
-"""Prints what the verb is for."""
+NoQuotes: TypeAlias = Annotated[bool, typer.Option("--no-quotes", help="Do not put it in quotes.")]
 
 app = new_group("interface")
 
 
-def _kinds(
-    *, msgs: _Messages = False, srvs: _Services = False, actions: _Actions = False
-) -> list[str]:
-    given = {"msg": msgs, "srv": srvs, "action": actions}
-    return [kind for kind, is_wanted in given.items() if is_wanted]
+@app.command("list", cls=Verb)
+def list_(
+    *,
+    msgs: Messages = False,
+    srvs: Services = False,
+    actions: Actions = False,
+    interfaces: Interfaces = None,
+) -> Job:
+    """List all interfaces."""
+    from turtleact.commands.interfaces import print_list
+
+    kinds = _kinds(msgs=msgs, srvs=srvs, actions=actions)
+    return _when_known(interfaces, lambda _: print_list(kinds))
 
 
-def _known(*, interfaces: Interfaces = None) -> Callable[[Act], Job]:
-    """What makes a job of what is printed once the interfaces are known."""
+@app.command(cls=Verb)
+def package(
+    name: Package,
+    *,
+    msgs: Messages = False,
+    srvs: Services = False,
+    actions: Actions = False,
+    interfaces: Interfaces = None,
+) -> Job:
+    """List the interfaces of a package."""
+    from turtleact.commands.interfaces import print_package
 
-    def job_of(act: Act) -> Job:
-        def job(interrupts: Interrupts) -> int:
-            from turtleact.commands.interfaces import make_known
-
-            make_known(interfaces)
-            act(interrupts)
-            return 0
-
-        return job
-
-    return job_of
-
-
-@app.command("list", cls=Verb, help="List the interfaces that there are.")
-@then(_known)
-@grouped(kinds=_kinds)
-def list_(*, kinds: list[str]) -> Act:
-    """``interface list``."""
-    from turtleact.commands import interfaces
-
-    return lambda _: interfaces.print_list(kinds)
+    kinds = _kinds(msgs=msgs, srvs=srvs, actions=actions)
+    return _when_known(interfaces, lambda _: print_package(name, kinds))
 
 
-@app.command("package", cls=Verb, help="List the interfaces of a package.")
-@then(_known)
-@grouped(kinds=_kinds)
-def package(name: _Package, *, kinds: list[str]) -> Act:
-    """``interface package``."""
-    from turtleact.commands import interfaces
+@app.command(cls=Verb)
+def packages(
+    *,
+    msgs: Messages = False,
+    srvs: Services = False,
+    actions: Actions = False,
+    interfaces: Interfaces = None,
+) -> Job:
+    """List the packages that have interfaces."""
+    from turtleact.commands.interfaces import print_packages
 
-    return lambda _: interfaces.print_package(name, kinds)
-
-
-@app.command("packages", cls=Verb, help="List the packages that have interfaces.")
-@then(_known)
-@grouped(kinds=_kinds)
-def packages(*, kinds: list[str]) -> Act:
-    """``interface packages``."""
-    from turtleact.commands import interfaces
-
-    return lambda _: interfaces.print_packages(kinds)
+    kinds = _kinds(msgs=msgs, srvs=srvs, actions=actions)
+    return _when_known(interfaces, lambda _: print_packages(kinds))
 
 
-@app.command("proto", cls=Verb, help="Print a message to begin with, as YAML.")
-@then(_known)
-def proto(type_name: _Type, *, no_quotes: _NoQuotes = False) -> Act:
-    """``interface proto``."""
-    from turtleact.commands import interfaces
+@app.command(cls=Verb)
+def proto(type_name: Type, *, no_quotes: NoQuotes = False, interfaces: Interfaces = None) -> Job:
+    """Print a message with its default values, as YAML."""
+    from turtleact.commands.interfaces import print_prototype
 
-    return lambda _: interfaces.print_prototype(type_name, quotes=not no_quotes)
+    return _when_known(interfaces, lambda _: print_prototype(type_name, quotes=not no_quotes))
 
 
-@app.command("show", cls=Verb, help="Print the definition of an interface.")
-@then(_known)
+@app.command(cls=Verb)
 def show(
-    type_name: _ShownType, *, all_comments: _AllComments = False, no_comments: _NoComments = False
-) -> Act:
-    """``interface show``."""
+    type_name: ShownType,
+    *,
+    all_comments: AllComments = False,
+    no_comments: NoComments = False,
+    interfaces: Interfaces = None,
+) -> Job:
+    """Print the definition of an interface."""
     only_one("what to do with comments", all_comments=all_comments, no_comments=no_comments)
 
     def act(interrupts: Interrupts) -> None:
@@ -132,4 +124,22 @@ def show(
         name = interfaces.read_type(type_name, interrupts)
         interfaces.show(name, comments=not no_comments, nested_comments=all_comments)
 
-    return act
+    return _when_known(interfaces, act)
+
+
+def _kinds(*, msgs: bool, srvs: bool, actions: bool) -> list[str]:
+    given = {"msg": msgs, "srv": srvs, "action": actions}
+    return [kind for kind, is_wanted in given.items() if is_wanted]
+
+
+def _when_known(interfaces: Path | None, act: Callable[[Interrupts], None]) -> Job:
+    """A job that prints something once the interfaces are known."""
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands.interfaces import make_known
+
+        make_known(folder(interfaces))
+        act(interrupts)
+        return 0
+
+    return job

@@ -1,45 +1,66 @@
-"""``node``, as Typer sees it."""
+"""``node``, as Typer reads it."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 import typer
 
-from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.looking import Look, on_graph
-from turtleact.commands.verbs.reading import Verb, new_group
+from turtleact.commands import completion
+from turtleact.commands.verbs.options import Config, Connect, Domain, on_graph, reach
+from turtleact.commands.verbs.parsing import Job, Verb, new_group
 
 __all__ = ["app"]
 
-_Name = Annotated[
+Name: TypeAlias = Annotated[
     str,
     typer.Argument(
-        metavar="NAME", help="The node, such as /turtlesim.", autocompletion=completing.nodes
+        metavar="NAME", help="The node, such as /turtlesim.", autocompletion=completion.nodes
     ),
 ]
-_All = Annotated[bool, typer.Option("--all", "-a", help="Hidden nodes, too.")]
-_Count = Annotated[bool, typer.Option("--count-nodes", "-c", help="Only print how many there are.")]
-_Hidden = Annotated[
-    bool, typer.Option("--include-hidden", help="Hidden topics, services and actions, too.")
+All: TypeAlias = Annotated[bool, typer.Option("--all", "-a", help="List hidden nodes too.")]
+Count: TypeAlias = Annotated[
+    bool, typer.Option("--count-nodes", "-c", help="Print only how many there are.")
+]
+Hidden: TypeAlias = Annotated[
+    bool,
+    typer.Option("--include-hidden", help="Print hidden topics, services and actions too."),
 ]
 
 app = new_group("node")
 
 
-@app.command("list", cls=Verb, help="List the nodes that there are.")
-@on_graph
-def list_(*, hidden: _All = False, count: _Count = False) -> Look:
-    """``node list``."""
+@app.command("list", cls=Verb)
+def list_(
+    *,
+    hidden: All = False,
+    count: Count = False,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """List the nodes on the graph."""
     from turtleact.commands import listing
 
-    return lambda node: listing.print_nodes(node, count=count, hidden=hidden)
+    return on_graph(
+        reach(connect, domain, config),
+        lambda node: listing.print_nodes(node, count=count, hidden=hidden),
+    )
 
 
-@app.command("info", cls=Verb, help="Print the topics, services and actions of a node.")
-@on_graph
-def info(name: _Name, *, hidden: _Hidden = False) -> Look:
-    """``node info``."""
+@app.command(cls=Verb)
+def info(
+    name: Name,
+    *,
+    hidden: Hidden = False,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Print the topics, services and actions of a node."""
     from turtleact.commands import listing
 
-    return lambda node: listing.print_node_info(node, name, hidden=hidden)
+    return on_graph(
+        reach(connect, domain, config),
+        lambda node: listing.print_node_info(node, name, hidden=hidden),
+    )

@@ -1,94 +1,112 @@
-"""``param``, as Typer sees it."""
+"""``param``, as Typer reads it."""
 
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.arguments import number, quoted
-from turtleact.commands.verbs.looking import Look, on_graph
-from turtleact.commands.verbs.reading import Verb, new_group
+from turtleact.commands import completion
+from turtleact.commands.verbs.options import (
+    Config,
+    Connect,
+    Domain,
+    on_graph,
+    quoted,
+    reach,
+    seconds,
+)
+from turtleact.commands.verbs.parsing import Job, Verb, new_group
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable
 
-    from turtleact.commands.node_parameters import Owner
+    from turtleact.commands.interrupts import Interrupts
     from turtleact.node import Node
 
 __all__ = ["app"]
 
-_Node = Annotated[
+NodeName: TypeAlias = Annotated[
     str,
     typer.Argument(
-        metavar="NODE", help="The node, such as /turtlesim.", autocompletion=completing.nodes
+        metavar="NODE", help="The node, such as /turtlesim.", autocompletion=completion.nodes
     ),
 ]
-_AnyNode = Annotated[
+AnyNode: TypeAlias = Annotated[
     str | None,
     typer.Argument(
-        metavar="NODE", help="The node; all of them if left out.", autocompletion=completing.nodes
+        metavar="NODE", help="The node. If left out, all nodes.", autocompletion=completion.nodes
     ),
 ]
-_Name = Annotated[
+Name: TypeAlias = Annotated[
     str,
     typer.Argument(
         metavar="PARAMETER",
         help="The parameter, such as background_r.",
-        autocompletion=completing.parameters,
+        autocompletion=completion.parameters,
     ),
 ]
-_Names = Annotated[
+Names: TypeAlias = Annotated[
     list[str],
     typer.Argument(
-        metavar="PARAMETER...", help="The parameters.", autocompletion=completing.parameters
+        metavar="PARAMETER", help="The parameters.", autocompletion=completion.parameters
     ),
 ]
-_Value = Annotated[
-    str, typer.Argument(metavar="VALUE", help="A bool, a number, text, or a list, as YAML.")
+Value: TypeAlias = Annotated[
+    str, typer.Argument(metavar="VALUE", help="A bool, a number, text or a list, as YAML.")
 ]
-_File = Annotated[str, typer.Argument(metavar="FILE", help="A file such as 'param dump' prints.")]
-_Hidden = Annotated[bool, typer.Option("--include-hidden-nodes", help="Hidden nodes, too.")]
-_Timeout = Annotated[
-    str, typer.Option("--timeout", metavar="SECONDS", help="Wait so long for the node.")
+File: TypeAlias = Annotated[
+    Path, typer.Argument(metavar="FILE", help="A file as 'param dump' prints it.")
 ]
-_Filter = Annotated[
+Hidden: TypeAlias = Annotated[
+    bool, typer.Option("--include-hidden-nodes", help="Include hidden nodes.")
+]
+Timeout: TypeAlias = Annotated[
+    float,
+    typer.Option(
+        "--timeout", metavar="SECONDS", parser=seconds, help="How long to wait for the node."
+    ),
+]
+Filter: TypeAlias = Annotated[
     str | None,
-    typer.Option("--filter", metavar="REGEX", help="Only names that begin as it says."),
+    typer.Option("--filter", metavar="REGEX", help="Only names whose beginning matches."),
 ]
-_Prefixes = Annotated[
+Prefixes: TypeAlias = Annotated[
     list[str] | None,
-    typer.Option("--param-prefixes", metavar="NAME", help="Only those of this group; repeatable."),
+    typer.Option("--param-prefixes", metavar="NAME", help="Only this group. Repeatable."),
 ]
-_ShowTypes = Annotated[bool, typer.Option("--param-type", help="Show of which kind they are.")]
-_HideType = Annotated[bool, typer.Option("--hide-type", help="Only print the value.")]
-_NoWildcard = Annotated[
-    bool, typer.Option("--no-use-wildcard", help="Not those that the file has for all nodes (/**).")
+ShowTypes: TypeAlias = Annotated[bool, typer.Option("--param-type", help="Print the types too.")]
+HideType: TypeAlias = Annotated[bool, typer.Option("--hide-type", help="Print the value only.")]
+NoWildcard: TypeAlias = Annotated[
+    bool,
+    typer.Option("--no-use-wildcard", help="Skip what the file sets for all nodes (/**)."),
 ]
 
 app = new_group("param")
 
 
-@app.command("list", cls=Verb, help="List the parameters that there are.")
-@on_graph
+@app.command("list", cls=Verb)
 def list_(
-    node_name: _AnyNode = None,
+    node_name: AnyNode = None,
     *,
-    hidden: _Hidden = False,
-    filter_: _Filter = None,
-    prefixes: _Prefixes = None,
-    types: _ShowTypes = False,
-) -> Look:
-    """``param list``."""
+    hidden: Hidden = False,
+    filter_: Filter = None,
+    prefixes: Prefixes = None,
+    types: ShowTypes = False,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """List the parameters of one node or all."""
     from turtleact.commands import node_parameters
 
     try:
         pattern = None if filter_ is None else re.compile(filter_)
     except re.error as error:
-        problem = f"is a regular expression, not {quoted(filter_ or '')}: {error}"
+        problem = f"takes a regular expression, not {quoted(filter_ or '')}: {error}"
         raise UsageError(f"--filter {problem}") from None
 
     def look(node: Node) -> Awaitable[int]:
@@ -96,97 +114,133 @@ def list_(
             node, node_name, pattern=pattern, prefixes=prefixes or (), types=types, hidden=hidden
         )
 
-    return look
+    return on_graph(reach(connect, domain, config), look)
 
 
-@app.command("get", cls=Verb, help="Print the value of a parameter.")
-@on_graph
+@app.command(cls=Verb)
 def get(
-    node_name: _Node,
-    name: _Name,
+    node_name: NodeName,
+    name: Name,
     *,
-    hide_type: _HideType = False,
-    hidden: _Hidden = False,
-    timeout: _Timeout = "1",
-) -> Look:
-    """``param get``."""
+    hide_type: HideType = False,
+    hidden: Hidden = False,
+    timeout: Timeout = 1.0,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Print the value of a parameter."""
     from turtleact.commands import node_parameters
 
-    owner = _owner(node_name, timeout, hidden=hidden)
-    return lambda node: node_parameters.print_value(node, owner, name, hide_type=hide_type)
+    owner = node_parameters.Owner(node_name, hidden, timeout)
+    return on_graph(
+        reach(connect, domain, config),
+        lambda node: node_parameters.print_value(node, owner, name, hide_type=hide_type),
+    )
 
 
-@app.command("set", cls=Verb, help="Set a parameter.")
-@on_graph
+@app.command("set", cls=Verb)
 def set_(
-    node_name: _Node,
-    name: _Name,
-    value: _Value,
+    node_name: NodeName,
+    name: Name,
+    value: Value,
     *,
-    hidden: _Hidden = False,
-    timeout: _Timeout = "1",
-) -> Look:
-    """``param set``."""
+    hidden: Hidden = False,
+    timeout: Timeout = 1.0,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Set a parameter."""
     from turtleact.commands import node_parameters
 
-    owner = _owner(node_name, timeout, hidden=hidden)
+    owner = node_parameters.Owner(node_name, hidden, timeout)
     message = node_parameters.parameter_value(value)
-    return lambda node: node_parameters.set_value(node, owner, name, message)
+    return on_graph(
+        reach(connect, domain, config),
+        lambda node: node_parameters.set_value(node, owner, name, message),
+    )
 
 
-@app.command("delete", cls=Verb, help="Delete a parameter.")
-@on_graph
+@app.command(cls=Verb)
 def delete(
-    node_name: _Node, name: _Name, *, hidden: _Hidden = False, timeout: _Timeout = "1"
-) -> Look:
-    """``param delete``."""
-    from turtleact.commands import node_parameters
-
-    owner = _owner(node_name, timeout, hidden=hidden)
-    return lambda node: node_parameters.delete(node, owner, name)
-
-
-@app.command("describe", cls=Verb, help="Print what parameters are for, and may be.")
-@on_graph
-def describe(
-    node_name: _Node, names: _Names, *, hidden: _Hidden = False, timeout: _Timeout = "1"
-) -> Look:
-    """``param describe``."""
-    from turtleact.commands import node_parameters
-
-    owner = _owner(node_name, timeout, hidden=hidden)
-    return lambda node: node_parameters.describe(node, owner, names)
-
-
-@app.command("dump", cls=Verb, help="Print all parameters of a node, as a file in YAML.")
-@on_graph
-def dump(node_name: _Node, *, hidden: _Hidden = False, timeout: _Timeout = "1") -> Look:
-    """``param dump``."""
-    from turtleact.commands import node_parameters
-
-    owner = _owner(node_name, timeout, hidden=hidden)
-    return lambda node: node_parameters.dump(node, owner)
-
-
-@app.command("load", cls=Verb, help="Set the parameters of a node that a file has.")
-@on_graph
-def load(
-    node_name: _Node,
-    path: _File,
+    node_name: NodeName,
+    name: Name,
     *,
-    no_wildcard: _NoWildcard = False,
-    hidden: _Hidden = False,
-    timeout: _Timeout = "1",
-) -> Look:
-    """``param load``."""
+    hidden: Hidden = False,
+    timeout: Timeout = 1.0,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Delete a parameter."""
     from turtleact.commands import node_parameters
 
-    owner = _owner(node_name, timeout, hidden=hidden)
-    found = node_parameters.read_file(path, use_wildcard=not no_wildcard)
-    return lambda node: node_parameters.load(node, owner, found, path)
+    owner = node_parameters.Owner(node_name, hidden, timeout)
+    return on_graph(
+        reach(connect, domain, config), lambda node: node_parameters.delete(node, owner, name)
+    )
 
 
-def _owner(name: str, timeout: str, *, hidden: bool) -> Owner:
-    from turtleact.commands.node_parameters import Owner
+@app.command(cls=Verb)
+def describe(
+    node_name: NodeName,
+    names: Names,
+    *,
+    hidden: Hidden = False,
+    timeout: Timeout = 1.0,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Print what parameters are for, and which values they may have."""
+    from turtleact.commands import node_parameters
 
-    return Owner(name, hidden, number("--timeout", timeout))
+    owner = node_parameters.Owner(node_name, hidden, timeout)
+    return on_graph(
+        reach(connect, domain, config), lambda node: node_parameters.describe(node, owner, names)
+    )
+
+
+@app.command(cls=Verb)
+def dump(
+    node_name: NodeName,
+    *,
+    hidden: Hidden = False,
+    timeout: Timeout = 1.0,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Print all parameters of a node as a YAML file."""
+    from turtleact.commands import node_parameters
+
+    owner = node_parameters.Owner(node_name, hidden, timeout)
+    return on_graph(reach(connect, domain, config), lambda node: node_parameters.dump(node, owner))
+
+
+@app.command("load", cls=Verb)
+def load_(
+    node_name: NodeName,
+    path: File,
+    *,
+    no_wildcard: NoWildcard = False,
+    hidden: Hidden = False,
+    timeout: Timeout = 1.0,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Set the parameters of a node from a file."""
+    from turtleact.commands import graph, node_parameters
+
+    owner = node_parameters.Owner(node_name, hidden, timeout)
+    where = reach(connect, domain, config)
+
+    def job(interrupts: Interrupts) -> int:
+        found = node_parameters.read_file(str(path), use_wildcard=not no_wildcard)
+        return graph.run(
+            where, lambda node: node_parameters.load(node, owner, found, str(path)), interrupts
+        )
+
+    return job

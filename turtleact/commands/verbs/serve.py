@@ -1,210 +1,194 @@
-"""``serve``, as Typer sees it."""
+"""``serve``, as Typer reads it."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from turtleact.commands import VERBS
-from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.arguments import (
+from turtleact.commands import VERBS, completion
+from turtleact.commands.settings import Fleet, Page, Placing
+from turtleact.commands.verbs.options import (
+    Config,
+    Connect,
+    Domain,
     Interfaces,
-    Job,
-    Reach,
+    Plain,
     endpoints,
+    folder,
     quoted,
     reach,
-    speed_factor,
     whole,
 )
-from turtleact.commands.verbs.grouping import grouped
-from turtleact.commands.verbs.reading import Verb
+from turtleact.commands.verbs.options import speed as speed_factor
+from turtleact.commands.verbs.parsing import SETTINGS, Job, Verb
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
 
-__all__ = ["Fleet", "Page", "app", "serve"]
+__all__ = ["app", "serve"]
 
 MOST_TURTLES = 10_000
-"""A node cannot tell more of them in time."""
+"""A node cannot publish the poses of more turtles in time."""
 
-_Targets = Annotated[
+WORLD, WEB = "World", "Web"
+"""The headings of options."""
+
+Targets: TypeAlias = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="TARGET",
-        help="Your actions: module:object, or module for all in it.",
-        autocompletion=completing.targets,
+        help="Your actions: module:object, or module for all actions in it.",
+        autocompletion=completion.targets,
     ),
 ]
-_Listen = Annotated[
+Listen: TypeAlias = Annotated[
     str | None,
     typer.Option(
         "--listen",
         metavar="ENDPOINT",
-        help="Where others come in, such as tcp/0.0.0.0:7447; several with commas between.",
+        help="Where others connect, such as tcp/0.0.0.0:7447. Separate several with commas.",
+        rich_help_panel="Graph",
     ),
 ]
-_Web = Annotated[
+Insecure: TypeAlias = Annotated[
+    bool,
+    typer.Option(
+        "--insecure",
+        help="Let in everybody who can reach the endpoints of --listen.",
+        rich_help_panel="Graph",
+    ),
+]
+Web: TypeAlias = Annotated[
     str | None,
     typer.Option(
         "--web",
         metavar="[HOST:]PORT",
-        help="A page to see it on, and rosbridge, such as 9090; needs turtleact[web].",
+        help="Serve a page to watch, and rosbridge. Needs turtleact\\[web].",
+        rich_help_panel=WEB,
     ),
 ]
-_Token = Annotated[
-    str | None, typer.Option("--token", metavar="TEXT", help="What clients of --web must know.")
+Token: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--token", metavar="TEXT", help="What web clients must know.", rich_help_panel=WEB
+    ),
 ]
-_Hosts = Annotated[
+Hosts: TypeAlias = Annotated[
     str | None,
     typer.Option(
         "--allow-host",
         metavar="NAME",
-        help="What clients of --web may call this machine, besides its addresses; several with "
-        "commas between.",
+        help="A name of this machine that web clients may use, besides its addresses. "
+        "Separate several with commas.",
+        rich_help_panel=WEB,
     ),
 ]
-_Origins = Annotated[
+Origins: TypeAlias = Annotated[
     str | None,
     typer.Option(
         "--allow-origin",
         metavar="ORIGIN",
-        help="Whose pages may be clients of --web, such as https://example.com; several with "
-        "commas between.",
+        help="A site whose pages may connect, such as https://example.com. "
+        "Separate several with commas.",
+        rich_help_panel=WEB,
     ),
 ]
-_Insecure = Annotated[
-    bool, typer.Option("--insecure", help="Let in whoever can reach the endpoints of --listen.")
+Headless: TypeAlias = Annotated[bool, typer.Option("--headless", help="The same as --plain.")]
+NoSim: TypeAlias = Annotated[
+    bool,
+    typer.Option(
+        "--no-sim", help="Serve no turtles and no built-in actions.", rich_help_panel=WORLD
+    ),
 ]
-_NoSim = Annotated[bool, typer.Option("--no-sim", help="No turtles and no built-in actions.")]
-_Headless = Annotated[
-    bool, typer.Option("--headless", help="Lines only, no dashboard; the same as --plain.")
+Speed: TypeAlias = Annotated[
+    float,
+    typer.Option(
+        metavar="FACTOR",
+        parser=speed_factor,
+        help="How fast time passes, up to 100.",
+        rich_help_panel=WORLD,
+    ),
 ]
-_Plain = Annotated[bool, typer.Option("--plain", help="Lines only, even on a terminal.")]
-_Speed = Annotated[str, typer.Option(metavar="FACTOR", help="How fast time passes in the world.")]
-_Turtles = Annotated[str, typer.Option(metavar="N", help="How many turtles there are.")]
-_Placing = Annotated[
-    str, typer.Option("--placing", metavar="HOW", help="How they stand: random, grid or ring.")
+Turtles: TypeAlias = Annotated[
+    int,
+    typer.Option(
+        metavar="N", min=1, max=MOST_TURTLES, help="How many turtles.", rich_help_panel=WORLD
+    ),
 ]
-_Seed = Annotated[str, typer.Option(metavar="NUMBER", help="What its random choices begin with.")]
-_Collide = Annotated[bool, typer.Option("--collide", help="Turtles stop each other.")]
-_Paused = Annotated[
-    bool, typer.Option("--paused", help="Let time stand still until it is stepped or resumed.")
+HowPlaced: TypeAlias = Annotated[
+    Placing, typer.Option("--placing", help="How they are placed.", rich_help_panel=WORLD)
+]
+Seed: TypeAlias = Annotated[
+    int,
+    typer.Option(
+        metavar="N",
+        parser=whole,
+        help="The seed of its random choices.",
+        rich_help_panel=WORLD,
+    ),
+]
+Collide: TypeAlias = Annotated[
+    bool, typer.Option("--collide", help="Turtles stop each other.", rich_help_panel=WORLD)
+]
+Paused: TypeAlias = Annotated[
+    bool,
+    typer.Option(
+        "--paused",
+        help="Start with time stopped, until a client resumes it.",
+        rich_help_panel=WORLD,
+    ),
 ]
 
-_EXAMPLES = """\b
-Examples:
+_EXAMPLES = """\
+[bold]Examples[/]
   turtleact serve
   turtleact serve lab:patrol robot.arm --no-sim
   turtleact serve --web 9090
   turtleact serve --listen tls/0.0.0.0:7447 --config serve.toml
 """
 
-app = typer.Typer()
+app = typer.Typer(**SETTINGS)
 
 
-class Fleet(NamedTuple):
-    """The turtles of a world, and its time.
-
-    Attributes:
-        speed: How fast time passes.
-        turtles: How many there are.
-        placing: How they are placed.
-        seed: What random choices begin with.
-        collide: Whether they stop each other.
-        paused: Whether time stands still at first.
-    """
-
-    speed: float = 1.0
-    turtles: int = 1
-    placing: str = "random"
-    seed: int = 0
-    collide: bool = False
-    paused: bool = False
-
-
-class Page(NamedTuple):
-    """Where the page and rosbridge are, and who may be their client.
-
-    Attributes:
-        host: The address or name to bind.
-        port: The port; any free one if 0.
-        token: What clients must know; None means as `turtleact.web.open_web` says.
-        hosts: What clients may call this machine.
-        origins: Whose pages may be clients.
-    """
-
-    host: str
-    port: int
-    token: str | None = None
-    hosts: tuple[str, ...] = ()
-    origins: tuple[str, ...] = ()
-
-
-def _page(
-    *,
-    web: _Web = None,
-    token: _Token = None,
-    allow_host: _Hosts = None,
-    allow_origin: _Origins = None,
-) -> Page | None:
-    hosts, origins = _listed(allow_host), _listed(allow_origin)
-    if web is None and (token is not None or hosts or origins):
-        raise UsageError("--token, --allow-host and --allow-origin are for --web: give that, too")
-    for origin in origins:
-        if "://" not in origin and origin != "null":
-            raise UsageError(
-                f"--allow-origin is an origin such as https://example.com, not {quoted(origin)}"
-            )
-    return None if web is None else Page(*_host_and_port(web), token, hosts, origins)
-
-
-def _fleet(
-    *,
-    speed: _Speed = "1",
-    turtles: _Turtles = "1",
-    placing: _Placing = "random",
-    seed: _Seed = "0",
-    collide: _Collide = False,
-    paused: _Paused = False,
-) -> Fleet:
-    from turtleact.sim.start_poses import PLACINGS
-
-    if placing not in PLACINGS:
-        raise UsageError(f"--placing is {' or '.join(PLACINGS)}, not {quoted(placing)}")
-    count = whole("--turtles", turtles, least=1, most=MOST_TURTLES)
-    factor = float(speed_factor(speed))
-    first = whole("--seed", seed)
-    return Fleet(factor, count, placing, first, collide=collide, paused=paused)
-
-
-@app.command("serve", cls=Verb, help=VERBS["serve"], epilog=_EXAMPLES)
-@grouped(where=reach, page=_page, fleet=_fleet)
+@app.command(cls=Verb, help=VERBS["serve"], epilog=_EXAMPLES)
 def serve(
-    targets: _Targets = None,
+    targets: Targets = None,
     *,
-    listen: _Listen = None,
-    where: Reach,
-    page: Page | None,
-    insecure: _Insecure = False,
-    no_sim: _NoSim = False,
-    headless: _Headless = False,
-    plain: _Plain = False,
-    fleet: Fleet,
+    plain: Plain = False,
+    headless: Headless = False,
     interfaces: Interfaces = None,
+    no_sim: NoSim = False,
+    speed: Speed = 1.0,
+    turtles: Turtles = 1,
+    placing: HowPlaced = "random",
+    seed: Seed = 0,
+    collide: Collide = False,
+    paused: Paused = False,
+    listen: Listen = None,
+    insecure: Insecure = False,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+    web: Web = None,
+    token: Token = None,
+    allow_host: Hosts = None,
+    allow_origin: Origins = None,
 ) -> Job:
     """``serve``."""
     at = endpoints("--listen", listen)
+    fleet = Fleet(speed, turtles, placing, seed, collide=collide, paused=paused)
     if no_sim:
         _check_for_nothing_of_a_world(fleet)
+    page = _page(web, token, allow_host, allow_origin)
+    where = reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known
         from turtleact.commands.serve import Service, run
 
-        make_known(interfaces)
+        make_known(folder(interfaces))
         locks = where.locks()
         if not (insecure or locks.keeps_strangers_out):
             _check_loopback(at)
@@ -222,11 +206,23 @@ def serve(
     return job
 
 
+def _page(web: str | None, token: str | None, host: str | None, origin: str | None) -> Page | None:
+    hosts, origins = _listed(host), _listed(origin)
+    if web is None and (token is not None or hosts or origins):
+        raise UsageError("--token, --allow-host and --allow-origin are for --web: give that too")
+    for each in origins:
+        if "://" not in each and each != "null":
+            raise UsageError(
+                f"--allow-origin takes an origin such as https://example.com, not {quoted(each)}"
+            )
+    return None if web is None else Page(*_host_and_port(web), token, hosts, origins)
+
+
 def _check_for_nothing_of_a_world(fleet: Fleet) -> None:
     said = zip(Fleet._fields, fleet, Fleet(), strict=True)
     options = ", ".join(f"--{name}" for name, value, unasked in said if value != unasked)
     if options:
-        raise UsageError(f"{options} and --no-sim: without a world there is no such thing")
+        raise UsageError(f"{options} and --no-sim exclude each other: there is no world")
 
 
 def _check_loopback(listen: tuple[str, ...]) -> None:
@@ -235,17 +231,19 @@ def _check_loopback(listen: tuple[str, ...]) -> None:
     open_ones = [each for each in listen if not is_loopback(each)]
     if open_ones:
         raise UsageError(
-            f"--listen {', '.join(open_ones)} lets in whoever can reach this machine: say in "
-            "a --config file who may, or give --insecure"
+            f"--listen {', '.join(open_ones)} lets in everybody who can reach this machine: say in "
+            "a --config file who may connect, or give --insecure"
         )
 
 
 def _host_and_port(text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
-    return host or "127.0.0.1", whole("the port of --web", port, most=65535)
+    if not (port.isascii() and port.isdigit() and len(port) <= 5 and int(port) <= 65535):
+        raise UsageError(f"the port of --web is a whole number, 0 to 65535, not {quoted(port)}")
+    return host or "127.0.0.1", int(port)
 
 
 def _listed(text: str | None) -> tuple[str, ...]:
-    """Names with commas between, as browsers write them."""
+    """Names separated by commas, as browsers write them."""
     return () if text is None else tuple(each.lower().rstrip("/") for each in text.split(","))

@@ -1,185 +1,304 @@
-"""``topic``, as Typer sees it."""
+"""``topic``, as Typer reads it."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import typer
 
-from turtleact.commands.policies import Policies
-from turtleact.commands.verbs import completing
-from turtleact.commands.verbs.arguments import (
+from turtleact.commands import completion
+from turtleact.commands.settings import Durability, Policies, Reliability
+from turtleact.commands.verbs.options import (
+    Config,
+    Connect,
+    Domain,
+    Interfaces,
+    hertz,
     message_of,
-    number,
+    on_graph,
+    on_known_graph,
     only_one,
     quoted,
+    reach,
+    seconds,
     type_and_text,
     type_of,
     whole,
 )
-from turtleact.commands.verbs.grouping import grouped
-from turtleact.commands.verbs.looking import (
-    Look,
-    Plan,
-    on_graph,
-    on_known_graph,
-    planned_on_known_graph,
-)
-from turtleact.commands.verbs.policies import read_policies
-from turtleact.commands.verbs.reading import Verb, new_group
+from turtleact.commands.verbs.parsing import Job, Verb, new_group
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Awaitable
     from types import CodeType
 
     from turtleact.commands.interrupts import Interrupts
+    from turtleact.commands.verbs.options import Look
+    from turtleact.node import Node
 
-__all__ = ["app"]
+__all__ = ["app", "policies"]
 
-_Name = Annotated[
+ProfileName: TypeAlias = Literal[
+    "action_status_default",
+    "best_available",
+    "default",
+    "parameter_events",
+    "parameters",
+    "sensor_data",
+    "services_default",
+    "system_default",
+]
+
+PROFILES: dict[ProfileName, Policies] = {
+    "action_status_default": Policies("reliable", "transient_local", 1),
+    "best_available": Policies(),
+    "default": Policies("reliable", "volatile", 10),
+    "parameter_events": Policies("reliable", "volatile", 1000),
+    "parameters": Policies("reliable", "volatile", 1000),
+    "sensor_data": Policies("best_effort", "volatile", 5),
+    "services_default": Policies("reliable", "volatile", 10),
+    "system_default": Policies(),
+}
+"""Source: rmw ``qos_profiles.h``."""
+
+QOS = "Quality of service"
+"""The heading of these options."""
+
+Name: TypeAlias = Annotated[
     str,
     typer.Argument(
-        metavar="NAME", help="The topic, such as /turtle1/pose.", autocompletion=completing.topics
+        metavar="NAME", help="The topic, such as /turtle1/pose.", autocompletion=completion.topics
     ),
 ]
-_Type = Annotated[str, type_of("topic")]
-_AskedType = Annotated[str | None, type_of("topic", is_asked=True)]
-_Values = Annotated[str | None, message_of("message")]
-_ShowTypes = Annotated[bool, typer.Option("--show-types", "-t", help="Show the types, too.")]
-_Count = Annotated[
-    bool, typer.Option("--count-topics", "-c", help="Only print how many there are.")
+Type: TypeAlias = Annotated[str, type_of("topic")]
+AskedType: TypeAlias = Annotated[str | None, type_of("topic", is_asked=True)]
+Values: TypeAlias = Annotated[str | None, message_of("message")]
+ShowTypes: TypeAlias = Annotated[
+    bool, typer.Option("--show-types", "-t", help="Print the types too.")
 ]
-_Hidden = Annotated[bool, typer.Option("--include-hidden-topics", help="Hidden topics, too.")]
-_Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print all that is known.")]
-_Once = Annotated[bool, typer.Option("--once", help="Leave after the first message.")]
-_Field = Annotated[
+Count: TypeAlias = Annotated[
+    bool, typer.Option("--count-topics", "-c", help="Print only how many there are.")
+]
+Hidden: TypeAlias = Annotated[
+    bool, typer.Option("--include-hidden-topics", help="Include hidden topics.")
+]
+Verbose: TypeAlias = Annotated[
+    bool, typer.Option("--verbose", "-v", help="Print all that is known.")
+]
+Once: TypeAlias = Annotated[bool, typer.Option("--once", help="Leave after the first message.")]
+Field: TypeAlias = Annotated[
     str | None,
-    typer.Option("--field", metavar="FIELD", help="Only this field, such as linear.x."),
+    typer.Option("--field", metavar="FIELD", help="Print only this field, such as linear.x."),
 ]
-_Csv = Annotated[bool, typer.Option("--csv", help="All values on one line, commas between.")]
-_Flow = Annotated[bool, typer.Option("--flow-style", help="A message a line, in braces.")]
-_FullLength = Annotated[
-    bool, typer.Option("--full-length", "-f", help="Cut neither lists nor strings.")
+Csv: TypeAlias = Annotated[
+    bool, typer.Option("--csv", help="Print all values on one line, separated by commas.")
 ]
-_Truncate = Annotated[
-    str,
+Flow: TypeAlias = Annotated[
+    bool, typer.Option("--flow-style", help="Print each message on one line, in braces.")
+]
+FullLength: TypeAlias = Annotated[
+    bool, typer.Option("--full-length", "-f", help="Print long lists and strings in full.")
+]
+Truncate: TypeAlias = Annotated[
+    int,
     typer.Option(
-        "--truncate-length", "-l", metavar="N", help="Cut lists and strings that are longer."
+        "--truncate-length",
+        "-l",
+        metavar="N",
+        min=0,
+        help="Cut lists and strings that are longer.",
     ),
 ]
-_NoArrays = Annotated[bool, typer.Option("--no-arr", help="Print no lists, just what they are.")]
-_NoStrings = Annotated[bool, typer.Option("--no-str", help="Print no strings, just their length.")]
-_Timeout = Annotated[
-    str | None, typer.Option("--timeout", metavar="SECONDS", help="Leave after so long.")
+NoArrays: TypeAlias = Annotated[
+    bool, typer.Option("--no-arr", help="Print the length and type of lists only.")
 ]
-_Filter = Annotated[
+NoStrings: TypeAlias = Annotated[
+    bool, typer.Option("--no-str", help="Print the length of strings only.")
+]
+Timeout: TypeAlias = Annotated[
+    float | None,
+    typer.Option("--timeout", metavar="SECONDS", parser=seconds, help="Leave after this time."),
+]
+Filter: TypeAlias = Annotated[
     str | None,
-    typer.Option("--filter", metavar="EXPR", help="Only messages m of which this Python is true."),
+    typer.Option(
+        "--filter",
+        metavar="EXPR",
+        help="Only messages m for which this Python expression is true, such as 'm.x > 5'.",
+    ),
 ]
-_Raw = Annotated[bool, typer.Option("--raw", help="Print the bytes, as CDR.")]
-_Window = Annotated[
-    str, typer.Option("--window", "-w", metavar="N", help="How many messages are looked at.")
+Raw: TypeAlias = Annotated[bool, typer.Option("--raw", help="Print the bytes, as CDR.")]
+Window: TypeAlias = Annotated[
+    int,
+    typer.Option("--window", "-w", metavar="N", min=1, help="How many messages to look at."),
 ]
-_Rate = Annotated[
-    str, typer.Option("--rate", "-r", metavar="HZ", help="So many messages a second.")
+Rate: TypeAlias = Annotated[
+    float, typer.Option("--rate", "-r", metavar="HZ", parser=hertz, help="Messages a second.")
 ]
-_PrintEach = Annotated[
-    str, typer.Option("--print", "-p", metavar="N", help="Only print every N-th message.")
+PrintEach: TypeAlias = Annotated[
+    int,
+    typer.Option("--print", "-p", metavar="N", parser=whole, help="Print every N-th message only."),
 ]
-_PubOnce = Annotated[bool, typer.Option("--once", "-1", help="Publish one message and leave.")]
-_Times = Annotated[
-    str | None,
-    typer.Option("--times", "-t", metavar="N", help="Publish so many messages and leave."),
+PubOnce: TypeAlias = Annotated[
+    bool, typer.Option("--once", "-1", help="Publish one message and leave.")
 ]
-_Wait = Annotated[
-    str | None,
+Times: TypeAlias = Annotated[
+    int | None,
+    typer.Option(
+        "--times", "-t", metavar="N", parser=whole, help="Publish this many messages and leave."
+    ),
+]
+Wait: TypeAlias = Annotated[
+    int | None,
     typer.Option(
         "--wait-matching-subscriptions",
         "-w",
         metavar="N",
-        help="Wait for so many subscriptions: 1 with --once or --times, else 0.",
+        parser=whole,
+        help="Wait for this many subscriptions first: 1 with --once or --times, else 0.",
     ),
 ]
-_Stdin = Annotated[bool, typer.Option("--stdin", help="Read the message from stdin.")]
+Stdin: TypeAlias = Annotated[bool, typer.Option("--stdin", help="Read the message from stdin.")]
+Profile: TypeAlias = Annotated[
+    ProfileName | None,
+    typer.Option(
+        "--qos-profile",
+        metavar="NAME",
+        help="A set of policies, such as sensor_data. The options below change single ones.",
+        rich_help_panel=QOS,
+    ),
+]
+QosReliability: TypeAlias = Annotated[
+    Reliability | None,
+    typer.Option(
+        "--qos-reliability",
+        metavar="POLICY",
+        help="reliable or best_effort.",
+        rich_help_panel=QOS,
+    ),
+]
+QosDurability: TypeAlias = Annotated[
+    Durability | None,
+    typer.Option(
+        "--qos-durability",
+        metavar="POLICY",
+        help="volatile or transient_local.",
+        rich_help_panel=QOS,
+    ),
+]
+Depth: TypeAlias = Annotated[
+    int | None,
+    typer.Option(
+        "--qos-depth", metavar="N", min=1, help="How many messages to keep.", rich_help_panel=QOS
+    ),
+]
 
 app = new_group("topic")
 
 
-@app.command("list", cls=Verb, help="List the topics that there are.")
-@on_graph
+@app.command("list", cls=Verb)
 def list_(
     *,
-    types: _ShowTypes = False,
-    count: _Count = False,
-    hidden: _Hidden = False,
-    verbose: _Verbose = False,
-) -> Look:
-    """``topic list``."""
+    types: ShowTypes = False,
+    count: Count = False,
+    hidden: Hidden = False,
+    verbose: Verbose = False,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """List the topics on the graph."""
     from turtleact.commands import listing
 
-    if verbose and not count:
-        return lambda node: listing.print_topics_in_full(node, hidden=hidden)
-    return lambda node: listing.print_list(node, "topic", types=types, count=count, hidden=hidden)
+    def look(node: Node) -> Awaitable[int]:
+        if verbose and not count:
+            return listing.print_topics_in_full(node, hidden=hidden)
+        return listing.print_list(node, "topic", types=types, count=count, hidden=hidden)
+
+    return on_graph(reach(connect, domain, config), look)
 
 
-@app.command("info", cls=Verb, help="Print the type of a topic, and who uses it.")
-@on_known_graph
-def info(name: _Name, *, verbose: _Verbose = False) -> Look:
-    """``topic info``."""
-    from turtleact.commands import listing
-
-    return lambda node: listing.print_topic_info(node, name, verbose=verbose)
-
-
-@app.command("type", cls=Verb, help="Print the type of a topic.")
-@on_graph
-def type_(name: _Name) -> Look:
-    """``topic type``."""
-    from turtleact.commands import listing
-
-    return lambda node: listing.print_type(node, "topic", name)
-
-
-@app.command("find", cls=Verb, help="List the topics of a type.")
-@on_graph
-def find(type_name: _Type, *, count: _Count = False, hidden: _Hidden = False) -> Look:
-    """``topic find``."""
-    from turtleact.commands import listing
-
-    return lambda node: listing.print_found(node, "topic", type_name, count=count, hidden=hidden)
-
-
-@app.command("echo", cls=Verb, help="Print the messages of a topic.")
-@on_known_graph
-@grouped(policies=read_policies)
-def echo(
-    name: _Name,
-    type_name: _AskedType = None,
+@app.command(cls=Verb)
+def info(
+    name: Name,
     *,
-    once: _Once = False,
-    field: _Field = None,
-    csv: _Csv = False,
-    flow: _Flow = False,
-    full_length: _FullLength = False,
-    truncate_length: _Truncate = "128",
-    no_arr: _NoArrays = False,
-    no_str: _NoStrings = False,
-    timeout: _Timeout = None,
-    filter_: _Filter = None,
-    raw: _Raw = False,
-    policies: Policies,
-) -> Look:
-    """``topic echo``."""
+    verbose: Verbose = False,
+    interfaces: Interfaces = None,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Print the type of a topic, and who publishes and subscribes."""
+    from turtleact.commands import listing
+
+    return on_known_graph(
+        reach(connect, domain, config),
+        interfaces,
+        lambda _: lambda node: listing.print_topic_info(node, name, verbose=verbose),
+    )
+
+
+@app.command("type", cls=Verb)
+def type_(name: Name, *, connect: Connect = None, domain: Domain = 0, config: Config = None) -> Job:
+    """Print the type of a topic."""
+    from turtleact.commands import listing
+
+    return on_graph(
+        reach(connect, domain, config), lambda node: listing.print_type(node, "topic", name)
+    )
+
+
+@app.command(cls=Verb)
+def find(
+    type_name: Type,
+    *,
+    count: Count = False,
+    hidden: Hidden = False,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """List the topics of a type."""
+    from turtleact.commands import listing
+
+    return on_graph(
+        reach(connect, domain, config),
+        lambda node: listing.print_found(node, "topic", type_name, count=count, hidden=hidden),
+    )
+
+
+@app.command(cls=Verb)
+def echo(
+    name: Name,
+    type_name: AskedType = None,
+    *,
+    once: Once = False,
+    field: Field = None,
+    csv: Csv = False,
+    flow: Flow = False,
+    full_length: FullLength = False,
+    truncate_length: Truncate = 128,
+    no_arr: NoArrays = False,
+    no_str: NoStrings = False,
+    timeout: Timeout = None,
+    filter_: Filter = None,
+    raw: Raw = False,
+    interfaces: Interfaces = None,
+    profile: Profile = None,
+    reliability: QosReliability = None,
+    durability: QosDurability = None,
+    depth: Depth = None,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Print the messages of a topic."""
     from turtleact.commands import topic_reading
 
-    length = whole("--truncate-length", truncate_length)
-    seconds = None if timeout is None else number("--timeout", timeout)
     if field is not None and not all(field.split(".")):
-        raise UsageError(f"--field is names with dots between, such as linear.x, not '{field}'")
-
+        raise UsageError(f"--field takes names separated by dots, not {quoted(field)}")
     only_one("how messages are printed", raw=raw, csv=csv, flow_style=flow)
     only_one("what is printed", raw=raw, field=field is not None)
-    wanted = None if filter_ is None else _compiled(filter_)
     order = topic_reading.Order(
         name,
         type_name,
@@ -187,71 +306,108 @@ def echo(
         once=once,
         csv=csv,
         flow=flow,
-        longest=None if full_length else length,
+        longest=None if full_length else truncate_length,
         arrays=not no_arr,
         strings=not no_str,
-        timeout=seconds,
-        wanted=wanted,
+        timeout=timeout,
+        wanted=None if filter_ is None else _compiled(filter_),
         raw=raw,
-        policies=policies,
+        policies=policies(profile, reliability, durability, depth),
     )
-    return lambda node: topic_reading.echo(node, order)
+    return on_known_graph(
+        reach(connect, domain, config),
+        interfaces,
+        lambda _: lambda node: topic_reading.echo(node, order),
+    )
 
 
-@app.command("hz", cls=Verb, help="Print how many messages come a second.")
-@on_known_graph
-def hz(name: _Name, *, window: _Window = "10000") -> Look:
-    """``topic hz``."""
-    from turtleact.commands import topic_reading
-
-    meter = topic_reading.Rate(whole("--window", window, least=1))
-    return lambda node: topic_reading.measure(node, name, meter)
-
-
-@app.command("bw", cls=Verb, help="Print how many bytes come a second.")
-@on_known_graph
-def bw(name: _Name, *, window: _Window = "100") -> Look:
-    """``topic bw``."""
-    from turtleact.commands import topic_reading
-
-    meter = topic_reading.Bandwidth(whole("--window", window, least=1))
-    return lambda node: topic_reading.measure(node, name, meter)
-
-
-@app.command("delay", cls=Verb, help="Print how old messages with a header are.")
-@on_known_graph
-def delay(name: _Name, *, window: _Window = "10000") -> Look:
-    """``topic delay``."""
-    from turtleact.commands import topic_reading
-
-    meter = topic_reading.Delay(whole("--window", window, least=1))
-    return lambda node: topic_reading.measure(node, name, meter)
-
-
-@app.command("pub", cls=Verb, help="Publish messages on a topic.")
-@planned_on_known_graph
-@grouped(policies=read_policies)
-def pub(
-    name: _Name,
-    type_name: _AskedType = None,
-    values: _Values = None,
+@app.command(cls=Verb)
+def hz(
+    name: Name,
     *,
-    once: _PubOnce = False,
-    times: _Times = None,
-    rate: _Rate = "1",
-    print_each: _PrintEach = "1",
-    wait: _Wait = None,
-    stdin: _Stdin = False,
-    policies: Policies,
-) -> Plan:
-    """``topic pub``."""
+    window: Window = 10000,
+    interfaces: Interfaces = None,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Print how many messages a second arrive."""
+    from turtleact.commands import topic_reading
+
+    return on_known_graph(
+        reach(connect, domain, config),
+        interfaces,
+        lambda _: lambda node: topic_reading.measure(node, name, topic_reading.Rate(window)),
+    )
+
+
+@app.command(cls=Verb)
+def bw(
+    name: Name,
+    *,
+    window: Window = 100,
+    interfaces: Interfaces = None,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Print how many bytes a second arrive."""
+    from turtleact.commands import topic_reading
+
+    return on_known_graph(
+        reach(connect, domain, config),
+        interfaces,
+        lambda _: lambda node: topic_reading.measure(node, name, topic_reading.Bandwidth(window)),
+    )
+
+
+@app.command(cls=Verb)
+def delay(
+    name: Name,
+    *,
+    window: Window = 10000,
+    interfaces: Interfaces = None,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Print how old messages with a header are when they arrive."""
+    from turtleact.commands import topic_reading
+
+    return on_known_graph(
+        reach(connect, domain, config),
+        interfaces,
+        lambda _: lambda node: topic_reading.measure(node, name, topic_reading.Delay(window)),
+    )
+
+
+@app.command(cls=Verb)
+def pub(
+    name: Name,
+    type_name: AskedType = None,
+    values: Values = None,
+    *,
+    once: PubOnce = False,
+    times: Times = None,
+    rate: Rate = 1.0,
+    print_each: PrintEach = 1,
+    wait: Wait = None,
+    stdin: Stdin = False,
+    interfaces: Interfaces = None,
+    profile: Profile = None,
+    reliability: QosReliability = None,
+    durability: QosDurability = None,
+    depth: Depth = None,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Publish messages on a topic."""
     type_name, values = type_and_text(type_name, values, "message")
     only_one("the message", VALUES=values is not None, stdin=stdin)
     only_one("how often", once=once, times=times is not None)
-    hertz = number("--rate", rate, unit="messages a second", is_positive=True)
-    count = 1 if once else 0 if times is None else whole("--times", times)
-    least = int(count > 0) if wait is None else whole("--wait-matching-subscriptions", wait)
-    every = whole("--print", print_each)
+    count = 1 if once else times or 0
+    asked = policies(profile, reliability, durability, depth)
 
     def plan(interrupts: Interrupts) -> Look:
         from turtleact.commands import user_messages
@@ -262,21 +418,34 @@ def pub(
             name,
             type_name,
             text,
-            rate=hertz,
+            rate=rate,
             times=count,
-            every=every,
-            wait=least,
-            policies=policies,
+            every=print_each,
+            wait=int(count > 0) if wait is None else wait,
+            policies=asked,
         )
         return lambda node: user_messages.publish(node, order)
 
-    return plan
+    return on_known_graph(reach(connect, domain, config), interfaces, plan)
+
+
+def policies(
+    profile: ProfileName | None,
+    reliability: Reliability | None,
+    durability: Durability | None,
+    depth: int | None,
+) -> Policies:
+    """The policies that are asked for; a single one overrides the profile."""
+    known = Policies() if profile is None else PROFILES[profile]
+    return Policies(
+        reliability or known.reliability, durability or known.durability, depth or known.depth
+    )
 
 
 def _compiled(expression: str) -> CodeType:
-    """A Python expression, ready to be asked."""
+    """A Python expression, ready to be evaluated."""
     try:
         return compile(expression.strip(), "--filter", "eval")
     except (SyntaxError, ValueError) as error:
-        problem = f"is a Python expression such as m.x > 5, not {quoted(expression)}"
+        problem = f"takes a Python expression such as m.x > 5, not {quoted(expression)}"
         raise UsageError(f"--filter {problem}: {getattr(error, 'msg', error)}") from None

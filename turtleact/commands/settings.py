@@ -1,0 +1,123 @@
+"""What the options of a command line ask for, as data.
+
+The verbs fill these structs in, and the modules that do the work read them. Nothing heavy is
+imported here, because every verb needs this module before it knows what it has to do.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
+
+if TYPE_CHECKING:
+    from turtleact.commands.locks import Locks
+    from turtleact.transports import QoS
+
+__all__ = ["Durability", "Fleet", "Page", "Place", "Placing", "Policies", "Reach", "Reliability"]
+
+Durability: TypeAlias = Literal["volatile", "transient_local"]
+Reliability: TypeAlias = Literal["reliable", "best_effort"]
+Placing: TypeAlias = Literal["random", "grid", "ring"]
+
+
+class Reach(NamedTuple):
+    """Which graph a verb looks at.
+
+    Attributes:
+        connect: The endpoints to connect to. If there are none, the verb looks around.
+        domain: The ROS domain of the graph, 0 to 232.
+        config: The file with certificates and passwords, if there is one.
+    """
+
+    connect: tuple[str, ...]
+    domain: int
+    config: str | None = None
+
+    def locks(self) -> Locks:
+        """What the file says.
+
+        Raises:
+            UsageError: if it cannot be read, or makes no sense.
+        """
+        from turtleact.commands.locks import Locks, read_locks
+
+        return Locks() if self.config is None else read_locks(self.config)
+
+
+class Place(NamedTuple):
+    """Where a goal is sent.
+
+    Attributes:
+        speed: The speed of the embedded world.
+        seed: The seed of the embedded world.
+        reach: Where to look for a server first; None means only in the embedded world.
+        interfaces: A folder with more interfaces.
+        options: The same as options of other verbs, each after a space.
+    """
+
+    speed: float | str = 1.0
+    seed: int = 0
+    reach: Reach | None = None
+    interfaces: str | None = None
+    options: str = ""
+
+
+class Fleet(NamedTuple):
+    """The turtles of a world, and its time.
+
+    Attributes:
+        speed: How fast time passes.
+        turtles: How many turtles there are.
+        placing: How they are placed.
+        seed: The seed of all random choices.
+        collide: Whether turtles stop each other.
+        paused: Whether time stands still at first.
+    """
+
+    speed: float = 1.0
+    turtles: int = 1
+    placing: Placing = "random"
+    seed: int = 0
+    collide: bool = False
+    paused: bool = False
+
+
+class Page(NamedTuple):
+    """Where the page and rosbridge are served, and to whom.
+
+    Attributes:
+        host: The address or name to bind.
+        port: The port; 0 means any free one.
+        token: What clients must know; None means as `turtleact.web.open_web` says.
+        hosts: More names that clients may use for this machine.
+        origins: The origins of pages that may connect.
+    """
+
+    host: str
+    port: int
+    token: str | None = None
+    hosts: tuple[str, ...] = ()
+    origins: tuple[str, ...] = ()
+
+
+class Policies(NamedTuple):
+    """The quality of service that was asked for; None leaves a policy to the verb.
+
+    Attributes:
+        reliability: As in `turtleact.QoS`.
+        durability: As in `turtleact.QoS`.
+        depth: As in `turtleact.QoS`, at least 1.
+    """
+
+    reliability: Reliability | None = None
+    durability: Durability | None = None
+    depth: int | None = None
+
+    def qos(self, *, durability: Durability = "volatile", depth: int = 10) -> QoS:
+        """The quality of service, with these defaults."""
+        from turtleact.transports import QoS
+
+        return QoS(
+            depth=self.depth or depth,
+            durability=self.durability or durability,
+            reliability=self.reliability or "reliable",
+        )

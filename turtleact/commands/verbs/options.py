@@ -1,0 +1,300 @@
+"""The options that verbs share, as Typer declares them, and what their values mean."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+
+import typer
+
+from turtleact.commands import completion
+from turtleact.commands.interrupts import Interrupts
+from turtleact.commands.output import printable
+from turtleact.commands.settings import Reach
+from turtleact.commands.verbs.parsing import Job
+from turtleact.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtleact.commands.graph_names import Kind
+    from turtleact.node import Node
+
+__all__ = [
+    "Config",
+    "Connect",
+    "Domain",
+    "Interfaces",
+    "Look",
+    "Plain",
+    "Plan",
+    "endpoints",
+    "folder",
+    "hertz",
+    "message_of",
+    "on_graph",
+    "on_known_graph",
+    "only_one",
+    "quoted",
+    "reach",
+    "ros_domain",
+    "seconds",
+    "speed",
+    "speed_or_max",
+    "type_and_text",
+    "type_of",
+    "whole",
+]
+
+Look: TypeAlias = Callable[["Node"], Awaitable[int]]
+"""Looks at the graph through a node and returns the exit status."""
+
+Plan: TypeAlias = Callable[[Interrupts], Look]
+"""Does what comes before the graph, such as reading stdin, and returns the look."""
+
+GRAPH = "Graph"
+"""The heading of the options that say which graph is meant."""
+
+MOST_DOMAIN = 232
+"""The highest domain; source: the ROS 2 article "The ROS_DOMAIN_ID"."""
+
+LONGEST_SHOWN = 60
+"""So many characters of an argument are repeated in an error."""
+
+MOST_DIGITS = 18
+"""A whole number has no more digits, so that it fits 64 bits."""
+
+_TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+)+")
+_PORT = re.compile(r"(tcp|udp|tls|quic|ws)/(.*:(?P<port>[0-9]{1,9})|.*)")
+_ENDPOINT = re.compile(r"[a-z][a-z0-9]*/\S+")
+
+
+def ros_domain(text: str) -> int:
+    """A ROS domain; for ``typer.Option(parser=...)``, as are the functions `seconds` to `whole`.
+
+    Raises:
+        typer.BadParameter: if it is something else.
+    """
+    if not (text.isascii() and text.isdigit() and len(text) <= 3 and int(text) <= MOST_DOMAIN):
+        raise typer.BadParameter(f"{quoted(text)} is not a ROS domain, 0 to {MOST_DOMAIN}")
+    return int(text)
+
+
+Connect: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--connect",
+        metavar="ENDPOINT",
+        help="Where the graph is, such as tcp/127.0.0.1:7447. Separate several with commas.",
+        rich_help_panel=GRAPH,
+    ),
+]
+Domain: TypeAlias = Annotated[
+    int,
+    typer.Option(
+        "--domain",
+        metavar="N",
+        parser=ros_domain,
+        envvar="ROS_DOMAIN_ID",
+        show_envvar=True,
+        help="The ROS domain of the graph, 0 to 232.",
+        rich_help_panel=GRAPH,
+    ),
+]
+Config: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(
+        "--config",
+        metavar="FILE",
+        help="A TOML file with certificates and passwords.",
+        rich_help_panel=GRAPH,
+    ),
+]
+Interfaces: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(
+        "--interfaces",
+        metavar="DIR",
+        help="A folder with more interfaces: PACKAGE/KIND/NAME.EXT.",
+    ),
+]
+Plain: TypeAlias = Annotated[
+    bool, typer.Option("--plain", help="Print lines only, also on a terminal.")
+]
+
+
+def reach(connect: str | None = None, domain: int = 0, config: Path | None = None) -> Reach:
+    """The graph that these options mean.
+
+    Raises:
+        UsageError: if ``connect`` makes no sense.
+    """
+    return Reach(endpoints("--connect", connect), domain, None if config is None else str(config))
+
+
+def folder(interfaces: Path | None) -> str | None:
+    """The folder that ``--interfaces`` names."""
+    return None if interfaces is None else str(interfaces)
+
+
+def on_graph(where: Reach, look: Look) -> Job:
+    """A job that looks at a graph."""
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import graph
+
+        return graph.run(where, look, interrupts)
+
+    return job
+
+
+def on_known_graph(where: Reach, interfaces: Path | None, plan: Plan) -> Job:
+    """A job that looks at a graph, once the interfaces are known and ``plan`` is carried out."""
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands import graph
+        from turtleact.commands.interfaces import make_known
+
+        make_known(folder(interfaces))
+        return graph.run(where, plan(interrupts), interrupts)
+
+    return job
+
+
+def type_of(kind: Kind, *, is_asked: bool = False) -> Any:  # noqa: ANN401  # as typer.Argument
+    """The argument TYPE; if it may be left out, the graph is asked."""
+    name = f"pkg/{completion.SUFFIXES[kind]}/Name"
+    return typer.Argument(
+        metavar="TYPE",
+        help=f"The type, {name}." + (" If left out, the graph is asked." if is_asked else ""),
+        autocompletion=completion.types(kind, of_name=is_asked),
+        show_default=False,
+    )
+
+
+def message_of(what: str, metavar: str = "VALUES") -> Any:  # noqa: ANN401  # likewise
+    """The argument that is a message."""
+    return typer.Argument(
+        metavar=metavar,
+        help=f"The {what}, as YAML or JSON. {{}} if left out.",
+        autocompletion=completion.messages,
+        show_default=False,
+    )
+
+
+def endpoints(option: str, text: str | None) -> tuple[str, ...]:
+    """The endpoints that an option names, separated by commas.
+
+    Raises:
+        UsageError: if one of them is not an endpoint.
+    """
+    found = () if text is None else tuple(text.split(","))
+    for each in found:
+        port = _PORT.fullmatch(each)
+        if not _ENDPOINT.fullmatch(each) or (port and not 0 < int(port["port"] or 0) < 65536):
+            problem = f"takes an endpoint such as tcp/127.0.0.1:7447, not {quoted(each)}"
+            raise UsageError(f"{option} {problem}")
+    return found
+
+
+def type_and_text(
+    type_name: str | None, text: str | None, what: str
+) -> tuple[str | None, str | None]:
+    """Tell TYPE from the text of a message: the first alone is a type if it looks like one.
+
+    Args:
+        type_name: What was typed in the place of the type.
+        text: What was typed in the place of the message.
+        what: What the message is called.
+
+    Raises:
+        UsageError: if there are two, and the first is no type.
+    """
+    if type_name is None or _TYPE_NAME.fullmatch(type_name):
+        return type_name, text
+    if text is None:
+        return None, type_name
+    raise UsageError(
+        f"'{type_name}' is not a type such as pkg/kind/Name; "
+        f'if it belongs to the {what}, quote the {what}: "{type_name} {text}"'
+    )
+
+
+def only_one(what: str, **given: bool) -> None:
+    """Refuse what is said in two ways.
+
+    Args:
+        what: What is said.
+        **given: Whether each way was taken, by its name: ``goal_file`` is ``--goal-file``.
+
+    Raises:
+        UsageError: if more than one was.
+    """
+    if sum(given.values()) > 1:
+        *names, last = (name if name.isupper() else f"--{name.replace('_', '-')}" for name in given)
+        ways = f"{', '.join(names)} and {last}"
+        raise UsageError(f"{what} is given twice: give one of {ways}")
+
+
+def seconds(text: str) -> float:
+    """A number of seconds, 0 or more."""
+    value = _finite(text)
+    if not value >= 0:
+        raise typer.BadParameter(f"{quoted(text)} is not a number of seconds, 0 or more")
+    return value
+
+
+def hertz(text: str) -> float:
+    """A rate in Hz, above zero."""
+    value = _finite(text)
+    if not value > 0:
+        raise typer.BadParameter(f"{quoted(text)} is not a rate in Hz above zero")
+    return value
+
+
+def speed(text: str) -> float:
+    """How fast time passes: a factor above zero."""
+    from turtleact.clock import FASTEST
+
+    value = _finite(text)
+    if not 0 < value <= FASTEST:
+        raise typer.BadParameter(f"{quoted(text)} is not a factor above 0 and at most {FASTEST:g}")
+    return value
+
+
+def speed_or_max(text: str) -> float | str:
+    """Such a factor, or ``max``: as fast as it computes.
+
+    Raises:
+        UsageError: if it is neither.
+    """
+    if text == "max":
+        return text
+    try:
+        return speed(text)
+    except typer.BadParameter as error:
+        raise UsageError(f"--speed: {error.message}, or max") from None
+
+
+def whole(text: str) -> int:
+    """A whole number, 0 or more, that fits 64 bits."""
+    if not (text.isascii() and text.isdigit() and len(text) <= MOST_DIGITS):
+        problem = f"is not a whole number, 0 or more, of {MOST_DIGITS} digits at most"
+        raise typer.BadParameter(f"{quoted(text)} {problem}")
+    return int(text)
+
+
+def quoted(text: str) -> str:
+    """What the user typed, in quotes, and not too much of it."""
+    shown = text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"
+    return f"'{printable(shown)}'"
+
+
+def _finite(text: str) -> float:
+    """A number, or NaN if it is none, or infinite."""
+    try:
+        value = float(text)
+    except ValueError:
+        return math.nan
+    return value if math.isfinite(value) else math.nan

@@ -1,0 +1,249 @@
+"""``run``, ``teleop`` and ``snapshot``, as Typer reads them: around turtlesim."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+import typer
+
+from turtleact.commands import VERBS, completion
+from turtleact.commands.settings import Fleet, Reach
+from turtleact.commands.verbs.options import (
+    Config,
+    Connect,
+    Domain,
+    Plain,
+    on_graph,
+    only_one,
+    quoted,
+    reach,
+)
+from turtleact.commands.verbs.parsing import SETTINGS, Job, Verb
+from turtleact.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtleact.commands.interrupts import Interrupts
+
+__all__ = ["app", "ros_arguments", "teleop", "turtle_teleop_key"]
+
+SCALE = 2.0
+"""The speeds if none are given; source: turtlesim's teleop_turtle_key.cpp."""
+
+REMAPS = ("turtle1/cmd_vel", "turtle1/rotate_absolute")
+SCALES = ("scale_linear", "scale_angular")
+
+FIBONACCI = "turtleact.actions.fibonacci"
+
+PROGRAMS = (
+    ("turtlesim", "turtlesim_node"),
+    ("turtlesim", "turtle_teleop_key"),
+    ("action_tutorials_py", "fibonacci_action_server"),
+    ("action_tutorials_cpp", "fibonacci_action_server"),
+    ("examples_rclpy_minimal_action_server", "server"),
+    ("examples_rclcpp_minimal_action_server", "action_server_member_functions"),
+)
+"""The programs of ROS 2 that have a counterpart here; those of other packages serve Fibonacci."""
+
+Package: TypeAlias = Annotated[
+    str,
+    typer.Argument(
+        metavar="PACKAGE",
+        help="turtlesim or action_tutorials_py.",
+        autocompletion=completion.words(*dict.fromkeys(package for package, _ in PROGRAMS)),
+    ),
+]
+Executable: TypeAlias = Annotated[
+    str,
+    typer.Argument(
+        metavar="EXECUTABLE",
+        help="turtlesim_node, turtle_teleop_key or fibonacci_action_server.",
+        autocompletion=completion.words(*dict.fromkeys(name for _, name in PROGRAMS)),
+    ),
+]
+RosArguments: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="--ros-args",
+        help="For turtle_teleop_key: --ros-args -r FROM:=TO -p NAME:=VALUE.",
+    ),
+]
+Turtle: TypeAlias = Annotated[
+    str | None,
+    typer.Option("--turtle", metavar="NAME", help="Which turtle. If left out, turtle1."),
+]
+Linear: TypeAlias = Annotated[
+    float, typer.Option("--scale-linear", metavar="SPEED", help="How fast it drives (m/s).")
+]
+Angular: TypeAlias = Annotated[
+    float, typer.Option("--scale-angular", metavar="RATE", help="How fast it turns (rad/s).")
+]
+Embedded: TypeAlias = Annotated[
+    bool, typer.Option("--embedded", help="Start a world in this process.")
+]
+File: TypeAlias = Annotated[
+    Path, typer.Argument(metavar="FILE", help="The picture: NAME.png or NAME.svg.")
+]
+
+_SNAPSHOTS = """\
+[bold]Examples[/]
+  turtleact snapshot turtles.png
+  turtleact snapshot turtles.svg --connect tcp/127.0.0.1:7447
+"""
+
+app = typer.Typer(**SETTINGS)
+
+
+@app.command(cls=Verb, help=VERBS["run"], context_settings={"ignore_unknown_options": True})
+def run(
+    package: Package,
+    executable: Executable,
+    arguments: RosArguments = None,
+    *,
+    domain: Domain = 0,
+) -> Job:
+    """``run``: the programs of ROS 2 that have a counterpart here."""
+    if (package, executable) not in PROGRAMS:
+        known = ", ".join(f"'{package} {executable}'" for package, executable in PROGRAMS)
+        raise UsageError(
+            f"there is no '{package} {executable}': turtleact runs {known}; your own actions are "
+            "for 'turtleact serve module:object'"
+        )
+    if executable == "turtle_teleop_key":
+        return turtle_teleop_key(arguments or (), domain)
+    if arguments:
+        raise UsageError(
+            f"{quoted(' '.join(arguments))} is not taken: names cannot be remapped, and parameters "
+            "are for 'turtleact param set' and 'load', once it runs"
+        )
+    if package != "turtlesim":
+        from turtleact.commands.verbs.serve import serve
+
+        return serve([FIBONACCI], no_sim=True, domain=domain)
+    where = reach(domain=domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands.interfaces import make_known
+        from turtleact.commands.serve import Service, run
+
+        make_known(None)
+        turtlesim = Service(
+            (), (), where, Fleet(), None, where.locks().settings(), True, turtlesim_only=True
+        )
+        return run(turtlesim, interrupts)
+
+    return job
+
+
+@app.command(cls=Verb, help=VERBS["teleop"])
+def teleop(
+    *,
+    turtle: Turtle = None,
+    scale_linear: Linear = SCALE,
+    scale_angular: Angular = SCALE,
+    plain: Plain = False,
+    embedded: Embedded = False,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """``teleop``."""
+    only_one("where to drive", embedded=embedded, connect=connect is not None)
+    where = None if embedded else reach(connect, domain, config)
+    speeds = {"--scale-linear": scale_linear, "--scale-angular": scale_angular}
+    return _driving(turtle, {}, speeds, where, is_plain=plain)
+
+
+def turtle_teleop_key(arguments: Sequence[str], domain: int) -> Job:
+    """``run turtlesim turtle_teleop_key``.
+
+    Args:
+        arguments: What ROS 2 takes after ``--ros-args``.
+        domain: As for ``teleop``.
+
+    Raises:
+        UsageError: if they make no sense, or nothing here has those names.
+    """
+    remaps, parameters = ros_arguments(arguments)
+    for kind, given, known in (("topic", remaps, REMAPS), ("parameter", parameters, SCALES)):
+        for name in given.keys() - set(known):
+            hint = " and ".join(known)
+            raise UsageError(f"turtle_teleop_key has no {kind} {quoted(name)}: it has {hint}")
+    speeds = {name: _speed(name, parameters.get(name, str(SCALE))) for name in SCALES}
+    return _driving(None, remaps, speeds, reach(None, domain), is_plain=False)
+
+
+@app.command(cls=Verb, help=VERBS["snapshot"], epilog=_SNAPSHOTS)
+def snapshot(
+    file: File, *, connect: Connect = None, domain: Domain = 0, config: Config = None
+) -> Job:
+    """``snapshot``."""
+    if file.suffix.lower() not in (".png", ".svg"):
+        raise UsageError(f"FILE must end in .png or .svg, unlike {quoted(str(file))}")
+    from turtleact.commands.user_messages import take
+
+    return on_graph(reach(connect, domain, config), lambda node: take(node, file))
+
+
+def ros_arguments(arguments: Sequence[str]) -> tuple[dict[str, str], dict[str, str]]:
+    """The remappings and the parameters that ``--ros-args`` gives.
+
+    Raises:
+        UsageError: if there is anything else.
+    """
+    remaps: dict[str, str] = {}
+    parameters: dict[str, str] = {}
+    kinds = {"-r": remaps, "--remap": remaps, "-p": parameters, "--param": parameters}
+    if arguments and arguments[0] != "--ros-args":
+        raise UsageError(f"expected --ros-args, not {quoted(arguments[0])}")
+    words: Iterator[str] = iter(arguments[1:])
+    for option in words:
+        if option not in kinds:
+            raise UsageError(f"--ros-args are -r FROM:=TO and -p NAME:=VALUE, not {quoted(option)}")
+        name, separator, value = next(words, "").partition(":=")
+        if not (name and separator and value):
+            raise UsageError(f"{option} takes NAME:=VALUE, such as {REMAPS[0]}:=turtle2/cmd_vel")
+        kinds[option][name.removeprefix("/")] = value
+    return remaps, parameters
+
+
+def _driving(
+    turtle: str | None,
+    remaps: dict[str, str],
+    speeds: dict[str, float],
+    where: Reach | None,
+    *,
+    is_plain: bool,
+) -> Job:
+    """The job of driving a turtle.
+
+    Args:
+        turtle: Its name; None means as ``remaps`` say, or turtle1.
+        remaps: What its topic and action are called instead.
+        speeds: The linear and the angular one, by what the user calls them.
+        where: The graph; None for an embedded world.
+        is_plain: Whether there is no live map.
+    """
+    for name, value in speeds.items():
+        if not math.isfinite(value):
+            raise UsageError(f"{name} is a number, not '{value}'")
+    linear, angular = speeds.values()
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands.teleop import Order, run
+
+        order = Order(
+            turtle, remaps, linear=linear, angular=angular, is_plain=is_plain, reach=where
+        )
+        return run(order, interrupts)
+
+    return job
+
+
+def _speed(name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise UsageError(f"{name} is a number, not {quoted(text)}") from None
