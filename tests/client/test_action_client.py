@@ -6,10 +6,12 @@ import asyncio
 import contextlib
 import inspect
 import uuid
+from collections.abc import Callable
 from typing import Any
 
 import anyio
 import anyio.lowlevel
+import anyio.to_thread
 import pytest
 
 import turtleact
@@ -848,3 +850,50 @@ async def test_what_was_never_begun_can_be_closed():
     async with lab(count) as served:
         served.client.send_goal(goal()).close()
         assert served.active == []
+
+
+# --- used elsewhere than in its event loop ------------------------------------------------------
+
+
+USES: dict[str, Callable[[Any, Any], Any]] = {
+    "send_goal": lambda client, _: awaited(client.send_goal(goal())),
+    "async with": lambda client, _: entered(client.send_goal(goal())),
+    "attach": lambda client, _: awaited(client.attach(bytes(range(16)))),
+    "wait_for_server": lambda client, _: client.wait_for_server(),
+    "cancel_all": lambda client, _: client.cancel_all(),
+    "aclose": lambda client, _: client.aclose(),
+    "result": lambda _, handle: handle.result(),
+    "outcome": lambda _, handle: handle.outcome(),
+    "cancel": lambda _, handle: handle.cancel(),
+    "cancel_nowait": lambda _, handle: called(handle.cancel_nowait),
+    "aiter": lambda _, handle: called(lambda: aiter(handle)),
+    "anext": lambda _, handle: anext(handle),
+    "events": lambda _, handle: called(handle.events),
+}
+
+
+async def awaited(sending: Any) -> Any:
+    return await sending
+
+
+async def entered(sending: Any) -> None:
+    async with sending:
+        pass
+
+
+async def called(call: Callable[[], object]) -> None:
+    call()
+
+
+@pytest.mark.parametrize("use", USES)
+@pytest.mark.parametrize("backend", ["asyncio", "trio"])
+async def test_what_is_used_in_another_event_loop_says_so(use, backend):
+    gate = Gate()
+    async with lab(gate.wait) as served, served.client.send_goal(goal()) as handle:
+        said = "the client of action '/count' belongs to another event loop: .* anyio.from_thread"
+        with pytest.raises(TurtleactError, match=said):
+            await anyio.to_thread.run_sync(
+                lambda: anyio.run(USES[use], served.client, handle, backend=backend)
+            )
+        gate.opened.set()
+        assert await handle.result() == result(3)

@@ -158,6 +158,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         return _Feedback(self._reader)
 
     def __anext__(self) -> Coroutine[object, object, F]:
+        self._reader.check_home()
         return self._reader.read()
 
     def events(self) -> AsyncIterator[Event[F, R]]:
@@ -246,6 +247,10 @@ class GoalReader:
     def goal_id(self) -> bytes:
         """The goal's 16 bytes."""
         return self._server.name_goal(self.goal)
+
+    def check_home(self) -> None:
+        """Raise if this is called in another event loop than the client's."""
+        self._home.check()
 
     # feedback
 

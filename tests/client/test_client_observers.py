@@ -1,0 +1,154 @@
+"""What the observers of a client hear: of its own goals, wherever the server is."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import pytest
+
+import turtleact
+from turtleact import GoalStatus
+from turtleact.goal import Goal
+from turtleact.observers import GoalObserver
+from turtleact.transports import MemoryTransport
+
+from ..lab import Count, Gate, count, feedback, goal, result, settle
+from .test_remote_server import Apart, Cut
+
+ID = bytes(range(16))
+
+
+class Notes(GoalObserver):
+    """Writes down what it hears.
+
+    Attributes:
+        heard: The names of the states, and the numbers of the feedback.
+    """
+
+    def __init__(self) -> None:
+        self.heard: list[object] = []
+
+    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
+        self.heard.append((before.name, after.name))
+
+    def feedback_published(self, goal: Goal, feedback: object) -> None:
+        self.heard.append(feedback)
+
+
+SUCCEEDS = [
+    ("UNKNOWN", "ACCEPTED"),
+    ("ACCEPTED", "EXECUTING"),
+    feedback(0),
+    ("EXECUTING", "SUCCEEDED"),
+]
+CANCELED = [
+    ("UNKNOWN", "ACCEPTED"),
+    ("ACCEPTED", "EXECUTING"),
+    ("EXECUTING", "CANCELING"),
+    ("CANCELING", "CANCELED"),
+]
+
+
+@asynccontextmanager
+async def clients(where: str, execute: Any) -> AsyncIterator[tuple[Any, Any]]:
+    """Two clients of one action."""
+    transport = MemoryTransport()
+    near: Any = transport if where == "here" else Apart(transport)
+    async with (
+        turtleact.open_node("far", transport=transport) as far,
+        turtleact.open_node("near", transport=near) as node,
+    ):
+        far.action_server(Count, "count", execute)
+        yield node.action_client(Count, "count"), node.action_client(Count, "count")
+
+
+WHERE = pytest.mark.parametrize("where", ["elsewhere"])
+
+
+@WHERE
+async def test_an_observer_hears_of_the_goals_of_its_client_alone(where):
+    async with clients(where, count) as (client, other):
+        client.observers.add(notes := Notes())
+        assert await other.send_goal(goal(1)) == result(0)
+        assert notes.heard == []
+        assert await client.send_goal(goal(1)) == result(0)
+        assert await other.send_goal(goal(1)) == result(0)
+        assert notes.heard == SUCCEEDS
+
+
+@WHERE
+async def test_an_observer_hears_of_a_goal_that_is_canceled(where):
+    gate = Gate()
+    async with clients(where, gate.wait) as (client, _):
+        client.observers.add(notes := Notes())
+        async with client.send_goal(goal(1)):
+            await gate.started.wait()
+            await settle()
+        assert notes.heard == CANCELED
+
+
+@WHERE
+async def test_an_observer_that_has_gone_hears_nothing(where):
+    async with clients(where, count) as (client, _):
+        client.observers.add(notes := Notes())
+        await client.send_goal(goal(1))
+        client.observers.remove(notes)
+        await client.send_goal(goal(1))
+        assert notes.heard == SUCCEEDS
+
+
+@WHERE
+async def test_an_observer_that_comes_while_a_client_has_its_server_hears_of_the_next_goal(where):
+    async with clients(where, count) as (client, _):
+        await client.send_goal(goal(1))
+        client.observers.add(notes := Notes())
+        await client.send_goal(goal(1))
+        assert notes.heard == SUCCEEDS
+
+
+@WHERE
+async def test_an_observer_does_not_hear_of_a_goal_that_its_client_is_attached_to(where):
+    gate = Gate()
+    async with clients(where, gate.wait) as (client, other):
+        client.observers.add(notes := Notes())
+        async with other.send_goal(goal(1), goal_id=ID):
+            await gate.started.wait()
+            async with client.attach(ID) as handle:
+                gate.opened.set()
+                assert await handle.result() == result(1)
+        assert notes.heard == []
+
+
+async def test_an_observer_that_fails_does_no_harm(caplog):
+    class Broken(GoalObserver):
+        def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
+            raise ValueError("mine")
+
+    async with clients("elsewhere", count) as (client, _):
+        client.observers.add(Broken())
+        assert await client.send_goal(goal(1)) == result(0)
+    assert "an observer of the goals of /count failed" in caplog.text
+
+
+async def test_an_observer_hears_of_a_goal_that_is_lost(monkeypatch):
+    monkeypatch.setattr("turtleact.client.remote_goals.BACK_WITHIN", 0.0)
+    monkeypatch.setattr(Apart, "is_known", False)
+    gate, transport = Gate(), MemoryTransport()
+    graph: Any = Cut(transport)
+    async with (
+        turtleact.open_node("far", transport=transport) as far,
+        turtleact.open_node("near", transport=graph) as near,
+    ):
+        far.action_server(Count, "count", gate.wait)
+        client = near.action_client(Count, "count")
+        client.observers.add(notes := Notes())
+        async with client.send_goal(goal()) as handle:
+            handle.detach()
+            await gate.started.wait()
+            await settle()
+            graph.cut()
+            await settle()
+        assert notes.heard[-1] == ("EXECUTING", "UNKNOWN")
+        gate.opened.set()
