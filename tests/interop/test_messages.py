@@ -57,22 +57,24 @@ class Compared(NamedTuple):
 @pytest.fixture(scope="module")
 def compared(ros: Ros) -> Iterator[Compared]:
     """All types that this ROS 2 has as files, in one run of its Python."""
-    before = dict(REGISTRY._known), dict(REGISTRY.files)
-    shipped = {name: type_hash(get_interface(name)) for name in known_interfaces()}
-    names = sorted({name for prefix in ros.prefixes for name in load_interfaces(prefix)})
-    chance = random.Random(44)  # the same messages in every run
-    messages = [
-        made(cls, chance) for name in names for cls in message_classes(name) for _ in range(ROUNDS)
-    ]
-    sent = [[type(message).type_name, encode(message).hex()] for message in messages]
-    answer = ros.run("ros_messages.py", {"types": names, "messages": sent})
-    read = [
-        (message, values, bytes.fromhex(data))
-        for message, (values, data) in zip(messages, answer["messages"], strict=True)
-    ]
-    ours = {name: type_hash(get_interface(name)) for name in answer["hashes"]}
-    yield Compared(shipped, ours, answer["hashes"], read)
-    REGISTRY._known, REGISTRY.files = before
+    with REGISTRY.isolated():
+        shipped = {name: type_hash(get_interface(name)) for name in known_interfaces()}
+        names = sorted({name for prefix in ros.prefixes for name in load_interfaces(prefix)})
+        chance = random.Random(44)  # the same messages in every run
+        messages = [
+            made(cls, chance)
+            for name in names
+            for cls in message_classes(name)
+            for _ in range(ROUNDS)
+        ]
+        sent = [[type(message).type_name, encode(message).hex()] for message in messages]
+        answer = ros.run("ros_messages.py", {"types": names, "messages": sent})
+        read = [
+            (message, values, bytes.fromhex(data))
+            for message, (values, data) in zip(messages, answer["messages"], strict=True)
+        ]
+        ours = {name: type_hash(get_interface(name)) for name in answer["hashes"]}
+        yield Compared(shipped, ours, answer["hashes"], read)
 
 
 def message_classes(type_name: str) -> list[type[Message]]:

@@ -119,6 +119,23 @@ async def test_two_peers_that_join_at_once_see_each_other():
             await here.wait_for_change()
 
 
+async def test_a_node_may_wait_for_its_router_as_those_of_ros_2_do():
+    at = free_endpoint()
+    waits = {
+        "connect/timeout_ms": -1,
+        "connect/exit_on_failure": False,
+        "connect/retry": {"period_init_ms": 50, "period_max_ms": 50},
+    }
+    async with (
+        open_zenoh([at], config=waits) as here,
+        open_node("robot", transport=here),
+        open_zenoh(mode="router", listen=[at]) as there,
+        open_node("lab", transport=there),
+    ):
+        while here.nodes() != ("/robot", "/lab"):
+            await here.wait_for_change()
+
+
 def test_a_command_sees_the_nodes_that_have_outlived_a_router():
     at = free_endpoint()
     serve = ("-m", "turtleact", "serve", "--no-sim", "--listen", at)

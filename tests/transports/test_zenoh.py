@@ -41,6 +41,7 @@ from turtleact.interfaces import (
     type_hash,
 )
 from turtleact.interfaces.standard import UUID, CancelGoal, Fibonacci, GoalStatusArray
+from turtleact.tasks import current_tasks
 from turtleact.transports import QoS, ZenohTransport, open_zenoh
 from turtleact.transports.base import Endpoint, Reply, Target
 from turtleact.transports.rmw_zenoh import services
@@ -1679,8 +1680,13 @@ async def test_feedback_of_the_goals_of_others_is_not_read(address, monkeypatch)
 async def test_the_second_goal_is_sent_with_the_request_for_its_result_and_takes_no_task(
     address, monkeypatch
 ):
-    def see_to(_following: object, _followed: object) -> None:
-        raise AssertionError
+    spawned: list[str] = []
+    kind: Any = type(current_tasks())
+    spawn = kind.spawn
+
+    def note(self: Any, running: Any, name: str) -> Any:
+        spawned.append(name)
+        return spawn(self, running, name)
 
     async with (
         two(address) as (here, there, _),
@@ -1691,10 +1697,11 @@ async def test_the_second_goal_is_sent_with_the_request_for_its_result_and_takes
         action_client = guest.action_client(Count, "count")
         assert await action_client.wait_for_server(5)
         assert await action_client.send_goal(goal(2)) == result(0, 1)
-        monkeypatch.setattr("turtleact.client.remote_goals.RemoteGoals._follow_in_task", see_to)
+        monkeypatch.setattr(kind, "spawn", note)
         assert await action_client.send_goal(goal(0)) == result()
         async with action_client.send_goal(goal(0)) as handle:
             assert await handle.result() == result()
+        assert [name for name in spawned if name.startswith("a goal of")] == []
 
 
 async def test_a_goal_may_take_longer_than_zenoh_waits(address, monkeypatch):

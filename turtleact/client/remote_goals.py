@@ -40,7 +40,7 @@ from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
 from turtleact.observers import Observers
 from turtleact.summaries import STOPS, summary
 from turtleact.tasks import Signal, Tasks, wait_while
-from turtleact.transports.base import Asked, Reply
+from turtleact.transports.base import PendingCall, Reply
 
 __all__ = ["RemoteGoal", "RemoteGoals"]
 
@@ -114,8 +114,8 @@ class RemoteGoal:
         self.is_awaited = False
         self.is_observed = False
         self.received = 0
-        self.sent: Asked | None = None
-        self.asked: Asked | None = None
+        self.sent: PendingCall | None = None
+        self.asked: PendingCall | None = None
         self.task: Cancelable | None = None
 
 

@@ -23,7 +23,7 @@ Source: ROS 2 ``rmw``; the QoS policies of the ROS 2 documentation.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Literal, Protocol, TypeVar, runtime_checkable
 
 import msgspec
 
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 __all__ = [
     "EVERY_SERVER",
     "STATUS_QOS",
-    "Asked",
     "AsyncHandler",
     "Caller",
     "CallerAware",
@@ -274,10 +273,6 @@ class PendingCall(Protocol):
 
     def drop(self) -> None:
         """Give the reply up. Does nothing once the reply was taken."""
-
-
-Asked: TypeAlias = PendingCall
-"""The former name."""
 
 
 class Caller(Closeable, Protocol):
