@@ -131,11 +131,16 @@ def watched(test: Callable[..., Awaitable[None]]) -> Callable[..., Awaitable[Non
     return run
 
 
-# A busy machine is not a wrong answer: no deadline. CI draws the same examples each time.
+# A slow machine is no failure, so there is no deadline. In CI each run draws the same examples.
 hypothesis.settings.register_profile(
     "house",
     deadline=None,
     derandomize="CI" in os.environ,
+    max_examples=50,
     suppress_health_check=[hypothesis.HealthCheck.too_slow],
+)
+# pytest --hypothesis-profile=thorough searches for longer.
+hypothesis.settings.register_profile(
+    "thorough", hypothesis.settings.get_profile("house"), derandomize=False, max_examples=1000
 )
 hypothesis.settings.load_profile("house")

@@ -26,7 +26,19 @@ from turtleact.errors import (
 from turtleact.goal import Goal
 
 from .client.test_action_client import Busy, cancel_after, on_asyncio, take
-from .lab import ON_ASYNCIO, Count, Lab, count, goal, lab, other_tasks, result, running, settle
+from .lab import (
+    ON_ASYNCIO,
+    Count,
+    Lab,
+    Running,
+    count,
+    goal,
+    lab,
+    other_tasks,
+    result,
+    running,
+    settle,
+)
 from .test_execution import awaited, entered
 from .test_policies import (
     CANCELED,
@@ -829,12 +841,16 @@ async def test_goals_canceled_by_id_at_any_point_leave_nothing(nest, options, sl
     for turns in range(40):
         house = Household(nest, "body")
         async with home(house.parent, house.child, options, slot) as (outer, inner):
+            visitors: Running[None] = Running(partial(visit, outer, inner))
             async with anyio.create_task_group() as group:
-                group.start_soon(visit, outer, inner)
+                group.start_soon(visitors.run)
                 await take(turns)
+                was_over = visitors.done.is_set()
                 await (outer if which == "parent" else inner).client.cancel_all()
             await settle()
             assert house.is_over(outer, inner), f"after {turns} turns"
+        if was_over:
+            return
 
 
 @CHILDREN
@@ -844,9 +860,13 @@ async def test_a_server_closed_at_any_point_answers_a_family(nest, options, slot
     for turns in range(40):
         house = Household(nest, "body")
         async with home(house.parent, house.child, options, slot) as (outer, inner):
+            visitors: Running[None] = Running(partial(visit, outer, inner))
             async with anyio.create_task_group() as group:
-                group.start_soon(visit, outer, inner)
+                group.start_soon(visitors.run)
                 await take(turns)
+                was_over = visitors.done.is_set()
                 await (outer if which == "parent" else inner).server.aclose()
             await settle()
             assert house.is_over(outer, inner), f"after {turns} turns"
+        if was_over:
+            return
