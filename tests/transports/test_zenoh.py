@@ -1684,9 +1684,9 @@ async def test_the_second_goal_is_sent_with_the_request_for_its_result_and_takes
     kind: Any = type(current_tasks())
     spawn = kind.spawn
 
-    def note(self: Any, running: Any, name: str) -> Any:
+    def note(self: Any, running: Any, name: str, *context: Any) -> Any:
         spawned.append(name)
-        return spawn(self, running, name)
+        return spawn(self, running, name, *context)
 
     async with (
         two(address) as (here, there, _),
