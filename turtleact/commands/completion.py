@@ -279,10 +279,11 @@ def _folder(ctx: typer.Context) -> str | None:
 
 def _reach(ctx: typer.Context) -> Reach:
     """The graph that the options on the line mean."""
-    from turtleact.commands.verbs.options import reach
-
     given = ctx.params
-    return reach(given.get("connect"), given.get("domain") or 0, given.get("config"))
+    config = given.get("config")
+    return Reach.of(
+        given.get("connect"), given.get("domain") or 0, None if config is None else str(config)
+    )
 
 
 def _look(where: Reach) -> Graph:

@@ -6,17 +6,38 @@ imported here, because every verb needs this module before it knows what it has 
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
+
+from turtleact.commands.output import printable
+from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.locks import Locks
     from turtleact.transports import QoS
 
-__all__ = ["Durability", "Fleet", "Page", "Place", "Placing", "Policies", "Reach", "Reliability"]
+__all__ = [
+    "Durability",
+    "Fleet",
+    "Page",
+    "Place",
+    "Placing",
+    "Policies",
+    "Reach",
+    "Reliability",
+    "endpoints",
+    "quoted",
+]
 
 Durability: TypeAlias = Literal["volatile", "transient_local"]
 Reliability: TypeAlias = Literal["reliable", "best_effort"]
 Placing: TypeAlias = Literal["random", "grid", "ring"]
+
+LONGEST_SHOWN = 60
+"""So many characters of an argument are repeated in an error."""
+
+_PORT = re.compile(r"(tcp|udp|tls|quic|ws)/(.*:(?P<port>[0-9]{1,9})|.*)")
+_ENDPOINT = re.compile(r"[a-z][a-z0-9]*/\S+")
 
 
 class Reach(NamedTuple):
@@ -31,6 +52,15 @@ class Reach(NamedTuple):
     connect: tuple[str, ...]
     domain: int
     config: str | None = None
+
+    @classmethod
+    def of(cls, connect: str | None, domain: int, config: str | None) -> Reach:
+        """The graph that options mean.
+
+        Raises:
+            UsageError: if ``connect`` makes no sense.
+        """
+        return cls(endpoints("--connect", connect), domain, config)
 
     def locks(self) -> Locks:
         """What the file says.
@@ -121,3 +151,24 @@ class Policies(NamedTuple):
             durability=self.durability or durability,
             reliability=self.reliability or "reliable",
         )
+
+
+def endpoints(option: str, text: str | None) -> tuple[str, ...]:
+    """The endpoints that an option names, separated by commas.
+
+    Raises:
+        UsageError: if one of them is not an endpoint.
+    """
+    found = () if text is None else tuple(text.split(","))
+    for each in found:
+        port = _PORT.fullmatch(each)
+        if not _ENDPOINT.fullmatch(each) or (port and not 0 < int(port["port"] or 0) < 65536):
+            problem = f"takes an endpoint such as tcp/127.0.0.1:7447, not {quoted(each)}"
+            raise UsageError(f"{option} {problem}")
+    return found
+
+
+def quoted(text: str) -> str:
+    """What the user typed, in quotes, and not too much of it."""
+    shown = text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"
+    return f"'{printable(shown)}'"

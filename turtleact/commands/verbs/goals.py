@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import typer
 
 from turtleact.commands import VERBS, completion
+from turtleact.commands.settings import quoted
 from turtleact.commands.verbs.options import (
     Config,
     Connect,
@@ -17,7 +18,6 @@ from turtleact.commands.verbs.options import (
     on_graph,
     on_known_graph,
     only_one,
-    quoted,
     reach,
 )
 from turtleact.commands.verbs.parsing import SETTINGS, Job, Verb

@@ -12,8 +12,7 @@ import typer
 
 from turtleact.commands import completion
 from turtleact.commands.interrupts import Interrupts
-from turtleact.commands.output import printable
-from turtleact.commands.settings import Reach
+from turtleact.commands.settings import Reach, quoted
 from turtleact.commands.verbs.parsing import Job
 from turtleact.errors import UsageError
 
@@ -29,14 +28,12 @@ __all__ = [
     "Look",
     "Plain",
     "Plan",
-    "endpoints",
     "folder",
     "hertz",
     "message_of",
     "on_graph",
     "on_known_graph",
     "only_one",
-    "quoted",
     "reach",
     "ros_domain",
     "seconds",
@@ -59,15 +56,10 @@ GRAPH = "Graph"
 MOST_DOMAIN = 232
 """The highest domain; source: the ROS 2 article "The ROS_DOMAIN_ID"."""
 
-LONGEST_SHOWN = 60
-"""So many characters of an argument are repeated in an error."""
-
 MOST_DIGITS = 18
 """A whole number has no more digits, so that it fits 64 bits."""
 
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+)+")
-_PORT = re.compile(r"(tcp|udp|tls|quic|ws)/(.*:(?P<port>[0-9]{1,9})|.*)")
-_ENDPOINT = re.compile(r"[a-z][a-z0-9]*/\S+")
 
 
 def ros_domain(text: str) -> int:
@@ -125,12 +117,8 @@ Plain: TypeAlias = Annotated[
 
 
 def reach(connect: str | None = None, domain: int = 0, config: Path | None = None) -> Reach:
-    """The graph that these options mean.
-
-    Raises:
-        UsageError: if ``connect`` makes no sense.
-    """
-    return Reach(endpoints("--connect", connect), domain, None if config is None else str(config))
+    """The graph that these options mean; raises as `Reach.of` does."""
+    return Reach.of(connect, domain, None if config is None else str(config))
 
 
 def folder(interfaces: Path | None) -> str | None:
@@ -181,21 +169,6 @@ def message_of(what: str, metavar: str = "VALUES") -> Any:  # noqa: ANN401  # li
         autocompletion=completion.messages,
         show_default=False,
     )
-
-
-def endpoints(option: str, text: str | None) -> tuple[str, ...]:
-    """The endpoints that an option names, separated by commas.
-
-    Raises:
-        UsageError: if one of them is not an endpoint.
-    """
-    found = () if text is None else tuple(text.split(","))
-    for each in found:
-        port = _PORT.fullmatch(each)
-        if not _ENDPOINT.fullmatch(each) or (port and not 0 < int(port["port"] or 0) < 65536):
-            problem = f"takes an endpoint such as tcp/127.0.0.1:7447, not {quoted(each)}"
-            raise UsageError(f"{option} {problem}")
-    return found
 
 
 def type_and_text(
@@ -283,12 +256,6 @@ def whole(text: str) -> int:
         problem = f"is not a whole number, 0 or more, of {MOST_DIGITS} digits at most"
         raise typer.BadParameter(f"{quoted(text)} {problem}")
     return int(text)
-
-
-def quoted(text: str) -> str:
-    """What the user typed, in quotes, and not too much of it."""
-    shown = text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"
-    return f"'{printable(shown)}'"
 
 
 def _finite(text: str) -> float:

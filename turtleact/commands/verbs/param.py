@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import typer
 
 from turtleact.commands import completion
+from turtleact.commands.settings import quoted
 from turtleact.commands.verbs.options import (
     Config,
     Connect,
     Domain,
     on_graph,
-    quoted,
     reach,
     seconds,
 )

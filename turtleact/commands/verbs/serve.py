@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import typer
 
 from turtleact.commands import VERBS, completion
-from turtleact.commands.settings import Fleet, Page, Placing
+from turtleact.commands.settings import Fleet, Page, Placing, endpoints, quoted
 from turtleact.commands.verbs.options import (
     Config,
     Connect,
     Domain,
     Interfaces,
     Plain,
-    endpoints,
     folder,
-    quoted,
     reach,
     whole,
 )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 import typer
 
 from turtleact.commands import completion
-from turtleact.commands.settings import Durability, Policies, Reliability
+from turtleact.commands.settings import Durability, Policies, Reliability, quoted
 from turtleact.commands.verbs.options import (
     Config,
     Connect,
@@ -18,7 +18,6 @@ from turtleact.commands.verbs.options import (
     on_graph,
     on_known_graph,
     only_one,
-    quoted,
     reach,
     seconds,
     type_and_text,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import typer
 
 from turtleact.commands import VERBS, completion
-from turtleact.commands.settings import Fleet, Reach
+from turtleact.commands.settings import Fleet, Reach, quoted
 from turtleact.commands.verbs.options import (
     Config,
     Connect,
@@ -18,7 +18,6 @@ from turtleact.commands.verbs.options import (
     Plain,
     on_graph,
     only_one,
-    quoted,
     reach,
 )
 from turtleact.commands.verbs.parsing import SETTINGS, Job, Verb
