@@ -14,8 +14,8 @@ from turtleact.commands import GROUPS, VERBS, send_goal, serve, verbs
 from turtleact.commands.message_text import GoalText
 from turtleact.commands.settings import Fleet, Place, Placing, Policies, Reach
 from turtleact.commands.targets import find_actions
+from turtleact.commands.verbs import without_daemon
 from turtleact.commands.verbs.goals import moment
-from turtleact.commands.verbs.parsing import without_daemon
 from turtleact.commands.verbs.topic import policies
 from turtleact.errors import UsageError
 from turtleact.sim.start_poses import PLACINGS
@@ -298,7 +298,7 @@ def test_only_the_verb_that_is_asked_for_is_imported(verb):
     )
     home = verbs.HOMES.get(verb, verb)
     imported = subprocess.check_output([sys.executable, "-c", code], text=True).splitlines()[-1]
-    expected = {home, "send_goal"} if verb == "action" else {home}
+    expected = {home, "goals"} if verb == "action" else {home}
     assert {*imported.split()} == {
         "turtleact.commands",
         "turtleact.commands.completion",
@@ -308,7 +308,6 @@ def test_only_the_verb_that_is_asked_for_is_imported(verb):
         "turtleact.commands.output",
         "turtleact.commands.verbs",
         "turtleact.commands.verbs.options",
-        "turtleact.commands.verbs.parsing",
         *(f"turtleact.commands.verbs.{each}" for each in expected),
         "turtleact.errors",
     }

@@ -7,6 +7,8 @@ from typing import Annotated, TypeAlias
 import typer
 
 from turtleact.commands import VERBS, completion
+from turtleact.commands.verbs import Job, Verb, new_group
+from turtleact.commands.verbs.goals import EXAMPLES, send_goal
 from turtleact.commands.verbs.options import (
     Config,
     Connect,
@@ -17,8 +19,6 @@ from turtleact.commands.verbs.options import (
     reach,
     type_of,
 )
-from turtleact.commands.verbs.parsing import Job, Verb, new_group
-from turtleact.commands.verbs.send_goal import EXAMPLES, send_goal
 
 __all__ = ["app"]
 

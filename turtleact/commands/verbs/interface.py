@@ -10,8 +10,8 @@ import typer
 
 from turtleact.commands import completion
 from turtleact.commands.interrupts import Interrupts
+from turtleact.commands.verbs import Job, Verb, new_group
 from turtleact.commands.verbs.options import Interfaces, folder, only_one
-from turtleact.commands.verbs.parsing import Job, Verb, new_group
 
 __all__ = ["app"]
 

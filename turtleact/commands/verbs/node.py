@@ -7,8 +7,8 @@ from typing import Annotated, TypeAlias
 import typer
 
 from turtleact.commands import completion
+from turtleact.commands.verbs import Job, Verb, new_group
 from turtleact.commands.verbs.options import Config, Connect, Domain, on_graph, reach
-from turtleact.commands.verbs.parsing import Job, Verb, new_group
 
 __all__ = ["app"]
 

@@ -13,7 +13,7 @@ import typer
 from turtleact.commands import completion
 from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.settings import Reach, quoted
-from turtleact.commands.verbs.parsing import Job
+from turtleact.commands.verbs import Job
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ import typer
 
 from turtleact.commands import completion
 from turtleact.commands.settings import quoted
+from turtleact.commands.verbs import Job, Verb, new_group
 from turtleact.commands.verbs.options import (
     Config,
     Connect,
@@ -18,7 +19,6 @@ from turtleact.commands.verbs.options import (
     reach,
     seconds,
 )
-from turtleact.commands.verbs.parsing import Job, Verb, new_group
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:

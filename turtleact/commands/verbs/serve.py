@@ -8,6 +8,7 @@ import typer
 
 from turtleact.commands import VERBS, completion
 from turtleact.commands.settings import Fleet, Page, Placing, endpoints, quoted
+from turtleact.commands.verbs import SETTINGS, Job, Verb
 from turtleact.commands.verbs.options import (
     Config,
     Connect,
@@ -19,7 +20,6 @@ from turtleact.commands.verbs.options import (
     whole,
 )
 from turtleact.commands.verbs.options import speed as speed_factor
-from turtleact.commands.verbs.parsing import SETTINGS, Job, Verb
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import typer
 
 from turtleact.commands import completion
+from turtleact.commands.verbs import Job, Verb, new_group
 from turtleact.commands.verbs.options import (
     Config,
     Connect,
@@ -21,7 +22,6 @@ from turtleact.commands.verbs.options import (
     type_and_text,
     type_of,
 )
-from turtleact.commands.verbs.parsing import Job, Verb, new_group
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts

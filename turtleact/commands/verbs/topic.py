@@ -8,6 +8,7 @@ import typer
 
 from turtleact.commands import completion
 from turtleact.commands.settings import Durability, Policies, Reliability, quoted
+from turtleact.commands.verbs import Job, Verb, new_group
 from turtleact.commands.verbs.options import (
     Config,
     Connect,
@@ -24,7 +25,6 @@ from turtleact.commands.verbs.options import (
     type_of,
     whole,
 )
-from turtleact.commands.verbs.parsing import Job, Verb, new_group
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:

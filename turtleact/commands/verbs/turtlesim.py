@@ -11,6 +11,7 @@ import typer
 
 from turtleact.commands import VERBS, completion
 from turtleact.commands.settings import Fleet, Reach, quoted
+from turtleact.commands.verbs import SETTINGS, Job, Verb
 from turtleact.commands.verbs.options import (
     Config,
     Connect,
@@ -20,7 +21,6 @@ from turtleact.commands.verbs.options import (
     only_one,
     reach,
 )
-from turtleact.commands.verbs.parsing import SETTINGS, Job, Verb
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
