@@ -1,8 +1,8 @@
 """How a session is configured, and why it cannot be opened. Pure.
 
-``peer`` talks with others directly, and finds them through the router that it connects to; that is
-what a ROS 2 node is. ``client`` talks through the router alone. ``router`` is the one that nodes of
-the machine look for.
+A ``peer`` finds the others through the router that it connects to, and then talks with them
+directly, as a node of ROS 2 does. A ``client`` talks through its router only. The ``router`` is
+what the nodes of a machine look for.
 
 Source: ``DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5`` of rmw_zenoh; Zenoh's ``DEFAULT_CONFIG.json5``.
 """
@@ -56,7 +56,7 @@ DEFAULTS: dict[str, object] = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": True,
     "timestamping/enabled": True,  # latched topics need it
-    "connect/timeout_ms": 0,  # who refuses is not asked again
+    "connect/timeout_ms": 0,  # an endpoint that refuses is not tried again while opening
     "connect/exit_on_failure": True,
     "listen/timeout_ms": 0,
     "listen/exit_on_failure": True,
@@ -64,10 +64,10 @@ DEFAULTS: dict[str, object] = {
 
 #: The same, for what Zenoh has other defaults for.
 TIGHTER: dict[str, object] = {
-    # Who says nothing is given up (ms): of a line that loses each tenth packet, one in two needs
-    # more than two seconds.
+    # How long to wait for a peer's greeting (ms). On a line that loses each tenth packet, every
+    # second greeting takes more than two seconds.
     "transport/unicast/open_timeout": 5000,
-    # A peer that takes nothing is cut off (us): until then it holds up those that do.
+    # After this time (us) a peer that stops reading is disconnected. Until then it delays others.
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,
 }
 

@@ -55,7 +55,7 @@ MOST_PEERS = 100
 
 
 class Named(msgspec.Struct, frozen=True):
-    """An endpoint, and what it is called on the wire.
+    """An endpoint and its names on the wire.
 
     Attributes:
         endpoint: The endpoint, with its type hash and gid.
@@ -69,7 +69,7 @@ class Named(msgspec.Struct, frozen=True):
 
     @property
     def on_demand(self) -> str:
-        """Its name, if it is declared once others have an endpoint of that name; else empty."""
+        """The endpoint's name if it is to be declared on demand, else empty."""
         return self.endpoint.name if self.endpoint.on_demand else ""
 
 
@@ -82,14 +82,15 @@ class Context:
         tasks: The event loop.
         inbox: What came from other threads.
         outbox: What goes to Zenoh.
-        crew: What runs beside.
+        crew: The tasks of the transport.
         complaints: Warnings about what peers send.
         domain: The ROS domain.
-        opened: The nodes and endpoints that are open, whoever else holds them.
-        latched: The gids of its own latched publishers: a history asks them too.
-        sought: How many endpoints of a name others have.
-        asleep: What is told of only once others have an endpoint of its name.
-        is_open: Whether anything goes through.
+        opened: The nodes and endpoints that are open.
+        latched: The gids of this session's latched publishers. A new latched subscription also gets
+            their messages from Zenoh and must ignore them, since they came as objects already.
+        sought: How many endpoints other processes have, by name.
+        asleep: The endpoints that are declared once other processes have one of their name.
+        is_open: Whether the transport is open.
     """
 
     def __init__(self, session: Session, near: MemoryTransport, tasks: Tasks, domain: int) -> None:
@@ -108,23 +109,23 @@ class Context:
         self.is_open = True
 
     def seek(self, name: str) -> None:
-        """Note that others have an endpoint of this name."""
+        """Note that another process has an endpoint of this name."""
         self.sought[name] += 1
         for presence in self.asleep.pop(name, ()):
             presence.wake()
 
     def forgo(self, name: str) -> None:
-        """Note that they have one less."""
+        """Note that another process has closed an endpoint of this name."""
         self.sought[name] -= 1
         if not self.sought[name]:
             del self.sought[name]
 
 
 class Crew:
-    """Tasks that run beside their owner, each until its own end or that of all.
+    """The tasks of a transport; it waits for all of them when it is closed.
 
     Attributes:
-        running: Those that have not ended, by number.
+        running: The tasks that have not ended, by number.
     """
 
     def __init__(self, tasks: Tasks) -> None:
@@ -141,7 +142,7 @@ class Crew:
             self.running[number] = background
 
     async def aclose(self) -> None:
-        """Cancel all, and wait for their end, `GRACE` seconds at most each."""
+        """Cancel all tasks, and wait for the end of each, `GRACE` seconds at most."""
         for background in tuple(self.running.values()):
             await background.aclose(GRACE)
 
@@ -153,7 +154,7 @@ class Crew:
 
 
 class Counter:
-    """Numbers and stamps what one endpoint sends.
+    """Numbers and time-stamps the messages of one endpoint.
 
     Args:
         gid: The gid of the endpoint.
@@ -166,24 +167,27 @@ class Counter:
     def next(self) -> bytes:
         """The attachment of the next message."""
         self._sequence += 1
-        # as `write_attachment` does, without a call between: it is made for each message
+        # The same as `write_attachment`, inlined because this runs for each message.
         return LAYOUT.pack(self._sequence, time_ns(), GID_SIZE, self._gid)
 
 
 class Presence:
-    """What an endpoint or a node is on the wire: what it declares, then its liveliness token.
+    """An endpoint or node on the wire: what it declares, and its liveliness token.
+
+    The token is declared last and undeclared first, so that others never see an endpoint that
+    cannot be reached.
 
     Args:
-        context: Where.
-        token: The token; it is taken back before the rest.
-        declare: Declares the rest, in the outbox.
-        undeclare: Takes it back, likewise.
-        on_demand: The name of an endpoint that is declared once others have one of that name; if
-            it is empty, all is declared now.
-        on_wake: Called when it is, if not at once.
+        context: The transport's context.
+        token: The token.
+        declare: Declares the rest; called in the outbox.
+        undeclare: Undeclares the rest; called in the outbox.
+        on_demand: If not empty, the name of an endpoint that is declared once another process has
+            one of that name.
+        on_wake: Called when it is declared on demand.
 
     Attributes:
-        is_asleep: Whether nothing is declared yet.
+        is_asleep: Whether it waits to be declared on demand.
     """
 
     def __init__(
@@ -210,7 +214,7 @@ class Presence:
             self._appear()
 
     def wake(self) -> None:
-        """Appear in the graph after all."""
+        """Declare it now, since another process has an endpoint of its name."""
         self._appear()
         if self._on_wake is not None:
             self._on_wake()
@@ -243,10 +247,10 @@ class Presence:
 
 
 class Opened:
-    """Something that is open within the process and on the wire, until it is closed.
+    """Something that is open within the process and on the wire until it is closed.
 
     Args:
-        context: Where.
+        context: The transport's context.
         near: Its half within the process.
         presence: Its half on the wire.
 
@@ -272,7 +276,7 @@ class Opened:
 
 
 class Inbox:
-    """What other threads have for the event loop to do, done in order.
+    """Runs jobs of other threads in the event loop, in order.
 
     Args:
         tasks: The event loop.
@@ -285,7 +289,7 @@ class Inbox:
         self._is_open = True
 
     def push(self, job: Job) -> None:
-        """Have something done; from any thread."""
+        """Run a job in the event loop; may be called in any thread."""
         self._jobs.append(job)
         if not self._is_armed:
             self._is_armed = True
@@ -312,13 +316,13 @@ class Inbox:
 
 
 class Outbox:
-    """A thread that does what may block, in order; how a job fails is logged.
+    """A thread that runs jobs that may block, in order. It logs the exceptions of jobs.
 
     Args:
         name: What the thread is called.
 
     Attributes:
-        post: Has something done; never blocks.
+        post: Takes a job; never blocks.
         thread: The thread.
     """
 
@@ -330,7 +334,7 @@ class Outbox:
         self.thread.start()
 
     async def aclose(self) -> None:
-        """Do what is left, and end; what hangs for `GRACE` seconds is left behind."""
+        """Run the remaining jobs and end. A job that hangs is left behind after `GRACE` seconds."""
         self._jobs.put(None)
         await anyio.to_thread.run_sync(self.thread.join, GRACE)
         if self.thread.is_alive():

@@ -1,8 +1,8 @@
-"""What things are called on Zenoh: keys of data, liveliness tokens, gids. Pure, knows no session.
+"""Names on Zenoh: keys of data, liveliness tokens and gids, and the graph they make. Pure.
 
-A topic or service is a *key expression*; whoever has the same one talks with each other, so that
-its type and the hash of it are part of it. A node or endpoint is in the graph as long as its
-*liveliness token* is: a key that says all about it, chunk by chunk. Its gid is a hash of that key.
+A topic or service has a *key expression*. Endpoints with the same key talk with each other, so the
+type and its hash are part of the key. A node or endpoint is in the graph as long as its *liveliness
+token* is. The token is a key that describes it, chunk by chunk; its gid is a hash of that key.
 
 ::
 
@@ -10,8 +10,8 @@ its type and the hash of it are part of it. A node or endpoint is in the graph a
     @ros2_lv/DOMAIN/ZID/NODE_ID/NODE_ID/NN/ENCLAVE/NAMESPACE/NODE                  a node
     @ros2_lv/DOMAIN/ZID/NODE_ID/ID/KIND/ENCLAVE/NAMESPACE/NODE/NAME/TYPE/HASH/QOS  an endpoint
 
-What is written is what rmw_zenoh writes; what is read may have more chunks and odd qualities of
-service, as newer and older peers send such.
+Tokens are written as rmw_zenoh writes them. Tokens that are read may have more chunks and odd
+qualities of service, because newer and older peers send such tokens.
 
 Source: rmw_zenoh_cpp ``detail/liveliness_utils.cpp`` and ``docs/design.md``, Jazzy to Rolling.
 """
@@ -83,7 +83,7 @@ class Token(msgspec.Struct, frozen=True):
 
 
 class Graph:
-    """The nodes and endpoints of all other sessions, in the order of their coming.
+    """The nodes and endpoints of all other sessions, in the order they appeared.
 
     Args:
         zid: The id of our own session, whose tokens do not count.
