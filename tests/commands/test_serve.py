@@ -13,15 +13,20 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+import anyio
 import pytest
 
+import turtleact
 from turtleact.commands.interrupts import Interrupts
-from turtleact.commands.serve import Service, _listed, run
+from turtleact.commands.serve import Service, _listed, run, serve_declared
 from turtleact.commands.settings import Page, Reach
 from turtleact.errors import TurtleactError
+from turtleact.interfaces.standard import Fibonacci
+from turtleact.transports import MemoryTransport
 
 LAB = """
 import anyio
@@ -485,6 +490,71 @@ def test_turtlesim_node_serves_what_turtlesim_serves_and_nothing_else(turtleact,
     monkeypatch.setattr("turtleact.app.open_world", open_world)
     assert turtleact("run", "turtlesim", "turtlesim_node").err == "turtleact: enough\n"
     assert (asked["turtlesim_only"], asked["turtles"]) == (True, 1)
+
+
+@turtleact.action(Fibonacci, "quick")
+async def quick(goal):
+    return Fibonacci.Result()
+
+
+async def test_an_action_that_another_node_serves_is_refused_with_its_name():
+    transport = MemoryTransport()
+    async with (
+        turtleact.open_node("robot", transport=transport) as robot,
+        turtleact.open_node("turtleact", transport=transport) as node,
+    ):
+        robot.serve(quick)
+        with pytest.raises(ExceptionGroup) as caught:
+            await serve_declared(node, [quick], wait=False)
+    assert str(caught.value.exceptions[0]) == (
+        "action '/quick' is served by node /robot already: choose another name, or give --wait to "
+        "serve it once that node is gone"
+    )
+
+
+async def test_an_action_is_served_once_the_other_node_is_gone(capsys):
+    transport = MemoryTransport()
+    async with turtleact.open_node("turtleact", transport=transport) as node:
+        async with (
+            turtleact.open_node("robot", transport=transport) as robot,
+            anyio.create_task_group() as beside,
+        ):
+            robot.serve(quick)
+            beside.start_soon(partial(serve_declared, node, [quick], wait=True))
+            await anyio.wait_all_tasks_blocked()
+            assert capsys.readouterr().err == (
+                "turtleact: action '/quick' is served by node /robot: waiting until that is gone\n"
+            )
+            await robot.aclose()
+        assert node.graph().actions == {"/quick": (Fibonacci.type_name,)}
+
+
+def test_a_standby_takes_over_when_the_first_server_is_killed(served, lab):
+    standby = start(lab, "serve", "servedlab", "--no-sim", "--wait", "--connect", served.at)
+    try:
+        assert standby.stderr is not None
+        assert standby.stdout is not None
+        notes = {standby.stderr.readline() for _ in range(2)}
+        assert (
+            "turtleact: action '/quick' is served by node /turtleact: waiting until that is gone\n"
+            in notes
+        )
+        served.process.kill()
+        assert standby.stdout.readline().startswith("ready at ")
+        standby.send_signal(signal.SIGTERM)
+        assert standby.wait(PATIENCE) == 0
+    finally:
+        standby.kill()
+        standby.communicate()
+
+
+def test_a_signal_ends_a_server_that_waits_for_another(served, lab):
+    standby = start(lab, "serve", "servedlab", "--no-sim", "--wait", "--connect", served.at)
+    assert standby.stderr is not None
+    standby.stderr.readline()
+    standby.send_signal(signal.SIGINT)
+    status, out, _ = ended(standby)
+    assert (status, out) == (0, "")
 
 
 def test_a_page_is_served_besides(lab):

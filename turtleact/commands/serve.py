@@ -11,17 +11,20 @@ import asyncio
 import importlib
 import logging
 import sys
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, aclosing, asynccontextmanager
 from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import anyio
 
 from turtleact.commands import runner
 from turtleact.commands.output import abandon, note, printable
 from turtleact.commands.targets import find_actions
 from turtleact.commands.terminal import can_move
 from turtleact.errors import InvalidOption, TurtleactError, UsageError
+from turtleact.names import action_names, resolve_name
 from turtleact.node import Node, open_node
 from turtleact.tasks import Background
 from turtleact.transports import open_zenoh
@@ -38,10 +41,18 @@ if TYPE_CHECKING:
     from turtleact.server import ServerGoalHandle
     from turtleact.transports import Transport, ZenohTransport
 
-__all__ = ["Service", "run"]
+__all__ = ["Service", "run", "serve_declared"]
 
 ROUTER = "tcp/127.0.0.1:7447"
 """Where the nodes of a machine look for a router."""
+
+BUILT_INS = "/turtle_actions"
+"""The node of the built-in actions, in whatever process."""
+
+LEASE = 15.0
+"""How long the graph may show a node whose process was killed (s, wall clock).
+
+Zenoh's own lease is 10 s."""
 
 MOST_LISTED = 12
 """How many actions the line names that says when the server is ready."""
@@ -59,6 +70,7 @@ class Service(NamedTuple):
         config: Paths and values of Zenoh's configuration, such as those for access control.
         is_live: Whether a terminal shows a dashboard.
         turtlesim_only: Whether the world serves only what turtlesim does, and no built-in actions.
+        wait: Whether to wait until no other node serves an action, instead of refusing to serve it.
     """
 
     targets: tuple[str, ...]
@@ -69,6 +81,7 @@ class Service(NamedTuple):
     config: dict[str, object]
     is_live: bool
     turtlesim_only: bool = False
+    wait: bool = False
 
 
 def run(service: Service, interrupts: Interrupts) -> int:
@@ -120,8 +133,9 @@ async def _serve(
             graph = partial(_open_graph, service, opened)
             with interrupts.beginning(0):
                 node = await stack.enter_async_context(_open_node(service, graph, log))
-            for each in declared:
-                node.serve(each)
+            await _until_signal(interrupts, serve_declared(node, declared, wait=service.wait))
+            if interrupts.received:
+                return 0
             if service.page is not None:
                 url = await stack.enter_async_context(_open_web(service.page, node))
                 log.say(f"web page, and rosbridge, at {url}")
@@ -132,6 +146,76 @@ async def _serve(
             await interrupts.wait(1)
             note("no new goals are taken; those that run are ended")
     return 0
+
+
+async def serve_declared(
+    node: Node, declared: list[ActionDeclaration[..., object]], *, wait: bool
+) -> None:
+    """Serve actions, each once no other node serves its name.
+
+    One node serves an action name: if two did, every goal would run twice. A node of this node's
+    own name may be its predecessor, which was killed a moment ago, so it gets `LEASE` to go away.
+
+    Args:
+        node: Serves the actions.
+        declared: The actions; several types may share a name.
+        wait: Whether to wait for other nodes too, however long.
+
+    Raises:
+        TurtleactError: if another node serves an action; the text names it.
+    """
+    by_name: dict[str, list[ActionDeclaration[..., object]]] = {}
+    for each in declared:
+        by_name.setdefault(resolve_name(each.name), []).append(each)
+    async with anyio.create_task_group() as waiting:
+        for name, types in by_name.items():
+            waiting.start_soon(_serve_once_free, node, name, types, wait)
+
+
+async def _serve_once_free(
+    node: Node, name: str, types: list[ActionDeclaration[..., object]], wait: bool
+) -> None:
+    rival = _rival(node, name)
+    if rival is not None:
+        is_predecessor = rival == node.fully_qualified_name
+        if not (wait or is_predecessor):
+            raise TurtleactError(_conflict(name, rival))
+        note(f"action '{name}' is served by node {rival}: waiting until that is gone")
+        with anyio.move_on_after(None if wait else LEASE):
+            while _rival(node, name) is not None:
+                await node.transport.wait_for_change()
+        rival = _rival(node, name)
+        if rival is not None:
+            raise TurtleactError(_conflict(name, rival))
+    for each in types:
+        node.serve(each)
+
+
+def _rival(node: Node, name: str) -> str | None:
+    """Another node that serves an action. Built-in actions make way, so they do not count."""
+    endpoints = node.transport.endpoints(action_names(name).send_goal)
+    nodes = {each.node for each in endpoints if each.kind == "service"}
+    return min(nodes - {BUILT_INS}, default=None)
+
+
+def _conflict(name: str, rival: str) -> str:
+    return (
+        f"action '{name}' is served by node {rival} already: choose another name, or give --wait "
+        "to serve it once that node is gone"
+    )
+
+
+async def _until_signal(interrupts: Interrupts, running: Awaitable[None]) -> None:
+    """Run something to its end, or cancel it when a signal comes."""
+
+    async def heed(scope: anyio.CancelScope) -> None:
+        await interrupts.wait(1)
+        scope.cancel()
+
+    async with anyio.create_task_group() as beside:
+        beside.start_soon(heed, beside.cancel_scope)
+        await running
+        beside.cancel_scope.cancel()
 
 
 @asynccontextmanager

@@ -94,6 +94,10 @@ Origins: TypeAlias = Annotated[
     ),
 ]
 Headless: TypeAlias = Annotated[bool, typer.Option("--headless", help="The same as --plain.")]
+Wait: TypeAlias = Annotated[
+    bool,
+    typer.Option("--wait", help="If another node serves an action, wait until it is gone."),
+]
 NoSim: TypeAlias = Annotated[
     bool,
     typer.Option(
@@ -157,6 +161,7 @@ def serve(
     plain: Plain = False,
     headless: Headless = False,
     interfaces: Interfaces = None,
+    wait: Wait = False,
     no_sim: NoSim = False,
     speed: Speed = 1.0,
     turtles: Turtles = 1,
@@ -198,6 +203,7 @@ def serve(
             page,
             locks.settings(),
             is_live=not (headless or plain),
+            wait=wait,
         )
         return run(service, interrupts)
 
