@@ -241,12 +241,12 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
     _calling: Coroutine[object, object, R] | None = None
 
     def __await__(self) -> Generator[object, object, R]:
-        return self._begin().__await__()
+        return self._client._run(self._take_order()).__await__()
 
     def send(self, value: object) -> object:
         """Go on to the next wait; what an event loop calls."""
         if self._calling is None:
-            self._calling = self._begin()
+            self._calling = self._client._run(self._take_order())
         return self._calling.send(value)
 
     def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
@@ -280,9 +280,6 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
         # block goes first.
         if error is None:
             await anyio.lowlevel.checkpoint_if_cancelled()
-
-    def _begin(self) -> Coroutine[object, object, R]:
-        return self._client._run(self._take_order())
 
     def _take_order(self) -> GoalOrder:
         order, self._order = self._order, None

@@ -157,7 +157,8 @@ class RemoteGoals:
         Raises:
             InvalidMessage: if a value does not fit its type; nothing was sent.
         """
-        self.open()
+        if not self._endpoints.is_open:
+            self.open()
         remote = RemoteGoal(goal, is_sender=True)
         is_under_way = self._send_both(remote)
         self.by_id[remote.goal_id] = remote
@@ -211,8 +212,7 @@ class RemoteGoals:
 
     def open(self) -> None:
         """Open what goals take, before the first request: no feedback comes too early then."""
-        if not self._endpoints.is_open:
-            self._endpoints.open(self.by_id, self._take_feedback)
+        self._endpoints.open(self.by_id, self._take_feedback)
 
     def close(self) -> None:
         """Follow no goal any more; all who wait for one hear that the client was closed."""
@@ -389,7 +389,8 @@ class RemoteGoals:
         Raises:
             GoalRejected: if it is not taken.
         """
-        self._learn(reply)
+        if not (reply.note and self._endpoints.is_ours):
+            self._endpoints.learn(reply)
         response: Any = reply.message
         if not response.accepted:
             raise GoalRejected(GoalNote.read(reply.note).reason)
@@ -403,12 +404,9 @@ class RemoteGoals:
 
     def _has_ended(self, reply: Reply) -> bool:
         """Whether a reply to the request for a result is one, and not that the goal is unknown."""
-        self._learn(reply)
-        return cast("Any", reply.message).status in _ENDS
-
-    def _learn(self, reply: Reply) -> None:
         if not (reply.note and self._endpoints.is_ours):
             self._endpoints.learn(reply)
+        return cast("Any", reply.message).status in _ENDS
 
     def _take_feedback(self, remote: RemoteGoal, feedback: Message) -> None:
         """Note a feedback message, and tell the sender's callback."""
