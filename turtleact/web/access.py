@@ -1,10 +1,10 @@
-"""Who may come in: the Host, the Origin and the token of a request. Pure.
+"""Who may connect: the Host, the Origin and the token of a request, and the log of refusals.
 
-- A web page of another site can open a WebSocket to any address: its browser tells the page's
-  origin, and it is refused. Programs tell none, and come in.
-- By DNS rebinding such a page can make its own name mean this machine: then the Host is that name,
-  and it is refused. Addresses and loopback names cannot be rebound.
-- Whoever reaches the server from another machine has to know its token.
+- A web page of another site can open a WebSocket to any address. Its browser sends the page's
+  origin, and the connection is refused. Programs send no origin, and may connect.
+- By DNS rebinding, such a page can make its own name mean this machine. Then the Host is that name,
+  and the connection is refused. IP addresses and loopback names cannot be rebound.
+- Clients on other machines have to know the token.
 
 Source: RFC 6454 (origins); RFC 6455, section 10.2; RFC 9110, section 7.2 (Host).
 """
@@ -29,12 +29,12 @@ TELL_EVERY: Final = 10.0
 
 
 class Access(msgspec.Struct, frozen=True):
-    """What a request must show.
+    """The rules for requests.
 
     Attributes:
-        hosts: Names that it may call this server by, besides addresses and loopback names.
-        origins: Origins of pages it may come from, besides this server's own and loopback ones.
-        token: What it must know; empty if nothing.
+        hosts: Host names that a request may use, besides IP addresses and loopback names.
+        origins: Origins whose pages may connect, besides this server's own and loopback ones.
+        token: The token that a request must have; empty if none is needed.
     """
 
     hosts: frozenset[str] = frozenset()
@@ -47,7 +47,7 @@ class Access(msgspec.Struct, frozen=True):
         Args:
             host: Its Host header.
             origin: Its Origin header, if it has one.
-            token: What it gives as the token.
+            token: The token that it has; empty if none.
         """
         name = _name_of(f"//{host}")
         if not (_is_address(name) or is_loopback(name) or name in self.hosts):

@@ -30,7 +30,7 @@ from turtleact.web.shared import Limits, Shared
 __all__ = ["Bridge", "Statistics", "open_bridge"]
 
 FAREWELL: Final = 2.0
-"""So long clients have to take what must still arrive, once the bridge is closed (s)."""
+"""How long clients may take for their last frames when the bridge is closed (s)."""
 
 POLICY: Final = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
@@ -51,13 +51,13 @@ FILES: Final = {
 
 
 class Statistics(msgspec.Struct, frozen=True):
-    """How a bridge is doing.
+    """A snapshot of a bridge.
 
     Attributes:
         connections: How many clients are connected.
-        goals: How many of their goals are under way.
+        goals: How many goals they have under way.
         waiting: How many frames wait to be sent.
-        dropped: How many frames the connected ones have lost as they were too slow for them.
+        dropped: How many frames the connected clients have lost because they were too slow.
     """
 
     connections: int
@@ -85,7 +85,7 @@ class Bridge:
         self._left = shared.tasks.signal()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve one request; what an ASGI server or an app around this one calls."""
+        """Serve one request; called by an ASGI server, or by an app around this one."""
         if scope["type"] == "websocket":
             await self._connect(WebSocket(scope, receive, send))
         elif scope["type"] == "http":
@@ -94,7 +94,7 @@ class Bridge:
             raise TurtleactError(f"a bridge knows no '{scope['type']}': open it with open_bridge")
 
     def statistics(self) -> Statistics:
-        """How it is doing now."""
+        """A snapshot of the bridge."""
         boxes = [connection.mailbox for connection in self._connections]
         return Statistics(
             connections=len(boxes),
@@ -104,10 +104,11 @@ class Bridge:
         )
 
     async def aclose(self) -> None:
-        """Take no more connections, and end those there are.
+        """Take no more connections, and end the existing ones.
 
-        Each gets what must still arrive and a close frame, and has `FAREWELL` seconds for it; that
-        of a goal or a call which is under way, that it will not hear of it.
+        Each client gets the frames that must still arrive and a close frame, and has `FAREWELL`
+        seconds to take them. Clients that wait for a goal or a call are told that they will not
+        hear of it.
         """
         # First the clients hear that they will hear no more of their goals, then their connections
         # are closed, and only when all have gone what they shared: a connection that is still there
@@ -152,7 +153,7 @@ class Bridge:
         self.refusals.note(bytes(refusal.body).decode().rstrip(), anyio.current_time())
 
     def _refusal(self, websocket: WebSocket) -> Response | None:
-        """What a client gets that is not let in; None if it is."""
+        """The response to a client that is refused; None if it may connect."""
         if _path(websocket) != "/":
             return _text(404, "rosbridge is at the path /")
         problem = self._problem(websocket)
@@ -163,7 +164,7 @@ class Bridge:
         return None
 
     def _problem(self, asked: HTTPConnection) -> str:
-        """Why somebody is not let in; empty if nothing speaks against it."""
+        """Why a client is refused; empty if it is not."""
         scheme, _, token = asked.headers.get("authorization", "").partition(" ")
         return self._access.problem(
             host=asked.headers.get("host", ""),
@@ -196,16 +197,16 @@ async def open_bridge(
     limits: Limits | None = None,
     cancel_on_disconnect: bool = False,
 ) -> AsyncIterator[Bridge]:
-    """A node as an ASGI app, for the length of a block.
+    """Serve a node as an ASGI app for the length of a block.
 
     Args:
-        node: What is served: its graph, whatever lies below it.
-        hosts: Names that clients may call the server by, besides addresses and loopback names.
-        origins: Origins (``https://example.com``) of pages that may come in, besides the server's
+        node: The node to serve, on any kind of graph.
+        hosts: Host names that clients may use, besides IP addresses and loopback names.
+        origins: Origins (``https://example.com``) whose pages may connect, besides the server's
             own and those of loopback hosts.
-        token: What clients must know: ``?token=…``, or ``Authorization: Bearer …``.
+        token: The token that clients must send: ``?token=…``, or ``Authorization: Bearer …``.
         limits: How much clients may ask for.
-        cancel_on_disconnect: Whether a client that goes takes its goals along.
+        cancel_on_disconnect: Whether a client that disconnects cancels its goals.
     """
     shared = Shared(node, limits or Limits(), cancel_on_disconnect=cancel_on_disconnect)
     bridge = Bridge(shared, Access(frozenset(hosts), frozenset(origins), token))

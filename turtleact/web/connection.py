@@ -1,8 +1,8 @@
 """One client's connection: a task that reads, a task that writes, and what the client has open.
 
-The rules stand in `turtleact.web.protocol`; here they are carried out on the node. The reader never
-waits for a writer: whatever is to be sent goes into a mailbox, and a client that takes nothing for
-`PATIENCE` is let go. So nobody is slowed by somebody else's slow line.
+`turtleact.web.protocol` has the rules; this module carries them out on the node. The reader never
+waits for the writer: frames to be sent go into a mailbox, and a client that takes nothing for
+`PATIENCE` is let go. So a slow client slows nobody else down.
 
 Source: rosbridge v2; ASGI, "HTTP and WebSocket message format".
 """
@@ -78,7 +78,7 @@ class Connection:
         self._group: TaskGroup | None = None
 
     async def run(self) -> None:
-        """Serve the client until it goes, is let go, or is told to."""
+        """Serve the client until it disconnects, is let go, or the bridge is closed."""
         try:
             async with anyio.create_task_group() as group:
                 self._group = group
@@ -131,7 +131,7 @@ class Connection:
         return 0
 
     def let_go(self, reason: str) -> None:
-        """End at once, without a word to a client that does not listen."""
+        """End at once, without a close frame: the client would not read it."""
         if self._group is None or self._group.cancel_scope.cancel_called:
             return
         logger.warning(
@@ -145,7 +145,7 @@ class Connection:
         self._group.cancel_scope.cancel()
 
     async def _accept(self) -> bool:
-        """Let the client in; False if it has gone by now."""
+        """Accept the connection; False if the client has gone already."""
         try:
             await self._websocket.accept()
         except GONE:
@@ -192,7 +192,7 @@ class Connection:
         cast("TaskGroup", self._group).cancel_scope.cancel()
 
     def _release(self, now: float) -> float:
-        """Send what has waited for its time; when the next one is due."""
+        """Send throttled messages whose time has come; returns when the next one is due."""
         due = math.inf
         for throttle, _, _ in self._readers.values():
             message = throttle.release(now)
@@ -224,7 +224,7 @@ class Connection:
             self.keep(cast("Say", effect).frame)
 
     async def _perform(self, effect: Effect) -> None:
-        """Carry out what the protocol wants; the client is told of its mistakes."""
+        """Carry out an effect; the client is told about its mistakes."""
         match effect:
             case Say(frame):
                 self.keep(frame)
@@ -350,7 +350,7 @@ class Connection:
             cast("TaskGroup", self._group).start_soon(self._answer, self._count, said)
 
     async def _answer(self, number: int, said: CallService) -> None:
-        """Call a service, and tell the client what came of it, unless it was told already."""
+        """Call a service and send its response, unless the client has had an answer already."""
         try:
             frame = _response(said, await self._shared.call(said), is_result=True)
         except TurtleactError as error:
@@ -371,7 +371,7 @@ def _response(said: CallService, values: object, *, is_result: bool) -> str:
 def _place_of(
     what: Reader | Writer | operations.AdvertiseService | operations.AdvertiseAction,
 ) -> tuple[str, str]:
-    """Under which kind and key the protocol knows something that is to be opened."""
+    """The kind and key under which the protocol knows this."""
     match what:
         case Reader():
             return "reader", what.key

@@ -22,16 +22,16 @@ from turtleact.web.message_conversion import Compression, Frame, Rendering
 __all__ = ["Budget", "Holder", "Mailbox", "Throttle"]
 
 MOST_OF_ONE: Final = 32
-"""So many frames of one topic or goal wait at most."""
+"""Most frames of one topic or goal that wait."""
 
 MOST_DROPPABLE: Final = 4 * 2**20
-"""So much that can be dropped waits at most (bytes); the newest frame does, whatever its size."""
+"""Most bytes that wait and may be dropped; the newest frame stays, whatever its size."""
 
 MOST_KEPT: Final = 1024
-"""So many frames that cannot be dropped wait at most."""
+"""Most frames that wait and must not be dropped."""
 
 MOST_KEPT_BYTES: Final = 32 * 2**20
-"""So much that cannot be dropped waits at most (bytes)."""
+"""Most bytes that wait and must not be dropped."""
 
 
 class Holder(Protocol):
@@ -111,7 +111,7 @@ class Mailbox:
 
     @property
     def is_overfull(self) -> bool:
-        """Whether more waits than a client may leave lying that reads at all."""
+        """Whether more waits than for any client that reads at all."""
         return len(self._kept) > MOST_KEPT or self._kept_bytes > MOST_KEPT_BYTES
 
     def keep(self, frame: Frame) -> None:
@@ -120,7 +120,7 @@ class Mailbox:
         self._kept_bytes += len(frame)
 
     def put(self, source: str, frame: Frame) -> None:
-        """Put in a frame that newer ones of its source, or of any, may push out."""
+        """Put in a frame that may be dropped for newer ones of its source, or of any source."""
         line = self._droppable.setdefault(source, deque())
         line.append((next(self._order), frame))
         self._droppable_bytes += len(frame)
@@ -147,7 +147,7 @@ class Mailbox:
         return frame
 
     def forget(self, source: str) -> None:
-        """Drop what waits of a source that nobody wants any more; it is not counted."""
+        """Drop the frames of a source that nobody wants any more, without counting them."""
         for _, frame in self._droppable.pop(source, ()):
             self._droppable_bytes -= len(frame)
 
@@ -180,16 +180,16 @@ class Mailbox:
 
 
 class Throttle:
-    """How often a client wants a topic's messages, and which of those that come too early it gets.
+    """How often a client wants a topic's messages, and which of the early ones it gets later.
 
     Args:
         topic: The topic, as the client spells it.
 
     Attributes:
-        topic: Likewise.
+        topic: The topic.
         interval: Least time between two messages (s).
-        queue_length: How many wait for their time, the newest; those that come too early are
-            dropped if it is 0.
+        queue_length: How many early messages wait for their time, the newest ones; if 0, they are
+            dropped.
         compression: How the messages are written.
         due: When the next one that waits may go; None if none does.
     """
@@ -206,14 +206,14 @@ class Throttle:
         self._waiting: deque[Rendering] = deque()
 
     def adjust(self, interval: float, queue_length: int, compression: Compression) -> None:
-        """Take over other wishes; what waits goes on waiting, the newest ``queue_length`` of it."""
+        """Change the settings; the newest ``queue_length`` waiting messages keep waiting."""
         self.interval, self.queue_length, self.compression = interval, queue_length, compression
         while len(self._waiting) > queue_length:
             self._waiting.popleft()
         self._reckon()
 
     def offer(self, message: Rendering, now: float) -> Rendering | None:
-        """What may go now that this message has come."""
+        """Take a message that has come; returns the one to send now, if any."""
         if not self._waiting and (self._last is None or now >= self._last + self.interval):
             self._last = now
             return message

@@ -79,7 +79,7 @@ TYPED_ARRAYS = {
 """The tag of a list of such numbers, little-endian, and how `struct` writes one of them."""
 
 LARGE: Final = 2000
-"""So many values are checked in a few milliseconds."""
+"""This many values can be checked in a few milliseconds."""
 
 Frame: TypeAlias = str | bytes
 Compression = Literal["none", "png", "cbor", "cbor-raw"]
@@ -96,7 +96,7 @@ def request(op: str, **members: object) -> str:
 
 
 def reply(op: str, id: Id, **members: object) -> str:
-    """The same, with the id of what it answers; without, if that had none."""
+    """A frame that answers another one, with the id of that one, if it had any."""
     if id is not None:
         members["id"] = id
     return request(op, **members)
@@ -123,7 +123,7 @@ def png(text: str) -> str:
 
 
 class Rendering:
-    """A topic's message, and the frames made of it; each is made once, for all who want it.
+    """A topic's message and its frames; each frame is made once for all clients.
 
     Args:
         message: The message.
@@ -147,19 +147,19 @@ class Rendering:
 
 
 def json_values(message: Message) -> object:
-    """What msgspec writes as the JSON of a message; the message itself where that will do."""
+    """The value that msgspec encodes as the JSON of a message; often the message itself."""
     convert = _writer(type(message), is_json=True)
     return message if convert is None else convert(message)
 
 
 def cbor_values(message: Message) -> dict[str, object]:
-    """What cbor2 writes as the CBOR of a message."""
+    """The value that cbor2 encodes as the CBOR of a message."""
     convert = cast("Convert", _writer(type(message), is_json=False))
     return cast("dict[str, object]", convert(message))
 
 
 def message_from(cls: type[M], values: object, *, root: str) -> M:
-    """The message that a client's values say; what is left out keeps its default.
+    """The message with a client's values; fields that are left out keep their defaults.
 
     Args:
         cls: The class.
@@ -187,7 +187,7 @@ def message_from(cls: type[M], values: object, *, root: str) -> M:
 
 
 async def read_message(cls: type[M], values: object, *, root: str) -> M:
-    """As `turtleact.web.values.message_from`; others go on while it reads.
+    """As `message_from`, but other clients are served meanwhile.
 
     Raises:
         InvalidMessage: with the path of the first value or name that does not fit.
@@ -255,7 +255,7 @@ def _escaped(found: re.Match[str]) -> str:
 
 @functools.cache
 def _writer(cls: type[Message], *, is_json: bool) -> Convert | None:
-    """What makes plain values of a message; None where JSON takes it as it is."""
+    """Converts a message to plain values; None if JSON can encode it as it is."""
     converters = [
         (field, _field_writer(field, nested, is_json=is_json))
         for field, nested in zip(fields(cls), nested_classes(cls), strict=True)
@@ -299,7 +299,7 @@ def _typed_array(tag: int, code: str, numbers: list[float]) -> cbor2.CBORTag:
 
 @functools.cache
 def _reader(cls: type[Message]) -> Convert | None:
-    """What makes a client's values those of ROS; None where they are already."""
+    """Converts a client's values to those of ROS; None if they need no conversion."""
     converters = {
         field.name: change
         for field, nested in zip(fields(cls), nested_classes(cls), strict=True)

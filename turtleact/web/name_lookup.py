@@ -61,7 +61,7 @@ def absolute(name: str) -> str:
 
 
 def type_name(spelled: str, kind: Kind) -> str:
-    """The full name of a type; what has no known form stays as it is.
+    """The full name of a type; an unknown spelling stays as it is.
 
     >>> type_name("turtlesim/Pose", "msg"), type_name("turtlesim::msg::dds_::Pose_", "msg")
     ('turtlesim/msg/Pose', 'turtlesim/msg/Pose')
@@ -115,7 +115,7 @@ class Directory:
         return sorted({endpoint.type_name for endpoint in self.find(kinds, name)})
 
     def is_latched(self, topic: str) -> bool:
-        """Whether somebody publishes to a topic for those who come later, too."""
+        """Whether a publisher of the topic keeps messages for later subscriptions."""
         return any(
             endpoint.qos.durability == "transient_local"
             for endpoint in self.find(("publisher",), topic)
@@ -126,11 +126,11 @@ class Directory:
 
         Args:
             topic: Its absolute name.
-            spelled: The type that a client says it has; empty if it says none.
+            spelled: The type as the client spells it; empty if it gives none.
 
         Raises:
-            InvalidOption: if it says none and the graph knows none, or several; if the graph knows
-                others only.
+            InvalidOption: if the client gives no type and the graph knows none or several, or if
+                the graph only knows others.
             UnknownInterface: if there is no such type.
         """
         types = self.types(TOPIC_KINDS, topic)
@@ -153,10 +153,10 @@ class Directory:
 
         Args:
             service: Its absolute name.
-            spelled: The type that a client says it has; empty if it says none.
+            spelled: The type as the client spells it; empty if it gives none.
 
         Raises:
-            ServerUnavailable: if it says none and nobody serves it.
+            ServerUnavailable: if the client gives no type and nobody serves the service.
             UnknownInterface: if there is no such type.
         """
         types = [] if spelled else self.types(SERVICE_KINDS, service)

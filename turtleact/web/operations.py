@@ -43,13 +43,13 @@ Arguments: TypeAlias = dict[str, Any] | list[Any] | None
 
 
 class Base(msgspec.Struct, tag_field="op", frozen=True, kw_only=True):
-    """What every operation may have."""
+    """The member that every operation may have."""
 
     id: Id = None
 
 
 class SetLevel(Base, tag="set_level", frozen=True, kw_only=True):
-    """From which severity on the client wants to hear ``status``."""
+    """The least severity of the ``status`` frames that the client wants."""
 
     level: str | None = None
 
@@ -64,7 +64,7 @@ class Advertise(Base, tag="advertise", frozen=True, kw_only=True):
 
 
 class Unadvertise(Base, tag="unadvertise", frozen=True, kw_only=True):
-    """The client will not publish any more."""
+    """The client will not publish to the topic any more."""
 
     topic: str
 
@@ -97,7 +97,7 @@ class Subscribe(Base, tag="subscribe", frozen=True, kw_only=True):
 
 
 class Unsubscribe(Base, tag="unsubscribe", frozen=True, kw_only=True):
-    """The client does not want them any more; without an id, by none of its subscriptions."""
+    """The client ends a subscription; without an id, all those of the topic."""
 
     topic: str
 
@@ -119,13 +119,13 @@ class AdvertiseService(Base, tag="advertise_service", frozen=True, kw_only=True)
 
 
 class UnadvertiseService(Base, tag="unadvertise_service", frozen=True, kw_only=True):
-    """The client serves it no more."""
+    """The client stops serving it."""
 
     service: str
 
 
 class ServiceResponse(Base, tag="service_response", frozen=True, kw_only=True):
-    """What the client answers to a ``call_service`` of ours."""
+    """The client's answer to a ``call_service`` of ours."""
 
     service: str | None = None
     values: Arguments | str = None
@@ -142,7 +142,7 @@ class SendActionGoal(Base, tag="send_action_goal", frozen=True, kw_only=True):
 
 
 class CancelActionGoal(Base, tag="cancel_action_goal", frozen=True, kw_only=True):
-    """A goal is not wanted any more; ``id`` is that of its ``send_action_goal``."""
+    """The client cancels a goal; ``id`` is that of its ``send_action_goal``."""
 
     action: str
 
@@ -155,7 +155,7 @@ class AdvertiseAction(Base, tag="advertise_action", frozen=True, kw_only=True):
 
 
 class UnadvertiseAction(Base, tag="unadvertise_action", frozen=True, kw_only=True):
-    """The client serves it no more."""
+    """The client stops serving it."""
 
     action: str
 
@@ -205,11 +205,11 @@ DECODER: msgspec.json.Decoder[Operation] = msgspec.json.Decoder(Operation)
 
 
 class Malformed(msgspec.Struct, frozen=True):
-    """A frame that says nothing rosbridge knows.
+    """A frame that rosbridge cannot understand.
 
     Attributes:
         problem: What is wrong with it.
-        id: The id that it has all the same.
+        id: Its id, if it has one.
     """
 
     problem: str
@@ -217,7 +217,7 @@ class Malformed(msgspec.Struct, frozen=True):
 
 
 def parse(frame: str | bytes) -> Operation | Malformed:
-    """What a frame says, whatever was sent.
+    """The operation in a frame, or what is wrong with it.
 
     >>> parse('{"op": "unsubscribe", "topic": "/pose"}').topic
     '/pose'
@@ -238,7 +238,7 @@ def parse(frame: str | bytes) -> Operation | Malformed:
 
 
 def _is_sound(frame: str) -> bool:
-    """Whether all text in a frame can be said again, in an answer or an error."""
+    """Whether all text in a frame can be encoded, to be quoted in an answer."""
     try:
         json.dumps(json.loads(frame), ensure_ascii=False).encode()
     except (ValueError, RecursionError):
@@ -247,7 +247,7 @@ def _is_sound(frame: str) -> bool:
 
 
 def _second_look(frame: str, first: ValueError | RecursionError) -> Operation | Malformed:
-    """Reads what Python's own JSON writes and JSON knows not, NaN; else tells what is wrong."""
+    """Accept NaN, which Python's own JSON writes; otherwise say what is wrong."""
     try:
         members = json.loads(frame)
     except (ValueError, RecursionError):

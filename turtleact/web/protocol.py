@@ -1,13 +1,14 @@
 """rosbridge's rules for one connection, without I/O: frames in, effects out.
 
 It knows what a client has opened and under which ids, how much that may be, and what the client
-wants to be told; it knows no graph, no loop and no time. What it gives back is to be done in order.
+wants to be told. It knows no graph, no loop and no time. The effects it returns must be carried out
+in order.
 
 - Several subscriptions of a topic, told apart by their ids, are one to the graph: the shortest
   ``throttle_rate`` and the newest ``compression`` hold for all.
 - Without an id, ``unsubscribe`` and ``unadvertise`` mean all of them.
-- ``status`` goes to clients that have sent ``set_level``, and to nobody else: the libraries fail on
-  what they do not expect.
+- Only clients that have sent ``set_level`` get ``status``: the libraries fail on operations that
+  they do not expect.
 
 Source: ``ROSBRIDGE_PROTOCOL.md`` of rosbridge_suite, version 2, and its ``capabilities/``.
 """
@@ -60,7 +61,7 @@ class Delivery(msgspec.Struct, frozen=True):
 
 
 class Reader(msgspec.Struct, frozen=True):
-    """A topic that a client reads; its key is the name as the client spells it."""
+    """A topic that a client subscribes to; the key is its name in the client's spelling."""
 
     key: str
     type: str
@@ -69,7 +70,7 @@ class Reader(msgspec.Struct, frozen=True):
 
 
 class Writer(msgspec.Struct, frozen=True):
-    """A topic that a client publishes to; likewise."""
+    """A topic that a client publishes to; the key is its name in the client's spelling."""
 
     key: str
     type: str
@@ -79,13 +80,13 @@ class Writer(msgspec.Struct, frozen=True):
 
 
 class Open(msgspec.Struct, frozen=True):
-    """Something is to be opened on the graph."""
+    """Open something on the graph."""
 
     what: Reader | Writer | operations.AdvertiseService | operations.AdvertiseAction
 
 
 class Shut(msgspec.Struct, frozen=True):
-    """Something that was opened is to be closed.
+    """Close something that was opened.
 
     Attributes:
         kind: ``reader``, ``writer``, ``service`` or ``action``.
@@ -97,14 +98,14 @@ class Shut(msgspec.Struct, frozen=True):
 
 
 class Adjust(msgspec.Struct, frozen=True):
-    """A topic that is read already is wanted otherwise."""
+    """Change how a subscribed topic is delivered."""
 
     key: str
     delivery: Delivery
 
 
 class Do(msgspec.Struct, frozen=True):
-    """An operation that opens and closes nothing is to be carried out."""
+    """Carry out an operation that opens and closes nothing."""
 
     operation: (
         operations.Publish
@@ -118,7 +119,7 @@ class Do(msgspec.Struct, frozen=True):
 
 
 class Say(msgspec.Struct, frozen=True):
-    """A frame is to be sent."""
+    """Send a frame."""
 
     frame: str
 
@@ -145,7 +146,7 @@ class Protocol:
         self._served: set[tuple[str, str]] = set()
 
     def receive(self, frame: str | bytes) -> list[Effect]:
-        """What is to be done about a frame, whatever it holds."""
+        """The effects of a frame."""
         said = parse(frame)
         if isinstance(said, operations.Malformed):
             return self.complain(f"not understood: {said.problem}", said.id)
@@ -179,7 +180,7 @@ class Protocol:
         return [Say(reply("status", id, level=level, msg=problem))]
 
     def forget(self, kind: str, key: str) -> None:
-        """Note that something could not be opened after all."""
+        """Note that something could not be opened."""
         if kind == "reader":
             self._opened -= len(self._readers.pop(key, ()))
         elif kind == "writer":
@@ -257,7 +258,7 @@ class Protocol:
         return [Shut("writer", said.topic)]
 
     def _publish(self, said: operations.Publish) -> list[Effect]:
-        """What was not advertised is so now, without an id."""
+        """Publish; a topic that was not advertised is advertised now, without an id."""
         if said.topic in self._writers:
             return [Do(said)]
         if not self._may_open():
@@ -298,7 +299,7 @@ class Protocol:
 
 
 def _merged(wishes: dict[Id, Delivery]) -> Delivery:
-    """One delivery that is good for several subscriptions, the newest of which stands last."""
+    """One delivery for several subscriptions of a topic, the newest of which comes last."""
     return Delivery(
         min(each.interval for each in wishes.values()),
         max(each.queue_length for each in wishes.values()),
@@ -307,5 +308,5 @@ def _merged(wishes: dict[Id, Delivery]) -> Delivery:
 
 
 def _amount(number: float | None) -> float:
-    """A number that a client has given, none below zero; NaN is nothing."""
+    """A number from a client: at least 0, and 0 for NaN and None."""
     return 0.0 if number is None or math.isnan(number) else max(float(number), 0.0)

@@ -96,7 +96,7 @@ class Rosapi:
     """Answers rosapi's services.
 
     Args:
-        node: Its graph is what is told.
+        node: A node of the graph to describe.
         directory: Knows its endpoints.
         parameters: Gets and sets parameters.
     """
@@ -145,7 +145,7 @@ class Rosapi:
 
         Raises:
             ServerUnavailable: if rosapi has no such service.
-            InvalidMessage: if an argument is no text.
+            InvalidMessage: if an argument is not a string.
             TurtleactError: if a type is not known, a name breaks the rules, or a node is silent.
         """
         prefix, _, name = service.removeprefix("/").partition("/")
@@ -169,7 +169,7 @@ class Rosapi:
         return {"topics": list(topics), "types": [types[0] for types in topics.values()]}
 
     def _topics_and_raw_types(self) -> Values:
-        """Foxglove and Lichtblick take a graph without ``/rosout`` for one of ROS 1."""
+        """Without ``/rosout``, Foxglove and Lichtblick take the graph for one of ROS 1."""
         listed = self._topics()
         for topic, type in ALWAYS.items():
             if topic not in listed["topics"]:
@@ -329,7 +329,7 @@ class Parameters:
         return msgspec.json.encode(list(value) if isinstance(value, bytes) else value).decode()
 
     async def _held(self, name: str) -> ParameterValue:
-        """What a node says of its parameter; of no kind if it has none of that name.
+        """A node's parameter; not set if the node has none of that name.
 
         Raises:
             TurtleactError: if there is no answer.
@@ -425,10 +425,10 @@ def _get_ros_version() -> Values:
 
 
 def _as_parameter(value: object, declared: int) -> ParameterValue:
-    """A value as a node takes it; of the kind that it has declared, where JSON leaves that open.
+    """A parameter value, of the declared kind if JSON leaves the kind open.
 
     Raises:
-        InvalidMessage: if no parameter can be that.
+        InvalidMessage: if no parameter can have this value.
     """
     if value is None:
         return ParameterValue()

@@ -52,19 +52,19 @@ PORT: Final = 9090
 """rosbridge's own port."""
 
 ROOM: Final = 50
-"""So many connections may ask for the page while all are taken that `Limits` allows."""
+"""Connections that may still ask for the page when `Limits.connections` clients are connected."""
 
 READ_AHEAD: Final = 2**14
-"""So much of what a client sends is read at once (bytes), and worked off before others go on."""
+"""How much a client may send ahead (bytes): it is worked off before others go on."""
 
 LAST_ORDERS: Final = 2
-"""So long uvicorn waits for requests that are still under way when it ends (s)."""
+"""How long uvicorn waits for requests that are under way when it ends (s)."""
 
 REQUEST_WITHIN: Final = 10.0
-"""So long a client has to say what it wants (s)."""
+"""How long a client may take to send its request (s)."""
 
 LINGER: Final = 1.0
-"""A client that was let go is read for so long (s), and what it says is dropped."""
+"""How long the server reads on, and drops what it reads, after letting a client go (s)."""
 
 OVERHEAD: Final = 64
 """What Python takes for a part of a message, whatever its length (bytes)."""
@@ -72,17 +72,17 @@ OVERHEAD: Final = 64
 TOO_MUCH: Final = "all clients together hold too much memory, and this one most of it"
 
 MOST_PINGS: Final = 100
-"""So often a client may ask in a second whether the server is there."""
+"""Most pings that a client may send in a second."""
 
 
 class Web(msgspec.Struct, frozen=True):
-    """A server that listens.
+    """A running web server.
 
     Attributes:
         host: The address that it is bound to.
         port: The port.
-        token: What clients must know; empty if nothing.
-        bridge: What it serves.
+        token: The token that clients must send; empty if none is needed.
+        bridge: The app it serves.
     """
 
     host: str
@@ -92,7 +92,7 @@ class Web(msgspec.Struct, frozen=True):
 
     @property
     def url(self) -> str:
-        """The address of the page; the same with ``ws:`` is that of rosbridge."""
+        """The address of the page; with ``ws:`` instead of ``http:``, that of rosbridge."""
         host = ANY.get(self.host, self.host)
         place = f"[{host}]" if ":" in host else host
         query = f"?token={quote(self.token, safe='')}" if self.token else ""
@@ -100,11 +100,11 @@ class Web(msgspec.Struct, frozen=True):
 
 
 ANY: Final = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104  # told, not bound
-"""What a browser here goes to where all addresses are bound."""
+"""The address for a browser on this machine if all addresses are bound."""
 
 
 PORT_ERRORS: Final = (errno.EADDRINUSE, errno.EACCES)
-"""With another port these would not have been."""
+"""Errors that another port would avoid."""
 
 
 @asynccontextmanager
@@ -119,25 +119,25 @@ async def open_web(
     limits: Limits | None = None,
     cancel_on_disconnect: bool = False,
 ) -> AsyncIterator[Web]:
-    """Serve a node on a port; it listens when the block begins.
+    """Serve a node on a port; the server listens when the block begins.
 
-    At its end every client gets what must still arrive, and a close frame.
+    At the end of the block, every client gets the frames that must still arrive and a close frame.
 
     Args:
-        node: What is served.
-        host: The address or name to bind; other machines reach it unless it is a loopback one.
-        port: The port; any free one if 0.
-        token: What clients must know. If left out, nothing on a loopback address, and a token made
-            for this run elsewhere.
+        node: The node to serve.
+        host: The address or name to bind; other machines can reach it unless it is a loopback one.
+        port: The port, 1 to 65535, or 0 for any free one.
+        token: The token that clients must send. If left out, none is needed on a loopback address;
+            elsewhere one is made for this run.
         hosts: As for `open_bridge`; ``host`` is among them.
         origins: As for `open_bridge`.
         limits: As for `open_bridge`.
         cancel_on_disconnect: As for `open_bridge`.
 
     Raises:
-        InvalidOption: if the host or the port cannot be bound; if it is no loopback address and
-            the token is empty.
-        TurtleactError: if it does not run on asyncio.
+        InvalidOption: if the host or the port cannot be bound, or if the token is empty and the
+            host is not a loopback one.
+        TurtleactError: if the event loop is not asyncio's or uvloop's.
     """
     if anyio.get_cancelled_exc_class() is not asyncio.CancelledError:
         raise TurtleactError("the web server runs on asyncio alone: elsewhere mount an open_bridge")
@@ -193,7 +193,7 @@ async def _serving(bridge: Bridge, listener: socket.socket, limits: Limits) -> A
 
 
 class _Config(uvicorn.Config):
-    """uvicorn's, through which its protocols reach the bridge."""
+    """uvicorn's configuration, through which its protocols reach the bridge."""
 
     bridge: Bridge
 
@@ -219,7 +219,7 @@ class _Log(logging.Logger):
 
 
 class _Server(uvicorn.Server):
-    """uvicorn's, which says when it is ready and over, and leaves the signals to the program."""
+    """uvicorn's server; says when it is ready and over, and leaves signals to the program."""
 
     def __init__(self, config: uvicorn.Config) -> None:
         super().__init__(config)
@@ -246,9 +246,9 @@ class _Server(uvicorn.Server):
 
 
 class Http(H11Protocol):
-    """A connection on which a client asks for something, once.
+    """An HTTP connection, for one request.
 
-    There are ``limit_concurrency`` of them at most, those that have become a `Socket` among them.
+    At most ``limit_concurrency`` are open, including those that have become a `Socket`.
     """
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as in uvicorn
@@ -374,7 +374,7 @@ class Socket(WebSocketsSansIOProtocol):
         return self.transport.get_write_buffer_size()
 
     def handle_ping(self) -> None:
-        """Answer a ping; the answers would pile up to a client that does nothing else."""
+        """Answer a ping, unless there are so many that the answers would pile up."""
         now = self.loop.time()
         if now - self._pinged_at >= 1.0:
             self._pinged_at, self._pings = now, 0
@@ -386,7 +386,7 @@ class Socket(WebSocketsSansIOProtocol):
             self.transport.abort()
 
     def keepalive_timeout(self) -> None:
-        """End, unless the pong that is missed stands behind what the client says meanwhile."""
+        """End, unless the client is still sending: its pong may come behind that."""
         if self._heard_at > self.ping_sent_at:
             self.pong_timer = None
             self.schedule_ping()
@@ -394,7 +394,7 @@ class Socket(WebSocketsSansIOProtocol):
             super().keepalive_timeout()
 
     def send_receive_event_to_app(self) -> None:
-        """Hand a message to the app; a text that is none ends the connection."""
+        """Hand a message to the app; a text that is not UTF-8 ends the connection."""
         self._unread += self._fragments
         self._fragments = 0
         is_read = self.curr_msg_data_type == "text" and not self.close_sent

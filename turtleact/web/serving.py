@@ -1,7 +1,7 @@
 """The services and actions that one client serves: requests go out, answers come back.
 
-To the graph the bridge serves them; each request and each goal is put to the client under an id,
-and waits until the client has answered, or has gone.
+On the graph, the bridge is the server. Each request and each goal is put to the client under an id,
+and waits until the client has answered or gone.
 
 Source: rosbridge_library ``capabilities/advertise_{service,action}.py``.
 """
@@ -35,21 +35,21 @@ from turtleact.web.operations import (
 __all__ = ["Serving"]
 
 CANCEL_WITHIN: Final = 30.0
-"""A client has so long to end a goal that it was asked to cancel (s)."""
+"""How long a client may take to end a goal that it was asked to cancel (s)."""
 
 
 class Server(Protocol):
-    """What was opened on the node."""
+    """A server that was opened on the node."""
 
     async def aclose(self) -> None:
         """Serve no more."""
 
 
 class Serving:
-    """What one client serves.
+    """The services and actions that one client serves.
 
     Args:
-        node: Where it is served.
+        node: The node that serves them.
         keep: Sends the client a frame.
     """
 
@@ -84,7 +84,7 @@ class Serving:
         self._servers["action", said.action] = server
 
     def withdraw(self, kind: str, name: str) -> Server:
-        """Serve something no more: closing what is given tells all who wait for it."""
+        """Stop serving something; close the server that is returned, which answers all who wait."""
         # First the questions are given up, so that closing the server does not wait for answers.
         for question in self._asked.values():
             if question.about == (kind, name):
@@ -92,14 +92,14 @@ class Serving:
         return self._servers.pop((kind, name))
 
     def answer(self, said: ServiceResponse | ActionResult) -> bool:
-        """Take the client's answer; whether it was asked."""
+        """Take the client's answer; False if it was not asked."""
         question = self._asked.get(str(said.id))
         if question is not None:
             question.answer(said)
         return question is not None
 
     async def take_feedback(self, said: ActionFeedback) -> None:
-        """Publish the client's feedback; that of a goal that has ended is too late, and dropped.
+        """Publish the client's feedback; it is dropped if the goal has ended.
 
         Raises:
             TurtleactError: if it does not fit the action.
@@ -109,7 +109,7 @@ class Serving:
             await question.take_feedback(said.values)
 
     async def aclose(self) -> None:
-        """The client has gone: serve nothing more."""
+        """Stop serving, as the client has gone."""
         for kind, name in list(self._servers):
             await self.withdraw(kind, name).aclose()
 
@@ -195,14 +195,14 @@ class Serving:
 
 
 class _Question:
-    """What was put to the client.
+    """A request or a goal that was put to the client.
 
     Attributes:
-        id: What it is called in frames.
+        id: Its id in frames.
         about: Which service or action it is for.
-        said: The answer; None as long as there is none.
+        said: The answer; None until there is one.
         is_lost: Whether there will be none.
-        take_feedback: Takes the values of feedback, where there can be such.
+        take_feedback: Takes the values of feedback, if it is a goal.
     """
 
     def __init__(self, id: str, about: tuple[str, str], changed: Signal) -> None:
@@ -237,7 +237,7 @@ async def _no_feedback(_values: object) -> None:
 async def _result(
     said: ServiceResponse | ActionResult | None, result_type: type[Message]
 ) -> Message:
-    """What the client's answer is to a body: a result, or the verdict that it raises.
+    """What the client's answer means for the body: a result to return, or an error to raise.
 
     Raises:
         Abort: if the client has gone, has failed, or says what does not fit.

@@ -57,18 +57,18 @@ Req = TypeVar("Req", bound=Message)
 Res = TypeVar("Res", bound=Message)
 
 ANSWER: Final = 5.0
-"""So long a node has to tell of its parameters (s)."""
+"""How long a node may take to answer about its parameters (s)."""
 
 Deliver: TypeAlias = Callable[[Rendering], None]
 
 DEPTH = 32
-"""So many messages are kept for the one task that hands them to all clients."""
+"""How many messages wait for the task that hands them to all clients."""
 
 MOST_IDLE: Final = 64
-"""So many that nobody uses are kept; to open one is to be announced on the graph."""
+"""How many idle ones are kept open: opening one announces it on the whole graph."""
 
 MOST_GOALS: Final = 1024
-"""So many goals are followed at once, those of disconnected clients among them."""
+"""Most goals that are followed at once, including those of disconnected clients."""
 
 NO_SERVER: Final = "No action server available"
 CLOSING: Final = "The server is closing: there will be no word of this goal"
@@ -76,12 +76,12 @@ REJECTED: Final = "Action goal was rejected"
 
 
 class Limits(msgspec.Struct, frozen=True):
-    """How much clients may ask for.
+    """How much clients may use.
 
     Attributes:
-        connections: How many may be connected.
-        opened: Subscriptions, advertisements, services and actions of one client.
-        calls: Service calls of one client that are under way.
+        connections: How many clients may be connected.
+        opened: How many subscriptions, advertisements, services and actions one client may have.
+        calls: How many service calls of one client may be under way.
         message_size: Longest message that a client may send (bytes).
         memory: How much all clients together may make the server hold (bytes): messages that have
             not arrived in full or not been read yet, and frames that wait to be sent. If it is
@@ -154,11 +154,11 @@ class Shared:
 
 
 class Feed:
-    """A topic, and those who read it.
+    """A topic and its readers.
 
     Args:
         subscription: Its messages.
-        reader: The first of them; what has come already is delivered to it at once.
+        reader: The first reader; it gets messages that have already come.
         now: The time (ns since the epoch).
 
     Attributes:
@@ -186,11 +186,11 @@ class Feed:
 
 
 class Feeds:
-    """The topics that are read.
+    """The topics that clients read.
 
     Args:
         node: Where they are subscribed to.
-        directory: Says which of them are latched.
+        directory: Knows which of them are latched.
     """
 
     def __init__(self, node: Node, directory: Directory) -> None:
@@ -199,7 +199,7 @@ class Feeds:
         self._shared: dict[tuple[str, type[Message]], Feed] = {}
 
     def join(self, topic: str, message_type: type[Message], deliver: Deliver) -> Feed:
-        """Have a topic's messages delivered; what the publishers keep of a latched one, too.
+        """Deliver a topic's messages, including those that the publishers of a latched one keep.
 
         Raises:
             TurtleactError: if the node is closed.
@@ -218,7 +218,7 @@ class Feeds:
         return feed
 
     async def leave(self, feed: Feed, deliver: Deliver) -> None:
-        """Deliver no more; the last one closes the feed."""
+        """Stop delivering; the last reader to leave closes the feed."""
         feed.readers.remove(deliver)
         if not feed.readers:
             self._shared = {key: each for key, each in self._shared.items() if each is not feed}
@@ -237,10 +237,10 @@ C = TypeVar("C", bound=Closing)
 
 
 class Pool(Generic[K, C]):
-    """Things that are opened once for all who use them.
+    """Things that are opened once and shared by their users.
 
     Args:
-        open: Opens the thing of a key.
+        open: Opens the thing for a key.
     """
 
     def __init__(self, open: Callable[[K], C]) -> None:
@@ -250,7 +250,7 @@ class Pool(Generic[K, C]):
 
     @asynccontextmanager
     async def use(self, key: K) -> AsyncIterator[C]:
-        """The thing of a key, which stays open for the length of the block at least."""
+        """The thing for a key; it stays open at least for the length of the block."""
         # Taken out and put in again, so that the one used last stands last. No await lies between:
         # nobody else can open a second one for the key.
         held = self._held.pop(key, None)
@@ -273,14 +273,14 @@ class Pool(Generic[K, C]):
             await each.aclose()
 
     async def _tidy(self) -> None:
-        """Close the one that nobody has used for longest, if there are too many."""
+        """Close the least recently used idle thing, if there are too many."""
         idle = [key for key in self._held if key not in self._users]
         if len(idle) > MOST_IDLE:
             await self._held.pop(idle[0]).aclose()
 
 
 class Teller(Protocol):
-    """Whom the frames of a goal go to."""
+    """The client that gets the frames of a goal."""
 
     def keep(self, frame: str) -> None:
         """Send what must arrive."""
@@ -324,7 +324,7 @@ class Goals:
             sent.following = Background(self._follow(sent), f"goal {said.id} of a web client")
 
     def cancel(self, said: CancelActionGoal, teller: Teller) -> str:
-        """Cancel a goal; what is wrong, if something is."""
+        """Cancel a goal; returns what is wrong, or an empty string."""
         sent = self._own(said.id, teller)
         if sent is None:
             found = [each for each in self._sent.values() if each.said.id == said.id]
@@ -336,7 +336,7 @@ class Goals:
         return ""
 
     def lose(self, teller: Teller) -> None:
-        """Tell somebody no more, who has gone."""
+        """Stop telling a client that has gone."""
         for sent in self._sent.values():
             if sent.teller is teller:
                 sent.teller = None
@@ -344,14 +344,14 @@ class Goals:
                     sent.cancel()
 
     def leave(self) -> None:
-        """Tell all who wait for a goal that they will not hear of its end."""
+        """Tell all clients that wait for a goal that they will not hear of its end."""
         # `is_over` keeps the end of the goal, should it still come, from being told after this.
         for sent in self._sent.values():
             sent.fail(CLOSING)
             sent.is_over = True
 
     async def aclose(self) -> None:
-        """Follow no goal any more; they go on."""
+        """Stop following goals; they go on."""
         for sent in list(self._sent.values()):
             await sent.following.aclose()
         await self._clients.aclose()
@@ -419,7 +419,7 @@ class _Sent:
         self._is_canceled = False
 
     def accept(self, handle: ClientGoalHandle[Message, Message]) -> None:
-        """Note that the server has taken it; it may be unwanted by now."""
+        """Note that the server has accepted it; the client may have canceled it meanwhile."""
         self._handle = handle
         if self._is_canceled:
             handle.cancel_nowait()
@@ -436,7 +436,7 @@ class _Sent:
         self.tell("action_feedback", feedback)
 
     def tell(self, op: str, message: Message, **members: object) -> None:
-        """Tell its client something, if that is still there."""
+        """Send its client a frame, if the client is still there."""
         if self.teller is None or self.is_over:
             return
         frame = reply(
