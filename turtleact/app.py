@@ -27,7 +27,7 @@ OpenGraph: TypeAlias = Callable[[Clock], AbstractAsyncContextManager[Transport]]
 
 
 class WorldNode(Node):
-    """A node beside a world of this process, by which the world's time is ruled, too.
+    """A node next to a world in this process; it can also pause and step the world.
 
     Made by `open_world`.
 
@@ -41,11 +41,11 @@ class WorldNode(Node):
 
     @property
     def is_paused(self) -> bool:
-        """Whether time stands still, but for the ticks of `step`."""
+        """Whether time stands still, except for the ticks of `step`."""
         return self.sim.is_paused
 
     def pause(self) -> None:
-        """Let time stand still from now on, for all that waits by `clock`."""
+        """Let time stand still from now on, for everything that waits by `clock`."""
         self.sim.pause()
 
     def resume(self) -> None:
@@ -59,7 +59,7 @@ class WorldNode(Node):
     async def step(self, ticks: int = 1) -> None:
         """Let some ticks of 16 ms pass in a pause, and wait for the last.
 
-        Cancelling: no tick is made any more.
+        Cancelling: no more ticks are made.
 
         Raises:
             SimError: if the world is not paused, or is already being stepped, or ``ticks`` is

@@ -53,16 +53,16 @@ if TYPE_CHECKING:
 __all__ = ["PATIENCE", "Drive", "Turtles"]
 
 PAUSE: Final = 0.5
-"""A turtle is stopped after so long (s) without a pose, or twice that: it is checked as often."""
+"""A turtle without poses is stopped after this time (s), or up to twice as late."""
 
 SILENCE: Final = 2.0
-"""A turtle is given up after so long (s) without a pose, and one such check more at most."""
+"""A turtle without poses is given up after this time (s), or at most `PAUSE` later."""
 
 PATIENCE: Final = 2.0
-"""A target is given up after so many times the longest time that the law of steering needs."""
+"""A target is given up after this many times the longest time the law of steering needs."""
 
 LEARNING: Final = 0.3
-"""How much of a change in the time from pose to pose is believed at once."""
+"""Share of a change in the time between poses that is taken over with each pose."""
 
 
 class Drive:
@@ -141,7 +141,7 @@ class Drive:
         return least
 
     def too_late(self, target: str) -> Abort:
-        """What to raise where a target was not reached in time, with what may be to blame."""
+        """The error for a target that was not reached in time, with a possible cause."""
         others = self._node.count_publishers(self._twist_topic) > 1
         hint = f": somebody else publishes {self._twist_topic} too" if others else ""
         return Abort(f"{target} was not reached in time{hint}")
@@ -270,7 +270,7 @@ class Drive:
         self._twists.publish(self._robot.write(speeds, self._clock.now()))
 
     async def _keep_watch(self) -> None:
-        """Stop a turtle that is heard of no more; in the end, end whoever waits for it."""
+        """Stop a turtle whose poses stop coming; in the end, let the goal that waits fail."""
         last: Message | None = None
         silence = 0.0
         while silence < SILENCE:
@@ -299,7 +299,7 @@ class Drive:
         return not objection
 
     def _objection(self, seen: Sighting) -> str:
-        """What keeps the turtle from being driven by a pose; empty if nothing does."""
+        """Why a pose must not be used; empty if it may."""
         if seen.stamp is None:
             return ""
         age = (self._clock.now() - seen.stamp) / 1e9
@@ -314,9 +314,9 @@ class Turtles:
     """The turtles of a graph, and which of them are being driven.
 
     Args:
-        node: Where the topics are opened.
-        area: What targets must be in.
-        robot: How they are heard and told; as those of turtlesim are, if left out.
+        node: The node that opens their topics.
+        area: The area in which targets must lie (m).
+        robot: The kind of robot they are; turtlesim's turtles if left out.
     """
 
     def __init__(self, node: Node, area: Area, robot: Robot | None = None) -> None:
@@ -360,7 +360,7 @@ class Turtles:
             raise Reject(str(error)) from None
 
     def check_turtle(self, turtle: str) -> None:
-        """See to it that a turtle can be driven.
+        """Check that a turtle can be driven.
 
         Raises:
             Reject: if nobody publishes its pose, or another goal drives it.
@@ -378,7 +378,7 @@ class Turtles:
             raise Reject(_taken(turtle))
 
     def check_target(self, target: Point, *, path: str = "") -> None:
-        """See to it that a target is inside the area.
+        """Check that a target is inside the area.
 
         Args:
             target: The target.
@@ -397,7 +397,7 @@ class Turtles:
 
     @asynccontextmanager
     async def drive(self, turtle: str, steering: Steering) -> AsyncIterator[Drive]:
-        """Hold a turtle for the length of a block; it stands still at the end, whatever ended it.
+        """Drive a turtle for the length of a block; at the end it stands still in any case.
 
         Raises:
             Abort: if nothing is heard of its pose, or another goal has come first.

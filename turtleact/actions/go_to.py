@@ -143,7 +143,7 @@ class _GoTo:
 
 
 def _missed(goal: GoTo.Goal, *, is_there: bool) -> str:
-    """What of a goal was not reached: the place, or the heading alone."""
+    """The part of a goal that was not reached: the place, or only the heading."""
     if is_there:
         return f"theta: {goal.theta:g}, heading_tolerance: {goal.heading_tolerance:g}"
     return f"x: {goal.x:g}, y: {goal.y:g}"

@@ -32,10 +32,10 @@ PERIOD = 1.0
 """Seconds between two feedback messages on the way to a target."""
 
 WHOLE = 24
-"""So many stops are counted in the bound with all that turning takes: some 10 ms of work."""
+"""Stops that count in the bound with their turns (10 ms of work); later ones count straight."""
 
 AT_ONCE = 16
-"""So many stops of a round take a tick at least, as does a round of fewer."""
+"""This many stops of a round take at least a tick, and so does a shorter round."""
 
 
 class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
@@ -70,7 +70,7 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
 
         Attributes:
             reached: How many targets were reached, over all rounds.
-            missed: The indices of those that were not, a round after the other.
+            missed: The indices of those that were missed, round by round.
             distance: How far the turtle went (m).
             duration: How long it took (s), by the clock of the graph.
             bound: How long it takes at least (s) to reach all of them, whoever drives at these

@@ -1,7 +1,7 @@
-"""Robots as an action knows them: the names and types of two topics, and what may be asked of them.
+"""Robots as an action knows them: the names and types of two topics, and what they can do.
 
-A `Robot` is told on one topic how fast to go and tells on another where it is. The types that can
-stand there are in two tables; the defaults are those of turtlesim.
+A `Robot` gets its speeds on one topic and publishes its pose on another. Two tables hold the types
+that these topics may have; the defaults are those of turtlesim.
 
 Source: the message definitions of ROS 2 Jazzy; Diebel, Representing Attitude, 2006, equation 290
 (the heading of a quaternion).
@@ -30,12 +30,12 @@ __all__ = ["POSE_TYPES", "TWIST_TYPES", "Robot", "Sighting"]
 
 
 class Sighting(NamedTuple):
-    """Where a robot says that it is.
+    """Where and how fast a robot is, by its own account.
 
     Attributes:
         pose: x and y (m), and the heading (rad, in [-pi, pi)).
-        speeds: Linear (m/s, never negative) and angular (rad/s); zeros where they are not told.
-        stamp: When that was, ROS time (ns); None where it is not told.
+        speeds: Linear (m/s, never negative) and angular (rad/s); zeros if it does not say.
+        stamp: When that was, ROS time (ns); None if it does not say.
     """
 
     pose: Pose
@@ -57,26 +57,27 @@ POSE_TYPES: Final[dict[str, _Fields | None]] = {
     "geometry_msgs/msg/PoseStamped": _Fields("pose"),
     "geometry_msgs/msg/PoseWithCovarianceStamped": _Fields("pose.pose"),
 }
-"""What a robot can tell of its place."""
+"""The types of pose topics, and where their fields are."""
 
 TWIST_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
-"""What a robot can be told."""
+"""The types of twist topics."""
 
 
 class Robot(msgspec.Struct, frozen=True, kw_only=True):
-    """A kind of robots: how they are heard and told, and what they can do.
+    """A kind of robot: its topics and what it can do.
 
     Attributes:
-        pose_topic: Where a robot says where it is; ``{turtle}`` is replaced by the goal's turtle.
+        pose_topic: The topic of its pose; ``{turtle}`` is replaced by the goal's turtle.
         pose_type: One of `POSE_TYPES`.
-        twist_topic: Where it is told how fast to go; likewise.
+        twist_topic: The topic of its commands; ``{turtle}`` is replaced, too.
         twist_type: One of `TWIST_TYPES`.
-        frame_id: What a stamped twist is given as its frame.
-        dt: Seconds between two poses, about: it is told anew after each, unless it keeps its
-            commands. If they come at another pace, that is noticed on the way.
-        max_age: A stamped pose that is older than this (s) is not heeded.
-        max_acceleration: How fast it is asked to change its speed (m/s²); may be infinite.
-        max_angular_acceleration: How fast it is asked to change its turn rate (rad/s²); likewise.
+        frame_id: The frame of a stamped twist.
+        dt: Time between two poses (s), about: the robot gets a command after each, unless it keeps
+            its commands. If poses come at another pace, the drive adapts to it.
+        max_age: Stamped poses older than this (s) are ignored.
+        max_acceleration: How fast its speed may change (m/s²), above zero; may be infinite.
+        max_angular_acceleration: How fast its turn rate may change (rad/s²), above zero; may be
+            infinite.
 
     Raises:
         InvalidOption: if there is no such type, or a number is out of its range.
@@ -119,9 +120,9 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def keeps_commands(self) -> bool:
-        """Whether it goes on for a second as it was told, so that it need not be told the same.
+        """Whether it keeps a command for a second, so that the same one need not be repeated.
 
-        turtlesim's turtles do; of others nobody knows after how long they stop.
+        turtlesim's turtles do; for other robots it is not known when they stop.
         """
         return POSE_TYPES[self.pose_type] is None
 
@@ -132,21 +133,21 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def twist_class(self) -> type[Message]:
-        """The class of what it is told."""
+        """The class of its commands."""
         return cast("type[Message]", get_interface(self.twist_type))
 
     def topics(self, turtle: str) -> tuple[str, str]:
-        """The names of a turtle's poses and of what it is told."""
+        """The names of a turtle's pose topic and twist topic."""
         pose, twist = (
             topic.replace("{turtle}", turtle) for topic in (self.pose_topic, self.twist_topic)
         )
         return pose, twist
 
     def read(self, message: Message) -> Sighting:
-        """What a message says.
+        """The robot's place and speeds in a message.
 
         Raises:
-            InvalidMessage: if that is no place or no heading.
+            InvalidMessage: if the message holds no valid place or heading.
         """
         fields = POSE_TYPES[self.pose_type]
         seen = _read_turtle(message) if fields is None else _read_stamped(message, fields)

@@ -20,7 +20,7 @@ SIZE: Final = 500
 """Width and height (pixels)."""
 
 METER: Final = 45.0
-"""Pixels a metre: the height of turtlesim's picture of a turtle."""
+"""Pixels per metre: the height of turtlesim's picture of a turtle."""
 
 
 class Colour(NamedTuple):
@@ -39,7 +39,7 @@ class Pen(NamedTuple):
 
 
 CLEAR: Final = Colour(255, 255, 255)
-"""What turtlesim reads where nothing was drawn: its canvas is cleared to a transparent white."""
+"""The colour of a pixel that nobody has drawn on: turtlesim clears to a transparent white."""
 
 MIDDLE: Final = complex(SIZE, SIZE) / 2.0
 _OPAQUE: Final = 255 << 24
@@ -75,7 +75,7 @@ class Canvas:
         return Colour(pixel & 255, pixel >> 8 & 255, pixel >> 16 & 255) if pixel else CLEAR
 
     def line(self, start: complex, end: complex, width: float, colour: Colour) -> None:
-        """Draw a straight line; what lies outside the picture is left out.
+        """Draw a straight line; parts outside the picture are left out.
 
         Args:
             start: Where it begins, ``x + 1j * y`` (pixels).

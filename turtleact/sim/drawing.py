@@ -45,22 +45,22 @@ TOLERANCE: Final = 0.05
 """How far a point that is left out may lie from the polyline (pixels): a twentieth."""
 
 MOST_POINTS: Final = 20_000
-"""So many points are kept in polylines: about a megabyte."""
+"""Most points that polylines hold: about a megabyte."""
 
 LONGEST: Final = 500
 """Points of a polyline; behind that a new one is begun."""
 
 UNREAD: Final = 4096
-"""So many lines are noted before the oldest are worked out: 200 kB."""
+"""Most lines that are only noted (200 kB); then the oldest are worked out."""
 
 UNREAD_OF_FLEET: Final = 1024
-"""So many, if a fleet draws: all are worked out at once then, in some milliseconds."""
+"""The same if a fleet draws; then all are worked out at once, in a few milliseconds."""
 
 _PORTION: Final = 64
-"""So many are worked out at a time then: a millisecond."""
+"""Lines that are worked out at a time then: about a millisecond."""
 
 _STRAIGHT: Final = 1e-6
-"""Lines that bend by less (pixels) are one line: no pixel shows it."""
+"""Lines that bend by less than this (pixels) are drawn as one: no pixel shows the bend."""
 
 _FIELDS: Final = 6
 
@@ -86,8 +86,8 @@ class Drawing:
         """Draw a straight line.
 
         Args:
-            turtle: Who draws it: its lines make one polyline.
-            pen: With what.
+            turtle: The number of the turtle; its lines make one polyline.
+            pen: The pen.
             start: Where it begins (m).
             end: Where it ends (m); the same place makes a dot.
         """
@@ -98,13 +98,13 @@ class Drawing:
             self._read(_PORTION)
 
     def lines(self, pen: Pen, who: Numbers, start: Places, end: Places) -> None:
-        """Draw straight lines of many turtles, in any order; as `line` otherwise.
+        """Draw straight lines of many turtles, in any order; otherwise like `line`.
 
         Args:
-            pen: With what.
-            who: Who draws them, each turtle once.
-            start: Where each begins (m).
-            end: Where it ends.
+            pen: The pen of all of them.
+            who: Array of shape (N,): the numbers of the turtles, each once.
+            start: Array of shape (N,): where each line begins (m).
+            end: Array of shape (N,): where it ends (m).
         """
         from turtleact.sim.rasterising import Runs  # only a fleet waits for numpy
 
@@ -273,9 +273,9 @@ class Pens:
 
         Args:
             turtle: Its name.
-            colour: What it draws in.
-            width: How wide (pixels), 0 to 255; 0 is 1.
-            is_off: Whether it stops drawing; the rest is then left as it was.
+            colour: The colour.
+            width: The width (pixels), 0 to 255; 0 means 1.
+            is_off: Whether it stops drawing; if so, colour and width stay as they were.
         """
         holder = self._holders[turtle]
         self._fleet = None
@@ -284,7 +284,7 @@ class Pens:
             holder.pen = Pen(colour, width or THINNEST)
 
     def colour(self, turtle: str) -> Colour:
-        """What a turtle draws in, or would if its pen were on."""
+        """The colour of a turtle's pen, on or off."""
         return self._holders[turtle].pen.colour
 
     def hand_out(self, turtle: str) -> None:
@@ -306,13 +306,13 @@ class Pens:
         self._provide_all()
 
     def follow(self, sensed: Collection[str] = ()) -> dict[str, Colour]:
-        """Draw what the last step of the world made of the turtles.
+        """Draw the lines of the world's last step.
 
         Args:
-            sensed: The turtles whose colour is wanted.
+            sensed: The names of turtles that sense the colour under them.
 
         Returns:
-            The colours of the drawing under these turtles, when it was their turn.
+            By name, the colours that these turtles saw when it was their turn.
         """
         before, now = self._places, self._world.places()
         self._places = now
@@ -379,7 +379,7 @@ class Pens:
 
 
 class _Holder:
-    """Who holds a pen: turtles of one name, one after the other, have different numbers."""
+    """The holder of a pen; a later turtle of the same name has another number."""
 
     __slots__ = ("is_on", "number", "pen")
 
@@ -393,8 +393,8 @@ class _Fleet(NamedTuple):
     """The pens of many turtles.
 
     Attributes:
-        numbers: Who holds them, by the indices of the turtles.
-        pen: The one that all have, if it is so and all are on.
+        numbers: The numbers of their holders, by the indices of the turtles.
+        pen: The pen they all have, or None if pens differ or one is off.
     """
 
     numbers: Numbers

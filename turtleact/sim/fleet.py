@@ -59,7 +59,7 @@ BLOCK = 8192
 """Turtles that are stepped together: what one step touches of them fits the second-level cache."""
 
 _FEW = 6
-"""So many angles are faster brought into range one by one than as arrays."""
+"""Up to this many angles are wrapped faster one by one than as arrays."""
 
 # Arrays, since numpy takes them faster than numbers.
 _ZERO = np.array(0.0)
@@ -71,7 +71,7 @@ BODY: Final = 0.3
 """The radius of a turtle (m): of what a picture shows, without head and tail."""
 
 _COLUMNS: Final = 1 << 20
-"""By so much the number of a cell grows from row to row: more than there are columns."""
+"""How much the number of a cell grows from row to row: more than there are columns."""
 
 _AROUND: Final = [row * _COLUMNS + column for row in (-1, 0, 1) for column in (-1, 0, 1)]
 """From the number of a cell to those of its neighbours, and its own."""
@@ -270,12 +270,12 @@ class Fleet:
 
 
 def stopped(before: Sequence[complex], after: Sequence[complex], radius: float = BODY) -> list[int]:
-    """Who must stay where it was.
+    """The turtles that a step must not move, because they would collide.
 
     Args:
-        before: Where the turtles were before the step.
-        after: Where it would bring them.
-        radius: Of each (m).
+        before: N places before the step, ``x + 1j * depth`` (m).
+        after: N places to which the step would bring them (m).
+        radius: The radius of each turtle (m), above zero.
 
     Returns:
         Their indices, in order.

@@ -289,7 +289,7 @@ class Handful:
 
 
 class _Turtle:
-    """One turtle: where it is, its command, and what follows from that for each step.
+    """One turtle: its place, its command, and what each step needs of it.
 
     Attributes:
         turn: How far it turns in a step (rad).

@@ -1,8 +1,8 @@
 """The parameters of a node: six services, and an event for each change.
 
-Parameters are declared once, each with a kind of value that it keeps. The answers, and the words in
-them, are rclcpp's: a service that is asked for a parameter that is not declared answers with
-nothing at all.
+Each parameter is declared once, with a kind of value that it keeps. Answers and their texts match
+rclcpp: a service that is asked about several parameters answers with an empty list if one of them
+is not declared.
 
 Source: rclcpp 28.1 (ROS 2 Jazzy), ``parameter_service.cpp`` and ``node_parameters.cpp``.
 """
@@ -44,14 +44,14 @@ KINDS = (
     "not set", "bool", "integer", "double", "string", "byte_array", "bool_array", "integer_array",
     "double_array", "string_array",
 )  # fmt: skip
-"""What rclcpp calls a kind of value, by the numbers of ``ParameterType``."""
+"""rclcpp's names for the kinds of values, by the numbers of ``ParameterType``."""
 
 
 class Parameters:
     """The parameters of a node, served as ``<node>/get_parameters`` and so on.
 
     Args:
-        node: Whose they are; the services are open as long as it is.
+        node: The node; the services stay open as long as it does.
         on_change: Called after each change.
     """
 
@@ -74,9 +74,9 @@ class Parameters:
 
         Args:
             name: Its name; dots group parameters.
-            value: What it is at first, and of which kind it stays.
+            value: Its first value; later ones must be of the same kind.
             description: What it is for.
-            bounds: The least and the greatest whole number that it may be.
+            bounds: The least and the greatest whole number it may have.
 
         Raises:
             InvalidOption: if it is declared already, or is out of its bounds.
@@ -150,7 +150,7 @@ class Parameters:
         return SetParametersResult(successful=True)
 
     def _find(self, names: Sequence[str]) -> list[tuple[ParameterDescriptor, ParameterValue]]:
-        """What is known of these parameters; nothing if one is not declared."""
+        """The declared parameters of these names; none at all if one is not declared."""
         found = [self._declared[name] for name in names if name in self._declared]
         return found if len(found) == len(names) else []
 

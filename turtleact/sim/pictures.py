@@ -1,8 +1,7 @@
 """A picture of a world: the drawing and the turtles on it, as SVG and as PNG.
 
-500×500 pixels, as turtlesim's window. A turtle is an arrowhead that points where it looks; of
-turtlesim's pictures of turtles nothing is taken but the size, 45 pixels. Pure functions of what
-they are given.
+500×500 pixels, like turtlesim's window. A turtle is an arrowhead that points along its heading; it
+has the size of turtlesim's pictures of turtles, 45 pixels. All functions are pure.
 
 Source: W3C, Scalable Vector Graphics 1.1; W3C, Portable Network Graphics, third edition.
 """
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["BACKGROUND", "Snapshot", "thumbnail", "to_png", "to_svg"]
 
 BACKGROUND: Final = Colour(69, 86, 255)
-"""What turtlesim draws on, unless its parameters say otherwise."""
+"""turtlesim's background, unless its parameters change it."""
 
 SHELL: Final = Colour(46, 125, 50)
 """The colour of a turtle."""
@@ -50,10 +49,10 @@ class Snapshot(NamedTuple):
     """All that is in a picture.
 
     Attributes:
-        background: What shows where nothing was drawn.
+        background: The colour where nothing was drawn.
         pixels: The drawing, as `Drawing.pixels` gives it.
-        base: What of it the polylines leave out, likewise, or None.
-        polylines: The rest of it.
+        base: The part of the drawing that the polylines leave out, in the same form, or None.
+        polylines: The rest of the drawing.
         turtles: The turtles, in the order in which they are painted.
     """
 
@@ -89,7 +88,7 @@ def to_svg(snapshot: Snapshot) -> str:
 
 
 def to_png(snapshot: Snapshot) -> bytes:
-    """A picture pixel by pixel, as turtlesim's window shows it, but for the turtles."""
+    """A picture pixel by pixel, as in turtlesim's window, except for the turtles."""
     import numpy as np
 
     layers = np.frombuffer(snapshot.pixels, np.uint8).reshape(SIZE, SIZE, 4)

@@ -20,7 +20,7 @@ __all__ = ["Lines", "Numbers", "Places", "Runs", "draw_lines"]
 Numbers: TypeAlias = npt.NDArray[np.intp]
 Places: TypeAlias = npt.NDArray[np.complex128]
 Lines: TypeAlias = tuple[Numbers, Places, Places]
-"""Whose lines, where each begins, and where it ends."""
+"""Three arrays of shape (N,): the number of the turtle, the start and the end of each line (m)."""
 
 _Floats: TypeAlias = npt.NDArray[np.float64]
 _Whole: TypeAlias = npt.NDArray[np.int64]
@@ -45,12 +45,12 @@ class Runs:
         self._end = np.zeros(0, np.complex128)
 
     def take(self, who: Numbers, start: Places, end: Places) -> Lines:
-        """Go on with some lines; gives those that do not go on, now that others have begun.
+        """Go on with some lines; returns those that have ended, because others have begun.
 
         Args:
-            who: The numbers of the turtles, each once.
-            start: Where their lines begin.
-            end: Where they end.
+            who: Array of shape (N,): the numbers of the turtles, each once.
+            start: Array of shape (N,): where their lines begin (m).
+            end: Array of shape (N,): where they end (m).
         """
         self._make_room(int(who.max()) + 1)
         is_held, way, step = self._is_held[who], self._end[who] - self._start[who], end - start
@@ -69,7 +69,7 @@ class Runs:
         return ended
 
     def take_all(self) -> Lines:
-        """Give all lines that there are, and forget them."""
+        """All lines that have not ended; they are forgotten."""
         (who,) = self._is_held.nonzero()
         self._is_held[:] = False
         return who, self._start[who], self._end[who]
@@ -86,11 +86,11 @@ def draw_lines(canvas: Canvas, start: Places, end: Places, width: float, colour:
     """Draw straight lines of one width and colour.
 
     Args:
-        canvas: Where.
-        start: Where they begin, ``x + 1j * y`` (pixels).
-        end: Where they end.
-        width: How wide they are (pixels), above zero.
-        colour: What they are drawn in.
+        canvas: The canvas.
+        start: Array of shape (N,): where they begin, ``x + 1j * y`` (pixels).
+        end: Array of shape (N,): where they end (pixels).
+        width: Their width (pixels), above zero.
+        colour: Their colour.
     """
     pixels = np.frombuffer(canvas.pixels, np.uint32)
     for at in range(0, len(start), _MOST):

@@ -41,7 +41,7 @@ MIDDLE = Place(SIDE / 2.0, SIDE / 2.0, 0.0)
 """Where turtlesim puts its first turtle."""
 
 PLACINGS: Final = ("random", "grid", "ring")
-"""How the turtles of a new world can be placed."""
+"""The ways to place the turtles of a new world."""
 
 _MARGIN = 1.0
 """Turtles that are placed keep this far from the walls (m)."""
@@ -114,7 +114,7 @@ def starts(count: int, placing: str = "random", seed: int = 0) -> list[Place]:
     """Where the turtles of a world start, by their numbers from 1 on.
 
     Args:
-        count: How many there are; one alone stands in the middle, however it is placed.
+        count: How many turtles there are; a single one always starts in the middle.
         placing: One of `PLACINGS`.
         seed: Shifts all but the first of those that are spread at random.
 

@@ -132,7 +132,7 @@ class Turtle:
     def leave(self, reason: str) -> None:
         """Note that the turtle is gone: goals end ABORTED for this reason, requests do nothing.
 
-        To be called at once, when the world knows it no more; `aclose` may take a while.
+        Call this as soon as the world has forgotten the turtle; `aclose` may take a while.
         """
         self._gone = reason
         self.commands.notify = None
@@ -309,7 +309,7 @@ class Rotation:
 
 
 def _check(goal: RotateAbsolute.Goal) -> GoalResponse:
-    """Turtlesim takes every goal; towards no number it would turn for ever."""
+    """Accept a goal, unless theta is not finite: turtlesim would turn forever."""
     if not math.isfinite(goal.theta):
         raise Reject(f"theta is {goal.theta}: give a finite number")
     return GoalResponse.ACCEPT

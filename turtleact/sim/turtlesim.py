@@ -5,8 +5,8 @@ the parameters ``background_r``, ``background_g``, ``background_b`` and ``holono
 what each turtle has, `simulation` what there is for time, `poses` and `pictures` for those who look
 on. Only these modules, this one and `parameters` know ROS, and only `ticking` and this one a clock.
 
-Where turtlesim would end (a turtle that cannot be called so) or turn for ever (numbers that are not
-finite), this logs and goes on.
+Where turtlesim would exit (a turtle with an invalid name) or turn forever (numbers that are not
+finite), this logs a message and goes on.
 
 Source: turtlesim 1.8.2, ``turtle_frame.cpp``.
 """
@@ -45,8 +45,8 @@ __all__ = ["Turtlesim"]
 logger = logging.getLogger("turtleact.turtlesim")
 
 MOST_SHOWN: Final = 100
-"""Of the turtles of a fleet, and of those that were spawned, so many are on the graph of other
-processes at once, the rest on demand."""
+"""Other processes see this many of a fleet's first turtles, and of the spawned ones, at once; the
+rest appear on demand."""
 
 
 class Turtlesim:
@@ -95,7 +95,7 @@ class Turtlesim:
 
     @property
     def is_paused(self) -> bool:
-        """Whether time stands still, but for the ticks of `step`."""
+        """Whether time stands still, except for the ticks of `step`."""
         return self._ticking.is_paused
 
     def pause(self) -> None:
@@ -103,13 +103,13 @@ class Turtlesim:
         self._ticking.pause()
 
     def resume(self) -> None:
-        """Let time pass again, from where it stood; where it passes, that does nothing."""
+        """Let time pass again, from where it stood; does nothing if the world is not paused."""
         self._ticking.resume()
 
     async def step(self, ticks: int = 1) -> None:
         """Let some ticks pass in a pause, at the pace of the clock, and wait for the last.
 
-        Cancelling: no tick is made any more.
+        Cancelling: no more ticks are made.
 
         Raises:
             SimError: if the world is not paused, or is already being stepped, or ``ticks`` is
@@ -168,7 +168,7 @@ class Turtlesim:
             self._turtles[name].tell_colour(colour)
 
     def _look_around(self) -> None:
-        """See who is read; only those are asked whose readers have come or gone."""
+        """Note which turtles have readers, looking only at those whose readers have changed."""
         index, told = self._world.index, self._told
         if self._is_roster_new:
             self._is_roster_new = False
@@ -187,7 +187,7 @@ class Turtlesim:
         self._read.clear()
 
     def _tell_poses(self) -> None:
-        """Publish the poses after a tick, but those whose readers have just gone."""
+        """Publish the poses after a tick, except those whose readers have just gone."""
         if len(self._told) > FEW:
             # Column by column: a list for each turtle would call the garbage collector.
             x, y, theta, linear, angular = self._world.poses().T.tolist()

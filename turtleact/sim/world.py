@@ -42,13 +42,13 @@ if TYPE_CHECKING:
 __all__ = ["FEW", "Names", "Pose", "World"]
 
 FEW = 16
-"""Up to so many turtles plain floats are faster than arrays, and numpy is not loaded (0.1 s)."""
+"""Up to this many turtles use plain floats: numpy need not be loaded (0.1 s)."""
 
 
 class Pose(NamedTuple):
-    """What turtlesim publishes of a turtle, rounded to float32 as there.
+    """The pose of a turtle as turtlesim publishes it, rounded to float32.
 
-    x and y are in [0, SIDE] (m), y counted from the lower edge; theta is in [-pi, pi) (rad), but
+    x and y are in [0, SIDE] (m), y counted from the lower edge; theta is in [-pi, pi) (rad), except
     for the rounding; linear_velocity (m/s) is never negative; angular_velocity is in rad/s.
     """
 
@@ -62,8 +62,8 @@ class Pose(NamedTuple):
 class World:
     """Turtles in a square, moved step by step.
 
-    ``turtle1`` starts in the middle and looks along x, as in turtlesim. All others start spread
-    over the square, as the seed has it, unless they are placed otherwise (`placing`).
+    ``turtle1`` starts in the middle and looks along x, as in turtlesim. The seed spreads
+    all others over the square, unless `placing` says otherwise.
 
     Up to 16 turtles are stepped in plain floats, with turtlesim's own bits; more as arrays, where
     places on a curve may differ by 1e-13 m (`turtleact.sim.fleet`).

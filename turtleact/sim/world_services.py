@@ -64,7 +64,7 @@ __all__ = [
 ]
 
 MOST_BEHIND: Final = 1.0
-"""Ticks that are further behind their clock than this (s) are not made up for."""
+"""Ticks that are more than this (s) behind their clock are skipped."""
 
 FEATURES: Final = (
     SimulatorFeatures.SIMULATION_RESET,
@@ -75,7 +75,7 @@ FEATURES: Final = (
     SimulatorFeatures.STEP_SIMULATION_MULTIPLE,
     SimulatorFeatures.STEP_SIMULATION_ACTION,
 )
-"""What the world can do of what simulators can do."""
+"""The features of the standard that the world has."""
 
 _OK: Final = SimulationResult(SimulationResult.RESULT_OK)
 _STATES: Final = {
@@ -89,19 +89,19 @@ FORMATS: Final[dict[str, Callable[[Snapshot], bytes]]] = {
     "png": to_png,
     "svg": lambda snapshot: to_svg(snapshot).encode(),
 }
-"""What a picture can be."""
+"""The formats of a picture."""
 
 
 class Ticking:
-    """Ticks from the moment it is made until it is closed; the first one has been made.
+    """Makes ticks from its creation until it is closed; its owner has made the first one.
 
     Args:
-        clock: Whose time is kept; it stands while there are no ticks.
-        tick: What happens in each.
-        is_paused: Whether there are none at first.
+        clock: The clock to follow; it stands still while there are no ticks.
+        tick: Called for each tick.
+        is_paused: Whether it starts paused.
 
     Attributes:
-        is_paused: Whether there are none, but for those of `step`.
+        is_paused: Whether there are no ticks, except for those of `step`.
     """
 
     def __init__(self, clock: Clock, tick: Callable[[], None], *, is_paused: bool = False) -> None:
@@ -141,7 +141,7 @@ class Ticking:
     async def step(self, ticks: int = 1, on_tick: Callable[[], None] | None = None) -> None:
         """Let some ticks pass in a pause, at the pace of the clock, and wait for the last.
 
-        Cancelling: no tick is made any more.
+        Cancelling: no more ticks are made.
 
         Args:
             ticks: How many, 0 or more.
@@ -179,7 +179,7 @@ class Ticking:
             raise SimError(f"the world was {step.how} after {made}: pause it, and step on")
 
     async def aclose(self) -> None:
-        """Make no tick any more; the clock goes on."""
+        """Make no more ticks; the clock goes on."""
         await self._running.aclose()
         self._end_step("closed")
         self._clock.stop_at(math.inf)
@@ -360,7 +360,7 @@ class TakeSnapshot(Service, type_name="turtleact_interfaces/srv/TakeSnapshot"):
     """Makes a picture of the world as it looks now."""
 
     class Request(Message):
-        """What it shall be.
+        """The format.
 
         Attributes:
             format: ``png`` or ``svg``.
@@ -402,12 +402,12 @@ class Pictures:
 
 
 class _Step:
-    """Ticks that were asked for.
+    """A `Ticking.step` under way.
 
     Attributes:
-        left: How many are still to be made.
-        how: Why there are no more.
-        ended: Set then.
+        left: How many ticks are still to be made.
+        how: How it ended.
+        ended: Set when it has ended.
     """
 
     def __init__(self, ticks: int, on_tick: Callable[[], None] | None) -> None:
