@@ -10,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from turtleact import interfaces
 from turtleact.errors import InvalidInterface, UnknownInterface
 from turtleact.interfaces import from_dict, from_text, implied, snapshot, to_dict, to_yaml
 from turtleact.interfaces.definition import (
@@ -22,13 +23,19 @@ from turtleact.interfaces.definition import (
 )
 from turtleact.interfaces.loading import (
     class_of,
+    get_action,
     get_interface,
+    get_service,
     interface_source,
     interface_text,
     known_interfaces,
+    load_action,
     load_interface,
     load_interfaces,
+    load_message,
+    load_service,
     load_workspace,
+    package_texts,
 )
 from turtleact.interfaces.parse import parse
 from turtleact.interfaces.standard import UUID, CancelGoal, Fibonacci, Point, Time
@@ -408,3 +415,75 @@ def test_definition_class_and_text_say_the_same(members):
     )
     made = class_of(said)
     assert definition(made) == said == parse(interface_text(made), said.type_name)
+
+
+TEXTS = {"msg": "int8 x", "srv": "int8 x\n---", "action": "int8 x\n---\n---"}
+LOADERS = {
+    "msg": (load_message, interfaces.get_message),
+    "srv": (load_service, get_service),
+    "action": (load_action, get_action),
+}
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+def test_a_typed_loader_gives_what_load_interface_gives(kind):
+    name = f"example_msgs/{kind}/Sample"
+    load, get = LOADERS[kind]
+    cls = load(TEXTS[kind], type_name=name)
+    assert cls is load_interface(TEXTS[kind], type_name=name) is get(name)
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+@pytest.mark.parametrize("other", TEXTS)
+def test_a_typed_loader_refuses_another_kind(kind, other):
+    if kind == other:
+        return
+    nouns = {"msg": "a message", "srv": "a service", "action": "an action"}
+    noun = nouns[kind].split()[1]
+    expected = (
+        f"example_msgs/{kind}/Sample: is {nouns[kind]}, not {nouns[other]}: "
+        f"use get_{noun} or load_{noun}"
+    )
+    load, get = LOADERS[other]
+    for attempt in (
+        lambda: load(TEXTS[kind], type_name=f"example_msgs/{kind}/Sample"),
+        lambda: get(f"example_msgs/{kind}/Sample"),
+    ):
+        with pytest.raises(InvalidInterface) as caught:
+            attempt()
+        assert str(caught.value) == expected
+
+
+def test_a_typed_getter_prefers_its_own_kind():
+    assert get_service("std_srvs/Empty").type_name == "std_srvs/srv/Empty"
+    assert interfaces.get_message("std_msgs/Empty").type_name == "std_msgs/msg/Empty"
+    assert (
+        get_action("example_interfaces/Fibonacci").type_name
+        == "example_interfaces/action/Fibonacci"
+    )
+
+
+def test_a_typed_getter_knows_implied_types():
+    action = get_action("example_interfaces/action/Fibonacci")
+    assert interfaces.get_message(f"{action.type_name}_Goal") is action.Goal
+    service: type[Service] = get_service(f"{action.type_name}_SendGoal")
+    assert service is implied(action).send_goal
+
+
+def test_the_texts_of_a_package_come_with_those_of_packages_that_do_not_ship(tmp_path):
+    write(tmp_path, "arm_msgs/msg/Arm", "joint_msgs/Joint[] joints\ngeometry_msgs/Pose at")
+    write(tmp_path, "joint_msgs/msg/Joint", "float64 angle")
+    load_interfaces(tmp_path)
+    assert list(package_texts("arm_msgs")) == ["arm_msgs/msg/Arm", "joint_msgs/msg/Joint"]
+
+
+def test_a_package_that_ships_otherwise_is_not_left_out(tmp_path):
+    write(tmp_path, "arm_msgs/msg/Arm", "std_srvs/Kind kind")
+    write(tmp_path, "std_srvs/msg/Kind", "int8 kind")
+    load_interfaces(tmp_path)
+    assert "std_srvs/srv/Empty" in package_texts("arm_msgs")
+
+
+def test_the_texts_of_an_unknown_package_are_refused_with_the_nearest():
+    with pytest.raises(UnknownInterface, match="'geometry_msg', did you mean 'geometry_msgs'"):
+        package_texts("geometry_msg")

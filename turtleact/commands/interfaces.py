@@ -12,6 +12,7 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from turtleact.commands.output import say
@@ -43,6 +44,7 @@ __all__ = [
     "print_prototype",
     "read_type",
     "show",
+    "write_python",
 ]
 
 KINDS: Final = {"msg": "Messages", "srv": "Services", "action": "Actions"}
@@ -89,10 +91,7 @@ def print_package(package: str, kinds: Sequence[str]) -> None:
     Raises:
         TurtleactError: if there is no such package, with the nearest name.
     """
-    packages = _by_package(())
-    if package not in packages:
-        hint = did_you_mean(package, packages)
-        raise TurtleactError(f"unknown package '{package}'{hint}")
+    _check_package(package)
     say("".join(f"{name}\n" for name in _by_package(kinds).get(package, ())))
 
 
@@ -150,6 +149,81 @@ def read_type(type_name: str, interrupts: Interrupts) -> str:
     if not line:
         raise UsageError("stdin: is empty; expected a type such as std_msgs/msg/String")
     return line
+
+
+def write_python(packages: Sequence[str], folder: Path, *, is_check: bool) -> int:
+    """Write typed Python classes for the interfaces of some packages, and of those that they use.
+
+    Prints the path of each file that it writes. Files that are right already are left alone.
+
+    Args:
+        packages: Their names.
+        folder: Where to write ``PACKAGE/KIND.py``; it is made if it is missing.
+        is_check: Whether to write nothing, and print the files that would change.
+
+    Returns:
+        The exit status: 1 if a check finds a file that would change.
+
+    Raises:
+        TurtleactError: if there is no such package, with the nearest.
+        InvalidInterface: if a file of an interface is malformed.
+        UsageError: if a file in the way was not generated, or cannot be written.
+    """
+    from turtleact.interfaces.generator import MARK, generate
+    from turtleact.interfaces.loading import package_texts
+
+    for package in packages:
+        _check_package(package)
+    wanted: dict[Path, str | None] = {
+        folder / path: text for path, text in generate(package_texts(*packages)).items()
+    }
+    for place in {path.parent for path in wanted}:
+        stale = (place / f"{kind}.py" for kind in KINDS)
+        wanted.update({path: None for path in stale if path not in wanted and path.is_file()})
+    init = folder / "__init__.py"
+    if not init.exists():
+        wanted[init] = f"{MARK} PACKAGE -o DIR`.\n"
+    changed = [path for path in sorted(wanted) if _read(path) != wanted[path]]
+    for path in changed:
+        held = _read(path)
+        if held is not None and not held.startswith(MARK):
+            raise UsageError(f"{path} was not generated: choose another folder, or remove it")
+    if not is_check:
+        for path in changed:
+            _replace(path, wanted[path])
+    said = "would change " if is_check else ""
+    say("".join(f"{said}{path}\n" for path in changed))
+    return int(is_check and bool(changed))
+
+
+def _read(path: Path) -> str | None:
+    """The text of a file; None if there is none."""
+    try:
+        return path.read_text("utf-8")
+    except FileNotFoundError:
+        return None
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path} cannot be read: {error}") from error
+
+
+def _replace(path: Path, text: str | None) -> None:
+    """Give a file this text, or remove it if there is none."""
+    try:
+        if text is None:
+            path.unlink()
+        else:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, "utf-8")
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written: {error.strerror}") from error
+
+
+def _check_package(package: str) -> None:
+    """Raise if no interface of that package is known, with the nearest."""
+    packages = _by_package(())
+    if package not in packages:
+        hint = did_you_mean(package, packages)
+        raise TurtleactError(f"unknown package '{package}'{hint}")
 
 
 def _by_package(kinds: Sequence[str]) -> dict[str, list[str]]:

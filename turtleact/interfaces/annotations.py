@@ -24,7 +24,7 @@ from typing import (
 import msgspec
 
 from turtleact.errors import InvalidInterface
-from turtleact.interfaces.definition import ArrayForm, FieldType, did_you_mean
+from turtleact.interfaces.definition import ArrayForm, FieldType, did_you_mean, is_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -168,6 +168,8 @@ def read(annotation: object, scope: Scope) -> Reading:
 
 def annotation_of(field_type: FieldType, nested: type | None) -> object:
     """The annotation that says this type."""
+    if is_bytes(field_type):
+        return marked(bytes, Limit(field_type.form, field_type.size))
     annotation = SCALARS[field_type.name] if nested is None else nested
     if field_type.string_bound is not None:
         annotation = marked(annotation, Limit(ArrayForm.BOUNDED, field_type.string_bound))

@@ -49,6 +49,21 @@ NoComments: TypeAlias = Annotated[
     bool, typer.Option("--no-comments", help="Leave out comments and empty lines.")
 ]
 NoQuotes: TypeAlias = Annotated[bool, typer.Option("--no-quotes", help="Do not put it in quotes.")]
+Packages: TypeAlias = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="PACKAGE",
+        help="The packages, such as nav2_msgs.",
+        autocompletion=completion.packages,
+    ),
+]
+Folder: TypeAlias = Annotated[
+    Path,
+    typer.Option("--output", "-o", metavar="DIR", help="Write DIR/PACKAGE/KIND.py."),
+]
+Check: TypeAlias = Annotated[
+    bool, typer.Option("--check", help="Write nothing; exit with 1 if a file would change.")
+]
 
 app = new_group("interface")
 
@@ -105,6 +120,21 @@ def proto(type_name: Type, *, no_quotes: NoQuotes = False, interfaces: Interface
     from turtleact.commands.interfaces import print_prototype
 
     return _when_known(interfaces, lambda _: print_prototype(type_name, quotes=not no_quotes))
+
+
+@app.command("python", cls=Verb)
+def python_(
+    names: Packages, *, output: Folder, check: Check = False, interfaces: Interfaces = None
+) -> Job:
+    """Write the interfaces of packages as typed Python classes."""
+
+    def job(_: Interrupts) -> int:
+        from turtleact.commands.interfaces import make_known, write_python
+
+        make_known(folder(interfaces))
+        return write_python(names, output, is_check=check)
+
+    return job
 
 
 @app.command(cls=Verb)

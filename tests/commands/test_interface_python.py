@@ -1,0 +1,138 @@
+"""``interface python``: typed classes for the interfaces of packages."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+
+import pytest
+
+from turtleact.interfaces import get_interface, load_interfaces, standard, type_hash
+from turtleact.interfaces.types import REGISTRY, definition
+
+STANDARD = Path(standard.__file__).parent
+SHIPPED = sorted(path.name for path in STANDARD.iterdir() if (path / "__init__.py").exists())
+
+
+@pytest.fixture(autouse=True)
+def own_registry(monkeypatch):
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    with REGISTRY.isolated():
+        REGISTRY.prefixes = ()
+        yield
+
+
+@pytest.fixture
+def source(tmp_path):
+    """A folder with a package that uses a second one, which does not ship, and one that does."""
+    folder = tmp_path / "src"
+    texts = {
+        "arm_interfaces/action/Grip.action": "# Closes the gripper.\n\nuint8 SOFT=1\n"
+        "uint8 force 3 # in newtons\n---\narm_msgs/Load load\n---\nfloat32 gap\n",
+        "arm_msgs/msg/Load.msg": "geometry_msgs/Point[<=4] at\nstring<=8 from\n",
+        "arm_msgs/srv/Weigh.srv": "---\nLoad load\n",
+    }
+    for name, text in texts.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    return folder
+
+
+@pytest.fixture
+def generate(turtleact, source, tmp_path):
+    """Runs the verb for the package; the modules go to the folder ``generated``."""
+
+    def run(*arguments):
+        folder = str(tmp_path / "generated")
+        named = ("interface", "python", "arm_interfaces", "--interfaces", str(source))
+        with REGISTRY.isolated():  # a process of its own would begin with none of these
+            return turtleact(*named, "-o", folder, *arguments)
+
+    return run
+
+
+def test_the_modules_of_a_package_and_of_those_that_it_uses_are_written(generate, tmp_path):
+    ran = generate()
+    folder = tmp_path / "generated"
+    files = ["__init__", "arm_interfaces/__init__", "arm_interfaces/action"]
+    files += ["arm_msgs/__init__", "arm_msgs/msg", "arm_msgs/srv"]
+    assert (ran.status, ran.out) == (0, "".join(f"{folder}/{name}.py\n" for name in files))
+    assert sorted(folder.rglob("*.py")) == [folder / f"{name}.py" for name in files]
+
+
+def test_written_modules_declare_what_the_files_say(generate, source, tmp_path, monkeypatch):
+    generate()
+    monkeypatch.syspath_prepend(tmp_path)
+    with REGISTRY.isolated():
+        action = importlib.import_module("generated.arm_interfaces.action")
+        message = importlib.import_module("generated.arm_msgs.msg")
+    for name in [name for name in sys.modules if name.partition(".")[0] == "generated"]:
+        del sys.modules[name]
+    load_interfaces(source)
+    loaded = get_interface("arm_interfaces/action/Grip")
+    assert loaded is not action.Grip
+    assert definition(loaded) == definition(action.Grip)
+    assert type_hash(loaded) == type_hash(action.Grip)
+    assert action.Grip.__doc__ == "Closes the gripper."
+    assert message.Load(from_="here").from_ == "here"
+
+
+def test_a_second_run_changes_nothing(generate):
+    generate()
+    assert generate().out == ""
+
+
+def test_a_check_of_what_was_written_is_silent(generate):
+    generate()
+    ran = generate("--check")
+    assert (ran.status, ran.out) == (0, "")
+
+
+def test_a_check_names_the_files_that_differ_and_writes_nothing(generate, source, tmp_path):
+    generate()
+    file = source / "arm_msgs" / "msg" / "Load.msg"
+    file.write_text("float32 mass\n")
+    module = tmp_path / "generated" / "arm_msgs" / "msg.py"
+    before = module.read_text()
+    ran = generate("--check")
+    assert (ran.status, ran.out) == (1, f"would change {module}\n")
+    assert module.read_text() == before
+
+
+def test_a_module_of_a_kind_that_is_gone_is_removed(generate, source, tmp_path):
+    generate()
+    (source / "arm_msgs" / "srv" / "Weigh.srv").unlink()
+    module = tmp_path / "generated" / "arm_msgs" / "srv.py"
+    assert generate("--check").out == f"would change {module}\n"
+    generate()
+    assert not module.exists()
+
+
+def test_a_file_that_was_not_generated_is_kept(generate, tmp_path):
+    module = tmp_path / "generated" / "arm_msgs" / "msg.py"
+    module.parent.mkdir(parents=True)
+    module.write_text("mine = 1\n")
+    ran = generate()
+    assert ran.status == 2
+    assert f"{module} was not generated: choose another folder" in ran.err
+    assert module.read_text() == "mine = 1\n"
+
+
+def test_a_folder_that_cannot_be_written_is_a_usage_error(generate, tmp_path):
+    (tmp_path / "generated").write_text("a file")
+    ran = generate()
+    assert ran.status == 2
+    assert str(tmp_path / "generated") in ran.err
+
+
+def test_an_unknown_package_is_told_with_the_nearest(turtleact, tmp_path):
+    ran = turtleact("interface", "python", "geometry_msg", "-o", str(tmp_path))
+    assert ran.status == 1
+    assert "unknown package 'geometry_msg', did you mean 'geometry_msgs'?" in ran.err
+
+
+def test_what_ships_is_what_the_command_writes(turtleact):
+    ran = turtleact("interface", "python", *SHIPPED, "-o", str(STANDARD), "--check")
+    assert (ran.status, ran.out, ran.err) == (0, "", "")
