@@ -378,6 +378,17 @@ async def test_the_traceback_of_a_handler_is_logged(caplog):
     assert record.exc_info[0] is OSError
 
 
+async def test_a_huge_exception_of_a_handler_is_cut_in_the_log_and_in_the_answer(caplog):
+    def handler(request: Add.Request) -> Add.Response:
+        raise ValueError("x" * 1_000_000)
+
+    async with desk(handler) as served:
+        with pytest.raises(ServiceError) as caught:
+            await served.client.call(numbers())
+    assert len(caught.value.reason) < 11_000
+    assert len(caplog.text) < 30_000
+
+
 async def test_a_server_outlives_a_handler_that_fails():
     def handler(request: Add.Request) -> Add.Response:
         return add(request) if request.numbers else fail(request)

@@ -31,7 +31,7 @@ from turtleact.errors import (
 )
 from turtleact.goal import Cancelable
 from turtleact.interfaces import Message, snapshotter
-from turtleact.summaries import STOPPED, summary
+from turtleact.summaries import STOPPED, loggable, summary
 from turtleact.tasks import GRACE, Signal, Tasks, is_cancellation, wait_while
 from turtleact.transports.base import (
     Caller,
@@ -193,7 +193,7 @@ class ServiceServer(Generic[Req, Res]):
         """What a caller that still waits is told of a handler's exception."""
         if is_cancellation(error, self._tasks):
             return "the handler was canceled from within"
-        logger.error("the handler of service %s failed", self.name, exc_info=error)
+        logger.error("the handler of service %s failed", self.name, exc_info=loggable(error))
         return f"the handler failed: {summary(error)}"
 
     def _end(
