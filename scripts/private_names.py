@@ -3,7 +3,8 @@
 A private name begins with one underscore. Only the file that defines it may import, read or write
 it, be it a name of asyncio, anyio, uvloop, trio or zenoh, which may change with any release, or one
 of turtleact, which may change with any commit. A method may also use, on ``self`` or ``cls``, what
-a base class in the package defines.
+a base class in the package defines. Text may name it on ``self`` only: whoever writes
+``getattr(loop, "_ready")`` does not mean a name of the same file.
 
 A name counts as used where the code imports it (``import _signal``, ``from x._y import z``), spells
 it as an attribute (``loop._ready``), or gives it as text to a function that looks up attributes
@@ -25,6 +26,8 @@ from typing import NamedTuple
 FOLDERS = ("turtleact", "tests", "benchmarks", "examples", "scripts")
 
 ALLOWED: set[tuple[str, str]] = {
+    # Whether a loop that is not ours has callbacks ready; falls back to polling.
+    ("turtleact/tasks/idle.py", "_ready"),
     # A function of the public C API, which Zenoh's threads call once each.
     ("turtleact/transports/rmw_zenoh/session.py", "pythonapi"),
 }
@@ -49,6 +52,9 @@ LOOKUPS = {
     "setattr",
 }
 """The functions that take a name as text; ``object`` is that of ``mock.patch.object``."""
+
+TEXT = "text"
+"""Stands for the owner of a name that is given as text."""
 
 PRIVATE = re.compile(r"_(?!_)\w*(?<!_)")  # not `__init__`, nor `_fields_` of ctypes and enum
 
@@ -77,7 +83,7 @@ def private_uses(root: Path) -> list[Use]:
         for path in sorted((root / folder).rglob("*.py"))
         for file in [path.relative_to(root).as_posix()]
         for line, owner, name in sorted(names_used(parsed(path)))
-        if name not in names_defined(path)
+        if not (owner != TEXT and name in names_defined(path))
         and not (owner in {"self", "cls"} and name in inherited)
         and (file, name) not in ALLOWED
     ]
@@ -128,11 +134,13 @@ def used_by(node: ast.stmt | ast.expr) -> Iterator[tuple[str, str]]:
             yield "", name
         case ast.Call(func=ast.Name(id=function) | ast.Attribute(attr=function), args=arguments):
             if function in LOOKUPS:
+                on_self = any(
+                    isinstance(each, ast.Name) and each.id == "self" for each in arguments
+                )
+                owner = "self" if on_self else TEXT
                 texts = [each.value for each in arguments if isinstance(each, ast.Constant)]
-                parts = [
-                    part for text in texts if isinstance(text, str) for part in text.split(".")
-                ]
-                yield from (("", part) for part in parts)
+                names = [text for text in texts if isinstance(text, str)]
+                yield from ((owner, part) for name in names for part in name.split("."))
 
 
 def main() -> int:

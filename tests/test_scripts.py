@@ -21,7 +21,7 @@ ALLOWED = [
     "import os; os._exit(1)",
     "enum._missing_",
     "from __future__ import annotations",
-    "getattr(thing, '_defined_here'); _defined_here = 1",
+    "class A:\n    def f(self): self._x = 1; return getattr(self, '_x')",
     "for _ in range(3): print('_text')",
 ]
 FORBIDDEN = [
@@ -34,6 +34,7 @@ FORBIDDEN = [
     ("class Loop(asyncio.SelectorEventLoop):\n    def f(self): return self._ready", "_ready"),
     ("other._inherited", "_inherited"),
     ("getattr(loop, '_ready', None)", "_ready"),
+    ("self._ready = 1\ngetattr(loop, '_ready', None)", "_ready"),
     ("monkeypatch.setattr(node, '_wall', 0)", "_wall"),
     ("monkeypatch.setattr('anyio._core.x', 0)", "_core"),
     ("import gc; gc.get_referents(loop)", "get_referents"),

@@ -7,7 +7,6 @@ fails is written beside it. One that takes a second of the processor, or asks fo
 
 from __future__ import annotations
 
-import functools
 import resource
 import sys
 import time
@@ -76,8 +75,8 @@ def forget_classes() -> None:
     """Drops what is kept of each class, as those of the fuzzer are many."""
     for module in (cdr, classes, conversion, values, decoding, encoding, layout):
         for each in vars(module).values():
-            if isinstance(each, functools._lru_cache_wrapper):
-                each.cache_clear()
+            if callable(clear := getattr(each, "cache_clear", None)):
+                clear()
 
 
 if __name__ == "__main__":
