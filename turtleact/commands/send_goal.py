@@ -293,7 +293,7 @@ class _Sending:
         try:
             await sent.handle.cancel()
         except ServerUnavailable:
-            return True  # it has gone: whoever waits for the goal's end is told so
+            return True  # the server is gone; the task that waits for the goal raises that too
         status = sent.handle.status
         self._transcript.status(status)
         return status is GoalStatus.CANCELING or status.is_terminal

@@ -203,10 +203,10 @@ class PlainTranscript:
         self._say(f"Goal accepted with ID: {sent.handle.goal_id.hex()}\n\n")
 
     def follows(self, goal: Followed) -> None:
-        """Nothing is told of it yet."""
+        """Nothing to print yet."""
 
     async def animate(self) -> None:
-        """Nothing moves here."""
+        """Nothing to animate."""
 
     def feedback(self, feedback: Message) -> None:
         """A feedback message came."""
@@ -229,10 +229,10 @@ class PlainTranscript:
         note(text)
 
     async def drained(self) -> None:
-        """It has been printed."""
+        """Nothing to wait for: each block is flushed."""
 
     def close(self) -> None:
-        """Nothing has moved."""
+        """Nothing to stop."""
 
 
 class JsonTranscript:
@@ -263,10 +263,10 @@ class JsonTranscript:
         )
 
     def follows(self, goal: Followed) -> None:
-        """Nothing is told of it yet."""
+        """Nothing to print yet."""
 
     async def animate(self) -> None:
-        """Nothing moves here."""
+        """Nothing to animate."""
 
     def feedback(self, feedback: Message) -> None:
         """A feedback message came."""
@@ -296,10 +296,10 @@ class JsonTranscript:
         note(text)
 
     async def drained(self) -> None:
-        """It has been printed."""
+        """Nothing to wait for: each block is flushed."""
 
     def close(self) -> None:
-        """Nothing has moved."""
+        """Nothing to stop."""
 
     def _tell(self, event: str, **values: str) -> None:
         """Print an event; its values are JSON already."""
