@@ -38,6 +38,7 @@ from turtleact.transports import MemoryTransport
 from turtleact.transports.base import EVERY_SERVER, Reply
 
 from ..lab import (
+    ON_ASYNCIO,
     Count,
     Gate,
     HandClock,
@@ -46,6 +47,7 @@ from ..lab import (
     count,
     feedback,
     goal,
+    other_tasks,
     result,
     running,
     settle,
@@ -530,6 +532,32 @@ async def test_whenever_a_client_is_closed_all_its_goals_say_so(send, turns):
         said = {str(each.error) for each in sending}
         assert said == {"action '/count': the client was closed"}
         gate.opened.set()
+
+
+@ON_ASYNCIO
+async def test_a_client_that_is_closed_has_no_task_left():
+    async with strange() as (server, client):
+        sending = [client.send_goal(goal()) for _ in range(3)]
+        server.answered.release()
+        async with sending[0] as handle, anyio.create_task_group() as group:
+            handle.detach()
+            handle.cancel_nowait()
+            for each in sending[1:]:
+                group.start_soon(failing, each)
+            await settle()
+            assert tasks_of_clients() == ["a cancel of /count"] + ["a goal of /count"] * 3
+            await client.aclose()
+            assert tasks_of_clients() == []
+
+
+def tasks_of_clients() -> list[str]:
+    names = [task.get_name() for task in other_tasks()]
+    return sorted(name for name in names if name.startswith(("a goal of", "a cancel of")))
+
+
+async def failing(sending: Any) -> None:
+    with pytest.raises(ServerUnavailable, match="the client was closed"):
+        await sending
 
 
 async def test_a_goal_whose_client_was_closed_cannot_be_canceled():
