@@ -199,7 +199,12 @@ def new_group(name: str) -> typer.Typer:
             typer.echo(ctx.get_help())
 
     return typer.Typer(
-        name=name, cls=Group, callback=print_help, invoke_without_command=True, **SETTINGS
+        name=name,
+        help=f"The verbs of 'ros2 {name}', with the same options and output.",
+        cls=Group,
+        callback=print_help,
+        invoke_without_command=True,
+        **SETTINGS,
     )
 
 
