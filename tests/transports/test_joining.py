@@ -160,4 +160,4 @@ def test_a_peer_that_hangs_keeps_no_command_for_long():
             assert {"/robot", "/turtleact"} <= nodes_seen(at)
             took.append(time.monotonic() - began)
         it.send_signal(signal.SIGCONT)
-    assert max(took) - min(took) < 3.0
+    assert max(took) - min(took) < 4.0

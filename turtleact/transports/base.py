@@ -390,7 +390,12 @@ class Transport(Protocol):
         """How often a node or endpoint has come or gone. Unchanged means an unchanged graph."""
 
     async def wait_for_change(self) -> None:
-        """Wait until a node or endpoint comes or goes. Cancelling: safe."""
+        """Wait until a node or endpoint comes or goes. Cancelling: safe.
+
+        Earlier changes are not remembered, so look at the graph first, in the same task. Bound the
+        wait with a cancel scope or `asyncio.timeout`: `asyncio.wait_for` of Python 3.11 starts
+        another task, and would miss a change before that task runs.
+        """
 
 
 async def wait_until_served(
