@@ -165,3 +165,17 @@ async def test_of_a_server_in_the_place_of_ours_nothing_is_known():
     ours.close()
     serve(transport, 2)
     assert not endpoints.knows_ours()
+
+
+async def test_the_next_server_may_get_both_requests_though_the_last_one_could_not():
+    transport = MemoryTransport()
+    ours, endpoints = serve(transport, 1), client(transport)
+    endpoints.learn(OURS)
+    endpoints.takes_both = False
+    endpoints.learn(OURS)
+    assert not endpoints.takes_both
+    ours.close()
+    serve(transport, 2)
+    assert not endpoints.knows_ours()
+    endpoints.learn(OURS)
+    assert endpoints.takes_both

@@ -102,7 +102,7 @@ class Server:
     name = "/count"
     implied = IMPLIED
     is_open = True
-    is_ours = True
+    is_ours = takes_both = True
 
     def __init__(self, *answers: Reply | Exception, is_prompt: bool = True) -> None:
         self.sent, self.asked = Early(), Early()

@@ -125,6 +125,8 @@ class ClientEndpoints:
         send_goal: Sends goals, each to one server.
         get_result: Asks for results; there once `open` was called.
         is_ours: Whether the server was one of turtleact's when it answered last; see `knows_ours`.
+        takes_both: Whether that server may get both requests of a goal at once. Set to False if it
+            did not know a goal yet when it was asked for its result.
     """
 
     get_result: Caller
@@ -142,6 +144,7 @@ class ClientEndpoints:
         self.action_type = action_type
         self.is_open = False
         self.is_ours = False
+        self.takes_both = True
         self._endpoint = endpoint
         self._names = names
         self._opened: list[Closeable] = []
@@ -181,7 +184,7 @@ class ClientEndpoints:
         if not reply.note:
             self.is_ours = False
         elif not self.is_ours:
-            self.is_ours = True
+            self.is_ours = self.takes_both = True
             self._servers, self._seen = self._find_servers(), self.transport.changes
             self._goals.admit_all()
             self._cancels.admit_all()

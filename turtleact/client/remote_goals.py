@@ -145,7 +145,6 @@ class RemoteGoals:
         self._now = now
         self._observers = observers
         self._is_open = True
-        self._is_late = False  # the server did not know a goal yet when it was asked for its end
         self._running: dict[object, Cancelable | None] = {}
         self._ended = tasks.signal()
 
@@ -238,7 +237,7 @@ class RemoteGoals:
         One may be under way even if this answers False; the task then goes on with it.
         """
         endpoints = self._endpoints
-        if self._is_late or not endpoints.knows_ours():
+        if not (endpoints.knows_ours() and endpoints.takes_both):
             return False
         implied, goal_id = endpoints.implied, UUID(remote.goal_id)
         request = implied.send_goal.Request(goal_id, cast("Any", remote.goal.request))
@@ -361,7 +360,7 @@ class RemoteGoals:
             if asked is None:
                 name, goal = self._endpoints.name, remote.goal
                 raise UnknownGoal(f"'{name}' holds no goal {goal.hex}, or not any more")
-            self._is_late = bool(reply.note)  # without a note it is not one of ours at all
+            self._endpoints.takes_both = False
 
     async def _is_back(self) -> bool:
         """Whether the server was out of reach for a moment only."""
