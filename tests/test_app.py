@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import time
 from contextlib import asynccontextmanager
+from types import SimpleNamespace
 
 import anyio
 import pytest
@@ -180,8 +182,9 @@ async def test_a_world_that_begins_paused_is_driven_in_lock_step():
 async def test_a_machine_that_is_too_slow_makes_time_slower_and_misses_nothing(monkeypatch):
     """Between any two looks at the clock, 20 ms have passed: two simulated seconds."""
     moments = itertools.count()
+    slow = SimpleNamespace(monotonic=lambda: 1e6 + next(moments) * 0.02, time_ns=time.time_ns)
+    monkeypatch.setattr("turtleact.clock.time", slow)
     async with open_world(speed=100) as node:
-        monkeypatch.setattr(node.clock, "_wall", lambda: 1e6 + next(moments) * 0.02)
         goal = Patrol.Goal(targets=TARGETS, stop_on_failure=True)
         async with node.action_client(Patrol, "patrol").send_goal(goal) as handle:
             outcome = await handle.outcome()

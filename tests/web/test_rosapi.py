@@ -128,9 +128,12 @@ async def test_topics_come_with_the_full_text_of_their_types(rosapi):
 
 
 async def test_a_text_that_is_not_known_is_a_comment(rosapi, monkeypatch):
-    monkeypatch.setattr(rosapi, "_topics", lambda: {"topics": ["/t"], "types": ["a/msg/Nope"]})
+    def unknown(name: str) -> None:
+        raise UnknownInterface(name)
+
+    monkeypatch.setattr("turtleact.web.rosapi.message_class", unknown)
     values = await rosapi.call("/rosapi/topics_and_raw_types", {})
-    assert values["typedefs_full_text"][0] == "# unknown interface 'a/msg/Nope'"
+    assert values["typedefs_full_text"][0] == "# unknown interface 'geometry_msgs/msg/Twist'"
 
 
 async def test_by_the_topics_with_their_texts_a_client_sees_that_it_is_ros_2(rosapi):
@@ -140,10 +143,15 @@ async def test_by_the_topics_with_their_texts_a_client_sees_that_it_is_ros_2(ros
     assert "/rosout" not in (await rosapi.call("/rosapi/topics", {}))["topics"]
 
 
-async def test_rosout_is_told_of_once(rosapi, monkeypatch):
-    listed = {"topics": ["/rosout"], "types": ["rcl_interfaces/msg/Log"]}
-    monkeypatch.setattr(rosapi, "_topics", lambda: listed)
-    assert (await rosapi.call("/rosapi/topics_and_raw_types", {}))["topics"] == ["/rosout"]
+async def test_rosout_is_told_of_once():
+    log: Any = get_interface("rcl_interfaces/msg/Log")
+    async with turtleact.open_node("web") as web:
+        web.publisher(log, "/rosout")
+        shared = Shared(web, Limits(), cancel_on_disconnect=False)
+        values = await shared.rosapi.call("/rosapi/topics_and_raw_types", {})
+        await shared.aclose()
+    assert values is not None
+    assert values["topics"] == ["/rosout"]
 
 
 @pytest.mark.parametrize("service", ["/add", "rosapi", "/rosapi/", "/other/topics"])
