@@ -47,8 +47,8 @@ def rows_of(text: str) -> Table:
     return [row for head, *rows in tables_of(text) if head == COLUMNS for row in rows]
 
 
-def fault_of(proof: str, folder: Path = TESTS) -> str:
-    """Why a test does not prove what it should; empty if it does."""
+def fault_of(proof: str, folder: Path = TESTS, *, every_loop: bool = True) -> str:
+    """Why a test does not prove what it should, on every event loop if so asked; else empty."""
     path, _, name = proof.partition("::")
     if not (folder / path).exists():
         return "there is no such file"
@@ -56,18 +56,20 @@ def fault_of(proof: str, folder: Path = TESTS) -> str:
     function = functions_of(module).get(name)
     if function is None:
         return "there is no such test"
-    if any(map(binds_loops, [module, *conftests_of(folder / path, folder)])):
+    binding = [module, *conftests_of(folder / path, folder)]
+    if every_loop and any(map(binds_loops, binding)):
         return "its module has event loops of its own"
     shared = assignments_of(folder / "lab.py") if (folder / "lab.py").exists() else {}
     marks = words_of(marks_of(function, module), shared | assignments_of(folder / path))
-    if {"anyio_backend", "loops"} & marks:
+    if every_loop and {"anyio_backend", "loops"} & marks:
         return "it does not run on every event loop"
-    if isinstance(function, ast.AsyncFunctionDef) and path.split("/")[0] in one_loop(folder):
+    is_async, room = isinstance(function, ast.AsyncFunctionDef), path.split("/")[0]
+    if every_loop and is_async and room in one_loop(folder):
         return "its folder runs on one event loop"
     if marks & EXCUSES:
         return "it may be skipped, or fail"
     runners = LOOPS | set(imported_from(RUNNERS, module))
-    if isinstance(function, ast.FunctionDef) and words_of(function.body, {}) & runners:
+    if every_loop and not is_async and words_of(function.body, {}) & runners:
         return "it runs an event loop of its own"
     return ""
 
