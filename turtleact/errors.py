@@ -36,7 +36,7 @@ import copyreg
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
-    from turtleact.goal import GoalEvent, GoalStatus
+    from enum import Enum
 
 __all__ = [
     "Abort",
@@ -196,12 +196,12 @@ class InvalidTransition(TurtleactError):
     """An event is not allowed in the state of a goal; nothing changed.
 
     Attributes:
-        status: The state of the goal.
-        event: What was asked of it: an event, or another thing that its state forbids.
+        status: The state of the goal, a `GoalStatus`.
+        event: What was asked of it: a `GoalEvent`, or another thing that its state forbids.
         goal_id: The goal's id in hexadecimal, or an empty string.
     """
 
-    def __init__(self, status: GoalStatus, event: GoalEvent | str, goal_id: str = "") -> None:
+    def __init__(self, status: Enum, event: Enum | str, goal_id: str = "") -> None:
         super().__init__(status, event, goal_id)
         self.status = status
         self.event = event
