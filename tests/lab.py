@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 import anyio
 import pytest
@@ -13,6 +13,7 @@ import pytest
 import turtleact
 from turtleact.clock import VirtualClock
 from turtleact.interfaces import Action, Message, int32
+from turtleact.server.local_server import LocalActionServer
 from turtleact.tasks import current_tasks, new_event_loop
 from turtleact.transports import MemoryTransport
 
@@ -127,11 +128,19 @@ class Lab(NamedTuple):
     node: turtleact.Node
     server: turtleact.ActionServer[Any, Any, Any]
     client: turtleact.ActionClient[Any, Any, Any]
+    local: LocalActionServer
 
     @property
     def active(self) -> list[Any]:
         """The goals that the server takes for unended."""
-        return self.server._table.active
+        return [goal for goal in self.local.held() if goal.status.is_active]
+
+
+def local_server(server: turtleact.ActionServer[Any, Any, Any]) -> LocalActionServer:
+    """What clients in the same process are handed of a server that is open."""
+    name, type_name = f"{server.name}/_action/send_goal", f"{server.action_type.type_name}_SendGoal"
+    offered: Any = server.node.transport.local(name, type_name)
+    return cast("LocalActionServer", offered.goal_server)
 
 
 @asynccontextmanager
@@ -141,7 +150,7 @@ async def lab(
     """A node that serves `Count` with this body, and a client of it."""
     async with turtleact.open_node("lab", transport=transport) as node:
         server = node.action_server(Count, "count", execute, **options)
-        yield Lab(node, server, node.action_client(Count, "count"))
+        yield Lab(node, server, node.action_client(Count, "count"), local_server(server))
 
 
 async def count(goal: Count.Goal) -> AsyncIterator[Count.Feedback | Count.Result]:

@@ -20,7 +20,6 @@ from turtleact.errors import (
 )
 from turtleact.goal import CancelCode
 from turtleact.interfaces.standard import GoalStatusArray
-from turtleact.server.stepping import _ABANDONED
 
 from .lab import (
     ON_ASYNCIO,
@@ -31,6 +30,7 @@ from .lab import (
     goal,
     hand_lab,
     lab,
+    other_tasks,
     result,
     running,
     settle,
@@ -61,7 +61,7 @@ async def test_a_body_canceled_before_its_first_step_never_begins(style):
 
         def cancel(handle, old, new):
             if new is GoalStatus.EXECUTING:
-                served.server.cancel_nowait(served.active[0])
+                served.local.cancel_goal_nowait(served.active[0])
 
         served.node.on_transition(cancel)
         async with served.client.send_goal(goal()) as handle:
@@ -239,7 +239,7 @@ async def test_who_is_told_of_a_message_may_cancel_at_it(style):
 
     def cancel(message):
         if message == feedback(3):
-            served.server.cancel_nowait(served.active[0])
+            served.local.cancel_goal_nowait(served.active[0])
 
     async with (
         lab(generator if style == "generator" else coroutine) as served,
@@ -422,12 +422,11 @@ class Stubborn:
 
 @ON_ASYNCIO
 @pytest.mark.parametrize("how", ["the server is closed", "the caller is canceled"])
-async def test_a_stubborn_body_does_not_keep_the_one_who_awaits_it(how, monkeypatch):
-    for module in ("action_server", "stepping"):
-        monkeypatch.setattr(f"turtleact.server.{module}.GRACE", 0.01)
+async def test_a_stubborn_body_does_not_keep_the_one_who_awaits_it(how):
     body = Stubborn()
-    async with lab(body) as served:
-        calling = asyncio.create_task(served.client.send_goal(goal()))
+    async with lab(body, grace=0.01) as served:
+        client = served.node.action_client(Count, "count", cancel_timeout=0.01)
+        calling = asyncio.create_task(client.send_goal(goal()))
         await settle()
         if how == "the server is closed":
             await served.server.aclose()
@@ -438,10 +437,9 @@ async def test_a_stubborn_body_does_not_keep_the_one_who_awaits_it(how, monkeypa
             with pytest.raises(asyncio.CancelledError):
                 await calling
         body.may_end = True
-        for task in list(_ABANDONED):
+        for task in other_tasks():
             task.cancel()
         await settle()
-    assert not _ABANDONED
 
 
 @ON_ASYNCIO

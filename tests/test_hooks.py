@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from contextvars import ContextVar
+from typing import Any, cast
 
 import anyio
 import anyio.lowlevel
@@ -12,6 +13,7 @@ import pytest
 import turtleact
 from turtleact import CancelResponse, GoalResponse, GoalStatus
 from turtleact.errors import Abort, GoalAborted, GoalCanceled, GoalRejected, InvalidOption
+from turtleact.goal_server import GoalOrder
 from turtleact.interfaces import implied
 from turtleact.interfaces.standard import UUID
 from turtleact.transports import MemoryTransport
@@ -209,7 +211,7 @@ async def test_a_hook_that_raises_is_logged_and_does_no_harm(send, caplog):
         assert (await send(served, goal(1))).result == result(0)
         assert journal.changes == {1: [ACCEPT, EXECUTE, SUCCEED]}
     messages = [record.getMessage() for record in caplog.records]
-    assert messages == ["a hook on the transitions of /count failed"] * 3
+    assert messages == ["an observer of the goals of /count failed"] * 3
     assert all("broken" in record.exc_text for record in caplog.records)
 
 
@@ -241,7 +243,7 @@ async def test_a_hook_may_cancel_a_goal_that_begins(send):
 
         def hook(handle, old, new):
             if new is GoalStatus.EXECUTING:
-                served.server.cancel_nowait(served.active[0])
+                served.local.cancel_goal_nowait(served.active[0])
 
         journal = Journal(served.node)
         served.node.on_transition(hook)
@@ -257,7 +259,7 @@ async def test_a_hook_may_cancel_a_goal_that_has_to_wait():
 
         def hook(handle, old, new):
             if new is GoalStatus.ACCEPTED:
-                served.server.cancel_nowait(served.active[-1])
+                served.local.cancel_goal_nowait(served.active[-1])
 
         served.node.on_transition(hook)
         async with served.client.send_goal(goal(2)) as handle:
@@ -313,7 +315,7 @@ async def test_a_hook_may_send_a_goal_itself(policy, state):
 
         def hook(handle, old, new):
             if handle.request.upto and new is state:
-                served.server.begin(goal(0), None, None)
+                served.local.take_nowait(GoalOrder(goal(0), None, 6.0), is_streamed=False)
 
         served.node.on_transition(hook)
         with contextlib.suppress(GoalAborted):  # it may be preempted
@@ -469,14 +471,17 @@ async def test_the_goal_of_a_client_elsewhere_that_goes_while_the_callback_is_as
 
     def send(number: int):
         request = types.send_goal.Request(goal_id=UUID(bytes([number] * 16)), goal=goal(number))
-        return served.server.reply(request, bytes([number] * 16))
+        offered = served.node.transport.local(
+            "/count/_action/send_goal", f"{Count.type_name}_SendGoal"
+        )
+        return cast("Any", offered).reply(request, bytes([number] * 16))
 
     async with (
         lab(act, goal_callback=ask, on_client_lost="cancel") as served,
         running(lambda: send(1)) as gone,
         running(lambda: send(2)) as other,
     ):
-        served.server.caller_lost(bytes([1] * 16))
+        served.local.client_lost(bytes([1] * 16))
         opened.set()
         await gone.done.wait()
         await other.done.wait()
@@ -597,7 +602,7 @@ async def test_a_hook_may_cancel_a_goal_that_is_accepted(send):
 
         def hook(handle, old, new):
             if new is GoalStatus.ACCEPTED:
-                served.server.cancel_nowait(served.active[-1])
+                served.local.cancel_goal_nowait(served.active[-1])
 
         served.node.on_transition(hook)
         assert (await send(served, goal(1))).status is GoalStatus.CANCELED
@@ -609,7 +614,7 @@ async def test_a_later_hook_hears_of_changes_in_order_although_an_earlier_one_ma
 
         def hook(handle, old, new):
             if new is GoalStatus.EXECUTING:
-                served.server.cancel_nowait(served.active[0])
+                served.local.cancel_goal_nowait(served.active[0])
 
         served.node.on_transition(hook)
         heard = []
@@ -625,7 +630,7 @@ async def test_a_hook_may_send_a_goal_at_the_end_of_another(policy):
 
         def hook(handle, old, new):
             if handle.request.upto and new is GoalStatus.SUCCEEDED:
-                served.server.begin(goal(0), None, None)
+                served.local.take_nowait(GoalOrder(goal(0), None, 6.0), is_streamed=False)
 
         served.node.on_transition(hook)
         async with served.client.send_goal(goal(1)) as handle:

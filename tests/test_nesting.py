@@ -30,10 +30,11 @@ from .lab import (
     ON_ASYNCIO,
     Count,
     Lab,
-    Running,
     count,
     goal,
     lab,
+    Running,
+    local_server,
     other_tasks,
     result,
     running,
@@ -141,7 +142,7 @@ async def home(
             return await parent(client, request)  # type: ignore[misc]  # a coroutine function
 
         server = node.action_server(Count, "count", body, **theirs | shared)
-        outer = Lab(node, server, node.action_client(Count, "count"))
+        outer = Lab(node, server, node.action_client(Count, "count"), local_server(server))
         yield Home(outer, beside(outer, "child", child, **shared | others))
 
 
@@ -783,10 +784,8 @@ class Household:
 
     def is_over(self, outer: Lab, inner: Lab) -> bool:
         held = [*outer.active, *inner.active]
-        slots = [each.server._reception.slot for each in (outer, inner)]
-        idle = all(
-            (each._places, each._waiting, each._taken) == ({}, {}, 0) for each in slots if each
-        )
+        slots = [each.local.slot for each in (outer, inner)]
+        idle = all(each.is_empty for each in slots if each)
         return (held, self.active, self.busy.active, idle) == ([], 0, 0, True)
 
 

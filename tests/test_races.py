@@ -194,7 +194,7 @@ async def race_with_a_cancel(
 
             async def cancel(wait=until_cancel, goal_id=goal_id, codes=codes):
                 await turns(wait)
-                codes.append(CancelCode((await served.server.cancel(goal_id, 0)).return_code))
+                codes.append(CancelCode((await served.local.cancel(goal_id, 0)).return_code))
 
             await together(run, cancel)
             seen[ends[0].status, codes[0]] += 1
@@ -409,11 +409,10 @@ async def test_a_parent_that_is_canceled_as_it_waits_for_a_child_waits_on():
     assert running_at_its_end == [0]
 
 
-async def test_the_reason_of_a_goal_left_behind_while_it_is_canceled_is_the_shutdown(monkeypatch):
-    monkeypatch.setattr("turtleact.server.action_server.GRACE", 0)
+async def test_the_reason_of_a_goal_left_behind_while_it_is_canceled_is_the_shutdown():
     track = Track(clean_up=2 * TURNS)
     async with (
-        lab(track.coroutine) as served,
+        lab(track.coroutine, grace=0) as served,
         served.client.send_goal(goal(10 * TURNS)) as handle,
     ):
         await turns(MOST_TURNS)

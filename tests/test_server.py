@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import logging
+import re
 
 import anyio
 import anyio.lowlevel
@@ -26,6 +27,7 @@ from turtleact.interfaces.standard import CancelGoal
 
 from .lab import (
     ON_ASYNCIO,
+    ON_TRIO,
     Count,
     Gate,
     count,
@@ -587,13 +589,13 @@ async def test_a_goal_that_has_ended_is_answered_as_terminated_while_its_result_
 
 async def test_an_id_that_was_never_held_is_unknown():
     async with lab(count) as served:
-        response = await served.server.cancel(b"9" * 16, 0)
+        response = await served.local.cancel(b"9" * 16, 0)
         assert response.return_code == CancelCode.UNKNOWN_GOAL_ID
 
 
 async def test_an_id_of_zeros_means_every_goal():
     async with lab(Gate().wait) as served, served.client.send_goal(goal()) as handle:
-        assert ids(await served.server.cancel(bytes(16), 0)) == [handle.goal_id]
+        assert ids(await served.local.cancel(bytes(16), 0)) == [handle.goal_id]
 
 
 async def test_canceling_everything_where_nothing_runs_is_no_error():
@@ -620,7 +622,7 @@ async def test_an_id_and_a_time_mean_both():
         clock.advance(1)
         async with served.client.send_goal(goal(2)) as second:
             stamp = nanoseconds(first.stamp)
-            response = await served.server.cancel(second.goal_id, stamp)
+            response = await served.local.cancel(second.goal_id, stamp)
             assert ids(response) == [first.goal_id, second.goal_id]
 
 
@@ -805,45 +807,55 @@ class Stubborn:
         return result(7)
 
 
-@pytest.fixture
-def short_grace(monkeypatch):
-    monkeypatch.setattr("turtleact.server.action_server.GRACE", 0.01)
-
-
-@pytest.mark.usefixtures("short_grace")
-async def test_a_body_that_ignores_its_cancellation_is_left_behind(caplog):
+@ON_ASYNCIO
+async def test_a_body_that_ignores_its_cancellation_is_given_up(caplog):
     stubborn = Stubborn()
-    async with lab(stubborn.body) as served, served.client.send_goal(goal()) as handle:
-        await settle()
+    async with (
+        lab(stubborn.body, grace=0.01) as served,
+        served.client.send_goal(goal()) as handle,
+    ):
         await served.server.aclose()
         assert (await handle.outcome(), served.active) == (SHUTDOWN, [])
         stubborn.gate.opened.set()
         await settle()
     (record,) = caplog.records
-    assert record.getMessage() == "goal (no id) of /count has not ended; it is left behind"
+    assert re.fullmatch(
+        r"the body of /count ignores its cancellation and is given up: goal \(no id\), "
+        rf"at {re.escape(__file__)}:\d+ in Stubborn\.body",
+        record.getMessage(),
+    )
 
 
-@pytest.mark.usefixtures("short_grace")
-async def test_the_end_of_a_body_that_was_left_behind_changes_nothing():
+@ON_TRIO
+async def test_trio_cannot_let_go_of_a_body_that_ignores_its_cancellation(caplog):
     stubborn = Stubborn()
-    async with lab(stubborn.body) as served, served.client.send_goal(goal()) as handle:
+    async with (
+        lab(stubborn.body, grace=0.01) as served,
+        served.client.send_goal(goal()) as handle,
+        running(served.server.aclose) as closing,
+    ):
+        assert await handle.outcome() == SHUTDOWN
         await settle()
+        assert not closing.done.is_set()
+        stubborn.gate.opened.set()
+        await closing.done.wait()
+    assert [record.getMessage()[-37:] for record in caplog.records][1:] == [
+        "its bodies: trio cannot let go of a task"[-37:]
+    ]
+
+
+@ON_ASYNCIO
+async def test_the_end_of_a_body_that_was_given_up_changes_nothing():
+    stubborn = Stubborn()
+    async with (
+        lab(stubborn.body, grace=0.01) as served,
+        served.client.send_goal(goal()) as handle,
+    ):
         await served.server.aclose()
         stubborn.gate.opened.set()
         await settle()
         assert stubborn.gate.log[-1] == "ended"
         assert await handle.outcome() == SHUTDOWN
-
-
-@pytest.mark.usefixtures("short_grace")
-async def test_leaving_a_block_whose_body_ignores_its_cancellation_is_bounded():
-    stubborn = Stubborn()
-    async with lab(stubborn.body) as served:
-        async with served.client.send_goal(goal()) as handle:
-            await settle()
-        assert handle.status is GoalStatus.CANCELING
-        stubborn.gate.opened.set()
-        assert await handle.result() == result(7)
 
 
 async def test_a_closed_server_takes_no_more_goals():
@@ -983,9 +995,7 @@ async def test_many_goals_leave_nothing_behind(way, caplog):
 
         assert await stay_flat(send) < GOALS // 10
         clock.advance(10)
-        table = served.server._table
-        table.expire(clock.now())
-        assert (table.active, table._named, table._expiries) == ([], {}, [])
+        assert (served.local.held(), list(served.local.held_ids())) == ([], [])
 
 
 async def test_two_servers_of_one_node_do_not_share_goals():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from typing import Any
 
 import anyio
@@ -11,11 +10,9 @@ import pytest
 
 import turtleact
 from turtleact import GoalStatus
-from turtleact.errors import GoalAborted, GoalError
-from turtleact.server.stepping import _ABANDONED
-from turtleact.tasks import DEEPEST
+from turtleact.errors import GoalAborted
 
-from .lab import ON_ASYNCIO, Count, feedback, goal, lab, result, running, settle, take_turns
+from .lab import Count, feedback, goal, lab, result, running, settle, take_turns
 from .test_execution import awaited, entered
 from .test_policies import Send
 
@@ -317,100 +314,3 @@ async def test_a_deep_failure_reaches_the_top():
         with pytest.raises(GoalAborted):
             await served.client.send_goal(goal(DEEP))
         assert served.active == []
-
-
-@ON_ASYNCIO
-async def test_a_goal_too_deep_to_start_at_once_can_be_canceled_before_its_first_step():
-    log: list[int] = []
-
-    async def act(request: Count.Goal) -> Any:
-        log.append(request.upto)
-        if request.upto == 0:
-            return result()
-        async with served.client.send_goal(goal(request.upto - 1)) as handle:
-            if len(log) == was[0] and len(was) == 1:
-                was.append(request.upto - 1)
-                handle.cancel_nowait()
-            return await handle.result()
-
-    was = [DEEPEST]
-    async with lab(act) as served:
-        with pytest.raises(GoalError):
-            async with served.client.send_goal(goal(DEEP)) as handle:
-                await handle.result()
-        assert len(was) == 2
-        assert was[1] not in log
-        assert served.active == []
-
-
-@ON_ASYNCIO
-async def test_a_body_that_is_left_behind_in_its_scopes_leaves_its_caller_those_outside(
-    monkeypatch, caplog
-):
-    for module in ("action_server", "stepping"):
-        monkeypatch.setattr(f"turtleact.server.{module}.GRACE", 0.01)
-    ended: list[str] = []
-
-    async def body(_: Count.Goal) -> None:
-        try:
-            async with anyio.create_task_group() as group:
-                group.start_soon(anyio.sleep_forever)
-                group.cancel_scope.cancel()
-                with anyio.CancelScope(shield=True):
-                    await anyio.sleep_forever()
-        finally:
-            ended.append("the body")
-
-    async def call() -> None:
-        with anyio.CancelScope():
-            try:
-                await served.client.send_goal(goal())
-            except GoalAborted:
-                with anyio.move_on_after(0.0):
-                    await anyio.sleep_forever()
-                ended.append("the caller's scope")
-
-    async with lab(body) as served:
-        calling = asyncio.create_task(call())
-        await settle()
-        await served.server.aclose()
-        await calling
-        await settle()
-        assert calling.cancelling() == 0
-    assert not _ABANDONED
-    assert sorted(ended) == ["the body", "the caller's scope"]
-    assert "different task" not in caplog.text
-
-
-@ON_ASYNCIO
-async def test_a_caller_keeps_no_cancellation_of_a_scope_that_its_body_is_left_behind_in(
-    monkeypatch,
-):
-    for module in ("action_server", "stepping"):
-        monkeypatch.setattr(f"turtleact.server.{module}.GRACE", 0.01)
-    released = False
-
-    async def body(_: Count.Goal) -> None:
-        with anyio.CancelScope() as scope:
-            scope.cancel()
-            while not released:
-                try:
-                    await anyio.sleep_forever()
-                except asyncio.CancelledError:  # swallowed: the scope sends another each turn
-                    continue
-
-    async def call() -> None:
-        with pytest.raises(GoalAborted, match="shutdown"):
-            await served.client.send_goal(goal())
-
-    async with lab(body) as served:
-        calling = asyncio.create_task(call())
-        await settle()
-        await served.server.aclose()
-        await asyncio.wait([calling])
-        was_left_behind, released = bool(_ABANDONED), True
-        await settle()
-    assert was_left_behind
-    assert not _ABANDONED
-    await calling
-    assert calling.cancelling() == 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gc
-from typing import Any
+from typing import Any, cast
 
 import anyio
 import pytest
@@ -12,7 +12,8 @@ from turtleact import Abort, GoalStatus
 from turtleact.goal import Goal
 from turtleact.interfaces import WireFormat, decode
 from turtleact.interfaces.standard import GoalStatusArray
-from turtleact.server.status import StatusSource
+from turtleact.server.action_topics import StatusTopic
+from turtleact.server.local_server import LocalActionServer
 
 from .lab import Count, Lab, goal, lab, settle
 
@@ -30,16 +31,18 @@ class Topic:
     def refresh(self) -> None:
         self.changes += 1
 
+    def advertise(self, endpoint: Any, format: Any, source: Any) -> Any:
+        """What a transport does."""
+        return self
 
-def source_of(server: Any) -> StatusSource:
-    source = StatusSource(server)
-    topic: Any = Topic()
-    source.publication = topic
+
+def source_of(local: LocalActionServer, topic: Any = None) -> StatusTopic:
+    source = StatusTopic(local, topic or cast("Any", Topic()), cast("Any", None))
     source.readers_changed(has_readers=True)
     return source
 
 
-def check(source: StatusSource, *expected: GoalStatus) -> None:
+def check(source: StatusTopic, *expected: GoalStatus) -> None:
     """Both forms say the same, and this."""
     encode = WireFormat(GoalStatusArray).encode
     (message,), (data,) = source.current(), source.written(encode)
@@ -65,8 +68,8 @@ async def send(served: Lab, upto: int) -> None:
 
 async def test_many_changes_are_told_of_once_until_they_are_written():
     async with lab(act) as served:
-        source = source_of(served.server)
-        topic: Any = source.publication
+        topic = Topic()
+        source = source_of(served.local, topic)
         await send(served, 0)
         await send(served, 0)
         assert topic.changes == 1
@@ -77,21 +80,21 @@ async def test_many_changes_are_told_of_once_until_they_are_written():
 
 async def test_a_reader_in_this_process_is_told_of_each_change():
     async with lab(act) as served:
-        source = source_of(served.server)
-        topic: Any = source.publication
+        topic = Topic()
         topic.has_near_readers = True
+        source_of(served.local, topic)
         await send(served, 0)
         assert topic.changes == len(("ACCEPTED", "EXECUTING", "SUCCEEDED"))
 
 
 async def test_no_goal_is_an_empty_array():
     async with lab(act) as served:
-        check(source_of(served.server))
+        check(source_of(served.local))
 
 
 async def test_both_forms_say_the_same_of_goals_in_any_state():
     async with lab(act) as served:
-        source = source_of(served.server)
+        source = source_of(served.local)
         for upto in (0, 1, 2):
             await send(served, upto)
         check(source, GoalStatus.SUCCEEDED, GoalStatus.ABORTED, GoalStatus.EXECUTING)
@@ -103,12 +106,12 @@ async def test_both_forms_say_the_same_of_goals_in_any_state():
 async def test_goals_from_before_the_first_reader_are_told_of():
     async with lab(act) as served:
         await send(served, 2)
-        check(source_of(served.server), GoalStatus.EXECUTING)
+        check(source_of(served.local), GoalStatus.EXECUTING)
 
 
 async def test_who_reads_again_is_told_of_what_happened_meanwhile():
     async with lab(act) as served:
-        source = source_of(served.server)
+        source = source_of(served.local)
         source.readers_changed(has_readers=False)
         await send(served, 2)
         source.readers_changed(has_readers=True)
@@ -117,7 +120,7 @@ async def test_who_reads_again_is_told_of_what_happened_meanwhile():
 
 async def test_goals_that_are_not_held_any_more_are_left_out():
     async with lab(act, result_timeout=0.0) as served:
-        source = source_of(served.server)
+        source = source_of(served.local)
         await send(served, 2)
         await send(served, 0)
         check(source, GoalStatus.EXECUTING)
@@ -132,7 +135,7 @@ def goals_in_memory() -> set[Goal]:
 async def test_no_goal_is_kept_for_those_who_do_not_read_bytes():
     before = goals_in_memory()
     async with lab(act, result_timeout=0.0) as served:
-        source = source_of(served.server)
+        source = source_of(served.local)
         for _ in range(3):
             await send(served, 0)
         assert goals_in_memory() <= before

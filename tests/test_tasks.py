@@ -13,9 +13,9 @@ from typing import Any
 
 import anyio
 import pytest
+from turtleact.server.stepping import Borrowed
 
 from turtleact.goal import Goal
-from turtleact.server.stepping import Borrowed
 from turtleact.tasks import Background, current_tasks, wait_while
 from turtleact.tasks.on_asyncio import AsyncioTasks
 from turtleact.tasks.on_trio import TrioTasks

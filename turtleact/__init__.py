@@ -73,8 +73,7 @@ if TYPE_CHECKING:
         load_message,
         load_service,
     )
-    from turtleact.node import Node, open_node
-    from turtleact.server import ActionServer, ServerGoalHandle
+    from turtleact.node import ActionServer, Node, ServerGoalHandle, open_node
     from turtleact.services import ServiceClient, ServiceServer
     from turtleact.topics import Publisher, Subscription
     from turtleact.transports import QoS, open_zenoh
@@ -174,8 +173,7 @@ _HOMES = {
         "load_message",
         "load_service",
     ),
-    "node": ("Node", "open_node"),
-    "server": ("ActionServer", "ServerGoalHandle"),
+    "node": ("ActionServer", "Node", "ServerGoalHandle", "open_node"),
     "services": ("ServiceClient", "ServiceServer"),
     "topics": ("Publisher", "Subscription"),
     "transports": ("QoS", "open_zenoh"),

@@ -11,8 +11,7 @@ from typing import TypeAlias
 
 from turtleact.actions import serve_built_ins
 from turtleact.clock import Clock, make_clock
-from turtleact.node import Node, open_node
-from turtleact.server.hooks import Transition
+from turtleact.node import Node, Transition, open_node
 from turtleact.sim.kinematics import SIDE
 from turtleact.sim.pictures import Snapshot
 from turtleact.sim.turtlesim import Turtlesim

@@ -121,6 +121,7 @@ class ServerOptions(TypedDict, total=False):
     slot: str | None
     result_timeout: float | None
     on_client_lost: Literal["keep", "cancel"]
+    grace: float
 
 
 def check_options(options: ServerOptions) -> None:
@@ -136,6 +137,9 @@ def check_options(options: ServerOptions) -> None:
     if kept is not None and not is_time:
         problem = f"expected seconds from 0, or None for ever, not {kept!r}"
         raise InvalidOption("result_timeout", problem)
+    grace = options.get("grace", 0.0)
+    if not isinstance(grace, int | float) or isinstance(grace, bool) or not 0 <= grace < 1e9:
+        raise InvalidOption("grace", f"expected seconds from 0, not {grace!r}")
     for name in ("goal_callback", "cancel_callback"):
         callback = options.get(name)
         if callback is not None and not callable(callback):

@@ -163,7 +163,7 @@ class ScaledClock:
             self._sleepers.remove(sleeper)
             raise
         # It holds the clock up until it waits again: what it does now takes wall time too.
-        current_tasks().soon(partial(self._sleepers.remove, sleeper))
+        current_tasks().call_soon(partial(self._sleepers.remove, sleeper))
 
     async def _wait(self, deadline: float, left: float) -> None:
         while True:

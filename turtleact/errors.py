@@ -16,6 +16,7 @@
     │   ├── GoalAborted        the server ended the goal without success
     │   ├── GoalCanceled       the goal was canceled
     │   └── UnknownGoal        the server does not hold a goal of that id
+    ├── ActionConflict         another node serves the action already
     ├── ServerUnavailable      nobody serves the action or service, or the server went away
     ├── ServiceError           a service's handler failed to respond
     │   └── ServiceTimeout     … within the time that the caller gave it
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Abort",
+    "ActionConflict",
     "Cancel",
     "GoalAborted",
     "GoalCanceled",
@@ -254,6 +256,26 @@ class UnknownGoal(GoalError):
     """The server does not hold a goal of that id: it never did, or its result has expired."""
 
     what = "the goal is not known to the server"
+
+
+class ActionConflict(TurtleactError):
+    """Another node serves an action of that name, and one node serves an action name.
+
+    Attributes:
+        action: The action's name.
+        node: The node that serves it.
+    """
+
+    def __init__(self, action: str, node: str) -> None:
+        super().__init__(action, node)
+        self.action = action
+        self.node = node
+
+    def __str__(self) -> str:
+        return (
+            f"action '{self.action}' is served by node {self.node} already: "
+            'choose another name, or serve with on_conflict="wait" to take over once it has gone'
+        )
 
 
 class ServerUnavailable(TurtleactError):

@@ -18,7 +18,7 @@ from turtleact.goal import Goal, OnFeedback
 from turtleact.interfaces.standard import CancelGoal
 from turtleact.tasks import Signal
 
-__all__ = ["GoalOrder", "GoalServer", "cancel_and_wait"]
+__all__ = ["GoalOrder", "GoalServer", "OffersGoals", "cancel_and_wait"]
 
 
 class GoalOrder(msgspec.Struct, frozen=True):
@@ -88,6 +88,13 @@ class GoalServer(Protocol):
 
     def from_anywhere(self, callback: Callable[[], object]) -> None:
         """Call something soon, from any thread."""
+
+
+@runtime_checkable
+class OffersGoals(Protocol):
+    """A handler of ``send_goal`` that has the server itself for clients in its process."""
+
+    goal_server: GoalServer
 
 
 async def cancel_and_wait(server: GoalServer, goal: Goal, timeout: float) -> None:

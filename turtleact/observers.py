@@ -36,25 +36,29 @@ class Observers:
 
     Args:
         action: The name of the action, for the log.
+
+    Attributes:
+        want_feedback: Whether any of them wants to hear of feedback.
     """
 
-    __slots__ = ("_action", "_observers", "_untold")
+    __slots__ = ("_action", "_observers", "_untold", "want_feedback")
 
     def __init__(self, action: str) -> None:
         self._action = action
         self._observers: tuple[GoalObserver, ...] = ()
         self._untold: deque[Callable[[GoalObserver], None]] = deque()
+        self.want_feedback = False
 
     def __bool__(self) -> bool:
         return bool(self._observers)
 
     def add(self, observer: GoalObserver) -> None:
         """Tell ``observer`` of every change from now on."""
-        self._observers = (*self._observers, observer)
+        self._set((*self._observers, observer))
 
     def remove(self, observer: GoalObserver) -> None:
         """Tell it nothing any more; an unknown observer is ignored."""
-        self._observers = tuple(each for each in self._observers if each is not observer)
+        self._set(tuple(each for each in self._observers if each is not observer))
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
         """Tell all observers of a goal's new state."""
@@ -63,8 +67,15 @@ class Observers:
 
     def feedback_published(self, goal: Goal, feedback: object) -> None:
         """Tell all observers of a feedback message."""
-        if self._observers:
+        if self.want_feedback:
             self._tell(lambda observer: observer.feedback_published(goal, feedback))
+
+    def _set(self, observers: tuple[GoalObserver, ...]) -> None:
+        self._observers = observers
+        self.want_feedback = any(
+            type(each).feedback_published is not GoalObserver.feedback_published
+            for each in observers
+        )
 
     def _tell(self, news: Callable[[GoalObserver], None]) -> None:
         self._untold.append(news)

@@ -136,6 +136,15 @@ class Slot(Generic[C]):
         self._taken = 0
         self._waiting: dict[Goal, C] = {}
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing runs or waits here."""
+        return not (self._places or self._waiting or self._taken)
+
+    def holds(self, goal: Goal) -> bool:
+        """Whether a goal runs here, or is about to."""
+        return goal in self._places
+
     def enter(self, claim: C) -> Entry[C]:
         """Let a new goal run, wait, or go."""
         kin = self._kin(claim.goal)

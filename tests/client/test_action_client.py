@@ -243,15 +243,15 @@ async def test_a_goal_sent_in_the_clean_up_of_a_canceled_task_runs():
         assert values == [result(0)]
 
 
-async def test_a_canceled_wait_is_bounded_where_the_server_does_not_let_the_goal_go(monkeypatch):
-    monkeypatch.setattr("turtleact.server.action_server.GRACE", 0.01)
+async def test_a_canceled_wait_is_bounded_where_the_server_does_not_let_the_goal_go():
     gate = Gate()
 
     def hold(handle):
         return CancelResponse.REJECT
 
     async with lab(gate.wait, cancel_callback=hold) as served:
-        async with running(lambda: served.client.send_goal(goal())) as sent:
+        client = served.node.action_client(Count, "count", cancel_timeout=0.01)
+        async with running(lambda: client.send_goal(goal())) as sent:
             sent.scope.cancel()
         assert (len(served.active), gate.log) == (1, ["begun"])
         gate.opened.set()

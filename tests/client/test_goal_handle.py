@@ -491,7 +491,7 @@ async def test_observers_that_never_read_keep_no_more_than_the_newest():
         reading = aiter(handle)
         seen = [message.so_far[0] async for message in sent]
         assert seen == list(range(MANY))
-        held = served.server.find(ID)
+        held = served.local.find(ID)
         assert held is not None
         assert held.feedback is not None
         assert len(held.feedback.items) < 2 * KEPT
@@ -578,7 +578,7 @@ async def test_a_result_is_kept_as_long_as_somebody_waits_for_it(timeout, waits)
     def at_the_end(handle, old, new):
         if new.is_terminal:
             clock.advance(100)
-            held.append(served.server.find(ID) is not None)
+            held.append(served.local.find(ID) is not None)
 
     async with laboratory as served, served.client.send_goal(goal(7), goal_id=ID) as sent:
         served.node.on_transition(at_the_end)

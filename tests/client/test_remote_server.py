@@ -47,6 +47,7 @@ from ..lab import (
     count,
     feedback,
     goal,
+    local_server,
     other_tasks,
     result,
     running,
@@ -156,7 +157,7 @@ async def apart(
         turtleact.open_node("near", transport=near) as node,
     ):
         server = far.action_server(Count, "count", execute, **options)
-        yield Lab(node, server, node.action_client(Count, "count"))
+        yield Lab(node, server, node.action_client(Count, "count"), local_server(server))
         assert node.transport.local("/count/_action/send_goal", "") is None
 
 
@@ -703,7 +704,7 @@ async def cut(execute: Any, **options: Any) -> AsyncIterator[tuple[Lab, Cut]]:
         turtleact.open_node("near", transport=graph) as node,
     ):
         server = far.action_server(Count, "count", execute, **options)
-        yield Lab(node, server, node.action_client(Count, "count")), graph
+        yield Lab(node, server, node.action_client(Count, "count"), local_server(server)), graph
 
 
 async def test_a_server_that_dies_is_told_to_all_who_wait(send):

@@ -65,11 +65,8 @@ STUBBORN = """
 import anyio
 import turtleact
 from turtleact.interfaces.standard import Fibonacci
-from turtleact.server import action_server
 
-action_server.GRACE = 0.1
-
-@turtleact.action(Fibonacci, "stubborn")
+@turtleact.action(Fibonacci, "stubborn", grace=0.1)
 async def stubborn(goal):
     while True:
         try:

@@ -15,8 +15,7 @@ from turtleact.interfaces.standard import ExampleFibonacci, Fibonacci
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
-    from turtleact.node import Node
-    from turtleact.server import ServerGoalHandle
+    from turtleact.node import Node, ServerGoalHandle
 
 __all__ = ["PACE", "fibonacci", "serve"]
 

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 
     from turtleact.actions.driving import Turtles
     from turtleact.actions.steering import Steering
-    from turtleact.node import Node
-    from turtleact.server import ServerGoalHandle
+    from turtleact.node import Node, ServerGoalHandle
 
 __all__ = ["GoTo", "serve"]
 

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from turtleact.actions.driving import Drive, Turtles
     from turtleact.actions.steering import Steering
     from turtleact.clock import Clock
-    from turtleact.node import Node
-    from turtleact.server import ServerGoalHandle
+    from turtleact.node import Node, ServerGoalHandle
 
 __all__ = ["Patrol", "serve"]
 

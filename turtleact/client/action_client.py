@@ -23,12 +23,11 @@ import msgspec
 from turtleact.body import ActionType
 from turtleact.client.client_endpoints import ClientEndpoints
 from turtleact.client.goal_handle import ClientGoalHandle, GoalReader
-from turtleact.client.in_process import InProcess
 from turtleact.client.remote_server import RemoteActionServer
 from turtleact.errors import InvalidOption, ServerUnavailable, TurtleactError, UnknownGoal
 from turtleact.goal import Goal, GoalStatus, OnFeedback, failure
 from turtleact.goal_id import goal_id_bytes
-from turtleact.goal_server import GoalOrder, GoalServer
+from turtleact.goal_server import GoalOrder, GoalServer, OffersGoals
 from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.standard import CancelGoal, Time
 from turtleact.observers import GoalObserver, Observers
@@ -174,10 +173,8 @@ class ActionClient(Generic[G, R, F]):
 
     def _find(self) -> GoalServer | None:
         found = self._endpoints.find_local()
-        if isinstance(found, GoalServer):
-            return found
-        if found is not None and hasattr(found, "begin"):
-            return InProcess(found)
+        if isinstance(found, OffersGoals):
+            return found.goal_server
         return self._remote if self._remote.is_open else None
 
     def _use(self, server: GoalServer | None) -> None:

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from turtleact.commands.transcript import Followed, Sent
     from turtleact.goal import GoalStatus
     from turtleact.interfaces import Message
-    from turtleact.server import ServerGoalHandle
+    from turtleact.node import ServerGoalHandle
     from turtleact.sim.turtlesim import Turtlesim
     from turtleact.topics import Subscription
 

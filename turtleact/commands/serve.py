@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from turtleact.commands.live import Dashboard
     from turtleact.commands.settings import Fleet, Page, Reach
     from turtleact.goal import GoalStatus
-    from turtleact.server import ServerGoalHandle
+    from turtleact.node import ServerGoalHandle
     from turtleact.transports import Transport, ZenohTransport
 
 __all__ = ["Service", "run", "serve_declared"]

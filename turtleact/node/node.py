@@ -8,33 +8,39 @@ Source: rclpy ``node.py`` for names and meaning.
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from contextlib import AbstractContextManager, asynccontextmanager
 from functools import partial
-from typing import TypeVar, Unpack, cast
+from typing import Any, Generic, TypeAlias, TypeVar, Unpack, cast, get_args
 
-from turtleact.body import ActionBody, ActionDeclaration, ActionType, ServerOptions
+from turtleact.body import ActionBody, ActionDeclaration, ActionType, Body, ServerOptions
 from turtleact.client import ActionClient
 from turtleact.client.client_endpoints import ClientEndpoints
 from turtleact.clock import Clock, check_timeout
-from turtleact.errors import TurtleactError
+from turtleact.errors import InvalidOption, TurtleactError
+from turtleact.goal import Goal, GoalStatus
 from turtleact.graph import Graph, graph_of
 from turtleact.interfaces import Action, Message, Service, WireFormat
 from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
-from turtleact.node.belongings import Belongings
-from turtleact.server import ActionServer, ServerGoalHandle
-from turtleact.server.claim import Claim
+from turtleact.node.conflicts import OnConflict, Rivals
+from turtleact.node.resources import Resources
+from turtleact.observers import GoalObserver
 from turtleact.server.endpoints import ActionEndpoints
-from turtleact.server.hooks import Transition
+from turtleact.server.execution import CURRENT_GOAL, Execution, Served
+from turtleact.server.goal_handle import GoalHandle
+from turtleact.server.local_server import LocalActionServer, SlotRequest
 from turtleact.services import ServiceClient, ServiceServer, ServiceType
 from turtleact.slot import Rules, Slot, Slots
-from turtleact.tasks import current_tasks
+from turtleact.tasks import Background, Home, current_tasks
 from turtleact.topics import Matching, Publisher, Subscription
 from turtleact.transports import MemoryTransport, QoS, Transport
-from turtleact.transports.base import Endpoint, EndpointKind
+from turtleact.transports.base import Closeable, Endpoint, EndpointKind
 
-__all__ = ["Node", "open_node"]
+__all__ = ["ActionServer", "Node", "ServerGoalHandle", "Transition", "open_node"]
+
+logger = logging.getLogger("turtleact.server")
 
 G = TypeVar("G", bound=Message)
 R = TypeVar("R", bound=Message)
@@ -66,8 +72,9 @@ class Node:
         self.clock: Clock = transport.clock
         self.transport = transport
         self._tasks = current_tasks()
-        self._belongings = Belongings()
-        self._slots = Slots[Claim]()
+        self._home = Home(f"node '{self.fully_qualified_name}'")
+        self._resources = Resources()
+        self._slots = Slots[SlotRequest]()
         self._hooks: list[Transition] = []
         self._membership = transport.enter(self.fully_qualified_name)
 
@@ -79,7 +86,7 @@ class Node:
     @property
     def is_open(self) -> bool:
         """Whether something can be opened on it."""
-        return self._belongings.is_open
+        return self._resources.is_open
 
     def serve(
         self,
@@ -110,6 +117,7 @@ class Node:
         execute: ActionBody[G, F, R, ServerGoalHandle[G, R, F]],
         *,
         on_demand: bool = False,
+        on_conflict: OnConflict = "refuse",
         **options: Unpack[ServerOptions],
     ) -> ActionServer[G, R, F]:
         """Serve an action.
@@ -120,6 +128,9 @@ class Node:
             execute: The body: an async generator or a coroutine function, which takes the goal
                 and, if it wants, the `ServerGoalHandle`.
             on_demand: See `Node`.
+            on_conflict: What happens if another node serves the name, in this process or, as far as
+                discovery shows, in another: "refuse" raises `ActionConflict`; "wait" begins to
+                serve once the other has gone. ("withdraw" is for built-in actions, which make way.)
             **options: ``goal_callback(goal)`` answers a `GoalResponse` or raises
                 `turtleact.Reject`; ``cancel_callback(handle)`` answers a `CancelResponse`; both may
                 be coroutine functions. ``policy`` says what becomes of a goal while another runs:
@@ -129,46 +140,64 @@ class Node:
                 how long a result is kept from the goal's end (s, 10 unless given; None keeps it
                 for ever). ``on_client_lost`` is "keep", or "cancel" to cancel the goals of a client
                 that is closed.
+                ``grace`` is how long a cancelled body may take for its clean-up when the server is
+                closed (s, event loop time, 5 unless given); then it is given up.
 
         Raises:
+            ActionConflict: if another node serves the name, or this one with the same type.
             InvalidName: if the name breaks ROS 2's rules.
             InvalidBody: if the function cannot be a body.
             InvalidOption: if an option has a value that it cannot have.
             TypeError: if there is no such option.
         """
+        self._home.check()
         _expect(Action, action_type)
         for unknown in options.keys() - ServerOptions.__annotations__.keys():
             raise TypeError(f"an action server has no option '{unknown}'")
+        if on_conflict not in get_args(OnConflict):
+            words = ", ".join(get_args(OnConflict))
+            raise InvalidOption("on_conflict", f"expected one of {words}, not {on_conflict!r}")
         names = self._action_names(name)
-        server = ActionServer(
-            self,
-            action_type,
-            names.name,
-            execute,
-            tasks=self._tasks,
-            place=self._place(options),
-            **options,
+        rivals = Rivals(self.transport, names.send_goal, self.fully_qualified_name)
+        own_types = self._types_served(names.name)
+        if on_conflict == "refuse" or action_type.type_name in own_types:
+            rivals.check(names.name, action_type.type_name, own_types)
+        served = Served(
+            names.name, action_type, Body(names.name, execute), partial(ServerGoalHandle, self)
         )
-        for hook in self._hooks:
-            server.hooks.add(hook)
+        local = LocalActionServer(
+            served, options, self._tasks, self.clock.now, self._place(options)
+        )
         endpoint = partial(self._endpoint, on_demand=on_demand)
-        endpoints = ActionEndpoints(server, names, self.transport, endpoint, self._tasks)
-        server.endpoints = endpoints
-        server.registration = self._belongings.add(server, endpoints)
+        endpoints = ActionEndpoints(local, names, self.transport, endpoint, self._tasks)
+        server: ActionServer[G, R, F] = ActionServer(self, action_type, local, endpoints)
+        for hook in self._hooks:
+            server._watch(hook)
+        if on_conflict == "withdraw":
+            server._keep(server._make_way(rivals), "making way for others with")
+        if rivals.is_taken(own_types):
+            if on_conflict != "withdraw":
+                server._keep(server._serve_once_free(rivals, own_types), "waiting to serve")
+        else:
+            endpoints.open()
+        server.membership = self._resources.add_server(
+            "action server", server, endpoints.stop_taking_goals
+        )
         return server
 
     def on_transition(self, hook: Transition) -> None:
         """Have ``hook(goal, old, new)`` called at each change of a goal served on this node.
 
-        From now on, in the order of the changes, in the event loop; a goal comes from UNKNOWN. One
-        hook for logs, metrics, journals and tests. What it raises is logged and does no harm.
+        From now on, in the order of the changes, in the event loop. A new goal comes from UNKNOWN.
+        What the hook raises is logged and does no harm.
 
         Args:
             hook: Takes the goal's `ServerGoalHandle` and two `GoalStatus`.
         """
+        self._home.check()
         self._hooks.append(hook)
-        for server in self._belongings.servers(ActionServer):
-            server.hooks.add(hook)
+        for server in self._servers():
+            server._watch(hook)
 
     def action_client(
         self, action_type: ActionType[G, R, F], name: str, *, cancel_timeout: float | None = 6.0
@@ -192,7 +221,7 @@ class Node:
         names = self._action_names(name)
         endpoints = ClientEndpoints(self.transport, self._endpoint, names, action_type)
         client: ActionClient[G, R, F] = ActionClient(endpoints, self._tasks, patience)
-        client.membership = self._belongings.add(client, endpoints)
+        client.membership = self._resources.add(client, endpoints)
         return client
 
     def publisher(
@@ -223,7 +252,7 @@ class Node:
         matching = None if on_matched is None else Matching(on_matched)
         publication = self.transport.advertise(end, WireFormat(message_type), matching)
         publisher = Publisher(name, message_type, publication)
-        publisher.membership = self._belongings.add(publisher, publication)
+        publisher.membership = self._resources.add(publisher, publication)
         return publisher
 
     def subscription(
@@ -240,7 +269,7 @@ class Node:
         subscription: Subscription[M] = Subscription(name, end.qos.depth, self._tasks.signal())
         deliver = cast("Callable[[object], None]", subscription.deliver)
         subscribed = self.transport.subscribe(end, WireFormat(message_type), deliver)
-        subscription.membership = self._belongings.add(subscription, subscribed)
+        subscription.membership = self._resources.add(subscription, subscribed)
         return subscription
 
     def service(
@@ -270,7 +299,9 @@ class Node:
         endpoint = self._endpoint("service", full_name, service_type.type_name, on_demand=on_demand)
         format = WireFormat(cast("type[Service]", service_type))
         registration = self.transport.serve(endpoint, format, server)
-        server.registration = self._belongings.add(server, registration)
+        server.registration = self._resources.add_server(
+            "service server", server, registration.close
+        )
         return server
 
     def service_client(
@@ -287,7 +318,7 @@ class Node:
         format = WireFormat(cast("type[Service]", service_type), asks=True)
         client = ServiceClient(self.transport, service_type, full_name, tasks=self._tasks)
         client.caller = self.transport.join(endpoint, format)
-        client.membership = self._belongings.add(client, client.caller)
+        client.membership = self._resources.add(client, client.caller)
         return client
 
     def count_publishers(self, topic: str) -> int:
@@ -299,6 +330,10 @@ class Node:
         name = resolve_name(topic, self.namespace, self.name)
         return sum(endpoint.kind == "publisher" for endpoint in self.transport.endpoints(name))
 
+    def stoppable(self) -> AbstractContextManager[None]:
+        """A block that ends if a body or handler of this node raises `SystemExit`; for trio."""
+        return self._tasks.stoppable()
+
     def graph(self) -> Graph:
         """What exists on the graph now."""
         return graph_of(self.transport)
@@ -309,16 +344,29 @@ class Node:
         First the actions, all at once: their bodies have the rest for their clean-up. Then the
         services, then the rest, the newest first. A body or handler must not await this.
         """
+        self._home.check()
         try:
-            await self._belongings.aclose()
+            await self._resources.aclose()
         finally:
             self._membership.close()
 
-    def _place(self, options: ServerOptions) -> Slot[Claim] | None:
+    def _place(self, options: ServerOptions) -> Slot[SlotRequest] | None:
         """The slot that a server with these options uses; None if its goals need none."""
         policy = options.get("policy", "parallel")
         rules = Rules(policy, options.get("max_active"), options.get("queue_limit"))
         return self._slots.find(rules, options.get("slot"))
+
+    def _servers(self) -> list[ActionServer[Any, Any, Any]]:
+        """The action servers of this node, those too that are being closed."""
+        return cast("list[ActionServer[Any, Any, Any]]", self._resources.action_servers())
+
+    def _types_served(self, action: str) -> set[str]:
+        """The types that this node serves under an action name."""
+        return {
+            server.action_type.type_name
+            for server in self._servers()
+            if server.name == action and server.is_open
+        }
 
     def _action_names(self, name: str) -> ActionNames:
         return action_names(resolve_name(name, self.namespace, self.name))
@@ -332,10 +380,120 @@ class Node:
         *,
         on_demand: bool = False,
     ) -> Endpoint:
+        self._home.check()
         if not self.is_open:
             raise TurtleactError(f"node '{self.fully_qualified_name}' is closed: open another")
         own, qos = self.fully_qualified_name, qos or QoS()
         return Endpoint(kind, name, type_name, own, qos, on_demand=on_demand)
+
+
+class ServerGoalHandle(GoalHandle[G, R, F]):
+    """What a body, a callback or a hook holds of a goal.
+
+    Attributes:
+        node: The node that serves the goal.
+    """
+
+    __slots__ = ("node",)
+
+    def __init__(self, node: Node, execution: Execution, goal: Goal) -> None:
+        super().__init__(execution, goal)
+        self.node = node
+
+
+Transition: TypeAlias = Callable[[ServerGoalHandle[Any, Any, Any], GoalStatus, GoalStatus], object]
+
+
+class ActionServer(Generic[G, R, F]):
+    """Serves one action under one name; made by `Node.action_server`.
+
+    Attributes:
+        name: The fully qualified name.
+        action_type: The action.
+        node: The node that serves it.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        action_type: ActionType[G, R, F],
+        local: LocalActionServer,
+        endpoints: ActionEndpoints,
+    ) -> None:
+        self.name = local.name
+        self.action_type = action_type
+        self.node = node
+        self.membership: Closeable | None = None
+        self._local = local
+        self._endpoints = endpoints
+        self._watches: list[Background] = []
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it takes goals, or will once the name is free."""
+        return self._local.is_open
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether no goal waits or runs, and nobody waits for an answer."""
+        return self._local.is_idle and not self._endpoints.is_asked and not self._watches
+
+    async def aclose(self) -> None:
+        """Take no more goals, end those that there are, and leave the graph.
+
+        Running goals end ABORTED with the reason "shutdown". A body that ignores its cancellation
+        for ``grace`` seconds is given up, and the log says where it stands. asyncio can let go of
+        such a task; trio cannot, so there this keeps waiting. Every waiter gets its answer.
+        """
+        self._local.is_open = False
+        for watch in self._watches:
+            await watch.aclose()
+        self._watches.clear()
+        if self.membership is not None:
+            self.membership.close()
+        await self._local.aclose()
+        await self._endpoints.aclose()
+
+    def _watch(self, hook: Transition) -> None:
+        """Call a hook at each change of a goal."""
+        self._local.observers.add(_Hook(hook, self._local.execution))
+
+    def _keep(self, running: Coroutine[object, object, None], name: str) -> None:
+        """Run something until the server is closed."""
+        self._watches.append(Background(running, f"{name} {self.name}"))
+
+    async def _serve_once_free(self, rivals: Rivals, own_types: set[str]) -> None:
+        """Appear in the graph once nobody else serves the name."""
+        await rivals.wait_until(lambda: not rivals.is_taken(own_types))
+        self._endpoints.open()
+
+    async def _make_way(self, rivals: Rivals) -> None:
+        """Take no more goals once another node serves the name, and leave when they have ended."""
+        await rivals.wait_until(lambda: rivals.first() is not None)
+        self._local.is_open = False
+        self._endpoints.stop_taking_goals()
+        logger.warning(
+            "%s is served by %s now: the built-in action withdraws", self.name, rivals.first()
+        )
+        await self._local.wait_until_idle()
+        await self._endpoints.aclose()
+
+
+class _Hook(GoalObserver):
+    """A user's hook on the transitions of goals."""
+
+    def __init__(self, hook: Transition, execution: Execution) -> None:
+        self._hook = hook
+        self._execution = execution
+
+    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
+        # A goal that the hook sends is no child of the goal that it hears of.
+        token = CURRENT_GOAL.set(None)
+        try:
+            handle = cast("ServerGoalHandle[Any, Any, Any]", self._execution.make_handle(goal))
+            self._hook(handle, before, after)
+        finally:
+            CURRENT_GOAL.reset(token)
 
 
 def _expect(kind: type, given: object) -> None:
@@ -363,7 +521,8 @@ async def open_node(
         InvalidName: if the name or the namespace breaks ROS 2's rules.
     """
     node = Node(name, namespace, MemoryTransport() if transport is None else transport)
-    try:
-        yield node
-    finally:
-        await node.aclose()
+    with node.stoppable():
+        try:
+            yield node
+        finally:
+            await node.aclose()

@@ -2,17 +2,10 @@
 
 ::
 
-    endpoints                         answers those who are not in this process
-    status | lazy_service | feedback  how all goals stand; one of the services; their feedback
-    action_server                     takes goals, and lets go of them when it is closed
-    reception                         asks about goals, checks and holds them, gives them a place
-    canceling | hooks | claim         which are canceled; who is told of changes; claims to a place
-    execution                         a body is run, and its end made the goal's end
-    goal_handle | callbacks           what a body holds; what the user is asked
-    stepping                          coroutines step by step
+    endpoints             answers those who are not in this process
+    action_topics         feedback and status, for those who read the topics
+    local_server          which goals are taken, and which are canceled
+    goal_handle           what a body holds of its goal
+    execution             a body is run, and its end made the goal's end
+    body_task | callbacks the task of a body; what the user is asked
 """
-
-from turtleact.server.action_server import ActionServer
-from turtleact.server.goal_handle import ServerGoalHandle
-
-__all__ = ["ActionServer", "ServerGoalHandle"]

@@ -1,8 +1,8 @@
-"""What makes up an action on the wire: three services and two topics, open to any node.
+"""What makes up an action on the graph: three services and two topics, open to any node.
 
-A client in the same process needs none of them. They are here for all others: whoever sends
-``SendGoal`` requests by hand, cancels the goals of others, asks for results, or listens to feedback
-and status. Nothing is made or published before somebody asks or listens.
+A client in the same process needs none of them. They are for all others: whoever sends ``SendGoal``
+requests, cancels goals of others, asks for results, or listens to feedback and status. Nothing is
+made or published before somebody asks or listens.
 
 ========================  ==================================  ==================================
 ``…/_action/send_goal``   ``pkg/action/Name_SendGoal``        takes a goal under an id
@@ -17,8 +17,7 @@ Source: rcl_action ``action_server.c``; the ROS 2 design article "Actions".
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from typing import Any, cast
@@ -26,6 +25,7 @@ from typing import Any, cast
 from turtleact.errors import GoalRejected
 from turtleact.goal import CancelCode, Goal, GoalStatus
 from turtleact.goal_note import GoalNote
+from turtleact.goal_server import GoalOrder
 from turtleact.interfaces import (
     Action,
     Implied,
@@ -37,30 +37,27 @@ from turtleact.interfaces import (
 )
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
-from turtleact.server.action_server import SHUTDOWN, ActionServer
-from turtleact.server.feedback import FeedbackSource
-from turtleact.server.lazy_service import LazyService
-from turtleact.server.status import StatusSource
+from turtleact.server.action_topics import FeedbackTopic, StatusTopic
+from turtleact.server.local_server import SHUTDOWN, LocalActionServer
+from turtleact.services import ServiceServer
 from turtleact.summaries import STOPPED
 from turtleact.tasks import GRACE, Tasks, wait_while
-from turtleact.transports.base import STATUS_QOS, MakeEndpoint, Publication, Reply, Transport
+from turtleact.transports.base import STATUS_QOS, Closeable, MakeEndpoint, Reply, Transport
 
 __all__ = ["ActionEndpoints"]
-
-logger = logging.getLogger("turtleact.server")
 
 NAMELESS = "zeros name no goal: nobody could ask for it"
 """Why a goal of the id zero is rejected."""
 
 OURS = GoalNote().write()
-"""What stands beside an answer with nothing to add: only that the server is one of turtleact's."""
+"""The note beside an answer with nothing to add: it says that the server is one of turtleact's."""
 
 LATE_REQUEST = 0.5
-"""A client elsewhere whose goal ends with its server may take so long to ask for the end (s)."""
+"""How long to wait, at the close, for clients elsewhere that have yet to ask for a result (s)."""
 
 
 class ActionEndpoints:
-    """The endpoints of one action server; open as soon as made.
+    """The endpoints of one action server.
 
     Args:
         server: The server.
@@ -72,7 +69,7 @@ class ActionEndpoints:
 
     def __init__(
         self,
-        server: ActionServer[Any, Any, Any],
+        server: LocalActionServer,
         names: ActionNames,
         transport: Transport,
         endpoint: MakeEndpoint,
@@ -81,133 +78,186 @@ class ActionEndpoints:
         self._server = server
         self._names = names
         self._transport = transport
-        self._tasks = tasks
-        self._expects_readers = False
-        self._taken_up: list[bytes] = []
-        self._taken = tasks.signal()
-        self._send_goal = LazyService(
-            server,
-            names.send_goal,
-            lambda: self._implied.send_goal,
-            self._take,
-            tasks,
-            now=self._take_now,
-        )
-        self._cancel_goal = LazyService(
-            server, names.cancel_goal, lambda: CancelGoal, self._cancel, tasks
-        )
-        self._get_result = LazyService(
-            server,
-            names.get_result,
-            lambda: self._implied.get_result,
-            self._wait,
-            tasks,
-            now=self._wait_now,
-        )
-        action = server.action_type.type_name
-        if transport.local(names.send_goal, f"{action}_SendGoal") is not None:
-            logger.warning("%s is served already; clients go to the first server", names.name)
-        self._opened = [
-            transport.serve(
-                endpoint("service", each.name, type_name), WireFormat(each.find_type), handler
-            )
-            for each, type_name, handler in (
-                (self._cancel_goal, CancelGoal.type_name, self._cancel_goal),
-                (self._get_result, f"{action}_GetResult", self._get_result),
-                # last, as who sees it takes the others to be there
-                (self._send_goal, f"{action}_SendGoal", server),
-            )
-        ]
-        self._feedback = FeedbackSource(server)
-        self._publications = self._advertise(transport, endpoint)
+        self._endpoint = endpoint
+        self._cancel_goal = _CancelGoal(server, names, transport, tasks)
+        self._get_result = _GetResult(server, names, tasks)
+        self._send_goal = _SendGoal(server, names, tasks, self._get_result)
+        self._services: list[Closeable] = []
+        self._topics: list[FeedbackTopic | StatusTopic] = []
 
     @property
     def is_asked(self) -> bool:
         """Whether a request waits for its answer."""
         return any(each.waiting for each in (self._send_goal, self._cancel_goal, self._get_result))
 
-    def close(self) -> None:
-        """Take no more goals; those that there are can be canceled and waited for."""
-        self._opened[-1].close()
+    def open(self) -> None:
+        """Appear in the graph."""
+        action = self._server.served.action_type.type_name
+        describe, names = self._endpoint, self._names
+        for service, type_name in (
+            (self._cancel_goal, CancelGoal.type_name),
+            (self._get_result, f"{action}_GetResult"),
+            (self._send_goal, f"{action}_SendGoal"),  # last: whoever sees it expects the others
+        ):
+            described = describe("service", service.name, type_name)
+            offered = self._transport.serve(described, WireFormat(service.find_type), service)
+            self._services.append(offered)
+        described = describe("publisher", names.feedback, f"{action}_FeedbackMessage")
+        feedback = FeedbackTopic(self._server, self._transport, described)
+        described = describe("publisher", names.status, GoalStatusArray.type_name, STATUS_QOS)
+        self._topics = [feedback, StatusTopic(self._server, self._transport, described)]
+        self._send_goal.expect_readers = feedback.expect_readers
 
-    def read_last(self, goal: Goal) -> None:
-        """Make a message of a goal's newest feedback, if it was kept as it was sent."""
-        self._feedback.read_last(goal)
-
-    async def send_goal(self, request: object) -> object:
-        """Answer a ``SendGoal`` request."""
-        return await self._send_goal.answer(request)
-
-    async def reply(self, request: object, caller: bytes) -> Reply:
-        """Answer a ``SendGoal`` request that came over a wire."""
-        self._expect_readers()
-        return await self._send_goal.reply(request, caller)
-
-    def reply_now(self, request: object, caller: bytes) -> Reply | None:
-        """The same if it takes no waiting."""
-        self._expect_readers()
-        return self._send_goal.reply_now(request, caller)
-
-    def _expect_readers(self) -> None:
-        """Publish feedback from now on: who sends goals reads it, known yet or not."""
-        if not self._expects_readers:
-            self._expects_readers = True
-            self._feedback.publication.expect_readers()
+    def stop_taking_goals(self) -> None:
+        """Take no more goals. Those that there are can be cancelled and waited for."""
+        if self._services:
+            self._services[-1].close()
 
     async def aclose(self) -> None:
-        """Answer all who still wait; with results, as the goals have ended."""
+        """Answer all who still wait, and leave the graph; the goals have ended."""
         answered = self._get_result.answered
-        await wait_while(self._is_expected, answered, LATE_REQUEST)
+        if self._services:
+            await wait_while(self._is_expected, answered, LATE_REQUEST)
         await wait_while(lambda: self._get_result.waiting, answered, GRACE)
-        for opened in self._opened:
+        for opened in self._services:
             opened.close()
         for service in (self._send_goal, self._cancel_goal, self._get_result):
             await service.aclose()
-        for publication in self._publications:
-            publication.close()
+        for topic in self._topics:
+            topic.close()
 
     def _is_expected(self) -> bool:
         """Whether a client elsewhere is about to ask how a goal has ended."""
         return any(map(_may_be_asked_for, self._server.held()))
 
-    def _advertise(self, transport: Transport, endpoint: MakeEndpoint) -> list[Publication]:
-        """Open the topics."""
-        server, names = self._server, self._names
-        feedback, status = self._feedback, StatusSource(server)
-        described = endpoint(
-            "publisher", names.feedback, f"{server.action_type.type_name}_FeedbackMessage"
-        )
-        feedback.publication = transport.advertise(described, feedback.format, feedback)
-        server.execution.outlet = feedback.publication
-        described = endpoint("publisher", names.status, GoalStatusArray.type_name, STATUS_QOS)
-        format = WireFormat(GoalStatusArray)
-        status.publication = transport.advertise(described, format, status)
-        return [feedback.publication, status.publication]
+
+class _ActionService:
+    """One of the three services; its classes are made with the first request, as that takes time.
+
+    Requests from the wire are not checked again: decoding them has done that.
+
+    Attributes:
+        server: The action server that it belongs to.
+        name: The name of the service.
+        is_open: Whether it takes requests.
+        answered: Fires whenever a request has been answered.
+        waiting: How many requests wait for their answer.
+    """
+
+    def __init__(self, server: LocalActionServer, name: str, tasks: Tasks) -> None:
+        self.server = server
+        self.name = name
+        self.is_open = True
+        self.answered = tasks.signal()
+        self.waiting = 0
+        self._tasks = tasks
+        self._checked: ServiceServer[Any, Any] | None = None
+
+    def find_type(self) -> Any:  # noqa: ANN401  # a service class
+        """The class of the service."""
+        raise NotImplementedError
+
+    def handle_now(self, request: Any, caller: bytes) -> Reply | None:  # noqa: ANN401, ARG002
+        """Answer a request if that takes no waiting; else None, with nothing done."""
+        return None
+
+    async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
+        """Answer a request; ``caller`` is the gid of the client, empty in the same process."""
+        raise NotImplementedError
+
+    # what transports and service clients call
+
+    async def answer(self, request: object) -> object:
+        """Answer a service client in the same process, whose request is checked first."""
+        if self._checked is None:
+            self._checked = ServiceServer(
+                self.find_type(), self.name, self._handle_checked, tasks=self._tasks
+            )
+        with self._counting():
+            return await self._checked.answer(request)
+
+    async def reply(self, request: object, caller: bytes) -> Reply:
+        """Answer a request that came over a wire."""
+        with self._counting():
+            return await self.handle(request, caller)
+
+    def reply_now(self, request: object, caller: bytes) -> Reply | None:
+        """Answer a request that came over a wire, if that takes no waiting."""
+        reply = self.handle_now(request, caller)
+        if reply is not None:
+            self.answered.fire()
+        return reply
+
+    async def aclose(self) -> None:
+        """Answer all who wait."""
+        self.is_open = False
+        if self._checked is not None:
+            await self._checked.aclose()
+
+    async def _handle_checked(self, request: Any) -> object:  # noqa: ANN401
+        return (await self.handle(request, b"")).message
+
+    @contextmanager
+    def _counting(self) -> Iterator[None]:
+        self.waiting += 1
+        try:
+            yield
+        finally:
+            self.waiting -= 1
+            self.answered.fire()
 
     @cached_property
     def _implied(self) -> Implied:
-        return implied(cast("type[Action]", self._server.action_type))
+        return implied(cast("type[Action]", self.server.served.action_type))
 
-    # the services
 
-    def _take_now(self, request: Any, caller: bytes) -> Reply | None:  # noqa: ANN401  # see below
+class _SendGoal(_ActionService):
+    """Takes goals.
+
+    Attributes:
+        goal_server: The server, for clients in the same process; see `turtleact.goal_server`.
+        expect_readers: Called with the first goal from elsewhere: its client reads feedback.
+    """
+
+    def __init__(
+        self, server: LocalActionServer, names: ActionNames, tasks: Tasks, get_result: _GetResult
+    ) -> None:
+        super().__init__(server, names.send_goal, tasks)
+        self.goal_server = server
+        self.expect_readers: Callable[[], None] | None = None
+        self._get_result = get_result
+
+    def find_type(self) -> Any:  # noqa: ANN401  # a service class
+        return self._implied.send_goal
+
+    def caller_lost(self, caller: bytes) -> None:
+        """Note that a client elsewhere has gone."""
+        self.server.client_lost(caller)
+
+    def handle_now(self, request: Any, caller: bytes) -> Reply | None:  # noqa: ANN401
         try:
-            goal_id = _named(request)
-            goal = self._server.begin(request.goal, goal_id, None, caller, is_streamed=False)
+            goal = self.server.take_nowait(self._order(request, caller), is_streamed=False)
         except GoalRejected as rejected:
             return self._decided(rejected)
         return None if goal is None else self._decided(goal)
 
-    async def _take(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
+    async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
         try:
-            goal_id = _named(request)
-            with self._taking_up(goal_id):
-                goal = await self._server.take(
-                    request.goal, goal_id, None, caller, is_streamed=False
-                )
+            order = self._order(request, caller)
+            with self._get_result.expecting(order.goal_id):
+                goal = await self.server.take(order, is_streamed=False)
         except GoalRejected as rejected:
             return self._decided(rejected)
         return self._decided(goal)
+
+    def _order(self, request: Any, caller: bytes) -> GoalOrder:  # noqa: ANN401
+        if caller and self.expect_readers is not None:
+            self.expect_readers()
+            self.expect_readers = None
+        goal_id = request.goal_id.uuid
+        if not any(goal_id):
+            raise GoalRejected(NAMELESS)
+        return GoalOrder(request.goal, caller, 0.0, goal_id)
 
     def _decided(self, outcome: Goal | GoalRejected) -> Reply:
         response = self._implied.send_goal.Response
@@ -215,48 +265,78 @@ class ActionEndpoints:
             return Reply(response(accepted=False), GoalNote(outcome.reason).write())
         return Reply(response(accepted=True, stamp=stamp_of(outcome.stamp)), OURS)
 
+
+class _CancelGoal(_ActionService):
+    """Cancels goals. The servers of one name share this service, whatever their types."""
+
+    def __init__(
+        self, server: LocalActionServer, names: ActionNames, transport: Transport, tasks: Tasks
+    ) -> None:
+        super().__init__(server, names.cancel_goal, tasks)
+        self._transport = transport
+
+    def find_type(self) -> Any:  # noqa: ANN401  # a service class
+        return CancelGoal
+
+    async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401, ARG002
+        goal_id, stamp = request.goal_info.goal_id.uuid, nanoseconds(request.goal_info.stamp)
+        servers = (self.server, *self._siblings())
+        return Reply(_joined([await each.cancel(goal_id, stamp) for each in servers]))
+
+    def _siblings(self) -> list[LocalActionServer]:
+        """The servers of other actions of the same name in this process."""
+        handlers = self._transport.all_local(self.name, CancelGoal.type_name)
+        return [
+            each.server for each in handlers if isinstance(each, _CancelGoal) and each is not self
+        ]
+
+
+class _GetResult(_ActionService):
+    """Waits for the end of goals.
+
+    A request may come while its goal is still thought about, since clients of turtleact send both
+    requests at once: it waits then.
+    """
+
+    def __init__(self, server: LocalActionServer, names: ActionNames, tasks: Tasks) -> None:
+        super().__init__(server, names.get_result, tasks)
+        self._expected: list[bytes | None] = []  # a list: a second goal of the same id may come
+        self._decided = tasks.signal()
+
     @contextmanager
-    def _taking_up(self, goal_id: bytes) -> Iterator[None]:
-        """A block in which a goal is thought about: who asks for its result meanwhile waits."""
-        self._taken_up.append(goal_id)  # a list: a second goal of the same id may come
+    def expecting(self, goal_id: bytes | None) -> Iterator[None]:
+        """A block in which it is decided whether a goal is taken."""
+        self._expected.append(goal_id)
         try:
             yield
         finally:
-            self._taken_up.remove(goal_id)
-            self._taken.fire()
+            self._expected.remove(goal_id)
+            self._decided.fire()
 
-    async def _cancel(self, request: Any, _caller: bytes) -> Reply:  # noqa: ANN401
-        goal_id, stamp = request.goal_info.goal_id.uuid, nanoseconds(request.goal_info.stamp)
-        servers = (self._server, *self._siblings())
-        return Reply(_joined([await each.cancel(goal_id, stamp) for each in servers]))
+    def find_type(self) -> Any:  # noqa: ANN401  # a service class
+        return self._implied.get_result
 
-    def _siblings(self) -> list[ActionServer[Any, Any, Any]]:
-        """The servers of other actions of the same name in this process: they share a service."""
-        handlers = self._transport.all_local(self._names.cancel_goal, CancelGoal.type_name)
-        lazy = [each for each in handlers if isinstance(each, LazyService)]
-        return [each.server for each in lazy if each is not self._cancel_goal]
-
-    def _wait_now(self, request: Any, _caller: bytes) -> Reply | None:  # noqa: ANN401
+    def handle_now(self, request: Any, caller: bytes) -> Reply | None:  # noqa: ANN401, ARG002
         goal_id = request.goal_id.uuid
-        goal = self._server.find(goal_id)
-        if goal is None and goal_id not in self._taken_up:
+        goal = self.server.find(goal_id)
+        if goal is None and goal_id not in self._expected:
             return Reply(self._implied.get_result.Response(status=GoalStatus.UNKNOWN), OURS)
         if goal is None or not goal.ended:
             return None
-        goal.is_asked_for = True
         return self._end(goal)
 
-    async def _wait(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
-        while (goal := self._server.find(request.goal_id.uuid)) is None:
-            reply = self._wait_now(request, caller)
+    async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
+        while (goal := self.server.find(request.goal_id.uuid)) is None:
+            reply = self.handle_now(request, caller)
             if reply is not None:
                 return reply
-            await self._taken.wait()
+            await self._decided.wait()
         goal.is_asked_for = True
-        await self._server.wait_for_end(goal)
+        await self.server.wait_for_end(goal)
         return self._end(goal)
 
     def _end(self, goal: Goal) -> Reply:
+        goal.is_asked_for = True
         response = self._implied.get_result.Response
         message = response(status=int(goal.status), result=cast("Message", goal.result))
         if goal.reason or goal.published:
@@ -265,21 +345,13 @@ class ActionEndpoints:
 
 
 def _joined(answers: list[CancelGoal.Response]) -> CancelGoal.Response:
-    """The answer of several servers that share a cancel service: none but one knows a goal."""
+    """The answer of several servers that share a cancel service: at most one knows a goal."""
     codes = [each.return_code for each in answers]
     known = [code for code in codes if code != CancelCode.UNKNOWN_GOAL_ID]
     return CancelGoal.Response(
         return_code=min(known, default=CancelCode.UNKNOWN_GOAL_ID),  # NONE is the least
         goals_canceling=[goal for each in answers for goal in each.goals_canceling],
     )
-
-
-def _named(request: Any) -> bytes:  # noqa: ANN401  # of the action's own class
-    """The id that a goal is sent under; raises `GoalRejected` if it is none."""
-    goal_id: bytes = request.goal_id.uuid
-    if not any(goal_id):
-        raise GoalRejected(NAMELESS)
-    return goal_id
 
 
 def _may_be_asked_for(goal: Goal) -> bool:

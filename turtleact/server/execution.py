@@ -1,11 +1,9 @@
 """How a goal is carried out: its body is run, its feedback published, its end made the goal's end.
 
-A body runs in a task of its own, begun at once, or inside the task of the client that awaits it.
-
 A generator is never iterated with ``async for``: a cancellation that lands while it stands at a
 ``yield`` would reach it as GeneratorExit only, and a timeout or task group around that ``yield``
-would break. One task drives it; what arrives between two steps is thrown in at its ``yield``; it
-is closed on every path.
+would break. One task drives it. What arrives between two steps is thrown in at its ``yield``, and
+it is closed on every path.
 
 Source: PEP 525; PEP 789 for the hazards of generators.
 """
@@ -13,213 +11,157 @@ Source: PEP 525; PEP 789 for the hazards of generators.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Coroutine
+import math
+from collections.abc import Callable
 from contextvars import Context, ContextVar
-from functools import partial
-from typing import TYPE_CHECKING, ClassVar, TypeAlias, cast
+from typing import NamedTuple, Protocol, TypeAlias, cast
 
 from turtleact.body import ActionType, Body, Steps
-from turtleact.clock import Clock
-from turtleact.errors import (
-    Abort,
-    Cancel,
-    InvalidMessage,
-    InvalidTransition,
-)
+from turtleact.errors import Abort, Cancel, InvalidMessage, InvalidTransition
 from turtleact.feedback import FeedbackLog
 from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable
+from turtleact.goal_id import new_goal_id
 from turtleact.interfaces import Message, snapshotter
-from turtleact.server.stepping import Borrowed, Owned, finish, is_closed_by_loop
+from turtleact.observers import Observers
+from turtleact.server.body_task import BodyTask
 from turtleact.summaries import STOPPED, STOPS, summary, text_of
-from turtleact.tasks import Scope, Signal, Tasks, is_cancellation
+from turtleact.tasks import Signal, Tasks, is_cancellation, wait_while
 
-if TYPE_CHECKING:
-    from turtleact.server.status import StatusSource
-    from turtleact.transports.base import Publication
-
-__all__ = ["CURRENT_GOAL", "Execution", "Watch"]
+__all__ = ["CURRENT_GOAL", "Execution", "FeedbackOutlet", "Served"]
 
 logger = logging.getLogger("turtleact.server")
 
 Check: TypeAlias = Callable[[object], Message]
-Running: TypeAlias = Coroutine[object, object, None]
-Watch: TypeAlias = Callable[[Goal, GoalStatus, GoalStatus], object]
 
 CURRENT_GOAL: ContextVar[Goal | None] = ContextVar("CURRENT_GOAL", default=None)
-"""The goal whose body runs here: the parent of those that it sends."""
+"""The goal whose body runs here: the parent of the goals that it sends."""
 
 BURST = 16
 """After so many messages in a row, a generator that never waits lets others run."""
 
-_ACCEPTED = GoalStatus.ACCEPTED
-_CANCELING = GoalStatus.CANCELING
-_SUCCEED = GoalEvent.SUCCEED
+
+class Served(NamedTuple):
+    """What a server serves.
+
+    Attributes:
+        name: The fully qualified name of the action.
+        action_type: The action.
+        body: The function to run.
+        make_handle: Makes the handle that bodies and callbacks get.
+    """
+
+    name: str
+    action_type: ActionType[Message, Message, Message]
+    body: Body
+    make_handle: Callable[[Execution, Goal], object]
+
+
+class FeedbackOutlet(Protocol):
+    """The feedback topic, while somebody reads it."""
+
+    @property
+    def is_congested(self) -> bool:
+        """Whether bodies should wait before they publish more."""
+
+    def emit(self, goal: Goal, feedback: object) -> bool:
+        """Send feedback as a body gives it, if no copy is needed; return whether it was sent."""
+
+    def publish(self, goal: Goal, message: Message) -> None:
+        """Send a checked copy."""
+
+    async def drained(self) -> None:
+        """Wait until it is not congested. Cancelling: safe."""
 
 
 class Execution:
     """Carries out the goals of one server.
 
     Args:
-        name: The action's name, for messages and logs.
-        action_type: The action.
-        body: The function to run.
-        clock: Says when a goal ended.
-        tasks: Starts what runs by itself.
+        served: The action, its name and its body.
         table: Where goals are held.
-        make_handle: Makes the handle that a body may want.
+        tasks: Starts the tasks of bodies.
+        now: The time (ns since the epoch).
+        release: Told of each goal that has ended; may return a callable that starts the next goal.
 
     Attributes:
+        served: The same.
         check_result: The checked copy of a result.
-        also_feedback: Told of each feedback message, with its goal; must not raise.
-        emit: Takes feedback as a body gives it, if that can do without a copy, and answers whether
-            it has; must not raise.
-        outlet: Where feedback goes besides: bodies wait while it is congested.
-        watch: Told of each change of a goal's state, before and after; must not raise.
-        board: Where others see how all goals stand; told of each change too.
-        release: Told of each goal that has ended; may answer what starts another.
-        ended: Fires whenever a goal has ended. Like the six above None, until somebody wants it.
+        observers: Told of each change of a goal and, if they want it, of feedback.
+        outlet: Where feedback goes besides; None while nobody reads the topic.
+        bodies: The tasks of the bodies that run.
     """
-
-    #: Whether a body's goal is noted as the parent of those that it sends: from the first slot on,
-    #: as nothing else asks for it, and it takes time and memory.
-    notes_parents: ClassVar[bool] = False
 
     def __init__(
         self,
-        name: str,
-        action_type: ActionType[Message, Message, Message],
-        body: Body,
-        *,
-        clock: Clock,
-        tasks: Tasks,
+        served: Served,
         table: GoalTable,
-        make_handle: Callable[[Goal], object],
+        tasks: Tasks,
+        now: Callable[[], int],
+        release: Callable[[Goal], Callable[[], object] | None],
     ) -> None:
-        self._name = name
-        self._call = body.call
-        self._is_generator = body.is_generator
-        self._wants_handle = body.wants_handle
-        self._now = clock.now
-        self._tasks = tasks
+        self.served = served
+        self.observers = Observers(served.name)
+        self.outlet: FeedbackOutlet | None = None
+        self.bodies: dict[BodyTask, Goal] = {}
+        self._call = served.body.call
         self._table = table
-        self._make_handle = make_handle
-        self._result_type = cast("type[Message]", action_type.Result)
-        feedback_type = cast("type[Message]", action_type.Feedback)
+        self._tasks = tasks
+        self._now = now
+        self._release = release
+        self._ended: Signal = tasks.signal()
+        self._result_type = cast("type[Message]", served.action_type.Result)
+        feedback_type = cast("type[Message]", served.action_type.Feedback)
         self._check_feedback = cast("Check", snapshotter(feedback_type, root="feedback"))
         self.check_result = cast("Check", snapshotter(self._result_type, root="result"))
-        self.also_feedback: Callable[[Goal, object], object] | None = None
-        self.emit: Callable[[Goal, object], bool] | None = None
-        self.outlet: Publication | None = None
-        self.watch: Watch | None = None
-        self.board: StatusSource | None = None
-        self.release: Callable[[Goal], Callable[[], object] | None] | None = None
-        self.ended: Signal | None = None
-
-    # starting
-
-    def start(self, goal: Goal, context: Context | None = None) -> None:
-        """Run a goal's body in a task of its own; on asyncio its first step has run then.
-
-        Args:
-            goal: The goal.
-            context: What the task runs in; a copy of the current context if left out.
-        """
-        owned = Owned(goal, self, self._tasks)
-        task = self._tasks.spawn(self.run(goal, owned), self._name, context)
-        if not goal.ended:
-            owned.task = task
-            goal.body = owned
-            if goal.status is _CANCELING or goal.reason:  # asked for in its own first step
-                owned.cancel()
-
-    async def lend(
-        self,
-        goal: Goal,
-        running: Running,
-        waits_for: object,
-        context: Context,
-        outer: Scope | None,
-    ) -> None:
-        """Run a body in the caller's own task, to its end (asyncio alone).
-
-        Cancelling: the goal is asked to cancel, its end awaited, the cancellation raised again.
-
-        Args:
-            goal: The goal.
-            running: `run` of that goal, after its first step.
-            waits_for: What the first step gave.
-            context: What the first step ran in.
-            outer: The scope that the caller was in before it.
-        """
-        borrowed = Borrowed(context, goal, self, self._tasks, outer)
-        goal.body = borrowed
-        if goal.status is _CANCELING or goal.reason:  # asked for in its own first step
-            borrowed.cancel()
-        await borrowed.go_on(running, waits_for)
 
     # running
 
-    async def run(self, goal: Goal, owned: Owned | None = None) -> None:
-        """Run a body and make its end the goal's end; raises only what stops the program.
+    def start(self, goal: Goal, context: Context | None = None) -> None:
+        """Run a goal's body in a task of its own, in a copy of the current context unless given.
 
-        Args:
-            goal: The goal.
-            owned: What its steps go through, if it has a task of its own.
+        A goal that an observer has had cancelled already ends at once.
         """
-        if Execution.notes_parents:
-            CURRENT_GOAL.set(goal)
-        if goal.status is _CANCELING or goal.reason:  # before its first step
+        if goal.status is GoalStatus.CANCELING or goal.reason:
             self._end_canceled(goal)
             return
+        task = goal.body = BodyTask(self, goal, self._tasks)
+        self.bodies[task] = goal
+        task.start(self.served.name, context)
+
+    async def run(self, goal: Goal, task: BodyTask) -> None:
+        """Run a body and make its end the goal's end."""
+        CURRENT_GOAL.set(goal)  # in the context of this task alone
+        body = self.served.body
         try:
-            if self._wants_handle:
-                running = self._call(goal.request, self._make_handle(goal))
+            if body.wants_handle:
+                running = self._call(goal.request, self.make_handle(goal))
             else:
                 running = self._call(goal.request)
-            if self._is_generator:
+            task.body = running
+            if body.is_generator:
                 running = self._drive(goal, running)  # type: ignore[arg-type]  # see Body
-            if owned is not None:
-                owned.body = running  # type: ignore[assignment]  # see Body
-                running = owned
             result = await running  # type: ignore[misc]  # see Body
+            # A journal would be awaited here and in `_fail`'s place below, before the end is told.
+            self._succeed(goal, result)
         except BaseException as error:
-            if is_closed_by_loop(error):
+            if _is_closed_by_loop(error):
                 raise
             self._fail(goal, error)
             if isinstance(error, KeyboardInterrupt | SystemExit):
-                if owned is None:
-                    raise
-                self._tasks.soon(partial(_throw, error))  # or it would break into who starts it
-            return
-        try:  # few names and short calls here: each takes its place in every goal's frame
-            if result is None or not self._is_generator:  # else `_drive` has done it
-                result = self.check_result(result)
-        except InvalidMessage as error:
-            self._end_without_result(goal, result, error)
-        else:
-            self.end(goal, _SUCCEED, result)
+                self._tasks.stop_program(error)
+        finally:
+            self._forget(task)
 
     async def _drive(self, goal: Goal, steps: Steps) -> object:
-        """Run a generator to its end; the answer is its result, or None if it gave none."""
-        result_type, check, step = self._result_type, self._check_feedback, steps.asend
+        """Run a generator to its end; return its result, or None if it gave none."""
+        result_type, step = self._result_type, steps.asend
         countdown = BURST
         try:
             item = await step(None)
             while type(item) is not result_type:
                 try:
-                    emit = self.emit
-                    if emit is None or not emit(goal, item):
-                        message, log = check(item), goal.feedback
-                        if goal.listener or goal.on_feedback or goal.ended or self.also_feedback:
-                            status, reason = goal.status, goal.reason
-                            self._hand_on(goal, message)
-                            if goal.status is not status or goal.reason is not reason:
-                                countdown = 1  # who was told has canceled it: see to it at once
-                        elif log is not None:  # nobody is to be told: a shorter `_hand_on`
-                            log.items.append(message)  # `_pause` trims it
-                            goal.last_feedback = message
-                        elif goal.is_streamed:
-                            self._hand_on(goal, message)
+                    if self._publish_or_emit(goal, item):
+                        countdown = 1  # a callback has cancelled the goal: let that arrive now
                     countdown -= 1
                     if not countdown:
                         countdown = BURST
@@ -240,8 +182,17 @@ class Execution:
         except InvalidMessage as misfit:
             await steps.aclose()
             raise Abort(f"the body's result does not fit: {misfit}") from None
-        await finish(steps)
+        await _finish(steps)
         return result
+
+    def _publish_or_emit(self, goal: Goal, feedback: object) -> bool:
+        """Publish feedback; return whether somebody who was told of it has cancelled the goal."""
+        outlet = self.outlet
+        if outlet is not None and not self.observers.want_feedback and outlet.emit(goal, feedback):
+            return False
+        status, reason = goal.status, goal.reason
+        self.publish(goal, feedback)
+        return goal.status is not status or goal.reason is not reason
 
     async def _pause(self, goal: Goal) -> None:
         """Let others run; if the sender reads and is far behind, let it catch up."""
@@ -263,12 +214,14 @@ class Execution:
                 log.drained = None
 
     def publish(self, goal: Goal, feedback: object) -> None:
-        """Take a snapshot of feedback and hand it to all who read."""
-        message = self._check_feedback(feedback)
-        self._hand_on(goal, message)
+        """Take a snapshot of feedback and hand it to all who read.
 
-    def _hand_on(self, goal: Goal, message: Message) -> None:
-        if goal.ended or goal.status is _ACCEPTED:
+        Raises:
+            InvalidMessage: if it is not this action's Feedback, or a value does not fit its type.
+            InvalidTransition: if the goal is neither EXECUTING nor CANCELING.
+        """
+        message = self._check_feedback(feedback)
+        if goal.ended or goal.status is GoalStatus.ACCEPTED:
             raise InvalidTransition(goal.status, "feedback", goal.hex)
         goal.last_feedback = message
         if goal.is_streamed:
@@ -283,90 +236,91 @@ class Execution:
                 goal.on_feedback(message)
             except STOPS:
                 raise
-            except BaseException:  # a cancellation too: nobody has canceled this body
+            except BaseException:  # a cancellation too: nobody has cancelled this body
                 logger.exception("the feedback_callback of goal %s failed", goal.hex)
-        if self.also_feedback is not None:
-            self.also_feedback(goal, message)
+        if self.outlet is not None:
+            self.outlet.publish(goal, message)
+        if self.observers.want_feedback:
+            self.observers.feedback_published(goal, message)
 
     def report_blocking(self, goal: Goal, seconds: float) -> None:
-        """Warn of a step that kept all others from running; a process that was stopped looks so."""
+        """Warn of a step that kept all others from running; a stopped process looks the same."""
         logger.warning(
             "a step of the body of %s took %.1f s (goal %s): nothing else could run meanwhile;"
             " unless the process was stopped, await what waits, and move long work to"
             " anyio.to_thread.run_sync",
-            self._name,
+            self.served.name,
             seconds,
             goal.hex,
         )
 
-    def abandon(self, goal: Goal) -> None:
-        """Cancel a body once more, which may have swallowed the first time; let its caller go."""
-        if isinstance(goal.body, Borrowed):
-            goal.body.abandon()
-        elif goal.body is not None:
-            goal.body.cancel()
+    def make_handle(self, goal: Goal) -> object:
+        """The handle of a goal, for its body and the callbacks."""
+        return self.served.make_handle(self, goal)
 
     # changing and ending
 
+    def name_goal(self, goal: Goal) -> bytes:
+        """The id of a goal; it can be found by it from now on."""
+        return goal.id or self._table.name(goal, new_goal_id(), self._now())
+
     def move(self, goal: Goal, event: GoalEvent) -> None:
-        """Change a goal's state, and tell who watches.
+        """Change a goal's state, and tell the observers.
 
         Raises:
             InvalidTransition: if the event is not allowed now; nothing has changed.
         """
         before = goal.status
         goal.apply(event)
-        if self.board is not None:
-            self.board.note(goal)
-        if self.watch is not None:
-            self.watch(goal, before, goal.status)
-
-    def mark_canceling(self, goal: Goal) -> None:
-        """Make a goal CANCELING, unless it is so already or has ended."""
-        if goal.status.is_active and goal.status is not _CANCELING:
-            self.move(goal, GoalEvent.CANCEL_GOAL)
+        if self.observers:
+            self.observers.goal_changed(goal, before, goal.status)
 
     def drop(self, goal: Goal) -> None:
-        """End a goal that waits to be started and never will be."""
+        """End a goal that waits for its turn."""
         if goal.status is GoalStatus.ACCEPTED:
             self.move(goal, GoalEvent.EXECUTE)
         self._end_canceled(goal)
 
+    def end_unstarted(self, goal: Goal) -> None:
+        """End a goal that is cancelled before the first step of its body."""
+        if not goal.ended:
+            task = goal.body
+            self._end_canceled(goal)
+            if isinstance(task, BodyTask):
+                self._forget(task)
+
     def end(self, goal: Goal, event: GoalEvent, result: object, reason: str = "") -> None:
-        """End a goal; one that was left behind at the shutdown has been answered already."""
+        """End a goal; nothing happens if it was given up and has been answered already."""
         if goal.ended:
             return
         if result is not None:
             goal.result = result
         elif goal.result is None:
             goal.result = self._result_type()
-        if goal.reason is not reason:
-            goal.reason = reason
-        if goal.body is not None:
-            goal.body = None
-        if goal.parent is not None or goal.on_feedback is not None:
-            goal.parent = goal.on_feedback = None  # or a chain of goals would never be forgotten
+        goal.reason = reason
+        goal.body = None
+        goal.parent = goal.on_feedback = None  # or a chain of goals would never be forgotten
         before = goal.status
         goal.apply(event)
         self._table.end(goal, self._now())
-        start_next = None if self.release is None else self.release(goal)
-        if self.board is not None:
-            self.board.note(goal)
-        if self.watch is not None:
-            self.watch(goal, before, goal.status)
+        start_next = self._release(goal)
+        if self.observers:
+            self.observers.goal_changed(goal, before, goal.status)
         if start_next is not None:
-            self._tasks.soon(start_next)
-        if self.ended is not None:
-            self.ended.fire()
+            self._tasks.call_soon(start_next)
 
-    def _end_without_result(self, goal: Goal, given: object, error: InvalidMessage) -> None:
-        why = "no result" if given is None else f"the body's result does not fit: {error}"
-        self.end(goal, GoalEvent.ABORT, None, why)
+    def _succeed(self, goal: Goal, result: object) -> None:
+        if result is None or not self.served.body.is_generator:  # else `_drive` has checked it
+            try:
+                result = self.check_result(result)
+            except InvalidMessage as error:
+                why = "no result" if result is None else f"the body's result does not fit: {error}"
+                self.end(goal, GoalEvent.ABORT, None, why)
+                return
+        self.end(goal, GoalEvent.SUCCEED, result)
 
     def _fail(self, goal: Goal, error: BaseException) -> None:
-        if isinstance(goal.body, Borrowed) and goal.body.is_caller_canceled:
-            self.mark_canceling(goal)
-        canceling = goal.status is _CANCELING
+        canceling = goal.status is GoalStatus.CANCELING
         if isinstance(error, KeyboardInterrupt | SystemExit):
             self.end(goal, GoalEvent.ABORT, None, STOPPED)
         elif isinstance(error, Abort):
@@ -377,11 +331,13 @@ class Execution:
         elif is_cancellation(error, self._tasks):
             self._end_canceled(goal)
         else:
-            logger.error("the body of goal %s of %s failed", goal.hex, self._name, exc_info=error)
+            name = self.served.name
+            logger.error("the body of goal %s of %s failed", goal.hex, name, exc_info=error)
             self.end(goal, GoalEvent.ABORT, None, summary(error))
 
     def _end_canceled(self, goal: Goal) -> None:
-        if goal.status is _CANCELING:
+        """End a goal CANCELED if a client asked for that; else the server ended it: ABORTED."""
+        if goal.status is GoalStatus.CANCELING:
             self.end(goal, GoalEvent.CANCELED, None)
         else:
             self.end(goal, GoalEvent.ABORT, None, goal.reason or "canceled from within")
@@ -395,6 +351,64 @@ class Execution:
                 result, reason = None, f"{reason} (its result does not fit: {error})"
         self.end(goal, event, result, reason)
 
+    # closing
 
-def _throw(error: BaseException) -> None:
-    raise error
+    async def wait_until_idle(self) -> None:
+        """Wait until no goal waits or runs. Cancelling: safe."""
+        while self._table.active or self.bodies:
+            await self._ended.wait()
+
+    async def wait_for_bodies(self, grace: float, reason: str) -> None:
+        """Wait until all bodies have ended, shielded; give up those that take too long.
+
+        A body that ignores its cancellation for ``grace`` seconds (event loop time) is given up:
+        its goal ends ABORTED, and the log says where the body stands. asyncio can let go of such
+        a task. trio cannot, so there this keeps waiting.
+
+        Args:
+            grace: How long bodies may take for their clean-up (s).
+            reason: Why the goals end whose bodies are given up.
+        """
+        await wait_while(lambda: self.bodies, self._ended, grace)
+        for task, goal in list(self.bodies.items()):
+            logger.error(
+                "the body of %s ignores its cancellation and is given up: goal %s, at %s",
+                self.served.name,
+                goal.hex,
+                task.position,
+            )
+            task.cancel()  # once more, for one that has swallowed the first
+            self.end(goal, GoalEvent.ABORT, None, goal.reason or reason)
+        if self.bodies and not self._tasks.can_let_go:
+            logger.error("%s waits for its bodies: trio cannot let go of a task", self.served.name)
+            await wait_while(lambda: self.bodies, self._ended, math.inf)
+
+    def _forget(self, task: BodyTask) -> None:
+        """Note that a body has ended."""
+        self.bodies.pop(task, None)
+        self._ended.fire()
+
+
+async def _finish(steps: Steps) -> None:
+    """Let a generator run on behind its result: the result stands, whatever it does."""
+    try:
+        extra = await steps.asend(None)
+        logger.warning("a body yielded %s after its result; it is closed", type(extra).__name__)
+        await steps.aclose()
+    except StopAsyncIteration:
+        return
+    except (GeneratorExit, KeyboardInterrupt, SystemExit):
+        raise
+    except Exception:
+        logger.exception("a body failed after it had yielded its result; the result stands")
+    except BaseException:
+        logger.info("a body was canceled after it had yielded its result; the result stands")
+
+
+def _is_closed_by_loop(error: BaseException) -> bool:
+    """Whether the event loop is gone and closes the coroutine that asks.
+
+    A GeneratorExit that the body raised itself has passed through a frame of the body.
+    """
+    trace = error.__traceback__
+    return isinstance(error, GeneratorExit) and trace is not None and trace.tb_next is None

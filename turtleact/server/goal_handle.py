@@ -5,46 +5,39 @@ Source: rclpy ``action/server.py`` for names and meaning.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Generic, TypeVar, cast
+from typing import Generic, TypeVar, cast
 
 from turtleact.errors import InvalidTransition
 from turtleact.goal import Goal, GoalStatus
 from turtleact.interfaces import Message, stamp_of
 from turtleact.interfaces.standard import Time
+from turtleact.server.execution import Execution
 
-if TYPE_CHECKING:
-    from turtleact.server.action_server import ActionServer
-
-__all__ = ["ServerGoalHandle"]
+__all__ = ["GoalHandle"]
 
 G = TypeVar("G", bound=Message)
 R = TypeVar("R", bound=Message)
 F = TypeVar("F", bound=Message)
 
 
-class ServerGoalHandle(Generic[G, R, F]):
-    """What a body holds of its goal.
+class GoalHandle(Generic[G, R, F]):
+    """What a body holds of its goal; `turtleact.ServerGoalHandle` adds the node."""
 
-    Attributes:
-        node: The node that serves the goal.
-    """
+    __slots__ = ("_execution", "_goal")
 
-    __slots__ = ("_goal", "_server", "node")
-
-    def __init__(self, server: ActionServer[G, R, F], goal: Goal) -> None:
-        self._server = server
+    def __init__(self, execution: Execution, goal: Goal) -> None:
+        self._execution = execution
         self._goal = goal
-        self.node = server.node
 
     @property
     def action_name(self) -> str:
         """The fully qualified name of the action."""
-        return self._server.name
+        return self._execution.served.name
 
     @property
     def goal_id(self) -> bytes:
         """The goal's 16 bytes."""
-        return self._server.name_goal(self._goal)
+        return self._execution.name_goal(self._goal)
 
     @property
     def stamp(self) -> Time:
@@ -78,7 +71,7 @@ class ServerGoalHandle(Generic[G, R, F]):
             InvalidMessage: if it is not this action's Feedback, or a value does not fit its type.
             InvalidTransition: if the goal is neither EXECUTING nor CANCELING.
         """
-        self._server.execution.publish(self._goal, feedback)
+        self._execution.publish(self._goal, feedback)
 
     def set_partial_result(self, result: R) -> None:
         """Set what is reported should the goal be canceled or aborted.
@@ -89,4 +82,4 @@ class ServerGoalHandle(Generic[G, R, F]):
         """
         if self._goal.ended:
             raise InvalidTransition(self._goal.status, "a partial result", self._goal.hex)
-        self._goal.result = self._server.execution.check_result(result)
+        self._goal.result = self._execution.check_result(result)

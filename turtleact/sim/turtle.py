@@ -41,8 +41,7 @@ from turtleact.transports import QoS
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from turtleact.node import Node
-    from turtleact.server import ServerGoalHandle
+    from turtleact.node import Node, ServerGoalHandle
     from turtleact.sim.drawing import Pens
     from turtleact.sim.world import World
 

@@ -45,8 +45,7 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
 
     from turtleact.clock import Clock
-    from turtleact.node import Node
-    from turtleact.server import ServerGoalHandle
+    from turtleact.node import Node, ServerGoalHandle
     from turtleact.sim.world import World
 
     Handle = ServerGoalHandle[SimulateSteps.Goal, SimulateSteps.Result, SimulateSteps.Feedback]

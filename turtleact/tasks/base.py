@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Coroutine
+from contextlib import AbstractContextManager
 from contextvars import Context
 from typing import Protocol
 
 from turtleact.goal import Cancelable
 
-__all__ = ["DEEPEST", "GRACE", "Scope", "Signal", "Tasks", "is_cancellation"]
+__all__ = ["GRACE", "Signal", "Tasks", "is_cancellation"]
 
 GRACE = 5.0
-"""How long what was canceled is waited for, before it is left behind (s)."""
-
-DEEPEST = 32
-"""So many first steps, each inside the one before, are run at once; the next has to wait its turn.
-
-One takes about six frames of Python's stack, which holds 1,000."""
+"""How long a cancelled task is waited for before it is given up, unless the user says (s)."""
 
 
 class Signal(Protocol):
-    """Many wait, one fires, all go on."""
+    """Many wait, one fires, all go on. A signal does not remember earlier fires."""
 
     def fire(self) -> None:
         """Wake all that wait now."""
@@ -29,35 +25,32 @@ class Signal(Protocol):
         """Wait for the next fire. Cancelling: safe, nothing is lost."""
 
 
-class Scope(Protocol):
-    """One of anyio's cancel scopes."""
-
-    shield: bool
-
-
 class Tasks(Protocol):
-    """What one kind of event loop offers."""
+    """What one kind of event loop offers.
+
+    Attributes:
+        cancelled: The exception that cancels a task.
+        can_let_go: Whether the loop can end while a task ignores its cancellation. trio cannot.
+    """
 
     cancelled: type[BaseException]
-    can_borrow: bool
-    depth: int
+    can_let_go: bool
 
     def spawn(
         self, body: Coroutine[object, object, None], name: str, context: Context | None = None
     ) -> Cancelable:
-        """Run a coroutine in a task of its own, in a copy of the current context unless given."""
+        """Run a coroutine in a task of its own, in a copy of the current context unless given.
 
-    def scope(self) -> Scope | None:
-        """The innermost cancel scope of the task that runs now; None where nobody need ask."""
+        The caller owns the task: it cancels it and waits for its end. The coroutine handles its own
+        exceptions. Its first step has run when this returns on asyncio from Python 3.12 on; else it
+        runs soon.
+        """
 
-    def scopes(self, task: Cancelable, outer: Scope | None) -> Iterator[Scope]:
-        """The cancel scopes that a task has entered inside ``outer``, the innermost first."""
+    def is_shielded(self, task: Cancelable) -> bool:
+        """Whether cancelling a task would break into a shielded scope; trio never does."""
 
-    def cancel(self, task: Cancelable, reason: str) -> None:
-        """Cancel a task, with a reason for those who are told of it there (asyncio alone)."""
-
-    def soon(self, callback: Callable[[], object]) -> None:
-        """Call something, not within this call if it may run a body's first step."""
+    def call_soon(self, callback: Callable[[], object]) -> None:
+        """Call something that may spawn a task, but not within this very call on asyncio."""
 
     def from_anywhere(self, callback: Callable[[], object]) -> None:
         """Call something soon, from any thread; nothing happens once the loop is gone."""
@@ -69,7 +62,13 @@ class Tasks(Protocol):
         """Let others run, once."""
 
     def is_canceled(self) -> bool:
-        """Whether somebody has canceled the task that runs now; True where that cannot be told."""
+        """Whether somebody has cancelled the running task; True where that cannot be told."""
+
+    def stop_program(self, error: BaseException) -> None:
+        """End the program with a `SystemExit` or `KeyboardInterrupt` that a task has raised."""
+
+    def stoppable(self) -> AbstractContextManager[None]:
+        """A block that `stop_program` ends, on loops where a task cannot do that by itself."""
 
 
 def is_cancellation(error: BaseException, tasks: Tasks) -> bool:

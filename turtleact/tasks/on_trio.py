@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Coroutine, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from contextvars import Context, copy_context
 from typing import TYPE_CHECKING
 
+from anyio.lowlevel import RunVar
+
 from turtleact.goal import Cancelable
-from turtleact.tasks.base import Scope
 
 if TYPE_CHECKING:
     import trio
@@ -17,16 +18,24 @@ __all__ = ["TrioSignal", "TrioTask", "TrioTasks"]
 
 
 class TrioTasks:
-    """System tasks of trio, each in a cancel scope of its own."""
+    """System tasks of trio, each in a cancel scope of its own.
 
-    can_borrow = False
-    depth = 0
+    They outlive the task that starts them, as a goal outlives its client; their owner waits for
+    them. trio ends no program before its last task, whatever that ignores.
+    """
+
+    can_let_go = False
 
     def __init__(self) -> None:
         import trio
 
         self._trio = trio
         self._token = trio.lowlevel.current_trio_token()
+        try:
+            self._stop = _stop.get()
+        except LookupError:
+            self._stop = _Stop()
+            _stop.set(self._stop)
         self.cancelled: type[BaseException] = trio.Cancelled
 
     def spawn(
@@ -39,18 +48,11 @@ class TrioTasks:
         )
         return task
 
-    def scope(self) -> None:
-        """Trio's own scopes heed shields."""
+    def is_shielded(self, task: Cancelable) -> bool:  # noqa: ARG002  # for asyncio
+        """Trio's cancellation heeds shields by itself."""
+        return False
 
-    def scopes(self, task: Cancelable, outer: Scope | None) -> Iterator[Scope]:  # noqa: ARG002
-        """Trio's own scopes heed shields."""
-        return iter(())
-
-    def cancel(self, task: Cancelable, reason: str) -> None:  # noqa: ARG002
-        """Cancel a task; trio needs no reason."""
-        task.cancel()
-
-    def soon(self, callback: Callable[[], object]) -> None:
+    def call_soon(self, callback: Callable[[], object]) -> None:
         """Call something now: what it spawns begins later."""
         callback()
 
@@ -68,8 +70,47 @@ class TrioTasks:
         await self._trio.lowlevel.checkpoint()
 
     def is_canceled(self) -> bool:
-        """Trio raises nothing else: nobody can await what was canceled."""
+        """Trio raises nothing else: nobody can await what was cancelled."""
         return True
+
+    def stop_program(self, error: BaseException) -> None:
+        """Cancel the `stoppable` blocks, which raise ``error`` at their end.
+
+        A system task must not raise it: trio takes that for a bug of its own.
+        """
+        self._stop.error = error
+        for block in self._stop.blocks:
+            block.cancel()
+
+    @contextmanager
+    def stoppable(self) -> Iterator[None]:
+        """A block that `stop_program` cancels; it raises the error instead of the cancellation."""
+        stop = self._stop
+        scope = self._trio.CancelScope()
+        stop.blocks.append(scope)
+        try:
+            with scope:
+                yield
+        except BaseException:
+            if not (scope.cancel_called and stop.error):
+                raise
+        finally:
+            stop.blocks.remove(scope)
+        # Whatever else came of the cancellation, perhaps wrapped by nurseries, the program ends
+        # with the error that has stopped it.
+        if scope.cancel_called and stop.error:
+            raise stop.error
+
+
+class _Stop:
+    """What ends the program, shared by all that runs in one event loop."""
+
+    def __init__(self) -> None:
+        self.error: BaseException | None = None
+        self.blocks: list[trio.CancelScope] = []
+
+
+_stop: RunVar[_Stop] = RunVar("turtleact_stop")
 
 
 class TrioTask:

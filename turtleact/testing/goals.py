@@ -9,8 +9,7 @@ from typing import Any, Generic, NamedTuple, TypeVar, overload
 from turtleact.body import ActionDeclaration
 from turtleact.client import ActionClient, Outcome
 from turtleact.interfaces import Message
-from turtleact.node import open_node
-from turtleact.server import ActionServer
+from turtleact.node import ActionServer, open_node
 
 __all__ = ["GoalRun", "run_goal"]
 

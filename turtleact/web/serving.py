@@ -18,8 +18,7 @@ from turtleact.body import ActionType
 from turtleact.errors import Abort, Cancel, ServiceError, TurtleactError
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import Message
-from turtleact.node import Node
-from turtleact.server import ServerGoalHandle
+from turtleact.node import Node, ServerGoalHandle
 from turtleact.services import ServiceType
 from turtleact.tasks import Signal, current_tasks
 from turtleact.web.message_conversion import json_values, read_message, request

@@ -5,17 +5,19 @@ Knows no names and no types of messages.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import AsyncExitStack
-from typing import Protocol, TypeVar
+from typing import Literal, Protocol, TypeAlias
 from weakref import WeakValueDictionary
 
 import anyio
 
-from turtleact.server import ActionServer
-from turtleact.services import ServiceServer
 from turtleact.transports.base import Closeable
 
-__all__ = ["Belongings"]
+__all__ = ["Kind", "Resources"]
+
+Kind: TypeAlias = Literal["action server", "service server", "other"]
+"""The kinds of things that are closed one after the other."""
 
 
 class _Closing(Protocol):
@@ -27,10 +29,7 @@ class _Serving(_Closing, Protocol):
     def is_idle(self) -> bool: ...
 
 
-S = TypeVar("S", bound=_Serving)
-
-
-class Belongings:
+class Resources:
     """All that is open on a node.
 
     Attributes:
@@ -41,25 +40,33 @@ class Belongings:
         self.is_open = True
         self._count = 0
         self._opened: dict[int, _Closing] = {}
-        self._servers: WeakValueDictionary[int, _Serving] = WeakValueDictionary()
+        # Weak, and not emptied when a server begins to close: the node waits for that one too.
+        self._servers: dict[str, WeakValueDictionary[int, _Serving]] = {
+            "action server": WeakValueDictionary(),
+            "service server": WeakValueDictionary(),
+        }
 
     def add(self, thing: _Closing, opened: Closeable) -> Closeable:
-        """Keep something until it is closed, by what is given back or with all the rest.
+        """Keep something until it is closed, by what is returned or with all the rest.
 
         Args:
             thing: What a user has of it.
-            opened: What the transport has of it, and is closed with it.
+            opened: What the transport has of it, closed with it.
         """
         self._count += 1
-        number = self._count
-        self._opened[number] = thing
-        if isinstance(thing, ActionServer | ServiceServer):
-            self._servers[number] = thing
-        return _Membership(opened, self._opened, number)
+        self._opened[self._count] = thing
+        return _Membership(opened.close, self._opened, self._count)
 
-    def servers(self, kind: type[S]) -> list[S]:
-        """The servers of a kind, those too that are being closed; the oldest first."""
-        return [each for each in self._servers.values() if isinstance(each, kind)]
+    def add_server(self, kind: Kind, server: _Serving, close: Callable[[], object]) -> Closeable:
+        """Keep a server likewise; ``close`` takes it off the graph."""
+        self._count += 1
+        self._opened[self._count] = server
+        self._servers[kind][self._count] = server
+        return _Membership(close, self._opened, self._count)
+
+    def action_servers(self) -> list[object]:
+        """The action servers, those too that are being closed; the oldest first."""
+        return list(self._servers["action server"].values())
 
     async def aclose(self) -> None:
         """Close all, shielded: first actions, then services, then the rest, the newest first.
@@ -69,12 +76,12 @@ class Belongings:
         with anyio.CancelScope(shield=True):
             async with AsyncExitStack() as last_first:
                 last_first.push_async_callback(self._close_rest)
-                last_first.push_async_callback(self._close_servers, ServiceServer)
-                last_first.push_async_callback(self._close_servers, ActionServer)
+                last_first.push_async_callback(self._close_servers, "service server")
+                last_first.push_async_callback(self._close_servers, "action server")
 
-    async def _close_servers(self, kind: type[_Serving]) -> None:
+    async def _close_servers(self, kind: Kind) -> None:
         """Close all servers of a kind, and wait for those that somebody else is closing."""
-        servers = self.servers(kind)[::-1]
+        servers = list(self._servers[kind].values())[::-1]
         async with anyio.create_task_group() as closing:
             for server in servers:
                 if not server.is_idle:
@@ -96,13 +103,15 @@ class _Membership:
     There are thousands of them, so no closure is made, which is four objects each.
     """
 
-    __slots__ = ("_number", "_opened", "_things")
+    __slots__ = ("_close", "_number", "_things")
 
-    def __init__(self, opened: Closeable, things: dict[int, _Closing], number: int) -> None:
-        self._opened = opened
+    def __init__(
+        self, close: Callable[[], object], things: dict[int, _Closing], number: int
+    ) -> None:
+        self._close = close
         self._things = things
         self._number = number
 
     def close(self) -> None:
-        self._opened.close()
+        self._close()
         self._things.pop(self._number, None)

@@ -1,0 +1,156 @@
+"""The two topics of an action server: feedback, and the status of all goals it holds.
+
+Nothing is made or sent while nobody reads.
+
+Source: rcl_action ``rcl_action_get_goal_status_array``; the ROS 2 design article "Actions".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any, cast
+
+from turtleact.goal import Goal, GoalStatus
+from turtleact.goal_states import pack_state, write_states
+from turtleact.interfaces import SECOND, Action, FeedbackFormat, Message, WireFormat, implied
+from turtleact.interfaces.standard import UUID, GoalStatusArray, GoalStatusMessage
+from turtleact.observers import GoalObserver
+from turtleact.server.local_server import LocalActionServer
+from turtleact.transports.base import Endpoint, Publication, Source, Transport
+
+__all__ = ["FeedbackTopic", "StatusTopic"]
+
+
+class FeedbackTopic(Source):
+    """The feedback of a server's goals, for those who listen to the topic.
+
+    Feedback that nobody in this process looks at is written as the body gives it: its values are
+    checked on the way, and the bytes are the copy that is kept.
+
+    Args:
+        server: The server.
+        transport: Where the topic is opened.
+        endpoint: Describes it.
+    """
+
+    def __init__(self, server: LocalActionServer, transport: Transport, endpoint: Endpoint) -> None:
+        self._server = server
+        self._action = cast("type[Action]", server.served.action_type)
+        self._format = FeedbackFormat(self._action)
+        self._publication = transport.advertise(endpoint, self._format, self)
+
+    def readers_changed(self, *, has_readers: bool) -> None:
+        """Publish while somebody reads."""
+        self._server.execution.outlet = self if has_readers else None
+
+    def expect_readers(self) -> None:
+        """Publish from now on: whoever sends goals reads feedback, seen by discovery or not."""
+        self._publication.expect_readers()
+
+    def close(self) -> None:
+        """Close the topic."""
+        self._publication.close()
+
+    @property
+    def is_congested(self) -> bool:
+        """Whether bodies should wait before they publish more."""
+        return self._publication.is_congested
+
+    async def drained(self) -> None:
+        """Wait until it is not congested. Cancelling: safe."""
+        await self._publication.drained()
+
+    def emit(self, goal: Goal, feedback: object) -> bool:
+        """Write feedback as the body gives it; False if somebody in this process wants a copy."""
+        publication = self._publication
+        if goal.is_streamed or goal.on_feedback or goal.ended or publication.has_near_readers:
+            return False
+        data = self._format.write_unchecked(self._server.name_goal(goal), feedback)
+        if data is None:
+            return False
+        goal.published += 1
+        goal.last_feedback = data  # `LocalActionServer.attach` reads it, if somebody comes
+        publication.send(data)
+        return True
+
+    def publish(self, goal: Goal, message: Message) -> None:
+        """Send a checked copy."""
+        goal.published += 1
+        goal_id, publication = self._server.name_goal(goal), self._publication
+        if publication.has_near_readers:
+            publication.publish(self._message_type(UUID(goal_id), message))
+        else:
+            publication.send(self._format.write(goal_id, message))
+
+    @cached_property
+    def _message_type(self) -> type[Any]:
+        return implied(self._action).feedback_message
+
+
+class StatusTopic(GoalObserver):
+    """The status of all goals that a server holds, as messages and as the bytes of one.
+
+    A change only marks its goal. The message is made when it is sent, once for all changes until
+    then: a server may hold thousands of goals.
+
+    Args:
+        server: The server.
+        transport: Where the topic is opened.
+        endpoint: Describes it.
+    """
+
+    def __init__(self, server: LocalActionServer, transport: Transport, endpoint: Endpoint) -> None:
+        self._server = server
+        self._changed: dict[Goal, None] | None = None  # in order; None if all is to be written
+        self._entries: dict[bytes, bytes] = {}  # in the order of their acceptance
+        self._is_stale = False  # since it was written last
+        self._publication: Publication | None = None  # `readers_changed` may be called in here:
+        self._publication = transport.advertise(endpoint, WireFormat(GoalStatusArray), self)
+
+    def current(self) -> Sequence[object]:
+        """The message that tells of all goals that the server holds."""
+        statuses = [
+            GoalStatusMessage(self._server.info(goal), int(goal.status))
+            for goal in self._server.held()
+        ]
+        return (GoalStatusArray(statuses),)
+
+    def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:  # noqa: ARG002
+        """The same as bytes."""
+        changed, entries = self._changed, self._entries
+        for goal in self._server.held() if changed is None else changed:
+            goal_id = self._server.name_goal(goal)
+            entries[goal_id] = pack_state(goal_id, (*divmod(goal.stamp, SECOND), goal.status))
+        self._changed, self._is_stale = {}, False
+        held = self._server.held_ids()
+        if len(entries) > len(held):  # each goal held has one
+            entries = self._entries = {key: each for key, each in entries.items() if key in held}
+        return (write_states(entries.values()),)
+
+    def readers_changed(self, *, has_readers: bool) -> None:
+        """Publish while somebody reads."""
+        self._changed, self._entries, self._is_stale = None, {}, False
+        self._server.observers.remove(self)
+        if has_readers:
+            self._server.observers.add(self)
+
+    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
+        """Publish the status again, now or soon.
+
+        A reader in this process gets a message for each change. Those elsewhere get one for all
+        changes in a row.
+        """
+        self._server.name_goal(goal)  # or the goal would be forgotten at its end
+        if self._changed is not None:
+            self._changed[goal] = None
+        publication = self._publication
+        if publication is not None and (not self._is_stale or publication.has_near_readers):
+            self._is_stale = True
+            publication.refresh()
+
+    def close(self) -> None:
+        """Close the topic."""
+        self._server.observers.remove(self)
+        if self._publication is not None:
+            self._publication.close()

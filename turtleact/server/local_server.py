@@ -1,0 +1,437 @@
+"""An action's server in this process: which goals it takes, which it cancels, and how it closes.
+
+What may happen to a goal is said in `turtleact.goal`, who may run in `turtleact.slot`, and how a
+body runs in `execution`. Clients in the same process use this object, and the `Goal` objects that
+it makes. The requests of clients elsewhere reach it through `endpoints`.
+
+Source: rcl_action ``action_server.c``; rclpy ``action/server.py``.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection
+from contextvars import copy_context
+from functools import partial
+from typing import cast
+
+from turtleact.body import ServerOptions, check_options
+from turtleact.errors import GoalRejected
+from turtleact.goal import (
+    CancelCode,
+    Goal,
+    GoalEvent,
+    GoalStatus,
+    GoalTable,
+    cancel_code,
+    select,
+)
+from turtleact.goal_server import GoalOrder, cancel_and_wait
+from turtleact.interfaces import Action, FeedbackFormat, Message, snapshotter, stamp_of
+from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
+from turtleact.observers import Observers
+from turtleact.server.callbacks import Callbacks
+from turtleact.server.execution import CURRENT_GOAL, Execution, Served
+from turtleact.slot import Admission, Slot
+from turtleact.tasks import GRACE, Background, Signal, Tasks
+
+__all__ = ["SHUTDOWN", "LocalActionServer", "SlotRequest"]
+
+_ACCEPTED = GoalStatus.ACCEPTED
+_EXECUTING = GoalStatus.EXECUTING
+_AT_ONCE = ((_EXECUTING, 0),)  # the history of a goal that nobody saw ACCEPTED
+
+IN_A_ROW = 64
+"""After so many goals, others get a turn: a body that never waits would not let them."""
+
+SHUTDOWN = "shutdown"
+"""Why the goals of a closing server end."""
+
+
+class SlotRequest:
+    """A goal that shares a slot with others; while it waits, this is what a cancel reaches.
+
+    Attributes:
+        goal: The goal.
+        action: The fully qualified name of its action.
+        context: The context of its sender, in which its body will run.
+    """
+
+    __slots__ = ("_server", "action", "context", "goal")
+
+    def __init__(self, server: LocalActionServer, goal: Goal) -> None:
+        self._server = server
+        self.goal = goal
+        self.action = server.name
+        self.context = copy_context()
+
+    @property
+    def label(self) -> str:
+        """What to call the goal in a message; gives it an id."""
+        return f"goal {self._server.name_goal(self.goal).hex()} of {self.action}"
+
+    def start(self) -> None:
+        """Start the goal, whose turn has come, unless it has ended meanwhile."""
+        if self.goal.body is self:
+            self.goal.body = None
+            self._server.execution.move(self.goal, GoalEvent.EXECUTE)
+            self._server.execution.start(self.goal, self.context)
+
+    def cancel(self) -> None:
+        """End the goal while it waits."""
+        self._server.execution.drop(self.goal)
+
+    def evict(self, reason: str) -> None:
+        """End the goal, or cancel its body, by the server's own decision."""
+        self._server.evict(self.goal, reason)
+
+
+class LocalActionServer:
+    """Takes and cancels the goals of one action; implements `turtleact.goal_server.GoalServer`.
+
+    Args:
+        served: The action, its name and its body.
+        options: The user's options for the server.
+        tasks: The tasks of the event loop.
+        now: The time (ns since the epoch).
+        slot: Where goals have their places; None if they never wait for one another.
+
+    Attributes:
+        served: The same.
+        name: The fully qualified name of the action.
+        is_open: Whether it takes goals.
+        execution: Runs the bodies.
+        slot: Where goals have their places; None if they need none, and once the server is closed.
+        grace: How long a body may take for its clean-up (s, event loop time).
+
+    Raises:
+        InvalidOption: if an option has a value that it cannot have.
+    """
+
+    def __init__(
+        self,
+        served: Served,
+        options: ServerOptions,
+        tasks: Tasks,
+        now: Callable[[], int],
+        slot: Slot[SlotRequest] | None,
+    ) -> None:
+        check_options(options)
+        self.served = served
+        self.name = served.name
+        self.is_open = True
+        self.grace = options.get("grace", GRACE)
+        self.from_anywhere = tasks.from_anywhere
+        self._tasks = tasks
+        self._now = now
+        self.slot = slot
+        self._callbacks = Callbacks(served.name, options, tasks)
+        self._cancels_lost = options.get("on_client_lost", "keep") == "cancel"
+        self._table = GoalTable(options.get("result_timeout", 10.0))
+        self.execution = Execution(served, self._table, tasks, now, self._release)
+        goal_type = cast("type[Message]", served.action_type.Goal)
+        self._check_goal = cast("Callable[[object], Message]", snapshotter(goal_type, root="goal"))
+        self._until_turn = IN_A_ROW
+        self._preparing: Counter[object] = Counter()  # how many goals, by their senders
+        self._lost: set[object] = set()  # which of these senders have gone
+        self._cancels: dict[Goal, Background] = {}  # whose cancel_callback has yet to answer
+
+    @property
+    def observers(self) -> Observers:
+        """Told of each change of the goals."""
+        return self.execution.observers
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether no goal waits or runs."""
+        return not (self._table.active or self.execution.bodies)
+
+    # taking goals
+
+    async def send_goal(self, order: GoalOrder) -> Goal:
+        """Take a goal and start its body, or let it wait for its turn.
+
+        Cancelling: the goal is not taken.
+
+        Raises:
+            InvalidGoal: if the request does not fit the action.
+            GoalRejected: if it is not taken.
+        """
+        goal = await self.take(order, is_streamed=True)
+        # One turn, so that the body has begun when the client gets its handle: on every loop and
+        # Python, a cancel that the client sends next reaches the body and not the wait for it.
+        try:
+            await self._tasks.checkpoint()
+        except self._tasks.cancelled:
+            await cancel_and_wait(self, goal, order.cancel_timeout)
+            raise
+        return goal
+
+    async def run_goal(self, order: GoalOrder) -> Goal:
+        """Take a goal and wait for its end; raises as `send_goal`.
+
+        Cancelling: cancels the goal and waits for its end, at most ``order.cancel_timeout`` s.
+        """
+        goal = await self.take(order, is_streamed=False)
+        if not goal.ended:
+            try:
+                await self.wait_for_end(goal)
+            except self._tasks.cancelled:
+                await cancel_and_wait(self, goal, order.cancel_timeout)
+                raise
+        return goal
+
+    async def take(self, order: GoalOrder, *, is_streamed: bool) -> Goal:
+        """Take a goal once that can be decided; its feedback is kept if it ``is_streamed``."""
+        goal = self.take_nowait(order, is_streamed=is_streamed)
+        if goal is None:
+            request = await self._prepare(order)
+            goal = self._admit(order, request, is_streamed=is_streamed)
+        return goal
+
+    def take_nowait(self, order: GoalOrder, *, is_streamed: bool) -> Goal | None:
+        """Take a goal; None, and nothing done, if that takes waiting: see `take`.
+
+        It does if there is a ``goal_callback``, and after `IN_A_ROW` goals.
+        """
+        self._until_turn -= 1
+        if not self._until_turn or self._callbacks.ask_about_goals:
+            return None
+        return self._admit(order, order.request, is_streamed=is_streamed)
+
+    async def _prepare(self, order: GoalOrder) -> object:
+        """Let others run, and ask the ``goal_callback``; return the request to be admitted.
+
+        Raises:
+            InvalidGoal: if the request does not fit the action.
+            GoalRejected: if the goal is not taken, or its client has gone meanwhile.
+        """
+        request, sender = order.request, order.sender
+        self._preparing[sender] += 1
+        try:
+            if self._until_turn <= 0:
+                self._until_turn = IN_A_ROW
+                await self._tasks.checkpoint()
+            if self._callbacks.ask_about_goals:
+                request = self._check_goal(request)
+                await self._callbacks.may_start(request)
+            has_gone = self._cancels_lost and not getattr(sender, "is_open", True)
+            if has_gone or sender in self._lost:
+                raise GoalRejected("its client has gone")
+            return request
+        finally:
+            self._preparing[sender] -= 1
+            if not self._preparing[sender]:
+                del self._preparing[sender]
+                self._lost.discard(sender)
+
+    def _admit(self, order: GoalOrder, request: object, *, is_streamed: bool) -> Goal:
+        """Hold a goal and start it, or let it wait.
+
+        Raises:
+            InvalidGoal: if the request does not fit the action.
+            GoalRejected: if it is not taken.
+        """
+        if not self.is_open:
+            raise GoalRejected(f"the server of '{self.name}' is shutting down")
+        on_feedback = order.on_feedback
+        if on_feedback is not None:  # in the sender's context, not in that of the body
+            on_feedback = partial(copy_context().run, on_feedback)  # type: ignore[call-arg]
+        goal = Goal(
+            self._check_goal(request),
+            self._now(),
+            _EXECUTING,
+            _AT_ONCE,
+            order.goal_id,
+            on_feedback,
+            is_streamed,
+            parent=CURRENT_GOAL.get(),
+            sender=order.sender,
+        )
+        # A journal would have to hold the goal from here on, before anybody hears of it.
+        if not self._table.add(goal):
+            raise GoalRejected(f"the server still holds a goal of the id {goal.hex}")
+        if self.slot is None and not self.observers:
+            self.execution.start(goal)
+        else:
+            goal.status, goal.history = _ACCEPTED, ()
+            self._enter_slot(goal)
+        return goal
+
+    def _enter_slot(self, goal: Goal) -> None:
+        """Start an ACCEPTED goal, or give it a place to wait in."""
+        request = goal.body = SlotRequest(self, goal)
+        entry = None if self.slot is None else self.slot.enter(request)
+        if entry is not None and entry.admission is Admission.REJECT:
+            self._table.forget(goal)
+            raise GoalRejected(entry.reason)
+        self.observers.goal_changed(goal, GoalStatus.UNKNOWN, _ACCEPTED)
+        if goal.ended:  # an observer has cancelled it
+            return
+        if entry is None or entry.admission is Admission.START:
+            goal.body = None
+            self.execution.move(goal, GoalEvent.EXECUTE)
+            if not goal.ended:
+                self.execution.start(goal)
+            return
+        for each in (entry.displaced, *entry.evicted):
+            if each is not None:
+                each.evict(entry.reason)
+
+    def _release(self, goal: Goal) -> Callable[[], None] | None:
+        """Give the place of a goal that has ended to the next; return what starts that one."""
+        slot = self.slot
+        if slot is None:
+            return None
+        following, overdue = slot.leave(goal), slot.overdue()
+        if overdue is not None:
+            for each in overdue.evicted:
+                each.evict(overdue.reason)
+        return None if following is None else following.start
+
+    # goals that are held
+
+    def find(self, goal_id: bytes) -> Goal | None:
+        """The goal of that id; None if it was never held, or is not held any more."""
+        return self._table.find(goal_id, self._now())
+
+    async def attach(self, goal_id: bytes) -> Goal | None:
+        """The goal of that id, if it is held; its feedback is kept from now on."""
+        goal = self.find(goal_id)
+        if goal is not None:
+            goal.is_streamed = True
+            if isinstance(goal.last_feedback, bytes):  # sent without a copy, as nobody read it here
+                format = FeedbackFormat(cast("type[Action]", self.served.action_type))
+                goal.last_feedback = format.read(goal.last_feedback)
+        return goal
+
+    def held_ids(self) -> Collection[bytes]:
+        """The ids of all goals held that have one."""
+        return self._table.ids(self._now())
+
+    def held(self) -> list[Goal]:
+        """All goals held: the active ones, and those whose result is kept."""
+        return self._table.held(self._now())
+
+    async def wait_for_end(self, goal: Goal) -> None:
+        """Wait until a goal has ended. Cancelling: safe, the goal goes on."""
+        signal = self.signal(goal)
+        goal.waiters += 1
+        try:
+            while not goal.ended:
+                await signal.wait()
+        finally:
+            goal.waiters -= 1
+            if not goal.waiters:
+                self._table.unpin(goal)
+
+    def signal(self, goal: Goal) -> Signal:
+        """The signal that fires at each change of a goal."""
+        if goal.listener is None:
+            goal.listener = self._tasks.signal()
+        return goal.listener  # type: ignore[return-value]  # nobody else puts one there
+
+    def name_goal(self, goal: Goal) -> bytes:
+        """The id of a goal; it can be found by it from now on."""
+        return self.execution.name_goal(goal)
+
+    def info(self, goal: Goal) -> GoalInfo:
+        """A goal's id and stamp, as sent."""
+        return GoalInfo(UUID(self.name_goal(goal)), stamp_of(goal.stamp))
+
+    # canceling
+
+    async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
+        """Answer a cancel request: by id, by stamp (ns), by both, or for every goal."""
+        wanted = goal_id if goal_id and any(goal_id) else None
+        named = self.find(wanted) if wanted else None
+        by_id = wanted is not None and not stamp
+        held = self._table.active if not by_id else [] if named is None else [named]
+        canceled: list[Goal] = []
+        kept: list[Goal] = []
+        for goal in select(held, wanted, stamp):
+            (canceled if await self._ask_and_cancel(goal) else kept).append(goal)
+        asked = len(canceled) + sum(goal.status.is_active for goal in kept)
+        code = cancel_code(named, by_id=by_id, asked=asked, let_go=len(canceled))
+        return CancelGoal.Response(int(code), [self.info(goal) for goal in canceled])
+
+    async def cancel_goal(self, goal: Goal) -> CancelGoal.Response:
+        """Answer a request to cancel one goal, which may have been forgotten."""
+        goal_id = self.name_goal(goal)
+        if goal.ended and self.find(goal_id) is not goal:
+            return CancelGoal.Response(CancelCode.UNKNOWN_GOAL_ID)
+        return await self.cancel(goal_id, 0)
+
+    def cancel_goal_nowait(self, goal: Goal) -> None:
+        """Ask a goal to cancel; a ``cancel_callback`` answers in its own time, once."""
+        if not self._callbacks.ask_about_cancels:
+            self._cancel(goal)
+        elif goal.status.is_active and goal not in self._cancels:
+            asking = Background(self._ask_later(goal), f"a cancel of {self.name}", self._tasks)
+            if not asking.has_ended:
+                self._cancels[goal] = asking
+
+    async def _ask_and_cancel(self, goal: Goal) -> bool:
+        """Cancel a goal if the user agrees; False if not, or if it has ended."""
+        has_ended = not goal.status.is_active  # perhaps while the user was asked of another
+        if (
+            has_ended
+            or not self._callbacks.ask_about_cancels
+            or goal.status is GoalStatus.CANCELING
+        ):
+            return self._cancel(goal)
+        agreed = await self._callbacks.may_cancel(self.execution.make_handle(goal))
+        return agreed and self._cancel(goal)
+
+    async def _ask_later(self, goal: Goal) -> None:
+        try:
+            await self._ask_and_cancel(goal)
+        finally:
+            self._cancels.pop(goal, None)
+
+    def _cancel(self, goal: Goal) -> bool:
+        """Cancel a goal; False if it has ended before."""
+        if not goal.status.is_active:
+            return False
+        if goal.status is not GoalStatus.CANCELING:
+            self.execution.move(goal, GoalEvent.CANCEL_GOAL)
+            if goal.body is not None and not goal.reason:  # else it has been cancelled already
+                goal.body.cancel()
+        return True
+
+    def evict(self, goal: Goal, reason: str) -> None:
+        """Cancel a goal by the server's own decision, unless it is being cancelled already."""
+        if goal.status.is_active and not goal.reason and goal.status is not GoalStatus.CANCELING:
+            goal.reason = reason
+            if goal.body is not None:
+                goal.body.cancel()
+
+    def client_lost(self, sender: object) -> None:
+        """Note that a client has gone: its goals go on, unless ``on_client_lost`` is "cancel"."""
+        if self._cancels_lost:
+            if sender in self._preparing:
+                self._lost.add(sender)
+            for goal in self._table.active:
+                if goal.sender == sender:
+                    self._cancel(goal)
+
+    # closing
+
+    async def wait_until_idle(self) -> None:
+        """Wait until no goal waits or runs. Cancelling: safe."""
+        await self.execution.wait_until_idle()
+
+    async def aclose(self) -> None:
+        """Take no more goals, cancel those that run, drop those that wait, and wait for all.
+
+        They end ABORTED with the reason "shutdown", and every waiter gets its answer. A body that
+        ignores its cancellation is given up after `grace` seconds; see `Execution`.
+        """
+        self.is_open = False
+        self._callbacks.close()
+        for goal in self._table.active:
+            self.evict(goal, SHUTDOWN)
+        await self.execution.wait_for_bodies(self.grace, SHUTDOWN)
+        self.slot = None  # gives places to nobody any more
+        for asking in list(self._cancels.values()):
+            await asking.aclose(self.grace)
