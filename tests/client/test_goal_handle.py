@@ -23,7 +23,6 @@ from turtleact.goal import CancelCode
 
 from ..lab import (
     ON_ASYNCIO,
-    ON_TRIO,
     TURNS,
     Count,
     Gate,
@@ -605,15 +604,6 @@ async def test_a_goal_can_be_canceled_without_waiting():
         assert handle.status is GoalStatus.CANCELING
         assert (await handle.outcome()).status is GoalStatus.CANCELED
         assert gate.log == ["begun", "canceled", "over"]
-
-
-@ON_TRIO
-async def test_a_goal_canceled_without_waiting_before_its_first_step_never_begins():
-    gate = Gate()
-    async with lab(gate.wait) as served, served.client.send_goal(goal()) as handle:
-        handle.cancel_nowait()
-        assert (await handle.outcome()).status is GoalStatus.CANCELED
-        assert gate.log == []
 
 
 @ON_ASYNCIO
