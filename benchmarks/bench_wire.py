@@ -155,7 +155,7 @@ async def serve_node(at: str, pipe: Connection) -> None:
         pipe.send("ready")
         with suppress(EOFError):
             while await asyncio.to_thread(pipe.recv) == "look":
-                held = sum(len(server.held()) for server in servers)
+                held = sum(not server.is_idle for server in servers)
                 pipe.send(State.now(held, len(transport.context.crew.running)))
 
 

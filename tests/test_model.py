@@ -42,13 +42,15 @@ from turtleact.errors import (
     UnknownGoal,
 )
 from turtleact.goal import TRANSITIONS, Goal, GoalStatus
+from turtleact.observers import GoalObserver
+from turtleact.server.local_server import LocalActionServer
 from turtleact.slot import Slot
 from turtleact.tasks import GRACE, wait_until_idle
 from turtleact.testing import virtual_backend
 from turtleact.transports import MemoryTransport
 
 from .conftest import INSTALLED
-from .lab import Count, HandClock, Running, feedback, other_tasks, result
+from .lab import Count, HandClock, Running, feedback, local_server, other_tasks, result
 
 T = TypeVar("T")
 
@@ -1007,6 +1009,7 @@ class World:
         self._answers: dict[int, tuple[object, ...]] = {}
         self._goals: dict[int, Goal] = {}
         self._slots: list[Slot[Any] | None] = []
+        self._locals: dict[turtleact.ActionServer[Any, Any, Any], LocalActionServer] = {}
         self._scripts: dict[int, Script] = {}
         self._clients: dict[int, Running[None]] = {}
         self._received: dict[int, list[int]] = defaultdict(list)
@@ -1063,21 +1066,9 @@ class World:
             on_client_lost=plan.on_client_lost,
             **options,
         )
-        table = server._table
-        add, forget = table.add, table.forget
-
-        def note(goal: Goal) -> bool:
-            is_added = add(goal)
-            if is_added:
-                self._goals[number_of(goal)] = goal
-            return is_added
-
-        def unnote(goal: Goal) -> None:
-            forget(goal)
-            del self._goals[number_of(goal)]
-
-        self._slots.append(server._reception.slot)
-        table.add, table.forget = note, unnote  # type: ignore[method-assign]  # to see them all
+        self._locals[server] = local = local_server(server)
+        local.observers.add(_Noted(self._goals))
+        self._slots.append(local.slot)
         return server
 
     def _goal_callback(self, plan: ServerPlan) -> Callable[..., object]:
@@ -1257,11 +1248,16 @@ class World:
                 self._clients[act.goal].scope.cancel()
             case CancelGoal(_, "nowait") if server is not None and goal is not None:
                 if goal.status.is_active:
-                    server.cancel_nowait(goal)
+                    self._locals[server].cancel_goal_nowait(goal)
             case CancelGoal(_, by) if server is not None and goal is not None:
                 start(self._cancel, step, server, goal, by)
             case Attach() if server is not None and goal is not None:
-                start(self._observe, step, self._server_number(act.goal), server.name_goal(goal))
+                start(
+                    self._observe,
+                    step,
+                    self._server_number(act.goal),
+                    self._locals[server].name_goal(goal),
+                )
             case CloseClient(at, client):
                 if self._servers[at].is_open:
                     start(self._senders[at][client].aclose)
@@ -1279,10 +1275,11 @@ class World:
     async def _cancel(
         self, step: int, server: turtleact.ActionServer[Any, Any, Any], goal: Goal, by: str
     ) -> None:
-        goal_id = server.name_goal(goal) if by in ("id", "both") else None
+        local = self._locals[server]
+        goal_id = local.name_goal(goal) if by in ("id", "both") else None
         if by == "unknown id":
             goal_id = b"unknown".ljust(16)
-        response = await server.cancel(goal_id, goal.stamp if by in ("stamp", "both") else 0)
+        response = await local.cancel(goal_id, goal.stamp if by in ("stamp", "both") else 0)
         canceling = [
             self._number_of(bytes(each.goal_id.uuid), server) for each in response.goals_canceling
         ]
@@ -1355,7 +1352,7 @@ class World:
         for server in self._servers:
             self._check_nothing_is_left(server)
         for slot in self._slots:
-            assert slot is None or (slot._places, slot._waiting, slot._taken) == ({}, {}, 0)
+            assert slot is None or slot.is_empty
 
     def _compare_goal(self, goal: Goal, expected: ModelGoal) -> None:
         number = expected.number
@@ -1369,10 +1366,17 @@ class World:
         assert self._received[number] == list(range(expected.feedback))
 
     def _check_nothing_is_left(self, server: turtleact.ActionServer[Any, Any, Any]) -> None:
-        assert server._table.active == []
-        server._table.expire(server._now() + 10**12)
-        keeps_for_ever = server._table._keep_ns is None
-        assert keeps_for_ever or server._table._named == {}
+        assert server.is_idle
+
+
+class _Noted(GoalObserver):
+    """Notes all goals that are accepted, by their numbers."""
+
+    def __init__(self, goals: dict[int, Goal]) -> None:
+        self._goals = goals
+
+    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
+        self._goals[number_of(goal)] = goal
 
 
 Handle: TypeAlias = turtleact.ServerGoalHandle[Any, Any, Any]

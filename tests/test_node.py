@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import gc
+import weakref
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
@@ -15,10 +17,12 @@ import turtleact
 from turtleact import GoalStatus, Outcome, QoS
 from turtleact.clock import VirtualClock
 from turtleact.errors import (
+    ActionConflict,
     GoalAborted,
     GoalRejected,
     InvalidBody,
     InvalidName,
+    InvalidOption,
     ServerUnavailable,
     TurtleactError,
 )
@@ -253,19 +257,91 @@ async def test_a_node_keeps_the_time_of_its_transport():
         assert node.clock is clock
 
 
-async def test_of_a_name_served_twice_the_first_server_takes_the_goals():
-    async def seven(request):
-        return result(7)
+async def seven(request: Count.Goal) -> Count.Result:
+    return result(7)
 
+
+async def test_a_second_node_that_serves_a_name_is_refused_with_the_first_ones_name():
     async with two_nodes() as (lab, user):
         first = lab.action_server(Count, "count", count)
+        with pytest.raises(ActionConflict, match="action '/count' is served by node /lab already"):
+            user.action_server(Count, "count", seven)
+        await first.aclose()
         user.action_server(Count, "count", seven)
+        assert await user.action_client(Count, "count").send_goal(goal()) == result(7)
+
+
+async def test_a_node_that_serves_a_name_with_the_same_type_twice_is_refused():
+    async with two_nodes() as (lab, _):
+        lab.action_server(Count, "count", count)
+        with pytest.raises(ActionConflict, match="served by node /lab already"):
+            lab.action_server(Count, "count", seven)
+
+
+async def test_a_node_of_the_same_name_in_the_same_process_is_refused():
+    transport = MemoryTransport()
+    async with (
+        turtleact.open_node("lab", transport=transport) as one,
+        turtleact.open_node("lab", transport=transport) as other,
+    ):
+        one.action_server(Count, "count", count)
+        with pytest.raises(ActionConflict, match="served by node /lab already"):
+            other.action_server(Count, "count", seven)
+
+
+async def test_one_that_waits_serves_once_the_first_has_gone():
+    async with two_nodes() as (lab, user):
+        first = lab.action_server(Count, "count", count)
+        user.action_server(Count, "count", seven, on_conflict="wait")
         client = user.action_client(Count, "count")
-        assert user.graph().actions == {"/count": (Count.type_name,)}
         assert await client.send_goal(goal()) == result(0, 1, 2)
         await first.aclose()
+        assert await client.wait_for_server(5)
         assert await client.send_goal(goal()) == result(7)
-        assert user.graph().actions == {"/count": (Count.type_name,)}
+
+
+async def test_one_that_waits_can_be_closed():
+    async with two_nodes() as (lab, user):
+        lab.action_server(Count, "count", count)
+        waiting = user.action_server(Count, "count", seven, on_conflict="wait")
+        await waiting.aclose()
+        assert not waiting.is_open
+
+
+async def test_a_built_in_makes_way_and_its_running_goals_finish(caplog):
+    gate = Gate()
+    transport = MemoryTransport()
+    async with (
+        turtleact.open_node("turtle_actions", transport=transport) as home,
+        turtleact.open_node("user", transport=transport) as user,
+    ):
+        built_in = home.action_server(Count, "count", gate.wait, on_conflict="withdraw")
+        client = user.action_client(Count, "count")
+        async with client.send_goal(goal()) as running_goal:
+            user.action_server(Count, "count", seven)
+            await settle()
+            assert not built_in.is_open
+            assert await client.send_goal(goal()) == result(7)
+            gate.opened.set()
+            assert (await running_goal.outcome()).status is GoalStatus.SUCCEEDED
+        await settle()
+        assert transport.endpoints("/count/_action/status")[0].node == "/user"
+    (said,) = caplog.messages
+    assert said == "/count is served by /user now: the built-in action withdraws"
+
+
+async def test_a_built_in_stays_away_from_a_name_that_is_served():
+    async with two_nodes() as (lab, user):
+        lab.action_server(Count, "count", seven)
+        user.action_server(Count, "count", count, on_conflict="withdraw")
+        await settle()
+        assert await user.action_client(Count, "count").send_goal(goal()) == result(7)
+
+
+async def test_there_is_no_other_answer_to_a_conflict():
+    async with two_nodes() as (lab, _):
+        with pytest.raises(InvalidOption, match="on_conflict: expected one of refuse, wait"):
+            lab.action_server(Count, "count", count, on_conflict="fight")  # type: ignore[arg-type]
 
 
 # --- the graph ------------------------------------------------------------------------------
@@ -339,10 +415,11 @@ async def test_leaving_a_node_leaves_others_alone():
     async with two_nodes() as (lab, user):
         for node in (lab, user):
             for open_it in OPENINGS.values():
-                open_it(node, "it")
+                open_it(node, f"it_of_{node.name}")
         await lab.aclose()
         assert len(user.transport.endpoints()) == OPENED
-        assert await user.action_client(Count, "it").send_goal(goal()) == result(0, 1, 2)
+        client = user.action_client(Count, f"it_of_{user.name}")
+        assert await client.send_goal(goal()) == result(0, 1, 2)
 
 
 async def test_an_exception_in_the_block_passes_and_the_node_is_closed():
@@ -583,9 +660,13 @@ async def test_leaving_leaves_nothing_running(style):
 
 async def test_what_is_closed_early_is_not_held_by_the_node():
     async with turtleact.open_node("lab") as node:
-        for open_it in OPENINGS.values():
-            await open_it(node, "it").aclose()
-        assert not node._belongings._opened
+        closed = [open_it(node, "it") for open_it in OPENINGS.values()]
+        for each in closed:
+            await each.aclose()
+        left = [weakref.ref(each) for each in closed]
+        del closed, each
+        gc.collect()
+        assert [each() for each in left] == [None] * len(left)
 
 
 # --- canceled at every point ----------------------------------------------------------------

@@ -151,6 +151,7 @@ async def test_a_task_that_could_not_be_made_leaves_the_next_one_alone():
     with pytest.raises(TypeError):
         tasks.spawn("no coroutine", "lab")  # type: ignore[arg-type]  # on purpose
     tasks.spawn(note(log, "ran"), "lab")
+    await settle()
     assert log == ["ran"]
 
 
