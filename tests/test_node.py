@@ -340,7 +340,7 @@ async def test_a_built_in_stays_away_from_a_name_that_is_served():
 
 async def test_there_is_no_other_answer_to_a_conflict():
     async with two_nodes() as (lab, _):
-        with pytest.raises(InvalidOption, match="on_conflict: expected one of refuse, wait"):
+        with pytest.raises(InvalidOption, match="'on_conflict': expected one of refuse, wait"):
             lab.action_server(Count, "count", count, on_conflict="fight")  # type: ignore[arg-type]
 
 
