@@ -21,11 +21,14 @@ BUILT_IN = (go_to.serve, patrol.serve)
 def serve_built_ins(node: Node, *, side: float) -> None:
     """Serve all built-in actions on a node.
 
+    Each makes way for another server of its name, in any process: it takes no more goals as soon as
+    discovery shows the other one, its running goals finish, and the log says so.
+
     Args:
         node: Where they are served.
         side: The side of the square in which targets must lie (m).
     """
-    fibonacci.serve(node)
+    fibonacci.serve(node, on_conflict="withdraw")
     turtles = Turtles(node, Area(0.0, 0.0, side, side))
     for serve in BUILT_IN:
-        serve(node, turtles)
+        serve(node, turtles, on_conflict="withdraw")

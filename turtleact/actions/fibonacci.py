@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
     from turtleact.node import Node, ServerGoalHandle
+    from turtleact.node.conflicts import OnConflict
 
 __all__ = ["PACE", "fibonacci", "serve"]
 
@@ -65,7 +66,24 @@ async def example_fibonacci(
     yield ExampleFibonacci.Result(sequence=sequence)
 
 
-def serve(node: Node) -> None:
-    """Serve ``/fibonacci`` under both of the types that ROS 2 has for it."""
-    node.serve(fibonacci)
-    node.serve(example_fibonacci)
+def serve(node: Node, *, on_conflict: OnConflict = "refuse") -> None:
+    """Serve ``/fibonacci`` under both of the types that ROS 2 has for it.
+
+    Args:
+        node: The node that serves it.
+        on_conflict: As for `Node.action_server`.
+    """
+    node.action_server(
+        Fibonacci,
+        "/fibonacci",
+        fibonacci.execute,
+        goal_callback=check,
+        on_conflict=on_conflict,
+    )
+    node.action_server(
+        ExampleFibonacci,
+        "/fibonacci",
+        example_fibonacci.execute,
+        goal_callback=check,
+        on_conflict=on_conflict,
+    )

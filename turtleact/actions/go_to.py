@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from turtleact.actions.driving import Turtles
     from turtleact.actions.steering import Steering
     from turtleact.node import Node, ServerGoalHandle
+    from turtleact.node.conflicts import OnConflict
 
 __all__ = ["GoTo", "serve"]
 
@@ -79,10 +80,18 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
         distance_remaining: float64 = 0.0
 
 
-def serve(node: Node, turtles: Turtles) -> None:
-    """Serve ``/go_to``."""
+def serve(node: Node, turtles: Turtles, *, on_conflict: OnConflict = "refuse") -> None:
+    """Serve ``/go_to``.
+
+    Args:
+        node: The node that serves it.
+        turtles: The turtles that it may drive.
+        on_conflict: As for `Node.action_server`.
+    """
     server = _GoTo(turtles)
-    node.action_server(GoTo, "/go_to", server.execute, goal_callback=server.check)
+    node.action_server(
+        GoTo, "/go_to", server.execute, goal_callback=server.check, on_conflict=on_conflict
+    )
 
 
 class _GoTo:

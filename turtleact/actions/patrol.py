@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from turtleact.actions.steering import Steering
     from turtleact.clock import Clock
     from turtleact.node import Node, ServerGoalHandle
+    from turtleact.node.conflicts import OnConflict
 
 __all__ = ["Patrol", "serve"]
 
@@ -102,15 +103,24 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
         distance_remaining: float64 = 0.0
 
 
-def serve(node: Node, turtles: Turtles) -> None:
-    """Serve ``/patrol`` and ``/command_turtle``."""
+def serve(node: Node, turtles: Turtles, *, on_conflict: OnConflict = "refuse") -> None:
+    """Serve ``/patrol`` and ``/command_turtle``.
+
+    Args:
+        node: The node that serves them.
+        turtles: The turtles that they may drive.
+        on_conflict: As for `Node.action_server`.
+    """
     server = _Patrol(turtles)
-    node.action_server(Patrol, "/patrol", server.execute, goal_callback=server.check)
+    node.action_server(
+        Patrol, "/patrol", server.execute, goal_callback=server.check, on_conflict=on_conflict
+    )
     node.action_server(
         PatrolCommandInterface,
         "/command_turtle",
         server.execute_command,
         goal_callback=server.check_command,
+        on_conflict=on_conflict,
     )
 
 

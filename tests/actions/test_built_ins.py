@@ -1,0 +1,86 @@
+"""The built-in actions make way for a server of the user's, whichever comes first."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import AsyncExitStack, aclosing
+
+import anyio
+import pytest
+
+from turtleact import open_node
+from turtleact.actions import serve_built_ins
+from turtleact.app import open_world
+from turtleact.goal import GoalStatus
+from turtleact.interfaces.standard import Fibonacci
+from turtleact.sim.kinematics import SIDE
+from turtleact.transports import open_zenoh
+
+from ..lab import settle
+
+MINE = [7]
+
+
+async def mine(goal: Fibonacci.Goal) -> Fibonacci.Result:
+    return Fibonacci.Result(sequence=MINE)
+
+
+async def test_a_built_in_action_makes_way_for_another_server_of_its_name(caplog):
+    async with open_world(speed="max") as node:
+        client = node.action_client(Fibonacci, "/fibonacci")
+        before = await client.send_goal(Fibonacci.Goal(order=2))
+        async with open_node("lab", transport=node.transport) as lab:
+            lab.action_server(Fibonacci, "/fibonacci", mine)
+            await settle()
+            after = await client.send_goal(Fibonacci.Goal(order=2))
+    assert (before.sequence, after.sequence) == ([0, 1, 1], MINE)
+    assert "/fibonacci is served by /lab now: the built-in action withdraws" in caplog.messages
+
+
+async def test_goals_of_a_built_in_action_that_withdraws_finish():
+    async with open_world(speed="max") as node, AsyncExitStack() as stack:
+        client = node.action_client(Fibonacci, "/fibonacci")
+        async with client.send_goal(Fibonacci.Goal(order=5)) as handle:
+            lab = await stack.enter_async_context(open_node("lab", transport=node.transport))
+            lab.action_server(Fibonacci, "/fibonacci", mine)
+            outcome = await handle.outcome()
+    assert outcome.status is GoalStatus.SUCCEEDED
+    assert outcome.result.sequence == [0, 1, 1, 2, 3, 5]
+
+
+async def test_a_built_in_action_is_not_served_if_another_server_was_first():
+    async with open_node("lab") as lab:
+        lab.action_server(Fibonacci, "/fibonacci", mine)
+        async with open_node("turtle_actions", transport=lab.transport) as actions:
+            serve_built_ins(actions, side=SIDE)
+            client = lab.action_client(Fibonacci, "/fibonacci")
+            assert (await client.send_goal(Fibonacci.Goal(order=2))).sequence == MINE
+
+
+async def test_other_built_in_actions_stay():
+    async with open_world(speed="max") as node, open_node("lab", transport=node.transport) as lab:
+        lab.action_server(Fibonacci, "/fibonacci", mine)
+        await settle()
+        assert {"/patrol", "/go_to", "/command_turtle"} <= node.graph().actions.keys()
+
+
+@pytest.mark.loops("asyncio")
+async def test_a_built_in_action_makes_way_for_a_server_across_the_graph(tmp_path, caplog):
+    """Two sessions, as of two processes, that know each other by discovery only."""
+    caplog.set_level(logging.WARNING, "turtleact")
+    here = f"unixsock-stream/{tmp_path}/router"
+    async with AsyncExitStack() as stack:
+        enter = stack.enter_async_context
+        first = await enter(open_zenoh(mode="router", listen=[here]))
+        second = await enter(open_zenoh(mode="peer", connect=[here]))
+        actions = await stack.enter_async_context(open_node("turtle_actions", transport=first))
+        serve_built_ins(actions, side=SIDE)
+        await first.flush()
+        lab = await stack.enter_async_context(open_node("lab", transport=second))
+        await second.explore()
+        await stack.enter_async_context(aclosing(lab.action_server(Fibonacci, "/fibonacci", mine)))
+        client = lab.action_client(Fibonacci, "/fibonacci")
+        with anyio.fail_after(10.0):
+            while not any("/fibonacci is served by /lab" in text for text in caplog.messages):
+                await anyio.sleep(0.01)
+        assert (await client.send_goal(Fibonacci.Goal(order=2))).sequence == MINE
