@@ -64,7 +64,7 @@ async def clients(where: str, execute: Any) -> AsyncIterator[tuple[Any, Any]]:
         yield node.action_client(Count, "count"), node.action_client(Count, "count")
 
 
-WHERE = pytest.mark.parametrize("where", ["elsewhere"])
+WHERE = pytest.mark.parametrize("where", ["here", "elsewhere"])
 
 
 @WHERE

@@ -1677,7 +1677,7 @@ async def test_feedback_of_the_goals_of_others_is_not_read(address, monkeypatch)
         assert told == [feedback(0), feedback(0, 1), feedback(0, 1, 2)]
 
 
-async def test_the_second_goal_is_sent_with_the_request_for_its_result_and_takes_no_task(
+async def test_from_the_second_goal_on_each_is_sent_with_the_request_for_its_result(
     address, monkeypatch
 ):
     spawned: list[str] = []
@@ -1698,7 +1698,8 @@ async def test_the_second_goal_is_sent_with_the_request_for_its_result_and_takes
         assert await action_client.wait_for_server(5)
         assert await action_client.send_goal(goal(2)) == result(0, 1)
         monkeypatch.setattr(kind, "spawn", note)
-        assert await action_client.send_goal(goal(0)) == result()
+        for _ in range(200):  # now and then the server lets others have their turn first
+            assert await action_client.send_goal(goal(0)) == result()
         async with action_client.send_goal(goal(0)) as handle:
             assert await handle.result() == result()
         assert [name for name in spawned if name.startswith("a goal of")] == []

@@ -319,17 +319,16 @@ class _GetResult(_ActionService):
     def handle_now(self, request: Any, caller: bytes) -> Reply | None:  # noqa: ANN401, ARG002
         goal_id = request.goal_id.uuid
         goal = self.server.find(goal_id)
-        if goal is None and goal_id not in self._expected:
-            return Reply(self._implied.get_result.Response(status=GoalStatus.UNKNOWN), OURS)
-        if goal is None or not goal.ended:
-            return None
-        return self._end(goal)
+        return None if goal is None or not goal.ended else self._end(goal)
 
-    async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
-        while (goal := self.server.find(request.goal_id.uuid)) is None:
-            reply = self.handle_now(request, caller)
-            if reply is not None:
-                return reply
+    async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401, ARG002
+        goal_id = request.goal_id.uuid
+        if self.server.find(goal_id) is None:
+            # The goal's own request may have come just before, and its task not have begun yet.
+            await self._tasks.checkpoint()
+        while (goal := self.server.find(goal_id)) is None:
+            if goal_id not in self._expected:
+                return Reply(self._implied.get_result.Response(status=GoalStatus.UNKNOWN), OURS)
             await self._decided.wait()
         goal.is_asked_for = True
         await self.server.wait_for_end(goal)
