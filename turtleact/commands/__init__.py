@@ -16,7 +16,7 @@ GROUPS: Final = {
     "service": ("list", "info", "type", "find", "call"),
     "node": ("list", "info"),
     "param": ("list", "get", "set", "delete", "describe", "dump", "load"),
-    "interface": ("list", "package", "packages", "proto", "show"),
+    "interface": ("list", "package", "packages", "proto", "python", "show"),
 }
 """The groups of verbs that ``ros2`` has too."""
 

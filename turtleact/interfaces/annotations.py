@@ -270,8 +270,9 @@ def message_class(annotation: object) -> tuple[type, str]:
 
 
 def is_message_class(annotation: object) -> bool:
-    """Whether this is a message class: it carries a shape."""
-    return isinstance(annotation, type) and hasattr(annotation, "_shape")
+    """Whether this is a message class: a Struct with a type name, which may be empty."""
+    is_struct = isinstance(annotation, type) and issubclass(annotation, msgspec.Struct)
+    return is_struct and isinstance(getattr(annotation, "type_name", None), str)
 
 
 def said(annotation: object) -> str:

@@ -264,7 +264,6 @@ class Action:
     Goal: ClassVar[type[Message]] = Message
     Result: ClassVar[type[Message]] = Message
     Feedback: ClassVar[type[Message]] = Message
-    _implied: ClassVar[object] = None
 
     def __init_subclass__(cls, *, type_name: str = "") -> None:
         """Names the parts after the action and makes all of it known."""
