@@ -14,7 +14,7 @@ from __future__ import annotations
 import ctypes
 import logging
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
 from time import monotonic, sleep
 from typing import Any, Protocol, TypeAlias
@@ -56,10 +56,10 @@ CLOSING = 1.0
 #: How long a new peer may take to connect to the other peers (s).
 MEETING = 2.0
 
-#: It is done if no connection has been added for this time (s), and so many times what opening the
-#: session took: greeting a peer takes as many round trips as greeting the router did.
-SHORTEST_QUIET = 0.03
-QUIET_PER_OPENING = 2.0
+#: It is done if no connection has been added for this time (s), and so many times what the router
+#: took to greet or to answer: greeting a peer takes a few round trips as well.
+SHORTEST_QUIET = 0.04
+QUIET_PER_TRIP = 3.0
 
 #: How often the connections are counted meanwhile (s).
 LOOK = 0.005
@@ -155,24 +155,36 @@ class Session:
 
         A peer that has just been opened waits until it is connected with the other peers.
         """
-        if self._is_peer:
-            self._meet_peers()
+        if not self._is_peer or monotonic() > self._opened_at + MEETING:
+            return self._ask(key)
+        # Watched meanwhile: a question to a peer just met is sometimes answered without its tokens.
+        found: dict[str, None] = {}
+        watched = self.watch_tokens(key, found.setdefault, lambda gone: found.pop(gone, None))
+        began = monotonic()
+        self._ask(key)  # the router tells of the other peers before it answers this
+        self._meet_peers(max(self._opening, monotonic() - began), found)
+        asked = self._ask(key)
+        watched.undeclare()
+        return list(dict.fromkeys([*asked, *tuple(found)]))
+
+    def _ask(self, key: str) -> list[str]:
         with _mapped(f"ask for {key}"):
             replies = self._session.liveliness().get(key, timeout=ANSWER)
             return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
-    def _meet_peers(self) -> None:
+    def _meet_peers(self, round_trip: float, found: Sized) -> None:
         """Wait until a new peer has connected to the peers that its router has told it of.
 
         A router tells a peer where the others are, but passes on none of their tokens. The peer
         connects to each of them in the background, and Zenoh does not say when it is done. So this
-        waits until no connection has been added for some time. That time is a multiple of what it
-        took to connect to the router, so that it fits a busy machine and a slow network too.
+        waits until no connection and no token has been added for some time. That time is a multiple
+        of how long the router took to greet or to answer, so that it fits a busy machine and a slow
+        network.
         """
-        quiet = SHORTEST_QUIET + QUIET_PER_OPENING * self._opening
+        quiet = SHORTEST_QUIET + QUIET_PER_TRIP * round_trip
         known, since = -1, monotonic()
         while (now := monotonic()) < self._opened_at + MEETING:
-            count = len(self._session.info.peers_zid())
+            count = len(self._session.info.peers_zid()) + len(found)
             if count != known:
                 known, since = count, now
             elif now - since >= quiet:
