@@ -62,7 +62,7 @@ async def test_there_is_an_end_to_parameters(rosapi):
 
 
 @pytest.fixture
-def lamp(node):
+async def lamp(node):
     """A node's parameters: those of turtlesim are of these kinds."""
     parameters = Parameters(node, lambda: None)
     parameters.declare("red", 69, "how much red", (0, 255))
