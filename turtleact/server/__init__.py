@@ -2,10 +2,10 @@
 
 ::
 
-    endpoints             answers those who are not in this process
-    action_topics         feedback and status, for those who read the topics
-    local_server          which goals are taken, and which are canceled
-    goal_handle           what a body holds of its goal
-    execution             a body is run, and its end made the goal's end
-    body_task | callbacks the task of a body; what the user is asked
+    endpoints                answers those who are not in this process
+    action_topics            feedback and status, for those who read the topics
+    local_server             which goals are taken, and which are canceled
+    goal_handle | callbacks  what a body holds of its goal; what the user is asked
+    execution                a body is run, and its end made the goal's end
+    body_task                the task of a body
 """
