@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     )
     from turtleact.errors import (
         Abort,
+        ActionConflict,
         Cancel,
         GoalAborted,
         GoalCanceled,
@@ -128,6 +129,7 @@ __all__ = [
     "GoalAborted",
     "GoalCanceled",
     "UnknownGoal",
+    "ActionConflict",
     "ServerUnavailable",
     "ServiceError",
     "ServiceTimeout",
