@@ -4,7 +4,7 @@ A goal is sent, gives three feedback messages and succeeds; from sending it to h
 Both ends are in this process, so that what differs is the way between them. The figures are those
 of a machine with other work: compare the ratios.
 
-Run ``python -m benchmarks.bench_doors``; needs the extra ``web``.
+Run ``python -m benchmarks.bench_doors``.
 """
 
 from __future__ import annotations

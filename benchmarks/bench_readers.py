@@ -7,7 +7,7 @@ frames that do not fit their topic, as fast as they are taken, from a process of
 Gap is the longest time between two poses at any of the 40; late is by how much a pose comes after
 its place in the schedule of 16 ms, inside the server.
 
-Run ``python -m benchmarks.bench_readers``; needs the extra ``web``.
+Run ``python -m benchmarks.bench_readers``.
 """
 
 from __future__ import annotations

@@ -21,9 +21,7 @@ import anyio
 import pytest
 
 import turtleact
-from turtleact.commands.interrupts import Interrupts
-from turtleact.commands.serve import Service, _listed, run, serve_declared
-from turtleact.commands.settings import Page, Reach
+from turtleact.commands.serve import _listed, serve_declared
 from turtleact.errors import TurtleactError
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.transports import MemoryTransport
@@ -573,15 +571,6 @@ def test_names_and_origins_are_let_in_by_the_page(lab):
                 assert page.status == 200
         with pytest.raises(urllib.error.HTTPError, match="403"):
             urllib.request.urlopen(urllib.request.Request(url, None, {"Host": "evil.example"}))
-
-
-def test_what_the_page_needs_is_named_with_its_cure(monkeypatch):
-    for name in [name for name in sys.modules if name.startswith("turtleact.web")]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "cbor2", None)
-    service = Service((), (), Reach((), 0), None, Page("127.0.0.1", 0), {}, is_live=False)
-    with pytest.raises(TurtleactError, match=r"web needs cbor2: pip install 'turtleact\[web\]'"):
-        run(service, Interrupts())
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:

@@ -6,7 +6,6 @@ import asyncio
 import json
 import signal
 import socket
-import sys
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -458,11 +457,3 @@ def masked(payload: bytes) -> bytes:
     """A text frame as a client sends it, under a mask of zeros."""
     assert len(payload) < 126
     return bytes([0x81, 0x80 | len(payload), 0, 0, 0, 0]) + payload
-
-
-def test_a_missing_package_is_named_with_its_cure(monkeypatch):
-    for name in [name for name in sys.modules if name.startswith("turtleact.web")]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "cbor2", None)
-    with pytest.raises(ModuleNotFoundError, match=r"needs cbor2: pip install 'turtleact\[web\]'"):
-        __import__("turtleact.web")

@@ -8,7 +8,6 @@ there is a line for each change of a goal. A terminal shows the same as a dashbo
 from __future__ import annotations
 
 import asyncio
-import importlib
 import logging
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -93,8 +92,6 @@ def run(service: Service, interrupts: Interrupts) -> int:
     """
     if logging.lastResort is not None:  # it serves modules that configure no logging
         logging.lastResort.setFormatter(_Escaping())
-    if service.page is not None:
-        _check_for_web()
     with interrupts.beginning(0):  # a module of the user's may take any time
         declared = [each for target in service.targets for each in find_actions(target)]
     if not (service.is_live and can_move(sys.stdout)):
@@ -107,14 +104,6 @@ def run(service: Service, interrupts: Interrupts) -> int:
         return runner.run(_serve(service, declared, _Log(board), interrupts), interrupts)
     finally:
         board.close()
-
-
-def _check_for_web() -> None:
-    """Check that the packages for ``--web`` are installed."""
-    try:
-        importlib.import_module("turtleact.web")
-    except ModuleNotFoundError as missing:
-        raise TurtleactError(f"{missing}") from None
 
 
 async def _serve(

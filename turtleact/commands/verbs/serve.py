@@ -63,7 +63,7 @@ Web: TypeAlias = Annotated[
     typer.Option(
         "--web",
         metavar="[HOST:]PORT",
-        help="Serve a page to watch, and rosbridge. Needs turtleact\\[web].",
+        help="Serve a page to watch, and rosbridge.",
         rich_help_panel=WEB,
     ),
 ]
