@@ -194,7 +194,7 @@ async def test_a_checkpoint_lets_others_run():
 @ON_ASYNCIO
 async def test_the_first_step_has_run_when_spawn_returns_where_python_can_start_eagerly():
     log: list[object] = []
-    current_tasks().spawn(note(log, "ran"), "lab")
+    current_tasks().spawn(note(log, "ran"), "lab", is_eager=True)
     assert log == (["ran"] if sys.version_info >= (3, 12) else [])
     await settle()
     assert log == ["ran"]
@@ -228,9 +228,9 @@ async def test_tasks_that_start_one_another_are_not_nested_without_end():
     async def body(depth: int) -> None:
         log.append(depth)
         if depth:
-            tasks.spawn(body(depth - 1), "lab")
+            tasks.spawn(body(depth - 1), "lab", is_eager=True)
 
-    tasks.spawn(body(2000), "lab")
+    tasks.spawn(body(2000), "lab", is_eager=True)
     while len(log) <= 2000:
         await asyncio.sleep(0)
     assert log[-1] == 0

@@ -66,7 +66,7 @@ class BodyTask(Coroutine[object, object, None]):
 
         With eager start the first step runs in here, and may end the goal or have it cancelled.
         """
-        self._task = self._tasks.spawn(self, name, context)
+        self._task = self._tasks.spawn(self, name, context, is_eager=True)
         if self._is_cancel_due and not self._goal.ended:
             self.cancel()
 

@@ -37,13 +37,18 @@ class Tasks(Protocol):
     can_let_go: bool
 
     def spawn(
-        self, body: Coroutine[object, object, None], name: str, context: Context | None = None
+        self,
+        body: Coroutine[object, object, None],
+        name: str,
+        context: Context | None = None,
+        *,
+        is_eager: bool = False,
     ) -> Cancelable:
         """Run a coroutine in a task of its own, in a copy of the current context unless given.
 
         The caller owns the task: it cancels it and waits for its end. The coroutine handles its own
-        exceptions. Its first step has run when this returns on asyncio from Python 3.12 on; else it
-        runs soon.
+        exceptions. Its first step runs soon; with ``is_eager`` it has run when this returns, on
+        asyncio from Python 3.12 on.
         """
 
     def is_shielded(self, task: Cancelable) -> bool:

@@ -50,10 +50,15 @@ class AsyncioTasks:
         self._depth = 0
 
     def spawn(
-        self, body: Coroutine[object, object, None], name: str, context: Context | None = None
+        self,
+        body: Coroutine[object, object, None],
+        name: str,
+        context: Context | None = None,
+        *,
+        is_eager: bool = False,
     ) -> Cancelable:
         """Run a coroutine in a task of its own; started eagerly from Python 3.12 on."""
-        if sys.version_info >= (3, 12) and self._depth < DEEPEST:
+        if sys.version_info >= (3, 12) and is_eager and self._depth < DEEPEST:
             self._depth += 1
             try:
                 return asyncio.Task(

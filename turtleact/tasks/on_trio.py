@@ -39,7 +39,12 @@ class TrioTasks:
         self.cancelled: type[BaseException] = trio.Cancelled
 
     def spawn(
-        self, body: Coroutine[object, object, None], name: str, context: Context | None = None
+        self,
+        body: Coroutine[object, object, None],
+        name: str,
+        context: Context | None = None,
+        *,
+        is_eager: bool = False,  # noqa: ARG002  # for asyncio
     ) -> TrioTask:
         """Run a coroutine in a task of its own; its first step runs soon."""
         task = TrioTask(self._trio.CancelScope())
