@@ -19,11 +19,13 @@ from turtleact.errors import (
     Cancel,
     GoalAborted,
     GoalCanceled,
+    GoalRejected,
     InvalidMessage,
     InvalidTransition,
 )
 from turtleact.feedback import FeedbackLog
 from turtleact.server.execution import BURST
+from turtleact.summaries import LONGEST
 
 from .lab import (
     ON_ASYNCIO,
@@ -1470,3 +1472,79 @@ async def test_a_body_that_raises_what_is_hard_to_tell_ends_its_goal_all_the_sam
         outcome = await send(served, goal())
         assert outcome.status is GoalStatus.ABORTED
         assert type(error).__name__ in outcome.reason or "Mute" in outcome.reason
+
+
+# --- a huge exception -----------------------------------------------------------------------
+
+
+class Huge(Exception):
+    def __str__(self) -> str:
+        return "a" * 50_000_000
+
+
+def fail_hugely(*_: object) -> None:
+    raise Huge
+
+
+async def abort_hugely(goal):
+    raise Huge
+
+
+async def abort_hugely_after_feedback(goal):
+    yield feedback(1)
+    raise Huge
+
+
+async def fail_hugely_behind(goal):
+    yield result(1)
+    raise Huge
+
+
+async def tell_feedback(goal):
+    yield feedback(1)
+    yield result(1)
+
+
+@pytest.mark.parametrize("body", [abort_hugely, abort_hugely_after_feedback, fail_hugely_behind])
+async def test_a_body_that_fails_with_a_huge_text_is_logged_in_short(caplog, body):
+    end = await end_of(body, awaited)
+    assert len(end.reason) < 2 * LONGEST
+    assert len(caplog.records) == 1
+    assert "aaaa… (50,000,000 characters)" in caplog.text
+    assert "in fail_hugely" in caplog.text or "in abort_hugely" in caplog.text  # the traceback
+    assert len(caplog.text) < 2 * LONGEST
+
+
+async def test_a_goal_callback_that_fails_with_a_huge_text_is_logged_in_short(caplog):
+    async with lab(count, goal_callback=fail_hugely) as served:
+        with pytest.raises(GoalRejected) as caught:
+            await served.client.send_goal(goal())
+    assert len(str(caught.value)) < 2 * LONGEST
+    assert "aaaa… (50,000,000 characters)" in caplog.text
+    assert len(caplog.text) < 2 * LONGEST
+
+
+async def test_a_cancel_callback_that_fails_with_a_huge_text_is_logged_in_short(caplog):
+    async with (
+        lab(count, cancel_callback=fail_hugely) as served,
+        served.client.send_goal(goal(1_000_000)) as handle,
+    ):
+        await handle.cancel()
+        handle.detach()
+    assert "aaaa… (50,000,000 characters)" in caplog.text
+    assert len(caplog.text) < 2 * LONGEST
+
+
+async def test_a_feedback_callback_that_fails_with_a_huge_text_is_logged_in_short(caplog):
+    async with lab(tell_feedback) as served:
+        await served.client.send_goal(goal(), feedback_callback=fail_hugely)
+    assert "aaaa… (50,000,000 characters)" in caplog.text
+    assert len(caplog.text) < 2 * LONGEST
+
+
+async def test_a_hook_that_fails_with_a_huge_text_is_logged_in_short(caplog):
+    async with lab(tell_feedback) as served:
+        served.node.on_transition(fail_hugely)
+        await served.client.send_goal(goal())
+    assert "aaaa… (50,000,000 characters)" in caplog.text
+    assert len(caplog.text) < 2 * LONGEST * len(caplog.records)

@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable
 
 from turtleact.goal import Goal, GoalStatus
-from turtleact.summaries import STOPS
+from turtleact.summaries import STOPS, loggable
 
 __all__ = ["GoalObserver", "Observers"]
 
@@ -88,6 +88,7 @@ class Observers:
                 except STOPS:
                     self._untold.clear()
                     raise
-                except BaseException:  # a cancellation too: nobody has cancelled the observer
-                    logger.exception("an observer of the goals of %s failed", self._action)
+                except BaseException as error:  # a cancellation too: nobody has cancelled it
+                    problem = "an observer of the goals of %s failed"
+                    logger.error(problem, self._action, exc_info=loggable(error))
             self._untold.popleft()

@@ -38,7 +38,7 @@ from turtleact.goal_states import State
 from turtleact.interfaces import SECOND, Message, nanoseconds, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
 from turtleact.observers import Observers
-from turtleact.summaries import STOPS, summary
+from turtleact.summaries import STOPS, loggable, summary
 from turtleact.tasks import Signal, Tasks, wait_while
 from turtleact.transports.base import PendingCall, Reply
 
@@ -424,8 +424,9 @@ class RemoteGoals:
                 goal.on_feedback(feedback)
             except STOPS:
                 raise
-            except BaseException:  # a cancellation too: nobody has cancelled the callback
-                logger.exception("the feedback_callback of goal %s failed", goal.hex)
+            except BaseException as error:  # a cancellation too: nobody has cancelled it
+                told = loggable(error)
+                logger.error("the feedback_callback of goal %s failed", goal.hex, exc_info=told)
         if goal.listener is not None:
             goal.listener.fire()
 

@@ -13,7 +13,7 @@ import anyio
 from turtleact.body import ServerOptions
 from turtleact.errors import GoalRejected, Reject
 from turtleact.goal import CancelResponse, GoalResponse
-from turtleact.summaries import summary, text_of
+from turtleact.summaries import loggable, summary, text_of
 from turtleact.tasks import Tasks
 
 __all__ = ["Callbacks"]
@@ -57,7 +57,8 @@ class Callbacks:
         except Reject as verdict:
             raise GoalRejected(text_of(verdict.reason)) from None
         except Exception as error:
-            logger.exception("the goal_callback of %s failed; the goal is rejected", self._server)
+            problem = "the goal_callback of %s failed; the goal is rejected"
+            logger.error(problem, self._server, exc_info=loggable(error))
             raise GoalRejected(f"the goal_callback failed: {summary(error)}") from None
         if answer is GoalResponse.ACCEPT:
             return
@@ -73,8 +74,9 @@ class Callbacks:
             return True
         try:
             answer = await self._answer(self._cancel_callback(handle))
-        except Exception:
-            logger.exception("the cancel_callback of %s failed; the goal goes on", self._server)
+        except Exception as error:
+            problem = "the cancel_callback of %s failed; the goal goes on"
+            logger.error(problem, self._server, exc_info=loggable(error))
             return False
         return answer is CancelResponse.ACCEPT
 

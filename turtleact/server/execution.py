@@ -24,7 +24,7 @@ from turtleact.goal_id import new_goal_id
 from turtleact.interfaces import Message, snapshotter
 from turtleact.observers import Observers
 from turtleact.server.body_task import BodyTask
-from turtleact.summaries import STOPPED, STOPS, summary, text_of
+from turtleact.summaries import STOPPED, STOPS, loggable, summary, text_of
 from turtleact.tasks import Signal, Tasks, is_cancellation, wait_while
 
 __all__ = ["CURRENT_GOAL", "Execution", "FeedbackOutlet", "Served"]
@@ -236,8 +236,9 @@ class Execution:
                 goal.on_feedback(message)
             except STOPS:
                 raise
-            except BaseException:  # a cancellation too: nobody has cancelled this body
-                logger.exception("the feedback_callback of goal %s failed", goal.hex)
+            except BaseException as error:  # a cancellation too: nobody has cancelled this body
+                told = loggable(error)
+                logger.error("the feedback_callback of goal %s failed", goal.hex, exc_info=told)
         if self.outlet is not None:
             self.outlet.publish(goal, message)
         if self.observers.want_feedback:
@@ -331,8 +332,8 @@ class Execution:
         elif is_cancellation(error, self._tasks):
             self._end_canceled(goal)
         else:
-            name = self.served.name
-            logger.error("the body of goal %s of %s failed", goal.hex, name, exc_info=error)
+            name, told = self.served.name, loggable(error)
+            logger.error("the body of goal %s of %s failed", goal.hex, name, exc_info=told)
             self.end(goal, GoalEvent.ABORT, None, summary(error))
 
     def _end_canceled(self, goal: Goal) -> None:
@@ -399,8 +400,9 @@ async def _finish(steps: Steps) -> None:
         return
     except (GeneratorExit, KeyboardInterrupt, SystemExit):
         raise
-    except Exception:
-        logger.exception("a body failed after it had yielded its result; the result stands")
+    except Exception as error:
+        problem = "a body failed after it had yielded its result; the result stands"
+        logger.error(problem, exc_info=loggable(error))
     except BaseException:
         logger.info("a body was canceled after it had yielded its result; the result stands")
 
