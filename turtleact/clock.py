@@ -344,19 +344,23 @@ def _leaping_time() -> Callable[[], float] | None:
 # timeouts
 
 
-def check_timeout(seconds: object, option: str = "timeout") -> None:
-    """Raise what a user is told of a timeout that is none.
+def check_timeout(seconds: object, option: str = "timeout", *, may_be_none: bool = True) -> None:
+    """Check a timeout that a user has given.
 
     Args:
         seconds: What was given.
         option: What the user calls it.
+        may_be_none: Whether None is allowed, for no limit.
 
     Raises:
-        InvalidOption: if it is neither a number nor None.
+        InvalidOption: if it is not a number, and not an allowed None.
     """
+    if may_be_none and seconds is None:
+        return
     is_number = isinstance(seconds, Real) and not isinstance(seconds, bool)
-    if seconds is not None and not (is_number and cast("float", seconds) == seconds):  # not nan
-        raise InvalidOption(option, f"expected a number of seconds or None, not {seconds!r}")
+    if not (is_number and cast("float", seconds) == seconds):  # not nan
+        expected = "a number of seconds or None" if may_be_none else "a number of seconds"
+        raise InvalidOption(option, f"expected {expected}, not {seconds!r}")
 
 
 @asynccontextmanager

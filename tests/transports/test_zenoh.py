@@ -1565,9 +1565,11 @@ async def test_a_server_is_not_waited_for_once_the_discovery_is_over(address, as
         assert transport.discovery_ends <= anyio.current_time()
 
 
-async def test_a_discovery_without_a_length_is_refused():
-    with pytest.raises(InvalidOption, match="option 'discovery': expected a number"):
-        async with open_zenoh(discovery="long"):  # type: ignore[arg-type]  # so it is refused
+@pytest.mark.parametrize("discovery", ["long", None, True, float("nan")])
+async def test_a_discovery_without_a_length_is_refused(discovery):
+    problem = f"option 'discovery': expected a number of seconds, not {discovery!r}$"
+    with pytest.raises(InvalidOption, match=problem):
+        async with open_zenoh(discovery=discovery):
             pass
 
 

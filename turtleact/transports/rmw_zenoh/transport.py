@@ -346,7 +346,7 @@ async def open_zenoh(
         InvalidOption: if an option has a value that it cannot have.
         TurtleactError: if the graph cannot be reached, or not be listened at.
     """
-    check_timeout(discovery, "discovery")
+    check_timeout(discovery, "discovery", may_be_none=False)
     if domain is None:
         domain = domain_of(os.environ)
     settings = session_config(connect, listen, mode, domain, config)
