@@ -17,7 +17,7 @@ from turtleact import QoS, open_node
 from turtleact.actions.patrol import Patrol
 from turtleact.clock import EPOCH, VirtualClock
 from turtleact.commands import held_goals as verbs
-from turtleact.commands import live, topic_reading, transcript
+from turtleact.commands import live, send_goal, topic_reading
 from turtleact.commands.held_goals import HeldGoal, held_goals, served_actions
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import get_interface
@@ -498,7 +498,7 @@ def terminal(monkeypatch):
         assert (view, wants_feedback, wants_feedback_live) == ("auto", True, False)
         return live.LiveTranscript(written, wants_feedback=False)
 
-    monkeypatch.setattr(transcript, "choose_transcript", choose)
+    monkeypatch.setattr(send_goal, "choose_transcript", choose)
     return written
 
 

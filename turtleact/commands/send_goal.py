@@ -9,6 +9,7 @@ Source: ros2cli ``ros2action/verb/send_goal.py`` for the order of things.
 from __future__ import annotations
 
 import asyncio
+import sys
 from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from typing import TYPE_CHECKING, NamedTuple, NoReturn, cast
@@ -19,7 +20,14 @@ from turtleact.commands import graph, runner
 from turtleact.commands.graph_names import names_like
 from turtleact.commands.interrupts import leave
 from turtleact.commands.output import say
-from turtleact.commands.transcript import WAITING, Sent, Transcript, View, choose_transcript
+from turtleact.commands.transcript import (
+    WAITING,
+    JsonTranscript,
+    PlainTranscript,
+    Sent,
+    Transcript,
+    View,
+)
 from turtleact.errors import GoalRejected, ServerUnavailable
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import Action, from_text
@@ -100,6 +108,30 @@ def run(order: Order, interrupts: Interrupts) -> int:
         return runner.run(sending.run(), interrupts)
     finally:
         transcript.close()
+
+
+def choose_transcript(
+    view: View, *, wants_feedback: bool, wants_feedback_live: bool | None = None
+) -> Transcript:
+    """A transcript: JSON if asked for, live on a terminal that can show it, else plain.
+
+    Args:
+        view: What was asked for.
+        wants_feedback: Whether to print each feedback message.
+        wants_feedback_live: Whether to do so on a live display too; as ``wants_feedback`` if left
+            out.
+    """
+    if view == "json":
+        return JsonTranscript()
+    if view == "auto":
+        from turtleact.commands.terminal import can_move
+
+        if can_move(sys.stdout):
+            from turtleact.commands.live import LiveTranscript
+
+            wanted = wants_feedback if wants_feedback_live is None else wants_feedback_live
+            return LiveTranscript(sys.stdout, wants_feedback=wanted)
+    return PlainTranscript(wants_feedback=wants_feedback)
 
 
 def embedded_world(speed: float | str, seed: int) -> AbstractAsyncContextManager[Node]:

@@ -28,7 +28,6 @@ __all__ = [
     "Sent",
     "Transcript",
     "View",
-    "choose_transcript",
 ]
 
 View = Literal["auto", "plain", "json"]
@@ -137,30 +136,6 @@ class Sent(NamedTuple):
     def followed(self) -> Followed:
         """The same goal, as one that is followed."""
         return Followed(self.node, self.name, type(self.goal), self.goal, self.handle)
-
-
-def choose_transcript(
-    view: View, *, wants_feedback: bool, wants_feedback_live: bool | None = None
-) -> Transcript:
-    """A transcript: JSON if asked for, live on a terminal that can show it, else plain.
-
-    Args:
-        view: What was asked for.
-        wants_feedback: Whether to print each feedback message.
-        wants_feedback_live: Whether to do so on a live display too; as ``wants_feedback`` if left
-            out.
-    """
-    if view == "json":
-        return JsonTranscript()
-    if view == "auto":
-        from turtleact.commands.terminal import can_move
-
-        if can_move(sys.stdout):
-            from turtleact.commands.live import LiveTranscript
-
-            wanted = wants_feedback if wants_feedback_live is None else wants_feedback_live
-            return LiveTranscript(sys.stdout, wants_feedback=wanted)
-    return PlainTranscript(wants_feedback=wants_feedback)
 
 
 class PlainTranscript:

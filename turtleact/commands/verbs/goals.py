@@ -339,9 +339,9 @@ def _follow(goal_id: str, view: View, *, hears_feedback: bool) -> Plan:
     wanted = _goal_id(goal_id)
 
     def plan(interrupts: Interrupts) -> Look:
-        from turtleact.commands import held_goals, transcript
+        from turtleact.commands import held_goals, send_goal
 
-        telling = transcript.choose_transcript(
+        telling = send_goal.choose_transcript(
             view, wants_feedback=hears_feedback, wants_feedback_live=False
         )
         interrupts.restore = telling.close
