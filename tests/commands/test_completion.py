@@ -340,9 +340,9 @@ def test_a_graph_that_does_not_answer_is_not_waited_for():
 @pytest.mark.parametrize(
     ("words", "needs"),
     [
-        (["se"], ["typer"]),
-        (["topic", "info", "--connect", "tcp/127.0.0.1:1", ""], ["typer", "zenoh"]),
-        ([*SPAWN, ""], ["typer", "yaml"]),
+        (["se"], ["pydantic", "typer"]),
+        (["topic", "info", "--connect", "tcp/127.0.0.1:1", ""], ["pydantic", "typer", "zenoh"]),
+        ([*SPAWN, ""], ["pydantic", "typer", "yaml"]),
     ],
 )
 def test_a_tab_imports_no_more_than_it_needs(words, needs):

@@ -353,12 +353,18 @@ def test_ros2s_ways_of_looking_at_the_graph_are_accepted(monkeypatch):
         assert context.params["types"]
 
 
-def test_arguments_are_read_without_pydantic():
+@pytest.mark.parametrize("arguments", [["--help"], ["action", "--help"], ["send-goal", "--help"]])
+def test_help_is_printed_without_pydantic(arguments):
     code = (
         "import sys; from turtleact.commands.verbs import parse;"
-        "parse(['send-goal', 'x', 'pkg/Name', '{}', '-t', '1']); print('pydantic' in sys.modules)"
+        f"parse({arguments}); print('pydantic' in sys.modules)"
     )
-    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "False\n"
+    out = subprocess.check_output([sys.executable, "-c", code], text=True)
+    assert out.splitlines()[-1] == "False"
+
+
+def test_a_mistake_in_the_name_of_a_verb_points_to_the_help(turtleact):
+    assert "Try 'turtleact -h' for help." in turtleact("sevre").err
 
 
 @pytest.mark.parametrize(

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Annotated, Any, Final, TypeAlias
+from typing import Annotated, Any, Final, TypeAlias
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -26,9 +26,6 @@ from turtleact.commands import GROUPS, VERBS
 from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.output import printable
 from turtleact.errors import UsageError
-
-if TYPE_CHECKING:
-    from typer.core import TyperArgument, TyperOption
 
 __all__ = [
     "SETTINGS",
@@ -93,7 +90,6 @@ class Verb(TyperCommand):
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
         """Read the arguments; values may begin with a dash, and there is no daemon."""
-        _spare_validators(self.get_params(ctx))
         known = {option for param in self.params for option in param.opts}
         if "--connect" in known:
             args = without_daemon(args)
@@ -115,11 +111,6 @@ class Verb(TyperCommand):
 class Group(TyperGroup):
     """A group that knows what to use instead of verbs that only ``ros2`` has."""
 
-    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # as above
-        """Read the options of the group."""
-        _spare_validators(self.get_params(ctx))
-        return super().parse_args(ctx, args)
-
     def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]  # noqa: ANN401  # as above
         """Find the verb; Typer suggests the nearest one if there is none of that name."""
         verb = args[0]
@@ -135,7 +126,19 @@ class Group(TyperGroup):
 
 
 class LazyGroup(Group):
-    """The whole command line; a verb is imported when it is chosen, not when it is listed."""
+    """The whole command line; a verb is imported when it is chosen, not when it is listed.
+
+    Its help option is declared by `_root`. Typer's own has no default, and Typer imports pydantic
+    to find out that a missing value is missing, which takes longer than importing Typer.
+    """
+
+    def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]  # noqa: ARG002  # as in `Group`
+        """The options that `_root` declares, and those for completion."""
+        return [*self.params]
+
+    def get_help_option(self, ctx: typer.Context) -> Any:  # type: ignore[override]  # noqa: ANN401, ARG002  # as above
+        """The help option, which an error points to."""
+        return next(param for param in self.params if param.name == "_help")
 
     def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]  # noqa: ANN401  # as in `Group`
         """Import the verb that was chosen."""
@@ -149,7 +152,10 @@ def parse(arguments: Sequence[str]) -> Job:
     What Typer has done already leaves a job that only returns its exit status.
     """
     jobs: list[Job | None] = []
-    command = get_command(assemble(lambda job, **_: jobs.append(job)))
+    # The options for completion can only stand before a verb. Even when they are absent, Typer
+    # imports pydantic to read them, so a line that begins with a verb does without them.
+    completion = not arguments or arguments[0].startswith("-")
+    command = get_command(assemble(lambda job, **_: jobs.append(job), completion=completion))
     try:
         command.main(list(arguments), prog_name="turtleact")
     except SystemExit as end:
@@ -160,18 +166,19 @@ def parse(arguments: Sequence[str]) -> Job:
     raise AssertionError("Typer always exits")
 
 
-def assemble(take: Callable[..., None]) -> typer.Typer:
+def assemble(take: Callable[..., None], *, completion: bool = True) -> typer.Typer:
     """The command line: all verbs by name, none of them imported.
 
     Args:
         take: Called with what the command function returned.
+        completion: Whether there are options to install and show completion.
     """
     app = typer.Typer(
         cls=LazyGroup,
         callback=_root,
         result_callback=take,
         invoke_without_command=True,
-        **(SETTINGS | {"add_completion": True}),
+        **(SETTINGS | {"add_completion": completion}),
     )
     for name, summary in VERBS.items():
         listed = app.command(
@@ -224,9 +231,25 @@ def without_daemon(args: Sequence[str]) -> list[str]:
     return kept
 
 
+def _print_help(ctx: typer.Context, value: bool) -> None:
+    if value and not ctx.resilient_parsing:
+        typer.echo(ctx.get_help())
+        raise typer.Exit
+
+
 def _root(
     ctx: typer.Context,
     *,
+    _help: Annotated[  # its callback prints the help
+        bool,
+        typer.Option(
+            "--help",
+            "-h",
+            help="Show this message and exit.",
+            is_eager=True,
+            callback=_print_help,
+        ),
+    ] = False,
     version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
 ) -> None:
     """ROS 2 actions for asyncio: serve, send, watch and cancel goals. No ROS needed."""
@@ -251,33 +274,6 @@ def _daemon(what: Annotated[str, typer.Argument()] = "") -> Job:  # noqa: ARG001
 
 def _exit_status(status: int, _: Interrupts) -> int:
     return status
-
-
-def _spare_validators(params: Iterable[Any]) -> None:
-    """Handle values that need no validator without one: defaults, plain text, our own parsers.
-
-    Typer itself does so for flags only. For any other parameter, given or not, it builds a pydantic
-    validator, and importing pydantic takes 60 ms: as long as Typer, for each command and each Tab.
-    """
-    for param in params:
-        param.process_value = partial(_process, param, param.process_value)
-
-
-def _process(
-    param: TyperOption | TyperArgument,
-    convert: Callable[[typer.Context, object], object],
-    ctx: typer.Context,
-    value: object,
-) -> object:
-    if value is param.default and not (param.required and not ctx.resilient_parsing):
-        return value
-    kind = param.type_descriptor
-    parse = kind.parameter_info.parser
-    if isinstance(value, str) and (parse is not None or kind.annotation is str):
-        return value if parse is None else parse(value)
-    if isinstance(value, list | tuple) and value and kind.annotation == list[str]:
-        return value
-    return convert(ctx, value)
 
 
 def _check_text(ctx: typer.Context, param: Any) -> None:  # noqa: ANN401  # option or argument

@@ -62,12 +62,16 @@ MOST_DIGITS = 18
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+)+")
 
 
-def ros_domain(text: str) -> int:
-    """A ROS domain; for ``typer.Option(parser=...)``, as are the functions `seconds` to `whole`.
+def ros_domain(given: str | int) -> int:
+    """Parse a ROS domain.
+
+    Like `seconds`, `hertz`, `speed` and `whole` below, this is for ``typer.Option(parser=...)``.
+    Typer passes the default of an option to its parser too.
 
     Raises:
-        typer.BadParameter: if it is something else.
+        typer.BadParameter: if the text is something else.
     """
+    text = str(given)
     if not (text.isascii() and text.isdigit() and len(text) <= 3 and int(text) <= MOST_DOMAIN):
         raise typer.BadParameter(f"{quoted(text)} is not a ROS domain, 0 to {MOST_DOMAIN}")
     return int(text)
@@ -210,34 +214,35 @@ def only_one(what: str, **given: bool) -> None:
         raise UsageError(f"{what} is given twice: give one of {ways}")
 
 
-def seconds(text: str) -> float:
-    """A number of seconds, 0 or more."""
-    value = _finite(text)
+def seconds(given: str | float) -> float:
+    """Parse a number of seconds, 0 or more."""
+    value = _finite(given)
     if not value >= 0:
-        raise typer.BadParameter(f"{quoted(text)} is not a number of seconds, 0 or more")
+        raise typer.BadParameter(f"{quoted(str(given))} is not a number of seconds, 0 or more")
     return value
 
 
-def hertz(text: str) -> float:
-    """A rate in Hz, above zero."""
-    value = _finite(text)
+def hertz(given: str | float) -> float:
+    """Parse a rate in Hz, above zero."""
+    value = _finite(given)
     if not value > 0:
-        raise typer.BadParameter(f"{quoted(text)} is not a rate in Hz above zero")
+        raise typer.BadParameter(f"{quoted(str(given))} is not a rate in Hz above zero")
     return value
 
 
-def speed(text: str) -> float:
-    """How fast time passes: a factor above zero."""
+def speed(given: str | float) -> float:
+    """Parse how fast time passes: a factor above zero."""
     from turtleact.clock import FASTEST
 
-    value = _finite(text)
+    value = _finite(given)
     if not 0 < value <= FASTEST:
-        raise typer.BadParameter(f"{quoted(text)} is not a factor above 0 and at most {FASTEST:g}")
+        problem = f"is not a factor above 0 and at most {FASTEST:g}"
+        raise typer.BadParameter(f"{quoted(str(given))} {problem}")
     return value
 
 
 def speed_or_max(text: str) -> float | str:
-    """Such a factor, or ``max``: as fast as it computes.
+    """Parse such a factor, or ``max`` for as fast as the machine computes.
 
     Raises:
         UsageError: if it is neither.
@@ -250,18 +255,19 @@ def speed_or_max(text: str) -> float | str:
         raise UsageError(f"--speed: {error.message}, or max") from None
 
 
-def whole(text: str) -> int:
-    """A whole number, 0 or more, that fits 64 bits."""
+def whole(given: str | int) -> int:
+    """Parse a whole number, 0 or more, that fits 64 bits."""
+    text = str(given)
     if not (text.isascii() and text.isdigit() and len(text) <= MOST_DIGITS):
         problem = f"is not a whole number, 0 or more, of {MOST_DIGITS} digits at most"
         raise typer.BadParameter(f"{quoted(text)} {problem}")
     return int(text)
 
 
-def _finite(text: str) -> float:
-    """A number, or NaN if it is none, or infinite."""
+def _finite(given: str | float) -> float:
+    """The number, or NaN if it is infinite or no number at all."""
     try:
-        value = float(text)
+        value = float(given)
     except ValueError:
         return math.nan
     return value if math.isfinite(value) else math.nan
