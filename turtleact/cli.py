@@ -141,7 +141,8 @@ def _report_broken_output(error: OSError) -> int:
 
     if sys.stdout is not None:
         abandon(sys.stdout)
-    if error.errno in (errno.EPIPE, errno.EIO):
+    closed = {errno.EPIPE, errno.EIO} | ({errno.EINVAL} if sys.platform == "win32" else set())
+    if error.errno in closed:
         return BROKEN_PIPE
     _note(f"the output cannot be written: {error.strerror}")
     return FAILED

@@ -20,7 +20,8 @@ class _Pool:
 
     def __init__(self) -> None:
         self._stock: list[bytes] = []
-        os.register_at_fork(after_in_child=self._stock.clear)
+        if hasattr(os, "register_at_fork"):  # Windows does not fork
+            os.register_at_fork(after_in_child=self._stock.clear)
 
     def draw(self) -> bytes:
         if not self._stock:

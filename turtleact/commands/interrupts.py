@@ -19,8 +19,10 @@ on where the program stands:
 One handler, set once, does all of this. With the loop's own signal handling, Python's default would
 apply just before and after the loop, and print a traceback. The handler wakes the loop through
 ``call_soon_threadsafe``, as `asyncio.Runner` does for Ctrl-C. While the loop or a reading waits in
-the system, it also waits for a pipe into which the system writes each signal: otherwise Python
+the system, it also waits for a socket to which the system writes each signal: otherwise Python
 would notice a signal that came just before that wait only after it.
+
+Windows has neither an alarm clock nor a way to wait for a file: threads do both there.
 """
 
 from __future__ import annotations
@@ -31,17 +33,34 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from math import inf
-from time import monotonic
+from time import monotonic, sleep
 from typing import TYPE_CHECKING, NoReturn
 
 if TYPE_CHECKING:
     import asyncio
+    import socket
     from types import FrameType
 
-__all__ = ["Interrupts", "leave"]
+__all__ = ["Interrupts", "leave", "signals"]
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+def signals(*names: str) -> tuple[signal.Signals, ...]:
+    """The signals of these names that this system has."""
+    return tuple(signal.Signals(getattr(signal, each)) for each in names if hasattr(signal, each))
+
+
+SIGNALS = signals("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+
+HAS_ALARM = hasattr(signal, "SIGALRM")
+"""Whether the system has an alarm clock that rings by a signal."""
+
+WAITS_FOR_FILES = os.name == "posix"
+"""Whether the system can wait for a file and a signal at the same time."""
+
+TICK = 0.1
+"""How often (s) a system without that looks after both."""
 
 GRACE = 0.5
 """How long the loop may be late (s, wall clock)."""
@@ -96,6 +115,10 @@ class Interrupts:
         for number in SIGNALS:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._arrive)
+        if not HAS_ALARM:
+            from threading import Thread
+
+            Thread(target=self._watch, name="alarm clock", daemon=True).start()
 
     def ignore(self) -> None:
         """Ignore the signals from now on: they would kill Python while it ends."""
@@ -117,16 +140,12 @@ class Interrupts:
         data = bytearray()
         self._is_reading = True
         try:
-            with _signals_in_a_pipe() as signals:
+            with _woken_by_signals() as woken:
                 if self.received:
                     raise KeyboardInterrupt
+                read = partial(_read, file, woken) if WAITS_FOR_FILES else _reading_thread(file)
                 while len(data) < most and not (line and b"\n" in data):
-                    ready, _, _ = select.select([file, signals], (), ())
-                    if signals in ready:  # a signal that does not end the program
-                        os.read(signals, CHUNK)
-                    if file not in ready:
-                        continue
-                    part = os.read(file, min(most - len(data), CHUNK))
+                    part = read(min(most - len(data), CHUNK))
                     if not part:
                         break
                     data += part
@@ -142,15 +161,16 @@ class Interrupts:
         self._changed = asyncio.Event()
         self._tell = lambda: loop.call_soon_threadsafe(self._changed.set)
         self._endured = 2
-        before = signal.getsignal(signal.SIGALRM)
-        with _signals_in_a_pipe() as signals:
-            loop.add_reader(signals, os.read, signals, CHUNK)
+        before = signal.getsignal(signal.SIGALRM) if HAS_ALARM else None
+        with _woken_by_signals() as woken:
+            loop.add_reader(woken, woken.recv, CHUNK)
             try:
                 yield
             finally:
-                loop.remove_reader(signals)
-                signal.setitimer(signal.ITIMER_REAL, 0)
-                signal.signal(signal.SIGALRM, before)
+                loop.remove_reader(woken)
+                if HAS_ALARM:
+                    signal.setitimer(signal.ITIMER_REAL, 0)
+                    signal.signal(signal.SIGALRM, before)
                 self._tell = None
                 self._due = inf
                 self._endured = sys.maxsize
@@ -219,6 +239,8 @@ class Interrupts:
         It then rings every `GRACE`. A single alarm could get lost: Python 3.11 may record a signal
         without running its handler if the main thread is in a loop of its own.
         """
+        if not HAS_ALARM:  # `_watch` looks at the deadline by itself
+            return
         seconds = self._due - monotonic()
         if self.received:
             seconds = min(seconds, GRACE)
@@ -231,6 +253,16 @@ class Interrupts:
         else:
             self._set_alarm()
 
+    def _watch(self) -> None:
+        """Be the alarm clock, in a thread: end the process when the deadline has passed.
+
+        It only reads what the handlers write. A handler may have interrupted the main thread
+        anywhere, so it must take no lock, such as that of a timer.
+        """
+        while monotonic() < self._due:
+            sleep(TICK)
+        self._end(self._late)
+
     def _end(self, status: int) -> NoReturn:
         try:
             self.restore()
@@ -238,15 +270,57 @@ class Interrupts:
             os._exit(status)
 
 
+def _read(file: int, woken: socket.socket, most: int) -> bytes:
+    """Read a part of a file, once there is something to read."""
+    while True:
+        ready, _, _ = select.select([file, woken.fileno()], (), ())
+        if woken.fileno() in ready:  # a signal that does not end the program
+            woken.recv(CHUNK)
+        if file in ready:
+            return os.read(file, most)
+
+
+def _reading_thread(file: int) -> Callable[[int], bytes]:
+    """Like `_read`, where the system cannot wait for a file: a thread waits.
+
+    The handler of a signal runs between two looks at what the thread has read. After a signal the
+    thread may stay behind in its reading; it does not keep the program alive.
+    """
+    import queue
+    from threading import Thread
+
+    parts: queue.SimpleQueue[bytes | OSError] = queue.SimpleQueue()
+
+    def read(most: int) -> None:
+        try:
+            parts.put(os.read(file, most))
+        except OSError as error:
+            parts.put(error)
+
+    def wait(most: int) -> bytes:
+        Thread(target=read, args=(most,), name="reading", daemon=True).start()
+        while True:
+            try:
+                part = parts.get(timeout=TICK)
+            except queue.Empty:
+                continue
+            if isinstance(part, OSError):
+                raise part
+            return part
+
+    return wait
+
+
 @contextmanager
-def _signals_in_a_pipe() -> Iterator[int]:
-    """A pipe that becomes readable when a signal comes; its reading end."""
-    reader, writer = os.pipe()
-    os.set_blocking(writer, False)
-    before = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
-    try:
-        yield reader
-    finally:
-        signal.set_wakeup_fd(before)
-        os.close(reader)
-        os.close(writer)
+def _woken_by_signals() -> Iterator[socket.socket]:
+    """A socket that becomes readable when a signal comes; on Windows a pipe would not do."""
+    import socket
+
+    reader, writer = socket.socketpair()
+    with reader, writer:
+        writer.setblocking(False)
+        before = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
+        try:
+            yield reader
+        finally:
+            signal.set_wakeup_fd(before)

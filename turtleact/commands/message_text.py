@@ -121,12 +121,16 @@ def _read_stdin(interrupts: Interrupts) -> bytes:
     return interrupts.read(sys.stdin.fileno(), MOST + 1)
 
 
+READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+"""How a file is opened, on POSIX and on Windows."""
+
+
 def _read_file(path: str, interrupts: Interrupts) -> bytes:
     if not path:
         raise UsageError("--goal-file: the path is empty")
     try:
         # Otherwise opening a named pipe would wait for a writer.
-        file = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        file = os.open(path, READING)
     except ValueError:  # a null byte in the path
         raise UsageError("--goal-file: a path holds no null character") from None
     try:

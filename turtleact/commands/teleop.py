@@ -9,7 +9,6 @@ Source: turtlesim 1.8.2, ``tutorials/teleop_turtle_key.cpp``, for the keys, spee
 from __future__ import annotations
 
 import math
-import os
 import re
 import sys
 from collections.abc import AsyncIterator
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import anyio
 
 from turtleact.commands import graph, runner
+from turtleact.commands.console import console
 from turtleact.commands.output import note, say
 from turtleact.commands.send_goal import embedded_world
 from turtleact.commands.terminal import LogLines, Region, can_move, keep_drawing
@@ -248,21 +248,18 @@ class _Driving:
 
     async def _read(self) -> None:
         """Read keys and obey them, until one quits."""
-        keys, typed_at = Keys(), sys.stdin.fileno()
+        keys = Keys()
         while True:
-            await anyio.wait_readable(typed_at)
+            await console().wait_for_key(sys.stdin)
             if not self._region.is_in_foreground():  # the keys are for another process
                 await anyio.sleep(BACKGROUND)
                 continue
-            try:
-                data = os.read(typed_at, 1024)
-            except OSError:  # the terminal is gone
-                data = b""
+            data = console().typed(sys.stdin)
             for key in keys.read(data):
                 self._press(key)
                 if key == QUIT:
                     return
-            if not data:
+            if not data:  # the terminal is gone
                 return
 
     def _press(self, key: str) -> None:

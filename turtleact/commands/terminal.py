@@ -20,18 +20,19 @@ from __future__ import annotations
 import io
 import os
 import re
-import select
 import signal
 import sys
-import termios
 import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout, suppress
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TextIO
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, TextIO
 
 import anyio
+
+from turtleact.commands.console import console
+from turtleact.commands.interrupts import signals
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -51,9 +52,9 @@ __all__ = [
     "keep_drawing",
 ]
 
-LOCAL_MODES: Final = 3
-CONTROL_CHARACTERS: Final = 6
-"""Where ``tcgetattr`` keeps the modes that ECHO is one of, and where VMIN and VTIME."""
+STOPPING: Final = signals("SIGTSTP", "SIGQUIT")
+CONTINUING: Final = signals("SIGCONT")
+"""The signals before and after which the terminal may belong to another process."""
 
 GIVE_BACK: Final = "\r\x1b[K\x1b7\x1b[B\x1b[J\x1b8\x1b[?25h"
 """Removes the lines and shows the cursor. The first line is erased by itself: if the screen is
@@ -65,7 +66,7 @@ def can_move(stream: TextIO | None) -> bool:
     return (
         stream is not None
         and stream.isatty()
-        and os.environ.get("TERM", "") not in ("", "dumb", "unknown")
+        and console().can_move()
         and stream.encoding.lower().replace("-", "") == "utf8"
     )
 
@@ -88,7 +89,7 @@ class Outlet:
         self.due: Callable[[], object] | None = None
         self._stream = stream
         self._kept = b""
-        self._descriptor = _opened_again(stream)
+        self._descriptor = console().reopen(stream)
 
     def write(self, text: str) -> None:
         """Write after the text that is kept; what the terminal does not take now is kept too."""
@@ -102,7 +103,7 @@ class Outlet:
     def push(self) -> bool:
         """Write the text that is kept, and return whether the terminal has taken all of it."""
         if self._descriptor is None:
-            return not self._stream.isatty() or bool(select.select([], [self._stream], [], 0)[1])
+            return not self._stream.isatty() or console().takes_text(self._stream)
         self.is_writing = True
         try:
             while self._kept:
@@ -154,7 +155,7 @@ class Region:
         self._outlet: Outlet | None = None  # while it is held
         self._is_drawn = False
         self._is_held = False
-        self._modes: list[Any] | None = None  # as they were found, while there is no echo
+        self._modes: object | None = None  # as they were found, while there is no echo
 
     def size(self) -> tuple[int, int]:
         """The current columns and lines of the window."""
@@ -201,10 +202,7 @@ class Region:
 
     def is_in_foreground(self) -> bool:
         """Whether the process is in the foreground, or the terminal controls no process."""
-        try:
-            return os.tcgetpgrp(self._stream.fileno()) == os.getpgrp()
-        except OSError:
-            return True
+        return console().is_in_foreground(self._stream)
 
     @contextmanager
     def held(self) -> Iterator[None]:
@@ -214,9 +212,8 @@ class Region:
         back. After SIGCONT the next frame is drawn where the cursor stands.
         """
         handlers: dict[signal.Signals, Callable[[int, FrameType | None], None]] = {
-            signal.SIGTSTP: self._follow,
-            signal.SIGQUIT: self._follow,
-            signal.SIGCONT: self._forget,
+            **dict.fromkeys(STOPPING, self._follow),
+            **dict.fromkeys(CONTINUING, self._forget),
         }
         taken = [each for each in handlers if signal.getsignal(each) is signal.SIG_DFL]
         self._is_held = True
@@ -239,16 +236,16 @@ class Region:
         """Give the terminal back as it was; never blocks, and may be called at any moment."""
         is_drawn, self._is_drawn = self._is_drawn, False
         modes, self._modes = self._modes, None
-        with suppress(OSError, termios.error):  # if it is gone, there is nothing to give back
+        with suppress(OSError):  # if it is gone, there is nothing to give back
             if is_drawn and self._outlet is not None:
                 if self._outlet.is_writing:  # and the process is about to end
                     self._outlet.interject(GIVE_BACK)
                 else:
                     self._outlet.write(GIVE_BACK)
-            elif is_drawn and select.select([], [self._stream], [], 0)[1]:
+            elif is_drawn and console().takes_text(self._stream):
                 os.write(self._stream.fileno(), GIVE_BACK.encode())
             if modes is not None and self.is_in_foreground():
-                termios.tcsetattr(self._typed_at(), termios.TCSANOW, modes)
+                console().give_back(self._typed_at(), modes)
 
     def _follow(self, number: int, _: FrameType | None) -> None:
         """Let a signal have its default effect; the process may be continued after it."""
@@ -268,19 +265,8 @@ class Region:
 
     def _silence(self) -> None:
         """Turn echo off: typed characters would tear the frame apart."""
-        typed_at = self._typed_at()
-        try:
-            modes = termios.tcgetattr(typed_at)
-        except (OSError, termios.error):
-            return  # not a terminal
-        self._modes = [*modes]
-        modes[LOCAL_MODES] &= ~termios.ECHO
-        if self._keyboard is not None:
-            modes[LOCAL_MODES] &= ~termios.ICANON
-            modes[CONTROL_CHARACTERS] = [*modes[CONTROL_CHARACTERS]]  # those of before are kept
-            modes[CONTROL_CHARACTERS][termios.VMIN] = 1
-            modes[CONTROL_CHARACTERS][termios.VTIME] = 0
-        termios.tcsetattr(typed_at, termios.TCSANOW, modes)
+        by_key = self._keyboard is not None
+        self._modes = console().silence(self._typed_at(), by_key=by_key)
 
     def _typed_at(self) -> TextIO:
         return self._keyboard or self._stream
@@ -291,19 +277,6 @@ class Region:
             return
         self._stream.write(text)
         self._stream.flush()
-
-
-def _opened_again(stream: TextIO) -> int | None:
-    """The terminal behind a stream, opened again, so that writing to it never waits."""
-    try:
-        name = os.ttyname(stream.fileno())
-        descriptor = os.open(name, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
-    except OSError:  # no terminal, or one that was handed on by another user
-        return None
-    if os.fstat(descriptor).st_rdev != os.fstat(stream.fileno()).st_rdev:  # of another namespace
-        os.close(descriptor)
-        return None
-    return descriptor
 
 
 PERIOD: Final = 1 / 15

@@ -1,0 +1,221 @@
+"""What a terminal can do on this system: on POSIX, or on Windows.
+
+`termios` and job control exist on POSIX only, `msvcrt` on Windows only. Both are imported when a
+terminal is used, so every module can be imported everywhere. The rest of turtleact asks a `Console`
+and does not know which system it runs on.
+
+Source: the documentation of Python's ``termios`` and ``msvcrt``; Microsoft's "Console Virtual
+Terminal Sequences". The Windows part has been tested with a stand-in for ``msvcrt`` only.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+from contextlib import suppress
+from functools import cache
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any, Final, Protocol, TextIO
+
+import anyio
+
+from turtleact.errors import UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ["Console", "PosixConsole", "WindowsConsole", "console"]
+
+LOCAL_MODES: Final = 3
+CONTROL_CHARACTERS: Final = 6
+"""Where ``tcgetattr`` keeps the modes that ECHO is one of, and where VMIN and VTIME."""
+
+KEY_PERIOD: Final = 0.02
+"""How often Windows is asked whether a key was pressed (s): nothing tells an event loop."""
+
+SPECIAL: Final = "\x00\xe0"
+"""One of these comes before the code of a key without a character."""
+
+ARROWS: Final = {"H": b"\x1b[A", "P": b"\x1b[B", "M": b"\x1b[C", "K": b"\x1b[D"}
+"""The codes of the arrow keys, as the control sequences that other terminals send."""
+
+CTRL_C: Final = "\x03"
+
+STDOUT: Final = -11
+VIRTUAL_TERMINAL: Final = 0x0004
+"""The standard output of Windows, and the mode in which it obeys control sequences."""
+
+
+class Console(Protocol):
+    """What differs between systems. The streams are terminals, if nothing else is said."""
+
+    def can_move(self) -> bool:
+        """Whether the terminal obeys control sequences."""
+
+    def is_in_foreground(self, stream: TextIO) -> bool:
+        """Whether the process is in the foreground, or the terminal controls no process."""
+
+    def reopen(self, stream: TextIO) -> int | None:
+        """Open the terminal again, so that writing never waits; None if that is impossible."""
+
+    def takes_text(self, stream: TextIO) -> bool:
+        """Whether writing to the terminal would not wait."""
+
+    def silence(self, stream: TextIO, *, by_key: bool) -> object | None:
+        """Turn echo off: typed characters would tear a frame apart.
+
+        Args:
+            stream: Where the user types.
+            by_key: Whether each key is to come at once, not only whole lines.
+
+        Returns:
+            The modes as they were, for `give_back`; None if there is nothing to give back.
+        """
+
+    def give_back(self, stream: TextIO, modes: object) -> None:
+        """Undo `silence`. Nothing happens if the terminal is gone."""
+
+    async def wait_for_key(self, stream: TextIO) -> None:
+        """Wait until something was typed. Cancelling: safe."""
+
+    def typed(self, stream: TextIO) -> bytes:
+        """What was typed, with control sequences for the arrows; empty if the terminal is gone."""
+
+
+class PosixConsole:
+    """A terminal with modes and job control."""
+
+    def can_move(self) -> bool:
+        """Ask the environment."""
+        return os.environ.get("TERM", "") not in ("", "dumb", "unknown")
+
+    def is_in_foreground(self, stream: TextIO) -> bool:
+        """Compare process groups."""
+        try:
+            return os.tcgetpgrp(stream.fileno()) == os.getpgrp()
+        except OSError:
+            return True
+
+    def reopen(self, stream: TextIO) -> int | None:
+        """Open the terminal by its name."""
+        try:
+            name = os.ttyname(stream.fileno())
+            descriptor = os.open(name, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
+        except OSError:  # no terminal, or one that was handed on by another user
+            return None
+        if os.fstat(descriptor).st_rdev != os.fstat(stream.fileno()).st_rdev:
+            os.close(descriptor)  # a terminal of another namespace has the same name
+            return None
+        return descriptor
+
+    def takes_text(self, stream: TextIO) -> bool:
+        """Ask the system."""
+        return bool(select.select([], [stream], [], 0)[1])
+
+    def silence(self, stream: TextIO, *, by_key: bool) -> object | None:
+        """Change the terminal's local modes."""
+        import termios
+
+        try:
+            modes = termios.tcgetattr(stream)
+        except (OSError, termios.error):
+            return None  # not a terminal
+        before = [*modes]
+        modes[LOCAL_MODES] &= ~termios.ECHO
+        if by_key:
+            modes[LOCAL_MODES] &= ~termios.ICANON
+            modes[CONTROL_CHARACTERS] = [*modes[CONTROL_CHARACTERS]]  # those of before are kept
+            modes[CONTROL_CHARACTERS][termios.VMIN] = 1
+            modes[CONTROL_CHARACTERS][termios.VTIME] = 0
+        termios.tcsetattr(stream, termios.TCSANOW, modes)
+        return before
+
+    def give_back(self, stream: TextIO, modes: Any) -> None:  # noqa: ANN401  # from `silence`
+        """Set the modes that were found."""
+        import termios
+
+        with suppress(OSError, termios.error):
+            termios.tcsetattr(stream, termios.TCSANOW, modes)
+
+    async def wait_for_key(self, stream: TextIO) -> None:
+        """Let the event loop wait."""
+        await anyio.wait_readable(stream.fileno())
+
+    def typed(self, stream: TextIO) -> bytes:
+        """Read what is there."""
+        try:
+            return os.read(stream.fileno(), 1024)
+        except OSError:
+            return b""
+
+
+class WindowsConsole:
+    """A console that echoes only what is read by the line, and has no job control."""
+
+    def __init__(self) -> None:
+        self._keyboard: Any = None
+
+    def can_move(self) -> bool:
+        """Switch control sequences on, which an old console window does not do by itself."""
+        import ctypes
+
+        kernel = getattr(getattr(ctypes, "windll", None), "kernel32", None)
+        if kernel is None:
+            return False
+        output, mode = kernel.GetStdHandle(STDOUT), ctypes.c_ulong()
+        if not kernel.GetConsoleMode(output, ctypes.byref(mode)):
+            return False
+        return bool(kernel.SetConsoleMode(output, mode.value | VIRTUAL_TERMINAL))
+
+    def is_in_foreground(self, _: TextIO) -> bool:
+        """Every process that has a console may use it."""
+        return True
+
+    def reopen(self, _: TextIO) -> int | None:
+        """A console has no non-blocking mode."""
+        return None
+
+    def takes_text(self, _: TextIO) -> bool:
+        """Nothing can be asked. Writing waits only while the user selects text in the window."""
+        return True
+
+    def silence(self, stream: TextIO, *, by_key: bool) -> object | None:
+        """Nothing to do: a key is echoed when it is read, and `typed` reads it without echo."""
+
+    def give_back(self, stream: TextIO, modes: object) -> None:
+        """Nothing to do."""
+
+    async def wait_for_key(self, _: TextIO) -> None:
+        """Ask again and again: a console is nothing that a selector could wait for."""
+        pressed: Callable[[], bool] = self._msvcrt().kbhit
+        while not pressed():
+            await anyio.sleep(KEY_PERIOD)
+
+    def typed(self, _: TextIO) -> bytes:
+        """Read the keys that were pressed, without echo."""
+        keyboard, data = self._msvcrt(), b""
+        while keyboard.kbhit():
+            character = keyboard.getwch()
+            if character == CTRL_C:  # a signal, unless the console's modes were changed
+                signal.raise_signal(signal.SIGINT)
+            elif character in SPECIAL:
+                data += ARROWS.get(keyboard.getwch(), b"")
+            else:
+                data += character.encode(errors="ignore")
+        return data or b"\x00"  # nothing would mean that the terminal is gone
+
+    def _msvcrt(self) -> Any:  # noqa: ANN401  # a module that only Windows has
+        if self._keyboard is None:
+            try:
+                import msvcrt
+            except ModuleNotFoundError:
+                raise UsageError("this system has no way to read single keys") from None
+            self._keyboard = msvcrt
+        return self._keyboard
+
+
+@cache
+def console() -> Console:
+    """The console of this system."""
+    return PosixConsole() if find_spec("termios") is not None else WindowsConsole()
