@@ -262,9 +262,9 @@ async def test_nothing_is_published_once_nobody_watches():
         wire = Wire(served.node)
         one, other = wire.watch(), wire.watch()
         await one.aclose()
-        assert served.local.observers
+        assert served.local.observers.are_any
         await other.aclose()
-        assert not served.local.observers
+        assert not served.local.observers.are_any
 
 
 async def test_goals_that_wait_are_told_of_too():

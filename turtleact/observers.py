@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Callable
 
 from turtleact.goal import Goal, GoalStatus
 from turtleact.summaries import STOPS, loggable
@@ -38,19 +37,18 @@ class Observers:
         action: The name of the action, for the log.
 
     Attributes:
+        are_any: Whether there is anybody to tell. A server looks here before it calls anything.
         want_feedback: Whether any of them wants to hear of feedback.
     """
 
-    __slots__ = ("_action", "_observers", "_untold", "want_feedback")
+    __slots__ = ("_action", "_observers", "_untold", "are_any", "want_feedback")
 
     def __init__(self, action: str) -> None:
         self._action = action
         self._observers: tuple[GoalObserver, ...] = ()
-        self._untold: deque[Callable[[GoalObserver], None]] = deque()
+        self._untold: deque[tuple[Goal, GoalStatus, GoalStatus] | tuple[Goal, object]] = deque()
+        self.are_any = False
         self.want_feedback = False
-
-    def __bool__(self) -> bool:
-        return bool(self._observers)
 
     def add(self, observer: GoalObserver) -> None:
         """Tell ``observer`` of every change from now on."""
@@ -62,29 +60,34 @@ class Observers:
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
         """Tell all observers of a goal's new state."""
-        if self._observers:
-            self._tell(lambda observer: observer.goal_changed(goal, before, after))
+        self._untold.append((goal, before, after))
+        if len(self._untold) == 1:
+            self._tell()
 
     def feedback_published(self, goal: Goal, feedback: object) -> None:
         """Tell all observers of a feedback message."""
-        if self.want_feedback:
-            self._tell(lambda observer: observer.feedback_published(goal, feedback))
+        self._untold.append((goal, feedback))
+        if len(self._untold) == 1:
+            self._tell()
 
     def _set(self, observers: tuple[GoalObserver, ...]) -> None:
         self._observers = observers
+        self.are_any = bool(observers)
         self.want_feedback = any(
             type(each).feedback_published is not GoalObserver.feedback_published
             for each in observers
         )
 
-    def _tell(self, news: Callable[[GoalObserver], None]) -> None:
-        self._untold.append(news)
-        if len(self._untold) > 1:  # an observer caused this: the loop below tells it in turn
-            return
+    def _tell(self) -> None:
+        """Tell the first news, and what observers cause meanwhile after it."""
         while self._untold:
+            news = self._untold[0]
             for observer in self._observers:
                 try:
-                    self._untold[0](observer)
+                    if len(news) == 3:
+                        observer.goal_changed(*news)
+                    else:
+                        observer.feedback_published(*news)
                 except STOPS:
                     self._untold.clear()
                     raise

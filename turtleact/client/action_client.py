@@ -341,23 +341,23 @@ class _ClientObservers(Observers):
 
     def add(self, observer: GoalObserver) -> None:
         """Tell ``observer`` of every change from now on."""
-        if not self and self._theirs is not None:
+        if not self.are_any and self._theirs is not None:
             self._theirs.add(self._relay)
         super().add(observer)
 
     def remove(self, observer: GoalObserver) -> None:
         """Tell it nothing any more; an unknown observer is ignored."""
         super().remove(observer)
-        if not self and self._theirs is not None:
+        if not self.are_any and self._theirs is not None:
             self._theirs.remove(self._relay)
 
     def watch(self, server: object | None) -> None:
         """Pass on what happens to the client's goals at this server in place of another."""
-        if self and self._theirs is not None:
+        if self.are_any and self._theirs is not None:
             self._theirs.remove(self._relay)
         theirs = getattr(server, "observers", None)
         self._theirs = theirs if isinstance(theirs, Observers) else None
-        if self and self._theirs is not None:
+        if self.are_any and self._theirs is not None:
             self._theirs.add(self._relay)
 
 

@@ -396,7 +396,7 @@ class RemoteGoals:
         goal = remote.goal
         goal.stamp = nanoseconds(response.stamp)
         remote.is_accepted = True
-        if self._observers:
+        if self._observers.are_any:
             self._show(remote)
         if remote.is_awaited:
             self.signal(goal).fire()
@@ -457,7 +457,7 @@ class RemoteGoals:
     def _apply(self, remote: RemoteGoal, event: GoalEvent) -> None:
         goal, before = remote.goal, remote.goal.status
         goal.apply(event)
-        if self._observers:
+        if self._observers.are_any:
             self._show(remote)
             if remote.is_observed:
                 self._observers.goal_changed(goal, before, goal.status)

@@ -66,7 +66,7 @@ class FeedbackTopic(Source):
         publication = self._publication
         if goal.is_streamed or goal.on_feedback or goal.ended or publication.has_near_readers:
             return False
-        data = self._format.write_unchecked(self._server.name_goal(goal), feedback)
+        data = self._format.write_unchecked(goal.id or self._server.name_goal(goal), feedback)
         if data is None:
             return False
         goal.published += 1
@@ -77,7 +77,7 @@ class FeedbackTopic(Source):
     def publish(self, goal: Goal, message: Message) -> None:
         """Send a checked copy."""
         goal.published += 1
-        goal_id, publication = self._server.name_goal(goal), self._publication
+        goal_id, publication = goal.id or self._server.name_goal(goal), self._publication
         if publication.has_near_readers:
             publication.publish(self._message_type(UUID(goal_id), message))
         else:
@@ -120,7 +120,7 @@ class StatusTopic(GoalObserver):
         """The same as bytes."""
         changed, entries = self._changed, self._entries
         for goal in self._server.held() if changed is None else changed:
-            goal_id = self._server.name_goal(goal)
+            goal_id = goal.id or self._server.name_goal(goal)
             entries[goal_id] = pack_state(goal_id, (*divmod(goal.stamp, SECOND), goal.status))
         self._changed, self._is_stale = {}, False
         held = self._server.held_ids()
@@ -141,7 +141,8 @@ class StatusTopic(GoalObserver):
         A reader in this process gets a message for each change. Those elsewhere get one for all
         changes in a row.
         """
-        self._server.name_goal(goal)  # or the goal would be forgotten at its end
+        if goal.id is None:  # or it would be forgotten at its end
+            self._server.name_goal(goal)
         if self._changed is not None:
             self._changed[goal] = None
         publication = self._publication

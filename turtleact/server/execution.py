@@ -81,7 +81,8 @@ class Execution:
         table: Where goals are held.
         tasks: Starts the tasks of bodies.
         now: The time (ns since the epoch).
-        release: Told of each goal that has ended; may return a callable that starts the next goal.
+        release: Called when a goal ends. May return a callable that starts the next goal. None if
+            goals never wait for one another.
 
     Attributes:
         served: The same.
@@ -97,7 +98,7 @@ class Execution:
         table: GoalTable,
         tasks: Tasks,
         now: Callable[[], int],
-        release: Callable[[Goal], Callable[[], object] | None],
+        release: Callable[[Goal], Callable[[], object] | None] | None,
     ) -> None:
         self.served = served
         self.observers = Observers(served.name)
@@ -123,6 +124,7 @@ class Execution:
         """
         if goal.status is GoalStatus.CANCELING or goal.reason:
             self._end_canceled(goal)
+        if goal.ended:
             return
         task = goal.body = BodyTask(self, goal, self._tasks)
         self.bodies[task] = goal
@@ -273,7 +275,7 @@ class Execution:
         """
         before = goal.status
         goal.apply(event)
-        if self.observers:
+        if self.observers.are_any:
             self.observers.goal_changed(goal, before, goal.status)
 
     def drop(self, goal: Goal) -> None:
@@ -304,8 +306,8 @@ class Execution:
         before = goal.status
         goal.apply(event)
         self._table.end(goal, self._now())
-        start_next = self._release(goal)
-        if self.observers:
+        start_next = None if self._release is None else self._release(goal)
+        if self.observers.are_any:
             self.observers.goal_changed(goal, before, goal.status)
         if start_next is not None:
             self._tasks.call_soon(start_next)

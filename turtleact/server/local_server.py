@@ -101,6 +101,7 @@ class LocalActionServer:
         name: The fully qualified name of the action.
         is_open: Whether it takes goals.
         execution: Runs the bodies.
+        observers: Told of each change of the goals.
         slot: Where goals have their places; None if they need none, and once the server is closed.
         grace: How long a body may take for its clean-up (s, event loop time).
 
@@ -128,18 +129,15 @@ class LocalActionServer:
         self._callbacks = Callbacks(served.name, options, tasks)
         self._cancels_lost = options.get("on_client_lost", "keep") == "cancel"
         self._table = GoalTable(options.get("result_timeout", 10.0))
-        self.execution = Execution(served, self._table, tasks, now, self._release)
+        release = None if slot is None else self._release
+        self.execution = Execution(served, self._table, tasks, now, release)
+        self.observers: Observers = self.execution.observers
         goal_type = cast("type[Message]", served.action_type.Goal)
         self._check_goal = cast("Callable[[object], Message]", snapshotter(goal_type, root="goal"))
         self._until_turn = IN_A_ROW
         self._preparing: Counter[object] = Counter()  # how many goals, by their senders
         self._lost: set[object] = set()  # which of these senders have gone
         self._cancels: dict[Goal, Background] = {}  # whose cancel_callback has yet to answer
-
-    @property
-    def observers(self) -> Observers:
-        """Told of each change of the goals."""
-        return self.execution.observers
 
     @property
     def is_idle(self) -> bool:
@@ -251,28 +249,40 @@ class LocalActionServer:
         # A journal would have to hold the goal from here on, before anybody hears of it.
         if not self._table.add(goal):
             raise GoalRejected(f"the server still holds a goal of the id {goal.hex}")
-        if self.slot is None and not self.observers:
+        if self.slot is None:
+            if self.observers.are_any:
+                self._show_accepted(goal)
             self.execution.start(goal)
         else:
-            goal.status, goal.history = _ACCEPTED, ()
-            self._enter_slot(goal)
+            self._enter(goal, self.slot)
         return goal
 
-    def _enter_slot(self, goal: Goal) -> None:
-        """Start an ACCEPTED goal, or give it a place to wait in."""
+    def _show_accepted(self, goal: Goal) -> None:
+        """Let a goal that starts at once pass through ACCEPTED for its observers.
+
+        One of them may cancel the goal; it is not made EXECUTING then, and never starts.
+        """
+        goal.status, goal.history = _ACCEPTED, ()
+        self.observers.goal_changed(goal, GoalStatus.UNKNOWN, _ACCEPTED)
+        if goal.status is _ACCEPTED:
+            self.execution.move(goal, GoalEvent.EXECUTE)
+
+    def _enter(self, goal: Goal, slot: Slot[SlotRequest]) -> None:
+        """Start a goal in its slot, or give it a place to wait in."""
+        goal.status, goal.history = _ACCEPTED, ()
         request = goal.body = SlotRequest(self, goal)
-        entry = None if self.slot is None else self.slot.enter(request)
-        if entry is not None and entry.admission is Admission.REJECT:
+        entry = slot.enter(request)
+        if entry.admission is Admission.REJECT:
             self._table.forget(goal)
             raise GoalRejected(entry.reason)
-        self.observers.goal_changed(goal, GoalStatus.UNKNOWN, _ACCEPTED)
+        if self.observers.are_any:
+            self.observers.goal_changed(goal, GoalStatus.UNKNOWN, _ACCEPTED)
         if goal.ended:  # an observer has cancelled it
             return
-        if entry is None or entry.admission is Admission.START:
+        if entry.admission is Admission.START:
             goal.body = None
             self.execution.move(goal, GoalEvent.EXECUTE)
-            if not goal.ended:
-                self.execution.start(goal)
+            self.execution.start(goal)
             return
         for each in (entry.displaced, *entry.evicted):
             if each is not None:
@@ -281,7 +291,7 @@ class LocalActionServer:
     def _release(self, goal: Goal) -> Callable[[], None] | None:
         """Give the place of a goal that has ended to the next; return what starts that one."""
         slot = self.slot
-        if slot is None:
+        if slot is None:  # the server is closed
             return None
         following, overdue = slot.leave(goal), slot.overdue()
         if overdue is not None:
