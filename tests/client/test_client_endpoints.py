@@ -10,7 +10,7 @@ import anyio
 import pytest
 
 from turtleact.client.client_endpoints import AT_ONCE, ClientEndpoints, RequestLimiter
-from turtleact.goal_note import GoalNote
+from turtleact.goal_wire import GoalNote
 from turtleact.interfaces import WireFormat, implied
 from turtleact.names import action_names
 from turtleact.transports import MemoryTransport, QoS

@@ -12,7 +12,7 @@ from turtleact import GoalStatus
 from turtleact.client.remote_goals import RemoteGoals
 from turtleact.errors import GoalRejected, ServerUnavailable, ServiceTimeout, UnknownGoal
 from turtleact.goal import Goal
-from turtleact.goal_note import GoalNote
+from turtleact.goal_wire import GoalNote
 from turtleact.interfaces import implied
 from turtleact.observers import Observers
 from turtleact.tasks import current_tasks

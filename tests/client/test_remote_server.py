@@ -30,7 +30,7 @@ from turtleact.errors import (
     UnknownGoal,
 )
 from turtleact.goal import CancelCode
-from turtleact.goal_note import GoalNote
+from turtleact.goal_wire import GoalNote
 from turtleact.interfaces import Action, Message, implied, int32
 from turtleact.interfaces.standard import CancelGoal, Time
 from turtleact.tasks import current_tasks

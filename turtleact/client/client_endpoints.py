@@ -20,7 +20,7 @@ import anyio
 
 from turtleact.body import ActionType
 from turtleact.goal import CancelCode, GoalStatus
-from turtleact.goal_states import State, read_states
+from turtleact.goal_wire import State, read_states
 from turtleact.interfaces import (
     GOAL_ID,
     Action,

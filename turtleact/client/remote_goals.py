@@ -33,8 +33,7 @@ from turtleact.errors import (
 )
 from turtleact.feedback import FeedbackLog
 from turtleact.goal import Cancelable, Goal, GoalEvent, GoalStatus, status_of
-from turtleact.goal_note import GoalNote
-from turtleact.goal_states import State
+from turtleact.goal_wire import GoalNote, State
 from turtleact.interfaces import SECOND, Message, nanoseconds, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
 from turtleact.observers import Observers

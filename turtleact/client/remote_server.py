@@ -26,7 +26,7 @@ from turtleact.errors import GoalRejected, TurtleactError, UnknownGoal
 from turtleact.goal import Goal, status_of
 from turtleact.goal_id import new_goal_id
 from turtleact.goal_server import GoalOrder
-from turtleact.goal_states import State
+from turtleact.goal_wire import State
 from turtleact.interfaces import Message, snapshotter
 from turtleact.interfaces.standard import CancelGoal
 from turtleact.observers import Observers

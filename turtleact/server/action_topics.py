@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import Any, cast
 
 from turtleact.goal import Goal, GoalStatus
-from turtleact.goal_states import pack_state, write_states
+from turtleact.goal_wire import pack_state, write_states
 from turtleact.interfaces import SECOND, Action, FeedbackFormat, Message, WireFormat, implied
 from turtleact.interfaces.standard import UUID, GoalStatusArray, GoalStatusMessage
 from turtleact.observers import GoalObserver

@@ -24,8 +24,8 @@ from typing import Any, cast
 
 from turtleact.errors import GoalRejected
 from turtleact.goal import CancelCode, Goal, GoalStatus
-from turtleact.goal_note import GoalNote
 from turtleact.goal_server import GoalOrder
+from turtleact.goal_wire import GoalNote
 from turtleact.interfaces import (
     Action,
     Implied,
@@ -184,7 +184,7 @@ class _ActionService:
     def reply_now(self, request: object, caller: bytes) -> Reply | None:
         """Answer a request that came over a wire, if that takes no waiting."""
         reply = self.handle_now(request, caller)
-        if reply is not None:
+        if reply is not None and not self.server.is_open:  # `aclose` waits for such answers
             self.answered.fire()
         return reply
 

@@ -1,10 +1,17 @@
-"""The states of goals as bytes, beside what the messages themselves are written as."""
+"""Notes beside ROS 2's messages, and the bytes of the status topic."""
 
 from __future__ import annotations
 
 import pytest
 
-from turtleact.goal_states import pack_state, read_states, write_states
+from turtleact.goal_wire import (
+    LARGEST,
+    LONGEST_REASON,
+    GoalNote,
+    pack_state,
+    read_states,
+    write_states,
+)
 from turtleact.interfaces import encode
 from turtleact.interfaces.standard import (
     UUID,
@@ -59,3 +66,28 @@ def test_a_count_that_cannot_be_is_not_read():
 
 def test_big_endian_bytes_are_left_to_the_general_reader():
     assert read_states(b"\0\0\0\0" + message(1)[4:]) is None
+
+
+@pytest.mark.parametrize("note", [GoalNote(), GoalNote("no such place"), GoalNote("🐢", 3)])
+def test_a_note_is_read_as_it_was_written(note):
+    assert GoalNote.read(note.write()) == note
+
+
+@pytest.mark.parametrize("text", ["", "no JSON", '{"reason": 3}', "[]"])
+def test_what_is_no_note_is_an_empty_one(text):
+    assert GoalNote.read(text) == GoalNote()
+
+
+def test_a_long_reason_is_cut():
+    assert GoalNote.read(GoalNote("a" * 5_000).write()).reason == "a" * LONGEST_REASON
+
+
+def test_a_reason_that_utf_8_cannot_encode_is_escaped():
+    assert GoalNote.read(GoalNote("caf\udce9", 3).write()) == GoalNote(r"caf\udce9", 3)
+
+
+@pytest.mark.parametrize("character", ["\0", "\udce9", "🐢"])
+def test_a_note_is_never_longer_than_what_travels(character):
+    text = GoalNote(character * 2_000, 7).write()
+    assert len(text.encode()) <= LARGEST
+    assert GoalNote.read(text).feedback == 7
