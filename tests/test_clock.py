@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
+import weakref
 
 import anyio
 import anyio.lowlevel
@@ -14,6 +15,7 @@ from turtleact.clock import (
     EPOCH,
     FASTEST,
     LEEWAY,
+    Heap,
     ScaledClock,
     VirtualClock,
     WallClock,
@@ -414,14 +416,15 @@ async def test_sleepers_go_on_in_the_order_of_their_deadlines(clock):
 async def lie_down(group: anyio.abc.TaskGroup, clock: VirtualClock, seconds: float, wake) -> None:
     """Start a task that sleeps and then calls ``wake``; it lies before this returns."""
 
+    lying = anyio.Event()
+
     async def sleep() -> None:
+        lying.set()  # whoever waits for that runs only once this task waits itself
         await clock.sleep(seconds)
         await wake()
 
-    before = len(clock._sleepers)
     group.start_soon(sleep)
-    while len(clock._sleepers) == before:
-        await anyio.lowlevel.checkpoint()
+    await lying.wait()
 
 
 async def test_sleepers_of_one_deadline_go_on_in_the_order_in_which_they_lay_down(clock):
@@ -468,35 +471,45 @@ async def test_a_sleep_can_be_canceled(clock):
     assert sleeper.scope.cancelled_caught
 
 
-async def test_a_canceled_sleep_is_forgotten():
+async def test_time_does_not_leap_to_the_end_of_a_canceled_sleep():
     clock = VirtualClock()
     async with running(lambda: clock.sleep(1)) as sleeper:
-        assert len(clock._sleepers) == 1
         sleeper.scope.cancel()
-    assert len(clock._sleepers) == 0
+    async with running(clock.run) as driver:
+        await wait_until_idle()
+        driver.scope.cancel()
+    assert clock.time() == 0
 
 
-async def test_of_many_canceled_sleeps_few_are_kept():
-    clock = VirtualClock()
-    async with running(lambda: clock.sleep(1)) as other:
-        for _ in range(200):
-            async with running(lambda: clock.sleep(2)) as sleeper:
-                sleeper.scope.cancel()
-        assert len(clock._sleepers) == 1
-        assert len(clock._sleepers._items) < 20
-        other.scope.cancel()
+def test_a_heap_gives_the_least_item_first_whatever_was_removed():
+    heap = Heap[tuple[float, int]]()
+    items = [(float(number % 7), number) for number in range(20)]
+    for item in items:
+        heap.push(item)
+    for removed in (items[7], items[0], items[14], items[19]):
+        heap.remove(removed)
+        items.remove(removed)
+        assert (heap.first, len(heap)) == (min(items), len(items))
 
 
-async def test_a_sleep_can_be_canceled_when_it_is_over_but_has_not_gone_on():
-    clock = VirtualClock()
-    async with running(lambda: clock.sleep(1)) as sleeper:
-        first = clock._sleepers.first
-        assert first is not None
-        clock._sleepers.remove(first)
-        first[2].fire()
-        sleeper.scope.cancel()
-        await sleeper.done.wait()
-    assert (sleeper.error, len(clock._sleepers)) == (None, 0)
+def test_an_item_can_be_removed_from_a_heap_twice():
+    heap = Heap[tuple[float, int]]()
+    heap.push((1.0, 1))
+    heap.remove((1.0, 1))
+    heap.remove((1.0, 1))
+    assert (heap.first, len(heap)) == (None, 0)
+
+
+def test_of_many_removed_items_a_heap_keeps_few():
+    heap = Heap[tuple[float, int, anyio.Event]]()
+    heap.push((0.0, 0, anyio.Event()))
+    removed = weakref.WeakSet[anyio.Event]()
+    for number in range(1, 201):
+        item = (1.0, number, anyio.Event())
+        removed.add(item[2])
+        heap.push(item)
+        heap.remove(item)
+    assert len(removed) < 20
 
 
 async def test_a_canceled_sleep_leaves_the_others_in_order():
@@ -512,7 +525,7 @@ async def test_a_canceled_sleep_leaves_the_others_in_order():
         async with running(lambda: clock.sleep(2)) as sleeper:
             sleeper.scope.cancel()
         async with running(clock.run) as driver:
-            while clock._sleepers:
+            while len(log) < 6:
                 await wait_until_idle()
             driver.scope.cancel()
     assert log == [3, 4, 5, 7, 8, 9]

@@ -7,6 +7,7 @@ import logging
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextvars import ContextVar
+from typing import Any
 
 import anyio
 import anyio.lowlevel
@@ -24,7 +25,7 @@ from turtleact.errors import (
     InvalidTransition,
 )
 from turtleact.feedback import FeedbackLog
-from turtleact.server.execution import BURST
+from turtleact.server.execution import BURST, CURRENT_GOAL
 from turtleact.summaries import LONGEST
 
 from .lab import (
@@ -1312,10 +1313,10 @@ async def test_without_a_reader_feedback_does_not_pile_up():
 
 
 async def test_an_awaited_goal_keeps_no_feedback_at_all():
-    goals = []
+    goals: list[Any] = []
 
     async def body(request, handle):
-        goals.append(handle._goal)
+        goals.append(CURRENT_GOAL.get())
         handle.publish_feedback(feedback(1))
         return result()
 

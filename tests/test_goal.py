@@ -370,7 +370,7 @@ def test_a_goal_without_an_id_is_forgotten_at_its_end():
     goal = make_goal()
     table.add(goal)
     table.end(goal, START)
-    assert (table.active, table._named) == ([], {})
+    assert table.held(START) == []
 
 
 def test_an_active_goal_can_be_named_and_found():
@@ -403,7 +403,7 @@ def test_an_ended_goal_that_is_named_too_late_is_not_kept():
     table.add(goal)
     table.end(goal, START)
     table.name(goal, ID_1, START + 20 * SECOND)
-    assert table._named == {}
+    assert not table.ids(START)
 
 
 def test_active_goals_are_listed_in_the_order_of_their_acceptance_even_at_one_time():
@@ -497,7 +497,7 @@ class Retention(RuleBasedStateMachine):
 
     @invariant()
     def nothing_is_held_beyond_what_was_named(self):
-        assert len(self.table._named) <= sum(goal.id is not None for goal in self.goals)
+        assert len(self.table.ids(0)) <= sum(goal.id is not None for goal in self.goals)
 
     def teardown(self) -> None:
         """Everything ended and its time over: nothing is left."""
@@ -508,7 +508,7 @@ class Retention(RuleBasedStateMachine):
                 self.table.end(goal, self.now)
         if self.keep_ns is not None:
             self.table.expire(self.now + self.keep_ns)
-            assert (self.table._named, self.table._expiries) == ({}, [])
+            assert not self.table.held(0)
 
 
 class RetentionForEver(Retention):

@@ -9,7 +9,7 @@ import logging
 import math
 import weakref
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import aclosing, asynccontextmanager
+from contextlib import aclosing, asynccontextmanager, closing
 from typing import Any, NamedTuple, assert_type
 
 import anyio
@@ -31,7 +31,7 @@ from turtleact.errors import (
 )
 from turtleact.interfaces import Message, Service, WireFormat, get_interface, int32
 from turtleact.services import LocalService, ServiceClient, ServiceServer
-from turtleact.tasks import Background
+from turtleact.tasks import Background, current_tasks
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Endpoint, Reply
 
@@ -80,7 +80,7 @@ class Desk(NamedTuple):
     @property
     def is_idle(self) -> bool:
         """Whether the server holds no request."""
-        return not self.server._calls
+        return self.server.is_idle
 
 
 @asynccontextmanager
@@ -154,13 +154,6 @@ class Gate:
                 await self.opened.wait()
         self.log.append("over")
         return add(request)
-
-
-def taken_up(served: Desk, request: Add.Request) -> services._Call:
-    """A call whose handler has no task yet: for what no caller can bring about at will."""
-    call = services._Call(request, served.server._tasks.signal())
-    served.server._calls[call] = None
-    return call
 
 
 @pytest.fixture
@@ -506,28 +499,46 @@ def kinds(error: BaseException | None) -> set[type[BaseException]]:
     )
 
 
-@ON_ASYNCIO
-async def test_a_caller_hears_that_its_handler_has_stopped_the_program():
-    async with desk() as served:
-        call = taken_up(served, numbers())
-        served.server._handler = stop_the_program
+def test_a_caller_hears_that_its_handler_has_stopped_the_program():
+    async def stop_the_program(request: Add.Request) -> Add.Response:
+        await asyncio.sleep(0)
+        raise SystemExit
+
+    async def main() -> None:
+        async with desk(stop_the_program) as served:
+            await served.client.call(numbers())
+
+    with closing(asyncio.new_event_loop()) as loop:
+        caller = loop.create_task(main())
         with pytest.raises(SystemExit):
-            await served.server._run(call)
+            loop.run_until_complete(caller)
         with pytest.raises(ServiceError, match="the program was stopped"):
-            call.take()
+            loop.run_until_complete(caller)
 
 
-def stop_the_program(request: Message) -> object:
-    raise SystemExit
+def test_a_handler_whose_loop_is_gone_is_closed_quietly(caplog):
+    log: list[object] = []
 
+    async def wait(request: Add.Request) -> Add.Response:
+        try:
+            await asyncio.sleep(60)
+        except BaseException as error:
+            log.append(type(error))
+            raise
+        return add(request)
 
-async def test_a_handler_whose_loop_is_gone_is_closed_quietly(caplog, gate):
-    async with desk(gate.wait) as served:
-        handling = served.server._run(taken_up(served, numbers()))
-        handling.send(None)
-        handling.close()
-        served.server._calls.clear()
-    assert not caplog.records
+    async def main() -> None:
+        node = turtleact.Node("desk", "/", MemoryTransport())
+        server = node.service(Add, "add", wait)
+        asyncio.get_running_loop().create_task(server.answer(numbers()))  # is lost
+        await settle()
+
+    with closing(asyncio.new_event_loop()) as loop:
+        loop.run_until_complete(main())
+    del loop
+    gc.collect()
+    assert log == [GeneratorExit]
+    assert {record.name for record in caplog.records} <= {"asyncio"}
 
 
 # --- nobody there ---------------------------------------------------------------------------
@@ -844,15 +855,6 @@ async def test_a_call_canceled_before_it_is_sent_reaches_no_handler(gate):
         assert gate.log == []
 
 
-async def test_a_handler_canceled_before_its_first_step_is_not_called(gate):
-    async with desk(gate.wait) as served:
-        call = taken_up(served, numbers())
-        call.cancel()
-        await served.server._run(call)
-        assert gate.log == []
-        assert served.is_idle
-
-
 @ON_TRIO
 async def test_a_call_canceled_as_its_handler_begins_leaves_nothing_at_the_server(gate):
     async with desk(gate.wait) as served:
@@ -860,6 +862,17 @@ async def test_a_call_canceled_as_its_handler_begins_leaves_nothing_at_the_serve
             scope.cancel()
             await served.server.answer(numbers())
         assert served.is_idle
+
+
+@ON_ASYNCIO
+async def test_a_handler_canceled_before_its_first_step_is_not_called(gate):
+    async with desk(gate.wait) as served:
+        asking = asyncio.create_task(served.server.answer(numbers()))
+        await asyncio.sleep(0)  # there is a task for the handler now; it runs in the next turn
+        await served.server.aclose()
+        with pytest.raises(ServerUnavailable):
+            await asking
+        assert gate.log == []
 
 
 async def test_a_handler_that_does_not_end_holds_its_caller_for_the_grace_only(gate, no_grace):
@@ -982,15 +995,6 @@ async def test_a_response_that_comes_after_the_closing_changes_nothing(gate):
         assert isinstance(called.error, ServerUnavailable)
 
 
-async def test_the_first_answer_to_a_call_stands():
-    async with desk() as served:
-        call = taken_up(served, numbers())
-        call.answer(error=ServerUnavailable("/add"))
-        await served.server._run(call)
-        with pytest.raises(ServerUnavailable):
-            call.take()
-
-
 async def test_a_handler_that_does_not_end_is_left_behind_and_logged(gate, no_grace, caplog):
     async with desk(gate.hold_on) as served, running(lambda: served.client.call(numbers())):
         await served.server.aclose()
@@ -1031,8 +1035,8 @@ async def test_closing_a_server_twice_does_no_harm():
 
 
 async def test_a_server_on_no_transport_can_be_closed():
-    async with desk() as served:
-        server = ServiceServer(Add, "/alone", add, tasks=served.server._tasks)
+    async with desk():
+        server = ServiceServer(Add, "/alone", add, tasks=current_tasks())
         await server.aclose()
         assert not server.is_open
 
@@ -1072,8 +1076,8 @@ async def test_calls_go_on_when_their_client_is_closed(gate):
 
 
 async def test_a_client_on_no_transport_can_be_closed():
-    async with desk() as served:
-        client = ServiceClient(MemoryTransport(), Add, "/alone", tasks=served.server._tasks)
+    async with desk():
+        client = ServiceClient(MemoryTransport(), Add, "/alone", tasks=current_tasks())
         await client.aclose()
         assert client.membership is None
 
@@ -1133,8 +1137,8 @@ async def test_a_server_answers_those_who_are_elsewhere():
 
 
 async def test_a_client_without_a_way_to_call_says_that_nobody_serves():
-    async with desk() as served:
-        client = ServiceClient(MemoryTransport(), Add, "/alone", tasks=served.server._tasks)
+    async with desk():
+        client = ServiceClient(MemoryTransport(), Add, "/alone", tasks=current_tasks())
         with pytest.raises(ServerUnavailable, match="service '/alone': no server answers"):
             await client.call(numbers())
 

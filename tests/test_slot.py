@@ -447,15 +447,14 @@ class Comparison(RuleBasedStateMachine):
         self.running = [family for family in self.running if family]
 
     @invariant()
-    def the_places_are_held_by_the_same_families(self) -> None:
-        held = {frozenset(place.values()) for place in self.slot._places.values()}
-        assert held == set(map(frozenset, self.running))
-        assert self.slot._taken == len(self.running) <= self.places
+    def the_same_goals_run(self) -> None:
+        known = (*self.active, *self.waiting, *self.over)
+        assert [each for each in known if self.slot.holds(each.goal)] == self.active
+        assert len(self.running) <= self.places
 
     @invariant()
-    def the_same_goals_wait_in_the_same_order(self) -> None:
-        assert list(self.slot._waiting.values()) == self.waiting
-        assert not set(self.waiting) & set(self.active)
+    def it_is_empty_when_none_runs_or_waits(self) -> None:
+        assert self.slot.is_empty == (not self.active and not self.waiting)
 
     @invariant()
     def no_place_is_free_while_one_waits(self) -> None:

@@ -267,12 +267,6 @@ def test_without_anyios_private_table_no_task_is_shielded(name, monkeypatch):
 # --- signals --------------------------------------------------------------------------------
 
 
-def waiting(signal: object) -> int:
-    """How many wait for a signal."""
-    lot = getattr(signal, "_lot", None)
-    return len(signal._waiting) if lot is None else lot.statistics().tasks_waiting  # type: ignore[attr-defined]  # of asyncio
-
-
 async def test_a_signal_wakes_all_that_wait():
     signal, log = current_tasks().signal(), []
 
@@ -325,9 +319,9 @@ async def test_a_canceled_waiter_leaves_nothing_behind():
     async with anyio.create_task_group() as group:
         group.start_soon(signal.wait)
         await settle()
-        assert waiting(signal) == 1
+        assert signal.waiters == 1
         group.cancel_scope.cancel()
-    assert waiting(signal) == 0
+    assert signal.waiters == 0
 
 
 async def test_a_canceled_waiter_leaves_the_others_waiting():
@@ -356,7 +350,7 @@ async def test_a_waiter_canceled_after_the_fire_leaves_nothing_behind():
     task.cancel()
     with pytest.raises(asyncio.CancelledError):
         await task
-    assert waiting(signal) == 0
+    assert signal.waiters == 0
 
 
 @ON_ASYNCIO

@@ -111,7 +111,7 @@ class ScaledClock:
         self._wall_start = self._wall()
         self._ros_start = EPOCH + round(self._wall_start * 1e9) if leaping else time.time_ns()
         self._order = itertools.count()
-        self._sleepers: _Heap[tuple[float, int]] = _Heap()
+        self._sleepers: Heap[tuple[float, int]] = Heap()
         self._end = math.inf
         self._stands = False
         self._freed: Signal | None = None
@@ -218,7 +218,7 @@ class VirtualClock:
     def __init__(self) -> None:
         self._time = 0.0
         self._order = itertools.count()
-        self._sleepers: _Heap[tuple[float, int, Signal]] = _Heap()
+        self._sleepers: Heap[tuple[float, int, Signal]] = Heap()
         self._end = _LAST
         self._wanted: Signal | None = None
         self._tasks: Tasks | None = None
@@ -292,7 +292,7 @@ def make_clock(speed: float | str) -> ScaledClock | VirtualClock:
     return WallClock() if factor == 1.0 else ScaledClock(factor)
 
 
-class _Heap(Generic[T]):
+class Heap(Generic[T]):
     """Different items, the least of them first.
 
     One that is removed before its turn stays where it is until it is the first, or until there are

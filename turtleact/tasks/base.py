@@ -24,6 +24,10 @@ class Signal(Protocol):
     async def wait(self) -> None:
         """Wait for the next fire. Cancelling: safe, nothing is lost."""
 
+    @property
+    def waiters(self) -> int:
+        """How many wait now."""
+
 
 class Tasks(Protocol):
     """What one kind of event loop offers.

@@ -167,6 +167,11 @@ class AsyncioSignal:
             self._waiting.pop(future, None)
             raise
 
+    @property
+    def waiters(self) -> int:
+        """How many wait now."""
+        return len(self._waiting)
+
 
 def _throw(error: BaseException) -> None:
     raise error

@@ -151,3 +151,8 @@ class TrioSignal:
     async def wait(self) -> None:
         """Wait for the next fire. Cancelling: safe, nothing is lost."""
         await self._lot.park()
+
+    @property
+    def waiters(self) -> int:
+        """How many wait now."""
+        return self._lot.statistics().tasks_waiting
