@@ -45,16 +45,18 @@ from turtleact.goal import TRANSITIONS, Goal, GoalStatus
 from turtleact.observers import GoalObserver
 from turtleact.server.local_server import LocalActionServer
 from turtleact.slot import Slot
-from turtleact.tasks import GRACE, wait_until_idle
+from turtleact.tasks import wait_until_idle
 from turtleact.testing import virtual_backend
 from turtleact.transports import MemoryTransport
 
 from .conftest import INSTALLED
-from .lab import Count, HandClock, Running, feedback, local_server, other_tasks, result
+from .lab import Count, HandClock, Running, feedback, local_server, other_tasks, result, take_turns
 
 T = TypeVar("T")
 
 EXAMPLES = int(os.environ.get("MODEL_EXAMPLES", "60"))
+GRACE, CANCEL_TIMEOUT = 5.0, 6.0
+"""What `action_server` and `action_client` have unless the user says (s)."""
 LONG = 60.0
 """Longer than all that a plan leaves behind (s)."""
 
@@ -261,19 +263,16 @@ def server_plans(shared: tuple[tuple[str, Any], ...]) -> st.SearchStrategy[Serve
 # --- the model ------------------------------------------------------------------------------
 
 
-class Loop(NamedTuple):
-    """In what the loops differ.
+class Limits(NamedTuple):
+    """How long is waited for what has been canceled.
 
     Attributes:
-        is_eager: Whether the first step of a body is taken as soon as it is started.
-        can_borrow: Whether an awaited body runs in its client's task.
-        grace: How long a client waits for a goal that it has canceled, and a server that is closed
-            for its bodies (s); without end where time stands still but for the clock's own.
+        grace: How long a closing server waits for its bodies (s).
+        cancel_timeout: How long a client waits for the end of a goal that it has canceled (s).
     """
 
-    is_eager: bool
-    can_borrow: bool
     grace: float
+    cancel_timeout: float
 
 
 class StopError(Exception):
@@ -314,10 +313,12 @@ class Process:
         self._model = model
         self._steps = steps
         self._wait: Wait | None = None
+        self.has_begun = False
         self.is_canceled = False
-        self._is_stopped = False
+        self.is_cancel_due = False
 
     def begin(self) -> None:
+        self.has_begun = True
         self._go(partial(next, self._steps))
 
     def wake(self, wait: Wait) -> None:
@@ -326,41 +327,27 @@ class Process:
 
     @property
     def is_about_to_stop(self) -> bool:
-        return self._is_stopped and self._wait is not None and not self._wait.is_shielded
-
-    @property
-    def is_shielded(self) -> bool:
-        return self._wait is not None and self._wait.is_shielded
+        return self.is_cancel_due and self._wait is not None and not self._wait.is_shielded
 
     def is_waiting(self, wait: Wait) -> bool:
         return self._wait is wait
 
     def cancel(self) -> None:
         if not self.is_canceled:
-            self.is_canceled = self._is_stopped = True
+            self.is_canceled = self.is_cancel_due = True
             self._model.soon(self._stop)
 
-    def leave_behind(self) -> None:
-        """Stop, though it be shielded."""
-        self.is_canceled = True
-        self._model.soon(self._break)
-
-    def _break(self) -> None:
-        if self._wait is not None:
-            self._is_stopped = False
-            self._go(partial(self._steps.throw, StopError()))
-
     def _stop(self) -> None:
-        if self._is_stopped and self._wait is not None and not self._wait.is_shielded:
-            self._is_stopped = False
+        if self.is_cancel_due and self._wait is not None and not self._wait.is_shielded:
+            self.is_cancel_due = False
             self._go(partial(self._steps.throw, StopError()))
 
     def _go(self, resume: Callable[[], Wait]) -> None:
         self._wait = None
         try:
             wait = resume()
-            while self._is_stopped and not wait.is_shielded:
-                self._is_stopped = False
+            while self.is_cancel_due and not wait.is_shielded:
+                self.is_cancel_due = False
                 wait = self._steps.throw(StopError())
         except (StopIteration, StopError):
             return
@@ -387,9 +374,7 @@ class ModelGoal:
         self.asked = 0
         self.is_asked_for = False
         self.process: Process | None = None
-        self.is_lent = False
         self.end = Moment()
-        self.end_of_body = Moment()
 
     @property
     def is_active(self) -> bool:
@@ -462,8 +447,8 @@ class ModelSlot:
 class Model:
     """What the contract says will happen."""
 
-    def __init__(self, plan: Plan, loop: Loop) -> None:
-        self.loop = loop
+    def __init__(self, plan: Plan, limits: Limits) -> None:
+        self.limits = limits
         self.now = 0.0
         self.log: list[tuple[float, str, int]] = []
         self.outcomes: dict[int, tuple[object, ...]] = {}
@@ -522,6 +507,12 @@ class Model:
             self.settle()
         self.now = until
 
+    def turn(self) -> Steps[None]:
+        """Let all that are ready take a step."""
+        turn = Moment()
+        self.soon(partial(self.come, turn))
+        yield Wait(moment=turn)
+
     # goals
 
     def take(self, goal: ModelGoal, goal_id: int, sender: object) -> ModelGoal:
@@ -574,12 +565,10 @@ class Model:
                 self.evict(each, reason)
 
     def execute(self, goal: ModelGoal) -> None:
+        """Start a body; eager start, on asyncio from Python 3.12 on, shows no difference."""
         goal.enter("EXECUTING")
         goal.process = Process(self, self.body(goal))
-        if self.loop.is_eager:
-            goal.process.begin()
-        else:
-            self.soon(goal.process.begin)
+        self.soon(goal.process.begin)
 
     def execute_next(self, goal: ModelGoal) -> None:
         if goal.is_active:
@@ -591,11 +580,7 @@ class Model:
             if any(each.is_about_to_stop or each.ended == self.now for each in relatives):
                 raise OpenError  # which of the two will have been first?
             goal.reason = reason
-            if goal.process is not None:
-                goal.process.cancel()
-            else:
-                goal.enter("EXECUTING")
-                self.end(goal, "ABORTED", None, reason)
+            self.stop(goal)
 
     def relatives(self, goal: ModelGoal) -> list[ModelGoal]:
         """The goal that has sent this one, and those that this one has sent."""
@@ -607,11 +592,17 @@ class Model:
             return False
         if goal.status != "CANCELING":
             goal.enter("CANCELING")
-            if goal.process is not None:
-                goal.process.cancel()
-            else:
-                self.end(goal, "CANCELED", None)
+            self.stop(goal)
         return True
+
+    def stop(self, goal: ModelGoal) -> None:
+        """Cancel a body; one that has not begun never begins."""
+        if goal.process is not None and goal.process.has_begun:
+            goal.process.cancel()
+            return
+        if goal.status == "ACCEPTED":
+            goal.enter("EXECUTING")
+        self.finish(goal, "out")
 
     def end(
         self, goal: ModelGoal, status: str, result: tuple[int, ...] | None, reason: str = ""
@@ -655,8 +646,7 @@ class Model:
     def body(self, goal: ModelGoal) -> Steps[None]:
         script = goal.script
         verdict: Verdict
-        if goal.status == "CANCELING" or goal.reason:
-            self.finish(goal, "out")
+        if not goal.is_active:
             return
         self.log.append((self.now, "begun", goal.number))
         try:
@@ -682,7 +672,6 @@ class Model:
                 verdict = "out"
         self.log.append((self.now, "over", goal.number))
         self.finish(goal, verdict)
-        self.come(goal.end_of_body)
 
     def recover(self, goal: ModelGoal) -> Steps[Verdict]:
         recovery = goal.script.recovery
@@ -768,52 +757,50 @@ class Model:
         goal = ModelGoal(script, server, parent)
         goal_id, client = (send.goal_id, send.client) if send is not None else (0, None)
         self.take(goal, goal_id, client)
-        asks = server.plan.asked_for_cancels != "never"
-        if how == "detach":
-            return ("detached",)
-        if how == "enter" and send is not None and send.is_canceled_at_once and not asks:
-            self.cancel(goal)
-        is_lent = how == "await" and self.loop.can_borrow and not asks and bool(goal.history)
-        goal.is_lent = is_lent
-        if how == "await":
-            goal.kept_from = -1
-        leaves = self.now + span(0.5, "leave", script.number) if how == "leave" else math.inf
-        moment = goal.end_of_body if is_lent else goal.end
-        if how == "leave" or not moment.has_come:
-            try:
-                yield Wait(min(deadline, leaves), None if how == "leave" else moment)
-            except StopError:
-                yield from self.give_up(goal, is_lent)
-                raise
-        if not moment.has_come:
-            yield from self.give_up(goal, is_lent)
-            return ("left",) if leaves < deadline else ("canceled",)
-        if how == "leave":
-            return ("left",) if leaves < deadline else ("canceled",)
-        return goal.outcome
+        is_canceled = how == "enter" and send is not None and send.is_canceled_at_once
+        if is_canceled and self.is_about_to_start(goal):
+            raise OpenError  # does it start before it is canceled?
+        try:
+            if how == "await":
+                goal.kept_from = -1
+            else:
+                yield from self.turn()
+            if how == "detach":
+                return ("detached",)
+            if is_canceled and server.plan.asked_for_cancels == "never":
+                self.cancel(goal)
+            leaves = self.now + span(0.5, "leave", script.number) if how == "leave" else math.inf
+            if how == "leave" or goal.is_active:
+                yield Wait(min(deadline, leaves), None if how == "leave" else goal.end)
+        except StopError:
+            yield from self.give_up(goal)
+            raise
+        if goal.is_active:
+            yield from self.give_up(goal)
+        elif how != "leave":
+            return goal.outcome
+        if self.now >= deadline:
+            return ("canceled",)
+        if parent is not None and parent.process is not None and parent.process.is_cancel_due:
+            raise OpenError  # does it hear of that as it leaves, or at its next wait?
+        yield from self.turn()
+        return ("left",)
 
-    def give_up(self, goal: ModelGoal, is_lent: bool) -> Steps[None]:
+    def give_up(self, goal: ModelGoal) -> Steps[None]:
         """Cancel a goal and wait for its end."""
-        if is_lent:
-            assert goal.process is not None
-            if goal.process.is_shielded:
-                raise OpenError  # its parents hear of it only behind that
-            if goal.status == "EXECUTING":
-                goal.enter("CANCELING")
-            goal.process.cancel()
-            yield Wait(self.now + self.loop.grace, goal.end_of_body, is_shielded=True)
-            if not goal.end_of_body.has_come:
-                goal.process.leave_behind()
-        elif goal.is_active:
-            slot = goal.server.slot
-            if goal in slot.waiting and any(
-                each.is_about_to_stop for place in slot.places for each in place
-            ):
+        if goal.is_active:
+            if self.is_about_to_start(goal):
                 raise OpenError  # likewise
-            until = self.now + self.loop.grace
+            until = self.now + self.limits.cancel_timeout
             yield from self.let_go(goal)
             if goal.is_active:
                 yield Wait(until, goal.end, is_shielded=True)
+
+    def is_about_to_start(self, goal: ModelGoal) -> bool:
+        """Whether a goal waits for one whose body is being canceled."""
+        slot = goal.server.slot
+        holders = [each for place in slot.places for each in place]
+        return goal in slot.waiting and any(each.is_about_to_stop for each in holders)
 
     def let_go(self, goal: ModelGoal) -> Steps[bool]:
         """Ask the server's user, and cancel the goal."""
@@ -889,20 +876,18 @@ class Model:
                 for goal in [goal for goal in server.goals if goal.sender == client]:
                     self.cancel(goal)
 
-    def close(self, server: ModelServer) -> Steps[None]:
-        if not server.is_open:
-            return
-        server.is_open = False
-        self.come(server.closing)
-        for goal in list(server.goals):
+    def close(self, *servers: ModelServer) -> Steps[None]:
+        """Servers are closed together: one grace is enough for all their bodies."""
+        closing = [each for each in servers if each.is_open]
+        for server in closing:
+            server.is_open = False
+            self.come(server.closing)
+        goals = [goal for server in closing for goal in server.goals]
+        for goal in goals:
             self.evict(goal, "shutdown")
-        yield Wait(self.now + self.loop.grace)
-        for goal in server.goals:
-            if goal.is_active and goal.process is not None:
-                if goal.is_lent:
-                    goal.process.leave_behind()
-                else:
-                    goal.process.cancel()
+        if any(goal.is_active for goal in goals):
+            yield Wait(self.now + self.limits.grace)
+        for goal in goals:
             self.end(goal, "ABORTED", None, goal.reason or "shutdown")
 
 
@@ -928,8 +913,8 @@ class Act(NamedTuple):
 class Play:
     """The model plays a plan."""
 
-    def __init__(self, plan: Plan, loop: Loop) -> None:
-        self.model = Model(plan, loop)
+    def __init__(self, plan: Plan, limits: Limits) -> None:
+        self.model = Model(plan, limits)
         self.acts = [
             self._act(step, span(seconds, "operation", step), operation)
             for step, (seconds, operation) in enumerate(plan.operations)
@@ -981,8 +966,7 @@ class Play:
             case CloseServer(at):
                 model.start(model.close(model.servers[at]))
             case None:
-                for each in model.servers:
-                    model.start(model.close(each))
+                model.start(model.close(*model.servers))
 
     def _picture(self) -> Picture:
         model = self.model
@@ -1004,6 +988,7 @@ class World:
         self._plan = plan
         self._play = play
         self._hand = clock
+        self._settle = take_turns if clock is not None else wait_until_idle
         self._log: list[tuple[float, str, int]] = []
         self._outcomes: dict[int, tuple[object, ...]] = {}
         self._answers: dict[int, tuple[object, ...]] = {}
@@ -1038,7 +1023,7 @@ class World:
                     await self._pass_time(act.seconds)
                     self._compare(act.before)
                     self._do(step, act)
-                    await wait_until_idle()
+                    await self._settle()
                     self._compare(act.after)
                 await self._pass_time(LONG)
                 self._compare_the_end()
@@ -1047,7 +1032,7 @@ class World:
                     rest.start_soon(self._hand.run)
                 raise
             rest.cancel_scope.cancel()
-        await wait_until_idle()
+        await self._settle()
         assert tasks_of_the_loop() <= before
 
     def _serve(self, number: int, plan: ServerPlan) -> turtleact.ActionServer[Any, Any, Any]:
@@ -1107,7 +1092,7 @@ class World:
             await self._sleep(seconds)
         else:
             await self._hand.pass_time(seconds)
-        await wait_until_idle()
+        await self._settle()
 
     @asynccontextmanager
     async def _limit(self, seconds: float) -> AsyncIterator[None]:
@@ -1406,7 +1391,10 @@ def tasks_of_the_loop() -> set[object]:
 
 
 class Hand(HandClock):
-    """A clock that passes through each moment at which somebody wakes up."""
+    """A clock that passes through each moment at which somebody wakes up, for uvloop.
+
+    uvloop does not tell when it is idle, so all others get some turns instead.
+    """
 
     async def pass_time(self, seconds: float) -> None:
         until = self._time + seconds
@@ -1414,26 +1402,25 @@ class Hand(HandClock):
             self._sleepers.remove(first)
             self._time, _, sleeper = first
             sleeper.fire()
-            await wait_until_idle()
+            await take_turns()
         self._time = until
 
 
 def play(plan: Plan, backend: str) -> None:
     """Let the model and turtleact play a plan, and compare."""
-    is_asyncio = backend != "trio"
-    has_virtual_time = backend != "uvloop"
-    loop = Loop(is_asyncio, is_asyncio, GRACE if has_virtual_time else math.inf)
+    if backend == "uvloop":  # the limits are by the loop's own time, which stands still here
+        limits = Limits(math.inf, math.inf)
+        name, options = "asyncio", {"use_uvloop": True}
+    else:
+        limits = Limits(GRACE, CANCEL_TIMEOUT)
+        name, options = virtual_backend("trio" if backend == "trio" else "asyncio")
     try:
-        expected = Play(plan, loop)
+        expected = Play(plan, limits)
     except OpenError:
         hypothesis.reject()
-    if has_virtual_time:
-        name, options = virtual_backend("asyncio" if is_asyncio else "trio")
-    else:
-        name, options = "asyncio", {"use_uvloop": True}
 
     async def run() -> None:
-        await World(plan, expected, None if has_virtual_time else Hand()).run()
+        await World(plan, expected, Hand() if backend == "uvloop" else None).run()
 
     anyio.run(run, backend=name, backend_options=options)
 

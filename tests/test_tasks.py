@@ -191,6 +191,15 @@ async def test_a_checkpoint_lets_others_run():
     assert log == ["other"]
 
 
+async def test_a_task_that_was_just_spawned_has_run_after_a_checkpoint():
+    tasks = current_tasks()
+    for _ in range(20):  # trio chooses the order of its tasks at random
+        log: list[object] = []
+        tasks.spawn(note(log, "ran"), "lab")
+        await tasks.checkpoint()
+        assert log == ["ran"]
+
+
 @ON_ASYNCIO
 async def test_the_first_step_has_run_when_spawn_returns_where_python_can_start_eagerly():
     log: list[object] = []

@@ -71,7 +71,10 @@ class TrioTasks:
         return TrioSignal(self._trio.lowlevel.ParkingLot())
 
     async def checkpoint(self) -> None:
-        """Let others run, once."""
+        """Let all others that are ready run."""
+        # trio runs the tasks of a batch in random order. After one checkpoint, a task that was
+        # spawned just before may still be waiting for its turn; after two it has had it.
+        await self._trio.lowlevel.checkpoint()
         await self._trio.lowlevel.checkpoint()
 
     def is_canceled(self) -> bool:
