@@ -251,7 +251,7 @@ async def test_who_is_told_of_a_message_may_cancel_at_it(style):
 
 async def test_zeros_are_no_id_of_a_goal():
     async with lab(count) as served:
-        with pytest.raises(InvalidName, match="zeros name no goal"):
+        with pytest.raises(InvalidName, match="must not be all zeros"):
             served.client.send_goal(goal(), goal_id=bytes(16))
 
 

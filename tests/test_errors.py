@@ -117,7 +117,7 @@ class Mute(Exception):
 
 
 def test_what_cannot_be_printed_is_said_to_be_so():
-    assert text_of(Mute()) == "(Mute, whose text cannot be had: RuntimeError)"
+    assert text_of(Mute()) == "(Mute, whose text failed with RuntimeError)"
 
 
 def test_a_text_of_several_lines_becomes_one():

@@ -555,7 +555,7 @@ class Model:
         if not slot.has_queue:
             raise RefusedError(f"busy with {slot.places[0][0].label}")
         if len(slot.waiting) >= slot.limit:
-            raise RefusedError(f"the queue is full, {len(slot.waiting)} wait already")
+            raise RefusedError(f"the queue is full ({len(slot.waiting)} waiting)")
         slot.waiting.append(goal)
         return False
 

@@ -185,7 +185,7 @@ async def test_over_the_limit_of_the_queue_a_goal_is_rejected(send, options, run
     async with lab(stage.act, **options) as served, sending(send, served, 1, 2, 3, 4) as sent:
         *_, last = sent
         assert isinstance(last.error, GoalRejected)
-        assert last.error.reason == f"the queue is full, {3 - running_} wait already"
+        assert last.error.reason == f"the queue is full ({3 - running_} waiting)"
         assert len(served.active) == 3
         stage.open(1, 2, 3)
     assert "4 begun" not in stage.log
@@ -845,14 +845,16 @@ async def test_slots_of_other_names_and_actions_without_do_not_touch_each_other(
 )
 async def test_a_slot_with_other_rules_is_refused(options):
     async with lab(count, policy="queue", slot="turtle1") as served:
-        with pytest.raises(InvalidOption, match=r"'turtle1' is shared under .*: policy='queue'"):
+        with pytest.raises(
+            InvalidOption, match=r"'turtle1' is already used with .*: policy='queue'"
+        ):
             served.node.action_server(Count, "other", count, slot="turtle1", **options)
         assert served.node.graph().actions.keys() == {"/count"}
 
 
 @pytest.mark.parametrize("options", [{}, {"policy": "parallel"}])
 async def test_a_slot_without_a_policy_is_refused(options):
-    with pytest.raises(InvalidOption, match=r"option 'slot': goes with another policy than"):
+    with pytest.raises(InvalidOption, match=r"option 'slot': needs a policy other than"):
         async with lab(count, slot="turtle1", **options):
             pass
 

@@ -999,7 +999,7 @@ async def test_a_handler_that_does_not_end_is_left_behind_and_logged(gate, no_gr
     async with desk(gate.hold_on) as served, running(lambda: served.client.call(numbers())):
         await served.server.aclose()
         assert [record.levelno for record in caplog.records] == [logging.ERROR]
-        assert "a handler of service /add has not ended; it is left behind" in caplog.text
+        assert "a handler of service /add has not ended; it is left running" in caplog.text
         gate.opened.set()
         await settle()
 

@@ -83,13 +83,13 @@ def test_each_policy_has_rules(policy):
         ({"policy": "queue", "queue_limit": False}, "queue_limit: expected .* from 0, not False"),
         (
             {"policy": "queue", "max_active": 2},
-            "max_active: goes with policy 'parallel', not 'queue'",
+            "max_active: only fits policy 'parallel', not 'queue'",
         ),
-        ({"policy": "reject", "max_active": 1}, "max_active: goes with policy 'parallel'"),
-        ({"policy": "preempt", "max_active": 1}, "max_active: goes with policy 'parallel'"),
-        ({"queue_limit": 1}, "queue_limit: goes with policy 'queue', or with max_active"),
-        ({"policy": "reject", "queue_limit": 1}, "queue_limit: goes with policy 'queue'"),
-        ({"policy": "preempt", "queue_limit": 1}, "queue_limit: goes with policy 'queue'"),
+        ({"policy": "reject", "max_active": 1}, "max_active: only fits policy 'parallel'"),
+        ({"policy": "preempt", "max_active": 1}, "max_active: only fits policy 'parallel'"),
+        ({"queue_limit": 1}, "queue_limit: only fits policy 'queue', or max_active"),
+        ({"policy": "reject", "queue_limit": 1}, "queue_limit: only fits policy 'queue'"),
+        ({"policy": "preempt", "queue_limit": 1}, "queue_limit: only fits policy 'queue'"),
     ],
 )
 def test_rules_that_cannot_be_are_refused(options, message):
@@ -182,8 +182,8 @@ def test_a_new_goal(situation, rules, admission):
     ("situation", "rules", "reason"),
     [
         ("one runs", REJECT, "busy with goal holder of /count"),
-        ("one waits", ONE_WAITS, "the queue is full, 1 wait already"),
-        ("one waits", TWO_AND_ONE_WAITS, "the queue is full, 1 wait already"),
+        ("one waits", ONE_WAITS, "the queue is full (1 waiting)"),
+        ("one waits", TWO_AND_ONE_WAITS, "the queue is full (1 waiting)"),
         *(
             (
                 f"{kind} of the same action",
@@ -238,7 +238,7 @@ def test_one_that_leaves_a_full_queue_makes_room_in_it():
 
 def test_without_room_to_wait_a_queue_takes_none():
     slot = slot_with(Rules("queue", queue_limit=0), Wish("first"))
-    assert slot.enter(Wish("second")).reason == "the queue is full, 0 wait already"
+    assert slot.enter(Wish("second")).reason == "the queue is full (0 waiting)"
 
 
 # --- families -------------------------------------------------------------------------------
@@ -489,14 +489,14 @@ def test_goals_that_never_have_to_do_with_each_other_need_no_slot():
 
 
 def test_a_shared_slot_for_goals_that_need_none_is_refused():
-    with pytest.raises(InvalidOption, match="goes with another policy than 'parallel', or max_a"):
+    with pytest.raises(InvalidOption, match="needs a policy other than 'parallel', or max_a"):
         Slots[Wish]().find(PARALLEL, "arm")
 
 
 def test_a_slot_is_shared_under_one_set_of_rules_for_as_long_as_it_is_used():
     slots = Slots[Wish]()
     shared = slots.find(QUEUE, "arm")
-    with pytest.raises(InvalidOption, match="'arm' is shared under other rules: policy='queue'"):
+    with pytest.raises(InvalidOption, match="'arm' is already used with other rules: policy="):
         slots.find(REJECT, "arm")
     del shared
     assert slots.find(REJECT, "arm") is not None

@@ -3,24 +3,24 @@
 The layers, each built on those below it::
 
     cli                         arguments in, exit status out
-    app, render, testing        what is put together; what a terminal shows; virtual time
+    app, render, testing        the composed world; what a terminal shows; virtual time
     actions, sim                fibonacci, go_to, patrol; the turtles
     node                        one participant's topics, services and actions
-    server, client              goals are taken, carried out, canceled; sent, read, waited for
+    server, client              accept, run and cancel goals; send them and read their results
     body, topics, services      declared bodies; publishers, subscriptions; services
     transports                  how messages travel
     clock, tasks                time; tasks and wake-ups of the event loop
-    slot, goal, feedback        who may run; what may happen to a goal; what is kept of it
+    slot, goal, feedback        which goals may run; the states of a goal; kept feedback
     interfaces                  messages, services and actions as classes
     names, geometry, errors
 
-A name is imported when it is first used, so that what needs little starts fast. Nothing else is
-imported here: until the command line has begun, Ctrl-C is a traceback of Python's.
+Each name is imported on first use, so that small programs start fast. Nothing else is imported
+here: until the command line has set its signal handlers, Ctrl-C would print a traceback.
 """
 
 from __future__ import annotations
 
-TYPE_CHECKING = False  # as `typing` would say, which takes long to import
+TYPE_CHECKING = False  # as in `typing`, which is slow to import
 if TYPE_CHECKING:
     from turtleact.app import WorldNode, open_world
     from turtleact.body import action
@@ -80,7 +80,7 @@ if TYPE_CHECKING:
     from turtleact.transports import QoS, open_zenoh
 
 __all__ = [
-    # a node and what is opened on it
+    # a node and what you open on it
     "open_node",
     "open_zenoh",
     "open_world",
@@ -96,7 +96,7 @@ __all__ = [
     "Publisher",
     "Subscription",
     "QoS",
-    # bodies and what they answer
+    # bodies and callbacks
     "action",
     "GoalResponse",
     "CancelResponse",
@@ -104,7 +104,7 @@ __all__ = [
     "Abort",
     "Cancel",
     "Reject",
-    # what happens to a goal, as `ClientGoalHandle.events` tells it
+    # events of a goal, from `ClientGoalHandle.events`
     "Event",
     "Accepted",
     "StatusChanged",
@@ -184,7 +184,7 @@ _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 
 def __getattr__(name: str) -> object:
-    """Import a public name from the module that it lives in."""
+    """Import a public name from its module on first use."""
     if name not in __all__:
         raise AttributeError(f"module 'turtleact' has no attribute '{name}'")
     import importlib
@@ -195,5 +195,5 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    """What can be asked for."""
+    """List the public names too, imported or not."""
     return sorted([*globals(), *__all__])

@@ -1,6 +1,6 @@
-"""The composition root: transport, clock, world and built-in actions as one context manager.
+"""Puts everything together: transport, clock, world and built-in actions in one context manager.
 
-The one place that knows both the simulator and the actions.
+Only this module knows both the simulator and the actions.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from turtleact.transports import MemoryTransport, Transport
 __all__ = ["OpenGraph", "WorldNode", "open_world"]
 
 OpenGraph: TypeAlias = Callable[[Clock], AbstractAsyncContextManager[Transport]]
-"""Opens a graph whose nodes share a clock."""
+"""A function that opens a graph; the nodes on it share the clock it is given."""
 
 
 class WorldNode(Node):
-    """A node next to a world in this process; it can also pause and step the world.
+    """A node in the same process as a world; it can also pause and step that world.
 
     Made by `open_world`.
 
@@ -40,29 +40,29 @@ class WorldNode(Node):
 
     @property
     def is_paused(self) -> bool:
-        """Whether time stands still, except for the ticks of `step`."""
+        """Whether the world is paused; `step` still runs single ticks."""
         return self.sim.is_paused
 
     def pause(self) -> None:
-        """Let time stand still from now on, for everything that waits by `clock`."""
+        """Stop time for everything that waits on `clock`."""
         self.sim.pause()
 
     def resume(self) -> None:
-        """Let time pass again, from where it stood."""
+        """Let time continue from where it stopped."""
         self.sim.resume()
 
     def snapshot(self) -> Snapshot:
-        """The world as it looks now, for `to_png` and `to_svg` of `turtleact.sim.pictures`."""
+        """Take a picture of the world, for `to_png` and `to_svg` of `turtleact.sim.pictures`."""
         return self.sim.snapshot()
 
     async def step(self, ticks: int = 1) -> None:
-        """Let some ticks of 16 ms pass in a pause, and wait for the last.
+        """Run some ticks of 16 ms while the world is paused, and wait for the last.
 
-        Cancelling: no more ticks are made.
+        Cancelling: stops after the current tick.
 
         Raises:
-            SimError: if the world is not paused, or is already being stepped, or ``ticks`` is
-                negative; if somebody pauses or resumes it before the last.
+            SimError: if the world is not paused, if another call is stepping it, if ``ticks`` is
+                negative, or if somebody pauses or resumes the world before the last tick.
         """
         await self.sim.step(ticks)
 
@@ -85,20 +85,21 @@ async def open_world(
 
     Args:
         speed: Simulated seconds per wall-clock second, above 0 and at most 100, or ``"max"`` for
-            virtual time: as fast as the machine computes, and the same run every time. If the
-            machine cannot keep up, time runs slower.
-        seed: Chooses where all turtles but the first start, if they are placed at random.
+            virtual time, which runs as fast as the computer can and gives the same run every time.
+            If the computer cannot keep up, time passes more slowly.
+        seed: Chooses the random starting poses of all turtles except the first.
         turtles: How many turtles there are: ``turtle1``, ``turtle2``, …
         placing: Where they start: ``"random"``, ``"grid"`` or ``"ring"``.
-        collide: Whether turtles stop each other where they meet.
-        paused: Whether time stands still until somebody steps or resumes the world.
-        turtlesim_only: Whether the world serves only what the real turtlesim does, on the node
-            ``/turtlesim``. If not, it also serves the built-in actions (``/patrol``, ``/go_to``,
-            ``/command_turtle``, ``/fibonacci``) and the node ``/world``: time, pictures and all
-            poses in one message.
-        graph: Opens the graph that the world joins; a graph within the process if left out.
-        on_transition: Called with each change of a goal of the world; see `Node.on_transition`.
-        on_start: Called with the turtles before anybody can send them anything.
+        collide: Whether turtles block each other.
+        paused: Whether the world starts paused.
+        turtlesim_only: Whether the world serves only what the real turtlesim serves, on the node
+            ``/turtlesim``. Otherwise it also serves the built-in actions (``/patrol``, ``/go_to``,
+            ``/command_turtle``, ``/fibonacci``) and a node ``/world`` with the time, pictures, and
+            all poses in one message.
+        graph: Opens the graph that the world joins; left out, a graph within the process.
+        on_transition: Called with each change of one of the world's goals; see
+            `Node.on_transition`.
+        on_start: Called with the turtles before anybody can send them commands.
 
     Raises:
         SimError: if the speed or the number of turtles is out of range, or the placing is unknown.

@@ -1,4 +1,4 @@
-"""A body: the function that does an action's work, in one of two styles.
+"""Bodies: the functions that do an action's work, in one of two styles.
 
 ==================  ==================================  =============================
 style               feedback                            result
@@ -7,8 +7,8 @@ async generator     ``yield A.Feedback(...)``           ``yield A.Result(...)``,
 coroutine function  ``handle.publish_feedback(...)``    ``return A.Result(...)``
 ==================  ==================================  =============================
 
-A body takes the goal message, and the server's goal handle if it declares a second parameter.
-`ActionBody` says so to type checkers, which reject a body with messages of another action.
+A body takes the goal message. If it has a second parameter, it also gets the server's goal handle.
+`ActionBody` tells type checkers so, and they reject a body that uses another action's messages.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ F_co = TypeVar("F_co", bound=Message, covariant=True)
 
 Steps = AsyncGenerator[object, None]
 
-#: A body as type checkers see it; ``H`` is the class of the goal handle.
+#: A body as type checkers see it. ``H`` is the class of the goal handle.
 ActionBody: TypeAlias = (
     Callable[[G], AsyncIterable[F | R]]
     | Callable[[G, H], AsyncIterable[F | R]]
@@ -75,16 +75,16 @@ ActionBody: TypeAlias = (
     | Callable[[G, H], Coroutine[Any, Any, R]]
 )
 
-# Both protocols below say the same: an action has the classes Goal, Result and Feedback inside.
-# mypy takes a nested class for a read-only member, so it needs the methods. It infers G, R and F
-# from the action before it looks at a body. pyright infers them from both, so that it would settle
-# on `Message` for a body of another action; members that can be set do not let it. mypy takes a
-# variable of this name for true, pyright reads its value.
+# Both protocols below say the same thing: an action contains the classes Goal, Result and Feedback.
+# mypy treats a nested class as a read-only member, so it needs the methods. It infers G, R and F
+# from the action before it looks at a body. pyright infers them from both, so a body of another
+# action would make it settle on `Message`; members that can be set prevent that. mypy assumes that
+# a variable named MYPY is true, while pyright reads its value.
 MYPY = False
 if MYPY:
 
     class ActionType(Protocol[G_co, R_co, F_co]):
-        """What a subclass of `turtleact.Action` is to mypy: the makers of its messages."""
+        """A subclass of `turtleact.Action` as mypy sees it: the makers of its messages."""
 
         @property
         def type_name(self) -> str:
@@ -102,7 +102,7 @@ if MYPY:
 else:
 
     class ActionType(Protocol[G, R, F]):
-        """What a subclass of `turtleact.Action` is to pyright: the classes of its messages."""
+        """A subclass of `turtleact.Action` as pyright sees it: the classes of its messages."""
 
         type_name: str
         Goal: type[G]
@@ -111,7 +111,7 @@ else:
 
 
 class ServerOptions(TypedDict, total=False):
-    """How a server treats goals; see `turtleact.Node.action_server`."""
+    """Options of an action server; see `turtleact.Node.action_server`."""
 
     goal_callback: Callable[..., GoalResponse | Awaitable[GoalResponse]] | None
     cancel_callback: Callable[..., CancelResponse | Awaitable[CancelResponse]] | None
@@ -125,21 +125,21 @@ class ServerOptions(TypedDict, total=False):
 
 
 def check_options(options: ServerOptions) -> None:
-    """Raise what a user is to be told of options that are none.
+    """Check the values of a server's options.
 
     Raises:
-        InvalidOption: names the option.
+        InvalidOption: for the first option with a wrong value.
     """
     lost, kept = options.get("on_client_lost", "keep"), options.get("result_timeout")
     if lost not in ("keep", "cancel"):
         raise InvalidOption("on_client_lost", f"expected 'keep' or 'cancel', not {lost!r}")
     is_time = isinstance(kept, int | float) and not isinstance(kept, bool) and 0 <= kept < 1e9
     if kept is not None and not is_time:
-        problem = f"expected seconds from 0, or None for ever, not {kept!r}"
+        problem = f"expected seconds from 0 up, or None for ever, not {kept!r}"
         raise InvalidOption("result_timeout", problem)
     grace = options.get("grace", 0.0)
     if not isinstance(grace, int | float) or isinstance(grace, bool) or not 0 <= grace < 1e9:
-        raise InvalidOption("grace", f"expected seconds from 0, not {grace!r}")
+        raise InvalidOption("grace", f"expected seconds from 0 up, not {grace!r}")
     for name in ("goal_callback", "cancel_callback"):
         callback = options.get(name)
         if callback is not None and not callable(callback):
@@ -147,13 +147,13 @@ def check_options(options: ServerOptions) -> None:
 
 
 class ActionDeclaration(Generic[P, T]):
-    """A body together with its action and name: what `turtleact.action` makes of a function.
+    """A body with its action and name; the decorator `turtleact.action` makes one.
 
-    It serves nothing until a node is told to, and can be called as the plain function it is.
+    Nothing is served until a node serves it. You can still call it like the plain function.
 
     Attributes:
         action_type: The action.
-        name: The name under which it is served, unless the node says otherwise.
+        name: The name under which it is served, unless the node gives another one.
         execute: The function.
         options: Keyword arguments for the server.
     """
@@ -165,21 +165,21 @@ class ActionDeclaration(Generic[P, T]):
         execute: Callable[P, T],
         options: ServerOptions,
     ) -> None:
-        validate_name(name)  # complains here, at the function, not when it is served
+        validate_name(name)  # raises here, at the function, rather than when it is served
         Body(name, execute)  # likewise
-        functools.update_wrapper(self, execute)  # first: it copies the attributes of an object
+        functools.update_wrapper(self, execute)  # first, because it copies a callable's attributes
         self.action_type = action_type
         self.name = name
         self.execute = execute
         self.options = options
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T:
-        """Call the function itself; no server takes part."""
+        """Call the function itself, without a server."""
         return self.execute(*args, **kwargs)
 
 
 class Declare(Protocol[G, R, F]):
-    """What `action` gives: it declares a body whose messages are those of the action."""
+    """The type of the decorator that `action` returns."""
 
     @overload
     def __call__(
@@ -210,17 +210,17 @@ class Declare(Protocol[G, R, F]):
 def action(
     action_type: ActionType[G, R, F], name: str, **options: Unpack[ServerOptions]
 ) -> Declare[G, R, F]:
-    """Declare the function below as the body of an action; nothing is served yet.
+    """Declare the function below as the body of an action. Nothing is served yet.
 
     Args:
         action_type: The action, a subclass of `turtleact.Action`.
         name: The name under which `Node.serve` serves it.
-        **options: As for `Node.action_server`.
+        **options: See `Node.action_server`.
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules.
         InvalidBody: if the function is neither a coroutine function nor an async generator, or
-            takes neither one parameter nor two.
+            does not take one or two parameters.
     """
 
     def declare(execute: Callable[P, T]) -> ActionDeclaration[P, T]:
@@ -230,14 +230,14 @@ def action(
 
 
 class Body:
-    """A function, and which of the two styles it is.
+    """A function and its style.
 
     Attributes:
         is_generator: Whether it yields its feedback and result.
-        wants_handle: Whether it takes the goal handle too.
+        wants_handle: Whether it also takes the goal handle.
 
     Raises:
-        InvalidBody: if it cannot be a body.
+        InvalidBody: if the function cannot be a body.
     """
 
     __slots__ = ("call", "is_generator", "wants_handle")

@@ -1,22 +1,22 @@
-"""The command line's door: arguments in, exit status out.
+"""The entry point of the command line: arguments in, exit status out.
 
-What the verbs take is declared in `turtleact.commands.verbs`; here they are run, and whatever ends
-them becomes a line on stderr and an exit status. Nothing is imported before it is needed, because
-a user waits for each import: Typer alone takes five times as long as an empty Python program.
+`turtleact.commands.verbs` declares the verbs. This module runs them and turns every exception into
+a line on stderr and an exit status. Modules are imported only when needed, because users wait for
+every import: Typer alone takes five times as long as an empty Python program.
 
 ====== =================================================
 status meaning
 ====== =================================================
-0      SUCCEEDED, or nothing went wrong; a signal ended ``serve``
-1      an error: nobody serves the action, a broken world
+0      SUCCEEDED, or nothing went wrong; also if a signal ended ``serve``
+1      an error, for example nobody serves the action
 2      usage, or a goal that does not fit its type
 3      the goal was rejected
 4      ABORTED
-5      CANCELED by somebody else
+5      somebody else canceled the goal
 124    timeout
 130    SIGINT (Ctrl-C); 143 SIGTERM; 129 SIGHUP
-141    whoever read the output has gone
-any    the status that a user's code gave to `sys.exit`
+141    the reader of the output has gone
+any    the status that users' code passed to `sys.exit`
 ====== =================================================
 """
 
@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import sys
 
-TYPE_CHECKING = False  # as `typing` would say, which takes long to import
+TYPE_CHECKING = False  # as in `typing`, which is slow to import
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -35,17 +35,17 @@ __all__ = ["main", "run"]
 FAILED, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
 
 PATIENCE = 1.5
-"""Seconds after which the Tab key offers nothing: nobody waits longer for a completion."""
+"""After so many seconds the Tab key offers nothing, because nobody waits longer."""
 
 
 def main() -> int:
-    """Run the program and give its exit status; the entry point of ``turtleact``."""
+    """Run the program and return its exit status."""
     try:
         import os
         import signal
 
-        # Until the handlers stand, Ctrl-C ends the program silently, as it ends any program in C.
-        # As an exception in the middle of an import it could be swallowed, or print a traceback.
+        # Until our handlers are installed, Ctrl-C ends the program silently, as in a C program.
+        # A KeyboardInterrupt during an import could be swallowed or print a traceback.
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, signal.SIG_DFL)
 
@@ -55,7 +55,7 @@ def main() -> int:
         if "_TURTLEACT_COMPLETE" in os.environ:
             _complete(interrupts)
         interrupts.install()
-    except KeyboardInterrupt:  # in the few milliseconds before
+    except KeyboardInterrupt:  # Ctrl-C in the few milliseconds before SIG_DFL was set
         return INTERRUPTED
     status = run(sys.argv[1:], interrupts)
     interrupts.ignore()
@@ -67,7 +67,7 @@ def main() -> int:
 
 
 def run(arguments: Sequence[str], interrupts: Interrupts) -> int:
-    """Run one command line and give its exit status. Never raises what a user might meet."""
+    """Run one command line and return its exit status; errors become a message and a status."""
     _make_printable()
     try:
         from turtleact.commands.verbs import parse
@@ -84,10 +84,11 @@ def run(arguments: Sequence[str], interrupts: Interrupts) -> int:
 
 
 def _complete(interrupts: Interrupts) -> None:
-    """Let Typer tell the shell what may stand at the cursor, and end the process.
+    """Let Typer print completions for the shell, then end the process.
 
-    The shell waits, and shows what is printed: so this takes `PATIENCE` at most, and is silent
-    whatever goes wrong. It ends at once, because the threads of Zenoh would take their time.
+    The shell waits and shows whatever is printed. Completion therefore takes at most `PATIENCE`
+    seconds and stays silent whatever goes wrong. The process ends at once, because Zenoh's threads
+    would take a while to stop.
     """
     import os
     import threading
@@ -107,7 +108,7 @@ def _complete(interrupts: Interrupts) -> None:
 
 
 def _report(error: BaseException) -> int:
-    """Say on stderr what went wrong, and give the exit status of it."""
+    """Print what went wrong on stderr and return the exit status for it."""
     from turtleact.errors import InvalidMessage, InvalidName, TurtleactError, UsageError
 
     if isinstance(error, TurtleactError):
@@ -127,14 +128,14 @@ def _report(error: BaseException) -> int:
 
 
 def _leaf(error: BaseException) -> BaseException:
-    """The one error that a task group has wrapped."""
+    """Return the error inside the exception groups of task groups."""
     while isinstance(error, BaseExceptionGroup):
         error = error.exceptions[0]
     return error
 
 
 def _report_broken_output(error: OSError) -> int:
-    """A pipe or terminal that was closed is nothing to speak of; a disk that is full is."""
+    """Report a full disk, but not a closed pipe or terminal, and return the exit status."""
     import errno
 
     from turtleact.commands.output import abandon
@@ -149,7 +150,7 @@ def _report_broken_output(error: OSError) -> int:
 
 
 def _make_printable() -> None:
-    """Let a character that the output cannot show be escaped, not raised."""
+    """Escape characters that the output cannot show, so that printing never raises."""
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
         if reconfigure is not None:

@@ -1,14 +1,14 @@
-"""Time: wall time, a factor of it, or virtual time.
+"""Clocks: wall time, scaled wall time, and virtual time.
 
-Every wait of turtleact goes through a `Clock`. Virtual time stands still while anything can run,
-and leaps to the next deadline once every task waits; so a minute passes in milliseconds, and two
-runs of the same program pass through the same moments. Any of them can be made to stand still.
+Every wait of turtleact goes through a `Clock`. Virtual time stands still while any task can run. It
+jumps to the next deadline once every task waits. A simulated minute therefore passes in
+milliseconds, and two runs of the same program see the same times. Every clock can be stopped.
 
-`Clock.time` is for measuring (seconds, from an arbitrary start, never backwards); `Clock.now` is
-ROS time (nanoseconds since the epoch) and stamps what others see.
+`Clock.time` is for measuring: seconds from an arbitrary start, never backwards. `Clock.now` is ROS
+time, in nanoseconds since the epoch, and stamps what others see.
 
-Where the event loop's own time is virtual (`turtleact.testing`), it is wall time to the clocks made
-there: all of them, and `anyio.sleep`, then tell one time.
+Under `turtleact.testing` the event loop's own time is virtual. Clocks made there take the loop's
+time for wall time, so that every clock and `anyio.sleep` agree.
 """
 
 from __future__ import annotations
@@ -45,21 +45,21 @@ __all__ = [
 T = TypeVar("T", bound="tuple[object, ...]")
 
 EPOCH = 1_700_000_000_000_000_000
-"""ROS time at the start of virtual time (ns): every run sees the same stamps."""
+"""ROS time at the start of virtual time (ns), the same in every run."""
 
 FASTEST = 100.0
-"""Highest factor of wall time: what is faster leaps better, in virtual time."""
+"""The highest factor of wall time; for more, use virtual time."""
 
 LEEWAY = 0.05
-"""How far a scaled clock runs ahead of a sleeper that is late (s)."""
+"""How far a scaled clock may run past the deadline of a late sleeper (s)."""
 
 
 _LAST = sys.float_info.max
-_SPARE = 16  # So many items of a heap may have been removed, however few there are.
+_SPARE = 16  # A heap tolerates this many removed items even if it holds few others.
 
 
 class Clock(Protocol):
-    """A source of time, and the only way to wait for it."""
+    """A source of time, and the only way to wait."""
 
     def time(self) -> float:
         """Seconds since an arbitrary moment; never goes backwards."""
@@ -68,30 +68,30 @@ class Clock(Protocol):
         """ROS time: nanoseconds since 1970-01-01 00:00 UTC."""
 
     async def sleep(self, seconds: float) -> None:
-        """Wait for some seconds of this clock; 0 or less is a checkpoint."""
+        """Wait for some seconds of this clock; 0 or less only yields to other tasks."""
 
     async def sleep_until(self, deadline: float) -> None:
         """Wait until `time` has reached ``deadline``."""
 
     def stop_at(self, moment: float) -> None:
-        """Let `time` come no further than ``moment``, or than it is; `math.inf` lets it go on.
+        """Stop the clock at ``moment``, or at the current time if that is later.
 
-        It goes on from where it stood: nobody has slept the time between.
+        `math.inf` starts the clock again. It continues from where it stopped, so no sleeper loses
+        time to the stop.
         """
 
     async def run(self) -> None:
-        """Drive the clock for as long as it is needed; never returns by itself."""
+        """Drive the clock until cancelled."""
 
 
 class ScaledClock:
-    """Wall time, ``factor`` times as fast, or as fast as its sleepers can follow.
+    """Wall time multiplied by ``factor``, slowed down if sleepers cannot keep up.
 
-    A sleeper that is late holds the clock up: until it goes on, time comes no further than `LEEWAY`
-    behind its deadline. So a machine that cannot keep up makes time slower, and nobody's time runs
-    out the sooner for it.
+    A late sleeper holds the clock up: until it runs, time stays within `LEEWAY` of its deadline.
+    A machine that is too slow therefore makes time pass more slowly, and no timeout expires early.
 
     Args:
-        factor: Seconds of this clock a second of wall time, above zero, `FASTEST` at most.
+        factor: Clock seconds per wall-clock second, above zero and at most `FASTEST`.
 
     Raises:
         SimError: if the factor is out of range.
@@ -102,8 +102,7 @@ class ScaledClock:
             raise SimError(f"a clock's speed must be a number above zero, not {factor}")
         if factor > FASTEST:
             raise SimError(
-                f"a clock's speed is {FASTEST:g} at most, not {factor:g}; "
-                "'max' is as fast as it computes"
+                f"a clock's speed is {FASTEST:g} at most, not {factor:g}; 'max' has no limit"
             )
         self.factor = factor
         leaping = _leaping_time()
@@ -117,7 +116,7 @@ class ScaledClock:
         self._freed: Signal | None = None
 
     def time(self) -> float:
-        """Seconds since this clock was made, without those for which it was held up or stood."""
+        """Seconds since this clock was made, without the time it was held up or stopped."""
         if self._stands:
             return self._end
         seconds = (self._wall() - self._wall_start) * self.factor
@@ -131,11 +130,11 @@ class ScaledClock:
         return seconds
 
     def now(self) -> int:
-        """ROS time; it begins at the wall's time when this clock was made."""
+        """ROS time; it starts at the wall-clock time at which this clock was made."""
         return self._ros_start + round(self.time() * 1e9)
 
     async def sleep(self, seconds: float) -> None:
-        """Wait for some seconds of this clock; 0 or less is a checkpoint."""
+        """Wait for some seconds of this clock; 0 or less only yields to other tasks."""
         left = max(seconds, 0.0)
         await self._sleep(self.time() + left, left)
 
@@ -145,7 +144,7 @@ class ScaledClock:
         await self._sleep(max(deadline, now), max(deadline - now, 0.0))
 
     def stop_at(self, moment: float) -> None:
-        """Let `time` come no further than ``moment``, or than it is; `math.inf` lets it go on."""
+        """Stop at ``moment``, or now if that is later; `math.inf` starts the clock again."""
         now = self.time()
         if self._stands:
             self._wall_start = self._wall() - now / self.factor
@@ -162,10 +161,15 @@ class ScaledClock:
         except BaseException:
             self._sleepers.remove(sleeper)
             raise
-        # It holds the clock up until it waits again: what it does now takes wall time too.
+        # The sleeper is removed one step later, not now. What the task does before it sleeps again
+        # takes wall time too, and until then the clock must not run ahead of it.
         current_tasks().call_soon(partial(self._sleepers.remove, sleeper))
 
     async def _wait(self, deadline: float, left: float) -> None:
+        # Two things make the remaining time wrong while a task sleeps. `stop_at` may stop the
+        # clock: then wait to be freed and compute it again. A late sleeper may hold the clock up,
+        # which moves `_wall_start`: then sleep again. If neither happened, `anyio.sleep` has waited
+        # long enough, and a rounding error of `left` must not cost another round.
         while True:
             while deadline > self._end:
                 if self._freed is None:
@@ -176,30 +180,30 @@ class ScaledClock:
             await anyio.sleep(left / self.factor)
             left = deadline - self.time()
             if left <= 0 or (self._wall_start == start and not self._stands):
-                return  # else something has held the clock up
+                return
 
     async def run(self) -> None:
-        """Nothing drives wall time."""
+        """Sleep until cancelled: wall time needs no driver."""
         await anyio.sleep_forever()
 
 
 class WallClock(ScaledClock):
-    """Wall time, whoever is late."""
+    """Wall time that no late sleeper can hold up."""
 
     def __init__(self) -> None:
         super().__init__()
         self._made = self._wall_start
         if self._wall is time.monotonic:
-            self.now = time.time_ns  # type: ignore[method-assign]  # it follows a clock that is set
+            self.now = time.time_ns  # type: ignore[method-assign]  # follows the system time
 
     def stop_at(self, moment: float) -> None:
-        """Let `time` come no further than ``moment``, or than it is; `math.inf` lets it go on."""
+        """Stop at ``moment``, or now if that is later; `math.inf` starts the clock again."""
         super().stop_at(moment)
         if self._wall is time.monotonic:
             self.now = self._behind  # type: ignore[method-assign]  # as above
 
     def _behind(self) -> int:
-        """The wall's time without that for which this clock stood."""
+        """The system time, minus the time for which this clock was stopped."""
         stood = self._wall() - self._made - self.time()
         return time.time_ns() - round(stood * 1e9)
 
@@ -208,11 +212,11 @@ class WallClock(ScaledClock):
 
 
 class VirtualClock:
-    """Time that leaps: it moves on only when every task waits, straight to the next deadline.
+    """Time that jumps to the next deadline as soon as every task waits.
 
-    Somebody must `run` it. Sleepers of one deadline go on in the order in which they began to
-    sleep, each once all that the one before it brought about has been done. What waits for the
-    network, a thread or wall time does not hold virtual time up.
+    A task must `run` the clock. Sleepers with the same deadline wake one at a time, in the order in
+    which they went to sleep. Each wakes when everything the previous one caused has been done.
+    Virtual time does not wait for tasks that wait for the network, a thread or wall time.
     """
 
     def __init__(self) -> None:
@@ -228,11 +232,11 @@ class VirtualClock:
         return self._time
 
     def now(self) -> int:
-        """ROS time; it begins at a fixed moment, so that every run sees the same stamps."""
+        """ROS time; it starts at `EPOCH`, so that every run sees the same stamps."""
         return EPOCH + round(self._time * 1e9)
 
     async def sleep(self, seconds: float) -> None:
-        """Wait for some virtual seconds; 0 or less is a checkpoint."""
+        """Wait for some virtual seconds; 0 or less only yields to other tasks."""
         await self.sleep_until(self._time + seconds)
 
     async def sleep_until(self, deadline: float) -> None:
@@ -255,15 +259,17 @@ class VirtualClock:
             raise
 
     def stop_at(self, moment: float) -> None:
-        """Leap to no deadline behind ``moment``; `math.inf` lets time go on."""
+        """Never jump to a deadline after ``moment``; `math.inf` lifts the limit."""
         self._end = min(moment, _LAST)
         if self._wanted is not None:
             self._wanted.fire()
 
     async def run(self) -> None:
-        """Leap to the next deadline whenever every other task waits; never returns by itself."""
+        """Jump to the next deadline whenever every other task waits, until cancelled."""
         wanted = self._wanted = current_tasks().signal()
         wait_until_idle, sleepers = idleness(), self._sleepers
+        # One sleeper is woken per round, so whatever it does happens before the next one wakes. If
+        # there is nothing to jump to, `wanted` fires for a new sleeper or a new limit.
         while True:
             await wait_until_idle()
             first = sleepers.first
@@ -276,12 +282,13 @@ class VirtualClock:
 
 
 def make_clock(speed: float | str) -> ScaledClock | VirtualClock:
-    """The clock of a speed: a factor of wall time, or ``"max"`` for virtual time.
+    """Make the clock for a speed: a factor of wall time, or ``"max"`` for virtual time.
 
-    Where wall time itself is virtual, that is as fast as can be, and ``"max"`` the same as 1.
+    If the event loop's own time is virtual, every speed runs as fast as possible, and ``"max"``
+    means the same as 1.
 
     Raises:
-        SimError: if it is neither, or the factor is above `FASTEST`.
+        SimError: if ``speed`` is neither, or the factor is out of range.
     """
     if speed == "max":
         return VirtualClock() if _leaping_time() is None else WallClock()
@@ -293,13 +300,13 @@ def make_clock(speed: float | str) -> ScaledClock | VirtualClock:
 
 
 class Heap(Generic[T]):
-    """Different items, the least of them first.
+    """A set of items with quick access to the smallest.
 
-    One that is removed before its turn stays where it is until it is the first, or until there are
-    more of its kind than others: to look for it takes long where a thousand sleep.
+    Searching for an item in the middle would be slow if thousands sleep. A removed item therefore
+    stays in the list until it comes first, or until removed items outnumber the others.
 
     Attributes:
-        first: The least item; None if there is none.
+        first: The smallest item; None if the heap is empty.
     """
 
     def __init__(self) -> None:
@@ -317,7 +324,7 @@ class Heap(Generic[T]):
         self.first = self._items[0]
 
     def remove(self, item: T) -> None:
-        """Take an item out, if it is there still."""
+        """Take an item out, if it is still there."""
         self._there.discard(item)
         if len(self._items) > 2 * len(self._there) + _SPARE:
             self._items = sorted(self._there)
@@ -327,7 +334,7 @@ class Heap(Generic[T]):
 
 
 def _leaping_time() -> Callable[[], float] | None:
-    """The time of the event loop that runs now, if it is virtual."""
+    """Return the function that tells the running event loop's time, if that time is virtual."""
     if "trio" in sys.modules:
         import trio
 
@@ -345,15 +352,15 @@ def _leaping_time() -> Callable[[], float] | None:
 
 
 def check_timeout(seconds: object, option: str = "timeout", *, may_be_none: bool = True) -> None:
-    """Check a timeout that a user has given.
+    """Check that a timeout is a number of seconds or None.
 
     Args:
-        seconds: What was given.
-        option: What the user calls it.
-        may_be_none: Whether None is allowed, for no limit.
+        seconds: The user's value.
+        option: The option's name, for the error message.
+        may_be_none: Whether None is allowed and means no limit.
 
     Raises:
-        InvalidOption: if it is not a number, and not an allowed None.
+        InvalidOption: if it is neither a number nor an allowed None.
     """
     if may_be_none and seconds is None:
         return
@@ -365,7 +372,7 @@ def check_timeout(seconds: object, option: str = "timeout", *, may_be_none: bool
 
 @asynccontextmanager
 async def within(seconds: float | None, clock: Clock) -> AsyncIterator[None]:
-    """Cancel the block after some seconds of a clock and go on behind it; never, if None."""
+    """Cancel the block after some seconds of a clock and continue after it; never if None."""
     if seconds is None:
         yield
         return

@@ -11,23 +11,23 @@
     ├── InvalidBody            a function cannot be the body of an action
     ├── InvalidOption          an option has a value that it cannot have
     ├── InvalidTransition      an event is not allowed in a goal's state
-    ├── GoalError              what a goal's end tells the one who waits for it
-    │   ├── GoalRejected       the server did not take the goal
+    ├── GoalError              a goal did not succeed; raised where you wait for the goal
+    │   ├── GoalRejected       the server rejected the goal
     │   ├── GoalAborted        the server ended the goal without success
     │   ├── GoalCanceled       the goal was canceled
-    │   └── UnknownGoal        the server does not hold a goal of that id
+    │   └── UnknownGoal        the server knows no goal with that id
     ├── ActionConflict         another node serves the action already
     ├── ServerUnavailable      nobody serves the action or service, or the server went away
     ├── ServiceError           a service's handler failed to respond
-    │   └── ServiceTimeout     … within the time that the caller gave it
+    │   └── ServiceTimeout     … within the caller's timeout
     ├── SimError               the world was asked for something impossible
     ├── UsageError             the command line was given something it cannot use
-    └── Verdict                what a server's own code raises to end or refuse a goal
+    └── Verdict                raised by a server's own code to end or reject a goal
         ├── Abort
         ├── Cancel
         └── Reject
 
-An exception holds its facts as attributes and builds its text from them; the text says what
+Each exception keeps its facts as attributes and builds its text from them. The text says what
 happened, where, and what to do.
 """
 
@@ -68,9 +68,9 @@ __all__ = [
 
 
 class TurtleactError(Exception):
-    """The root: ``except TurtleactError`` catches all that turtleact raises on purpose."""
+    """The root of the tree: ``except TurtleactError`` catches every exception of turtleact."""
 
-    def __reduce__(self) -> tuple[object, ...]:  # its arguments may be others than ``args``
+    def __reduce__(self) -> tuple[object, ...]:  # __init__ may take other arguments than ``args``
         return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]
 
 
@@ -99,9 +99,9 @@ class InvalidInterface(TurtleactError):
     Attributes:
         problem: What is wrong.
         source: File or type name that holds the definition.
-        line: Line of the mistake, counted from 1; 0 where there is no text.
+        line: Line of the mistake, counted from 1; 0 if the definition is not text.
         column: Column of the mistake, counted from 1.
-        text: The line as it stands.
+        text: That line of the definition.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class InvalidInterface(TurtleactError):
 
 
 class UnknownInterface(TurtleactError):
-    """No interface of that name is known.
+    """The interface is not known: no package, file or loaded text defines it.
 
     Attributes:
         type_name: The name that was looked up.
@@ -143,7 +143,7 @@ class InvalidMessage(TurtleactError):
     """A value does not fit the type of its field.
 
     Attributes:
-        path: Where it stands: ``goal.targets[2].x``.
+        path: The field, for example ``goal.targets[2].x``.
         problem: What was expected and what was found.
     """
 
@@ -157,7 +157,7 @@ class InvalidMessage(TurtleactError):
 
 
 class InvalidGoal(InvalidMessage):
-    """A value in a goal does not fit the type of its field; nothing was sent."""
+    """A value in a goal does not fit the type of its field. Nothing was sent."""
 
 
 class InvalidBody(TurtleactError):
@@ -178,7 +178,7 @@ class InvalidBody(TurtleactError):
 
 
 class InvalidOption(TurtleactError):
-    """An option of a server has a value that it cannot have.
+    """An option has a value that is not allowed.
 
     Attributes:
         name: The option.
@@ -195,7 +195,7 @@ class InvalidOption(TurtleactError):
 
 
 class InvalidTransition(TurtleactError):
-    """An event is not allowed in the state of a goal; nothing changed.
+    """The goal's state does not allow the event. Nothing changed.
 
     Attributes:
         status: The state of the goal, a `GoalStatus`.
@@ -219,8 +219,8 @@ class GoalError(TurtleactError):
     """A goal did not succeed.
 
     Attributes:
-        reason: Why, in the server's words; empty where it gave none.
-        result: The result that the server reported all the same, if there is one.
+        reason: The server's explanation; empty if it gave none.
+        result: The result, if the server sent one even though the goal failed.
     """
 
     what = "the goal did not succeed"
@@ -235,7 +235,7 @@ class GoalError(TurtleactError):
 
 
 class GoalRejected(GoalError):
-    """The server did not take the goal."""
+    """The server rejected the goal."""
 
     what = "the goal was rejected"
 
@@ -253,13 +253,13 @@ class GoalCanceled(GoalError):
 
 
 class UnknownGoal(GoalError):
-    """The server does not hold a goal of that id: it never did, or its result has expired."""
+    """The server knows no goal with that id: it never had one, or the result has expired."""
 
     what = "the goal is not known to the server"
 
 
 class ActionConflict(TurtleactError):
-    """Another node serves an action of that name, and one node serves an action name.
+    """Another node already serves the action; an action name belongs to one node.
 
     Attributes:
         action: The action's name.
@@ -279,13 +279,13 @@ class ActionConflict(TurtleactError):
 
 
 class ServerUnavailable(TurtleactError):
-    """Nobody serves the action or service, or its server went away.
+    """Nobody serves the action or service, or the server went away.
 
     Attributes:
         name: The name of the action or service.
-        problem: What was found in its place.
-        kind: Which of the two it is.
-        otherwise: What it may be instead, where that cannot be told; empty if it can.
+        problem: What is known about the server.
+        kind: Whether ``name`` is an action or a service.
+        otherwise: Another possible explanation, if one cannot be ruled out; else empty.
     """
 
     def __init__(
@@ -308,11 +308,11 @@ class ServerUnavailable(TurtleactError):
 
 
 class ServiceError(TurtleactError):
-    """A service's handler failed, or responded with something else than a response.
+    """A service's handler failed, or did not return a valid response.
 
     Attributes:
         name: The service's name.
-        reason: Why, in the server's words.
+        reason: The server's explanation.
     """
 
     def __init__(self, name: str, reason: str) -> None:
@@ -328,7 +328,7 @@ class ServiceTimeout(ServiceError):
     """A service has not responded within the time that the caller gave it.
 
     Attributes:
-        seconds: That time, by the clock of the graph.
+        seconds: The timeout, by the graph's clock.
     """
 
     def __init__(self, name: str, seconds: float) -> None:
@@ -341,7 +341,7 @@ class SimError(TurtleactError):
 
     Attributes:
         problem: What is wrong, and what to do.
-        turtle: The name of the turtle it is about; empty where it is about none.
+        turtle: The name of the turtle concerned; empty if none is.
     """
 
     def __init__(self, problem: str, *, turtle: str = "") -> None:
@@ -357,7 +357,7 @@ class UsageError(TurtleactError):
     """The command line was given arguments that it cannot use.
 
     Attributes:
-        problem: What is wrong, and what to give instead.
+        problem: What is wrong, and what to write instead.
     """
 
     def __init__(self, problem: str) -> None:
@@ -369,15 +369,15 @@ class UsageError(TurtleactError):
 
 
 class Verdict(TurtleactError):
-    """What a server's own code raises to say how a goal ends."""
+    """The base of `Abort`, `Cancel` and `Reject`, which a server's own code raises."""
 
 
 class Abort(Verdict):
-    """Raised by an action's body to end its goal ABORTED.
+    """Raise this in a body to end its goal ABORTED.
 
     Args:
-        reason: What the client is told.
-        result: The result that goes with it; the action's default result if left out.
+        reason: The explanation sent to the client.
+        result: The result sent with it; the action's default result if left out.
     """
 
     def __init__(self, reason: str = "", result: object = None) -> None:
@@ -390,10 +390,10 @@ class Abort(Verdict):
 
 
 class Cancel(Verdict):
-    """Raised by a canceled body in its clean-up, to report a result.
+    """Raise this in the clean-up of a canceled body to report a result.
 
     Args:
-        result: What the goal has reached; the partial or default result if left out.
+        result: What the goal achieved so far; the partial or default result if left out.
     """
 
     def __init__(self, result: object = None) -> None:
@@ -402,10 +402,10 @@ class Cancel(Verdict):
 
 
 class Reject(Verdict):
-    """Raised by a ``goal_callback`` to refuse a goal.
+    """Raise this in a ``goal_callback`` to reject a goal.
 
     Args:
-        reason: What the client is told.
+        reason: The explanation sent to the client.
     """
 
     def __init__(self, reason: str = "") -> None:

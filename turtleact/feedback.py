@@ -1,10 +1,10 @@
-"""The feedback of one goal: what is kept of it, and when its body should wait for a reader.
+"""The feedback of one goal: which messages are kept, and when the body must wait for a reader.
 
-The sender's own stream loses nothing: what it has not read yet is kept once it has begun to read,
-and a body that runs far ahead of it waits. Before that, and behind it, only the newest messages are
-kept; other readers go by what is there, and count what they missed.
+The sender's stream loses nothing once it has begun to read: unread messages are kept, and a body
+that is far ahead waits. Otherwise only the newest messages are kept. Other readers take what is
+there and count what they have missed.
 
-Pure: whoever wants to wait brings a `Listener`.
+Pure: a caller that wants to wait passes a `Listener`.
 """
 
 from __future__ import annotations
@@ -17,28 +17,29 @@ __all__ = ["FeedbackLog", "Listener"]
 
 
 class Listener(Protocol):
-    """What wants to know that something has changed."""
+    """Something that wants to know about changes."""
 
     def fire(self) -> None:
         """Called after each change; must not raise."""
 
 
 class FeedbackLog:
-    """The feedback of one goal, numbered from 0; any number of readers go by the number.
+    """The feedback of one goal, numbered from 0. Each reader keeps the number of its next message.
 
     Attributes:
         items: The messages still kept, oldest first.
-        dropped: How many older ones are gone: ``items[i]`` is number ``dropped + i``.
-        read: The number that the sender's stream reads next; None while it does not read.
-        drained: Whom to tell once the body need not wait any more, if somebody wants to know.
-        hurried: How many times the sender waits for the end now; the body is not held up then.
+        dropped: How many older ones were dropped: ``items[i]`` is number ``dropped + i``.
+        read: The next number that the sender's stream reads; None while nobody reads the stream.
+        drained: Told as soon as a waiting body may go on; None if no body waits.
+        hurried: How many callers wait for the goal's end. While there are any, the body never
+            waits for a reader.
     """
 
     KEPT: Final = 1024
-    """So many messages are kept for those who are not waited for."""
+    """How many messages are kept for readers that the body does not wait for."""
 
     BUDGET: Final = 1 << 20
-    """So much may lie unread before the body waits (bytes, in a compact encoding)."""
+    """How much may lie unread before the body waits (bytes, in a compact encoding)."""
 
     __slots__ = ("_weighed", "_weight", "drained", "dropped", "hurried", "items", "read")
 
@@ -53,19 +54,19 @@ class FeedbackLog:
 
     @property
     def count(self) -> int:
-        """How many messages there have been."""
+        """How many messages there have been, dropped ones included."""
         return self.dropped + len(self.items)
 
     @property
     def is_full(self) -> bool:
-        """Whether the sender reads, and is behind by so much that the body should wait."""
+        """Whether the sender's stream is so far behind that the body should wait."""
         if self.read is None or self.hurried:
             return False
         unread = self.dropped + len(self.items) - self.read
         return unread >= self.KEPT or unread * self._weight >= self.BUDGET
 
     def relieve(self) -> None:
-        """Let the body go on, if it was held up and need not be any more."""
+        """Let a waiting body go on if it may."""
         if self.drained is not None and not self.is_full:
             self.drained.fire()
 
@@ -77,10 +78,10 @@ class FeedbackLog:
             self.trim()
 
     def weigh(self) -> None:
-        """Take one message's size for that of all; not done for each, as it takes time.
+        """Estimate the size of a message by measuring one of the newest.
 
-        Each time another of the newest is taken, and a large one is only forgotten bit by bit: a
-        body may give large and small ones by turns.
+        Measuring every message would take too long. Each call measures another one, and the
+        estimate falls slowly after a large one, since a body may alternate large and small ones.
         """
         if self.items:
             self._weighed += 1
@@ -88,7 +89,7 @@ class FeedbackLog:
             self._weight = max(len(_ENCODER.encode(message)), self._weight * 15 // 16)
 
     def trim(self) -> None:
-        """Forget what need not be kept, unless it is little, as it moves all the others."""
+        """Drop messages that need not be kept, if they are many enough to be worth the move."""
         needless = len(self.items) - self.KEPT
         if self.read is not None:
             needless = min(needless, self.read - self.dropped)
@@ -100,7 +101,7 @@ class FeedbackLog:
 _ENCODER = msgspec.msgpack.Encoder()
 
 _NEWEST: Final = 16
-"""So many of the newest messages take turns at being weighed."""
+"""How many of the newest messages `weigh` goes through in turn."""
 
 _NEEDLESS: Final = 64
-"""What need not be kept is at most the 64th part of what is kept."""
+"""`trim` waits until one message in this many need not be kept."""

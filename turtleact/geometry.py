@@ -1,8 +1,8 @@
 """Angles, bearings and distances in the plane: the arithmetic of steering.
 
-Lengths are in metres, angles in radians, counted counter-clockwise from the x axis; a pose is
-``(x, y, theta)``. Everything is a plain float and every function is pure. Knows no turtle, no
-world and no step length.
+Lengths are in metres. Angles are in radians, counter-clockwise from the x axis. A pose is
+``(x, y, theta)``. All values are plain floats and all functions are pure. This module knows nothing
+about turtles, worlds or time steps.
 
 Source: Lynch and Park, Modern Robotics, section 3.2 (frames in the plane) and 13.3 (steering).
 """
@@ -24,10 +24,10 @@ __all__ = [
 
 
 def wrap_angle(angle: float) -> float:
-    """The same direction as an angle in [-pi, pi).
+    """Return the same direction as an angle in [-pi, pi).
 
-    Exactly pi becomes -pi; an angle that is in the range already comes back to the last bit;
-    one that is not finite has no direction and becomes nan.
+    Exactly pi becomes -pi. An angle that is already in the range is returned unchanged. Infinity
+    and nan have no direction and become nan.
 
     Args:
         angle: Any angle (rad).
@@ -47,9 +47,9 @@ def wrap_angle(angle: float) -> float:
 
 
 def shortest_turn(theta: float, target: float) -> float:
-    """How far to turn from one heading to another, the short way round.
+    """Return how far to turn from one heading to another, the short way round.
 
-    Exactly opposite turns right, as turtlesim does.
+    If the headings are exactly opposite, the turn is to the right, as in turtlesim.
 
     Args:
         theta: The heading now (rad), any angle.
@@ -94,10 +94,10 @@ def bearing(x0: float, y0: float, x1: float, y1: float) -> float:
 
 
 def phase(way: complex) -> float:
-    """The direction of a vector: an angle in [-pi, pi] (rad); 0 and pi by its signs for 0.
+    """Return the direction of a vector as an angle in [-pi, pi] (rad).
 
-    What ``cmath.phase`` is; but CPython's raises OverflowError for an angle that is too small for a
-    float.
+    A zero vector gives 0, pi or -pi, depending on the signs of its zeros. This is ``cmath.phase``
+    without a flaw of CPython's, which raises OverflowError if the angle is too small for a float.
 
     Args:
         way: The vector, ``x + yj``, of any length.
@@ -112,16 +112,16 @@ def phase(way: complex) -> float:
 def in_frame(
     point: tuple[float, float], *, x: float, y: float, theta: float
 ) -> tuple[float, float]:
-    """A point as it is seen from a pose.
+    """Return a point's coordinates as seen from a pose.
 
     Args:
         point: x and y of the point (m).
-        x: Of the pose (m).
-        y: Of the pose (m).
+        x: The x coordinate of the pose (m).
+        y: The y coordinate of the pose (m).
         theta: Heading of the pose (rad), any angle.
 
     Returns:
-        How far the point is ahead and how far to the left (m); negative: behind, to the right.
+        The distances ahead and to the left (m); negative means behind and to the right.
 
     Example:
         >>> ahead, left = in_frame((1.0, 3.0), x=1.0, y=1.0, theta=math.pi / 2)
@@ -134,17 +134,17 @@ def in_frame(
 
 
 def curvature(ahead: float, left: float) -> float:
-    """The curvature of the circle along which a point is reached without turning first.
+    """Return the curvature of the arc that leads to a point without turning on the spot first.
 
-    The circle touches the heading; ``omega = curvature * v`` drives along it, forwards or
-    backwards.
+    The arc starts in the direction of the heading. Driving with ``omega = curvature * v`` follows
+    it, forwards or backwards.
 
     Args:
-        ahead: How far the point is ahead (m); see `in_frame`.
-        left: How far it is to the left (m).
+        ahead: How far ahead the point is (m); see `in_frame`.
+        left: How far to the left it is (m).
 
     Returns:
-        One over the radius (1/m), positive to the left; 0 for the point where one stands.
+        One over the radius (1/m), positive to the left; 0 if the point is the current position.
 
     Source: Coulter, Implementation of the Pure Pursuit Path Tracking Algorithm, equation 7.
 
@@ -157,10 +157,10 @@ def curvature(ahead: float, left: float) -> float:
 
 
 def saturate(value: float, limit: float) -> float:
-    """The value, or the nearest one within ``[-limit, limit]``.
+    """Return the value, limited to ``[-limit, limit]``.
 
     Args:
-        value: In the unit of the limit.
+        value: Any value, in the same unit as the limit.
         limit: Zero or more.
 
     Example:

@@ -1,15 +1,13 @@
-"""What may happen to a goal: its states, who is canceled, how long a result is kept.
+"""The rules for goals: states, transitions, which goals a cancel means, how long results are kept.
 
-The rules, in prose:
-
-- A goal is ACCEPTED, then EXECUTING; a client's cancel makes it CANCELING; it ends SUCCEEDED,
-  CANCELED or ABORTED, once. Every other step is illegal, raises, and changes nothing.
-- Only a client's cancel leads to CANCELED; what the server decides by itself ends ABORTED.
+- A goal is ACCEPTED, then EXECUTING. A client's cancel makes it CANCELING. It ends once, as
+  SUCCEEDED, CANCELED or ABORTED. Any other step raises and changes nothing.
+- Only a client's cancel leads to CANCELED. If the server ends a goal by itself, it is ABORTED.
 - A cancel request names goals by id, by time, or by both (`select`).
-- A goal that ended is kept for ``result_timeout`` seconds from its end, longer while somebody
-  waits for it, and is then forgotten (`GoalTable`).
+- A goal that has ended is kept for ``result_timeout`` seconds, and longer while somebody waits for
+  it. Then it is forgotten (`GoalTable`).
 
-Pure: no clock, no task, no random number. Time enters as ``now`` in nanoseconds.
+Pure: no clock, no task, no random number. The current time is passed in as ``now``, in nanoseconds.
 
 Source: the ROS 2 design article "Actions"; rcl_action ``goal_state_machine.c`` and
 ``action_server.c``; action_msgs/srv/CancelGoal.
@@ -63,8 +61,8 @@ class GoalStatus(IntEnum):
 
     @property
     def is_active(self) -> bool:
-        """Whether the goal still has an end before it."""
-        return 1 <= self <= 3  # numbers: looking the names up would take twice as long
+        """Whether the goal has not ended yet."""
+        return 1 <= self <= 3  # looking up the members' names would take twice as long
 
     @property
     def is_terminal(self) -> bool:
@@ -73,7 +71,7 @@ class GoalStatus(IntEnum):
 
 
 def status_of(number: int) -> GoalStatus:
-    """The state of that number; UNKNOWN for one that is none."""
+    """Return the state with that number, or UNKNOWN if there is none."""
     try:
         return GoalStatus(number)
     except ValueError:
@@ -127,14 +125,14 @@ TRANSITIONS: Final[Mapping[tuple[GoalStatus, GoalEvent], GoalStatus]] = MappingP
 )
 
 
-#: The same by number, ``[status][event]``: members of an enum are slow keys.
+#: The same table by number, ``[status][event]``: enum members are slow as dictionary keys.
 _NEXT: Final = tuple(
     (None, *(TRANSITIONS.get((status, event)) for event in GoalEvent)) for status in GoalStatus
 )
 
 
 def transition(status: GoalStatus, event: GoalEvent) -> GoalStatus:
-    """The state that ``event`` leads to from ``status``.
+    """Return the state that ``event`` leads to from ``status``.
 
     Raises:
         InvalidTransition: if the event is not allowed in that state.
@@ -152,38 +150,38 @@ class Cancelable(Protocol):
     """Something running that can be asked to stop."""
 
     def cancel(self) -> object:
-        """Ask it; it may still take its time."""
+        """Ask it to stop; this may take a while."""
 
 
 OnFeedback: TypeAlias = Callable[[object], object]
 
 
 class Goal(msgspec.Struct, eq=False):
-    """One goal, as the server holds it; a client in the same process reads the same object.
+    """One goal, as the server holds it. A client in the same process reads the same object.
 
     Attributes:
         request: The goal message.
-        stamp: When it was accepted (ns since the epoch).
-        status: Its state. One that starts at once is made EXECUTING; then `apply` changes it.
-        history: The states that it has entered since its acceptance, but for the last one, each
-            with the number of feedback messages that went before.
-        id: Its 16 bytes, or None as long as nobody has asked for them.
+        stamp: When the server accepted it (ns since the epoch).
+        status: Its state; only `apply` changes it, except that a goal may be created EXECUTING.
+        history: The states since its acceptance, without the final one. Each comes with the number
+            of feedback messages published before it.
+        id: Its 16 bytes; None until somebody asks for them.
         on_feedback: The sender's callback for feedback.
-        is_streamed: Whether feedback is to be kept for a reader.
-        feedback: The feedback that is kept; made with the first message, or the first reader.
-        last_feedback: The newest message, kept whether anybody reads or not; as long as nobody here
-            can look at it, it may be the bytes that were sent.
-        result: The result message once it has ended, before that the partial one.
-        reason: Why it was, or is about to be, aborted.
-        listener: Whom to tell of each change.
-        body: What runs for it, while it can be canceled.
+        is_streamed: Whether feedback must be kept for a reader.
+        feedback: The feedback kept so far; created by the first message or the first reader.
+        last_feedback: The newest message, which is always kept. It may stay as the bytes that were
+            sent until somebody in this process looks at it.
+        result: The partial result; after the end, the result.
+        reason: Why it was aborted, or is about to be.
+        listener: Told of each change.
+        body: The running body, while it can be canceled.
         ended: When it ended (ns since the epoch); 0 before.
-        waiters: How many wait for its result; the table keeps it as long as there are any.
-        parent: The goal whose body has sent it, if one has.
-        sender: The client that has sent it.
-        published: How many of its feedback messages went out to the feedback topic.
-        is_asked_for: Whether a client elsewhere has asked for its result.
-        error: Why nothing more will be heard of it; its state is UNKNOWN then.
+        waiters: How many callers wait for its result. The table keeps the goal while there are any.
+        parent: The goal whose body sent this one, if any.
+        sender: The client that sent it.
+        published: How many of its messages were published on the feedback topic.
+        is_asked_for: Whether a client in another process has asked for its result.
+        error: Why contact with the goal was lost; its state is then UNKNOWN.
     """
 
     request: object
@@ -209,20 +207,20 @@ class Goal(msgspec.Struct, eq=False):
 
     @property
     def hex(self) -> str:
-        """The id as ROS prints it, or words that say it has none yet."""
+        """The id in hexadecimal, as ROS prints it, or "(no id)"."""
         return self.id.hex() if self.id else "(no id)"
 
     def apply(self, event: GoalEvent) -> None:
-        """Change the state, and tell the listener.
+        """Change the state and tell the listener.
 
         Raises:
-            InvalidTransition: if the event is not allowed now; nothing has changed.
+            InvalidTransition: if the state does not allow the event. Nothing changed.
         """
         status = _NEXT[self.status][event]
         if status is None:
             raise InvalidTransition(self.status, event, self.hex)
         self.status = status
-        if event <= GoalEvent.CANCEL_GOAL:  # the last state is told by the status itself
+        if event <= GoalEvent.CANCEL_GOAL:  # the history leaves out final states
             count = 0 if self.feedback is None else self.feedback.count
             self.history = (*self.history, (status, count))
         if self.listener is not None:
@@ -230,7 +228,7 @@ class Goal(msgspec.Struct, eq=False):
 
 
 def failure(goal: Goal) -> TurtleactError:
-    """What a goal that ended without success tells the one who waits for it."""
+    """Return the exception that reports how a goal failed to whoever waits for it."""
     if goal.error is not None:
         return goal.error
     kind = GoalCanceled if goal.status is GoalStatus.CANCELED else GoalAborted
@@ -238,15 +236,15 @@ def failure(goal: Goal) -> TurtleactError:
 
 
 def select(goals: Iterable[Goal], goal_id: bytes | None, stamp: int) -> list[Goal]:
-    """The active goals that a cancel request means, in the order of their acceptance.
+    """Return the active goals that a cancel request means, in the order of their acceptance.
 
-    No id and no stamp mean every goal; a stamp means every goal accepted at or before it; an id
-    means that goal; both mean the union.
+    Without id and stamp, the request means every goal. A stamp means every goal accepted at or
+    before that time. An id means that goal. A request with both means both kinds.
 
     Args:
-        goals: All that the server holds.
-        goal_id: 16 bytes; None means no id.
-        stamp: In ns since the epoch; zero means no stamp.
+        goals: All goals that the server holds.
+        goal_id: 16 bytes, or None.
+        stamp: A time (ns since the epoch), or zero.
 
     Source: action_msgs/srv/CancelGoal.
     """
@@ -265,13 +263,13 @@ def select(goals: Iterable[Goal], goal_id: bytes | None, stamp: int) -> list[Goa
 
 
 def cancel_code(named: Goal | None, *, by_id: bool, asked: int, let_go: int) -> CancelCode:
-    """The ``return_code`` that answers a cancel request.
+    """Return the ``return_code`` that answers a cancel request.
 
     Args:
-        named: The goal of the request's id, if it is held.
-        by_id: Whether the request gave an id and no stamp.
+        named: The goal with the requested id, if the server holds it.
+        by_id: Whether the request had an id and no stamp.
         asked: How many goals `select` found.
-        let_go: How many of these are being canceled now.
+        let_go: How many of them are being canceled now.
 
     Source: action_msgs/srv/CancelGoal; rcl_action ``rcl_action_process_cancel_request``.
     """
@@ -283,12 +281,12 @@ def cancel_code(named: Goal | None, *, by_id: bool, asked: int, let_go: int) -> 
 
 
 class GoalTable:
-    """The goals that a server holds: all active ones, and those that ended not long ago.
+    """The goals that a server holds: all active ones and those that ended recently.
 
-    A goal whose id nobody has asked for cannot be named by anybody, so it is forgotten at its end.
+    A goal without an id is forgotten as soon as it ends, because nobody can ask for it later.
 
     Args:
-        result_timeout: How long a goal is kept after its end (s); None keeps it for ever.
+        result_timeout: How long to keep a goal after its end (s); None keeps it for ever.
     """
 
     def __init__(self, result_timeout: float | None = 10.0) -> None:
@@ -296,7 +294,7 @@ class GoalTable:
         self._active: dict[Goal, None] = {}
         self._named: dict[bytes, Goal] = {}
         self._expiries: list[tuple[int, bytes]] = []
-        self._pinned: set[Goal] = set()  # their time is over, but somebody waits
+        self._pinned: set[Goal] = set()  # expired, but kept while somebody waits for them
 
     @property
     def active(self) -> list[Goal]:
@@ -304,7 +302,7 @@ class GoalTable:
         return list(self._active)
 
     def add(self, goal: Goal) -> bool:
-        """Take up an accepted goal; False, and nothing done, if its id is still held."""
+        """Add an accepted goal. Returns False and does nothing if its id is taken."""
         if goal.id is not None:
             if goal.id in self._named:
                 self.expire(goal.stamp)
@@ -315,13 +313,13 @@ class GoalTable:
         return True
 
     def forget(self, goal: Goal) -> None:
-        """Take back what `add` has done: the goal is not accepted after all."""
+        """Undo `add` for a goal that was not accepted after all."""
         self._active.pop(goal, None)
         if goal.id is not None:
             del self._named[goal.id]
 
     def name(self, goal: Goal, goal_id: bytes, now: int) -> bytes:
-        """Give a goal its id, unless it has one, so that it can be found; answer the id."""
+        """Give a goal this id unless it has one, and return its id."""
         if goal.id is None:
             goal.id = goal_id
             self._named[goal_id] = goal
@@ -331,7 +329,7 @@ class GoalTable:
         return goal.id
 
     def end(self, goal: Goal, now: int) -> None:
-        """Note that a goal has ended; its result is kept ``result_timeout`` from ``now``."""
+        """Record that a goal has ended; its result is kept for ``result_timeout`` from ``now``."""
         goal.ended = now
         self._active.pop(goal, None)
         if goal.id is not None:
@@ -340,22 +338,22 @@ class GoalTable:
             self.expire(now)
 
     def find(self, goal_id: bytes, now: int) -> Goal | None:
-        """The goal of that id, or None if it was never held or has expired."""
+        """Return the goal with that id, or None if it never existed or has expired."""
         self.expire(now)
         return self._named.get(goal_id)
 
     def ids(self, now: int) -> Collection[bytes]:
-        """The ids of all goals held that have one."""
+        """The ids of all goals held; goals without an id are left out."""
         self.expire(now)
         return self._named.keys()
 
     def held(self, now: int) -> list[Goal]:
-        """All goals held: the active ones, and those whose result is kept, by their acceptance."""
+        """All goals held, active or ended, in the order of their acceptance."""
         self.expire(now)
         return sorted(dict.fromkeys([*self._named.values(), *self._active]), key=_by_stamp)
 
     def expire(self, now: int) -> None:
-        """Forget the goals whose time is over and for which nobody waits."""
+        """Forget the goals whose time is over, except those that somebody waits for."""
         expiries = self._expiries
         while expiries and expiries[0][0] <= now:
             goal = self._named[heapq.heappop(expiries)[1]]
@@ -364,7 +362,7 @@ class GoalTable:
                 self.unpin(goal)
 
     def unpin(self, goal: Goal) -> None:
-        """Note that nobody waits for a goal any more: it is forgotten if its time is over."""
+        """Call this when the last waiter has left: an expired goal is then forgotten."""
         if goal in self._pinned and goal.id is not None:
             self._pinned.remove(goal)
             del self._named[goal.id]

@@ -1,6 +1,6 @@
-"""New goal ids: 16 random bytes, drawn from the system many at a time.
+"""New goal ids: 16 random bytes each, drawn from the operating system in batches.
 
-Source: RFC 9562, UUID version 4; what unique_identifier_msgs/msg/UUID carries.
+Source: RFC 9562, UUID version 4, as in unique_identifier_msgs/msg/UUID.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _POOLED = 256
 
 
 class _Pool:
-    """Random bytes in stock; a forked child starts with none, so that no id is drawn twice."""
+    """A stock of random bytes. A forked child starts without it, so that no id is used twice."""
 
     def __init__(self) -> None:
         self._stock: list[bytes] = []
@@ -34,7 +34,7 @@ _pool = _Pool()
 
 
 def new_goal_id() -> bytes:
-    """A fresh goal id, of UUID version 4."""
+    """Return a new goal id, a UUID of version 4."""
     noise = _pool.draw()
     return b"%b%c%b%c%b" % (
         noise[:6],
@@ -46,7 +46,7 @@ def new_goal_id() -> bytes:
 
 
 def goal_id_bytes(goal_id: bytes | str | uuid.UUID) -> bytes:
-    """A goal id in any of its spellings, as its 16 bytes.
+    """Convert a goal id in any form to its 16 bytes.
 
     Raises:
         InvalidName: if it is not 16 bytes, a UUID, or 32 hexadecimal digits.
@@ -67,5 +67,5 @@ def goal_id_bytes(goal_id: bytes | str | uuid.UUID) -> bytes:
     if len(goal_id) != 16:
         raise InvalidName(goal_id.hex(), "a goal id has 16 bytes", 0)
     if not any(goal_id):
-        raise InvalidName(goal_id.hex(), "zeros name no goal: a cancel of them means all goals", 0)
+        raise InvalidName(goal_id.hex(), "a goal id must not be all zeros", 0)
     return goal_id

@@ -1,10 +1,10 @@
-"""What tells of goals on the wire beside ROS 2: notes, and the bytes of the status topic.
+"""Two special encodings for goals on the wire: notes, and the bytes of the status topic.
 
-- A note says what ROS 2 has no field for. It travels as a short JSON text beside a response, and
-  peers other than turtleact do not see it.
-- A server that has ended thousands of goals within its ``result_timeout`` tells of all of them at
-  each change. Packed here, each takes 0.1 us to write and 0.3 us to read, a tenth of what messages
-  take.
+- A note carries what ROS 2 has no field for. It travels as a short JSON text attached to a
+  response. Other ROS 2 programs do not see it.
+- A server that ends thousands of goals within its ``result_timeout`` publishes all their states at
+  each change. The functions here take 0.1 us per goal to write and 0.3 us to read, a tenth of what
+  the general codec takes.
 
 Source: action_msgs/msg/GoalStatusArray; OMG DDS-XTypes 1.3, 7.4.3 (plain CDR).
 """
@@ -23,11 +23,11 @@ __all__ = ["GoalNote", "State", "pack_state", "read_states", "write_states"]
 
 
 class GoalNote(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What stands beside the answer to a ``SendGoal`` or ``GetResult`` request.
+    """The note attached to the answer to a ``SendGoal`` or ``GetResult`` request.
 
     Attributes:
         reason: Why the goal was rejected or aborted.
-        feedback: How many feedback messages were published for it.
+        feedback: How many feedback messages the server published for the goal.
 
     >>> GoalNote.read(GoalNote("no such place", 3).write())
     GoalNote(reason='no such place', feedback=3)
@@ -39,22 +39,22 @@ class GoalNote(msgspec.Struct, frozen=True, omit_defaults=True):
     feedback: int = 0
 
     def write(self) -> str:
-        """The note as text.
+        """Return the note as text.
 
-        Only the first `LONGEST_REASON` characters of a reason are written. What UTF-8 cannot encode
-        is escaped, since a reason must never cost the client its result.
+        A reason is cut after `LONGEST_REASON` characters. Characters that UTF-8 cannot encode are
+        escaped, so that a strange reason never costs the client its result.
         """
         reason = encodable(self.reason[:LONGEST_REASON])
         sent = self if reason == self.reason else msgspec.structs.replace(self, reason=reason)
         data = msgspec.json.encode(sent)
-        while len(data) > LARGEST:  # of escapes, six bytes a character
+        while len(data) > LARGEST:  # JSON may need six bytes for an escaped character
             reason = reason[: len(reason) * 3 // 4]
             data = msgspec.json.encode(msgspec.structs.replace(self, reason=reason))
         return data.decode()
 
     @classmethod
     def read(cls, text: str) -> GoalNote:
-        """The note of a text; an empty one if the text is none, as that of a stranger may be."""
+        """Read a note from text; anything that is not a note gives an empty one."""
         try:
             return msgspec.json.decode(text, type=cls)
         except msgspec.DecodeError:
@@ -62,35 +62,35 @@ class GoalNote(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 LONGEST_REASON = 1000
-"""So many characters of a reason travel."""
+"""The maximum length of a reason, in characters."""
 
 LARGEST = 4096
-"""So many bytes of a note travel; half a note could not be read."""
+"""The maximum size of a note, in bytes. Half a note could not be read, so the reason is cut."""
 
 
 State: TypeAlias = tuple[int, int, int]
-"""The stamp of a goal's acceptance (s, and ns beyond that), and the number of its state."""
+"""When the goal was accepted (seconds, then nanoseconds), and the number of its state."""
 
 LITTLE: Final = b"\0\1"
-"""How the header of little-endian CDR begins."""
+"""The first bytes of a little-endian CDR header."""
 
 HEAD: Final = struct.Struct("<4sI")
-"""The header, and the count of goals."""
+"""The header, and the number of goals."""
 
 ENTRY: Final = struct.Struct("<16s3xiIb")
-"""A goal's id, its stamp and its state, as they lie behind another goal's."""
+"""A goal's id, stamp and state, with the padding needed after another goal."""
 
 FIRST: Final = struct.Struct("<16siIb")
-"""The same of the first goal, which needs no padding."""
+"""The same for the first goal, which needs no padding."""
 
 
 def pack_state(goal_id: bytes, state: State) -> bytes:
-    """A goal's part of the bytes."""
+    """Encode one goal for `write_states`."""
     return ENTRY.pack(goal_id, *state)
 
 
 def write_states(packed: Collection[bytes]) -> bytes:
-    """The message of goals that were packed.
+    """Join encoded goals into a message.
 
     >>> write_states([pack_state(bytes(16), (1, 2, 4))]).hex(" ", -4)
     '00010000 01000000 00000000 00000000 00000000 00000000 01000000 02000000 04'
@@ -102,7 +102,7 @@ def write_states(packed: Collection[bytes]) -> bytes:
 
 
 def read_states(data: bytes) -> dict[bytes, State] | None:
-    """The states that a message tells of, by id; None if it is cut off, or not little-endian.
+    """Decode a message to the states by goal id; None if it is truncated or not little-endian.
 
     >>> read_states(write_states([pack_state(bytes(16), (1, 2, 4))]))[bytes(16)]
     (1, 2, 4)

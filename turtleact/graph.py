@@ -1,7 +1,7 @@
-"""What exists on a graph, by name and type. The endpoints that make up an action are shown as one.
+"""What exists on a graph, by name and type. Each action is listed once, not by its endpoints.
 
-Source: rclpy ``node.py``, ``get_topic_names_and_types`` and those beside it; ros2cli for what is
-hidden.
+Source: rclpy ``node.py`` (``get_topic_names_and_types`` and similar methods); ros2cli for which
+names are hidden.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ _SEND_GOAL = "/_action/send_goal"
 
 
 class Graph(msgspec.Struct, frozen=True):
-    """What exists, as a node sees it now.
+    """The nodes, topics, services and actions that a node sees at this moment.
 
     Attributes:
         nodes: The fully qualified names of the nodes, sorted.
-        topics: Topic name to the types used on it; the hidden ones of actions are left out.
-        services: Service name to its types; likewise.
-        actions: Action name to the types that are served under it.
+        topics: Topic names and the types used on them; the hidden topics of actions are left out.
+        services: Service names and their types; the hidden services of actions are left out.
+        actions: Action names and the types served under them.
     """
 
     nodes: tuple[str, ...]
@@ -35,7 +35,7 @@ class Graph(msgspec.Struct, frozen=True):
 
 
 def graph_of(transport: Transport) -> Graph:
-    """What exists on the graph of a transport."""
+    """Return what exists on the graph of a transport."""
     endpoints = transport.endpoints()
     return Graph(
         nodes=tuple(sorted(set(transport.nodes()))),

@@ -1,7 +1,8 @@
-"""Graph names: what is one, what it means in a namespace, and which five make up an action.
+"""The rules for graph names: validation, resolution in a namespace, and an action's five endpoints.
 
-Pure text. A name is tokens with slashes between; ``~`` at its beginning stands for the node's own
-name, a slash there for the root. Substitutions in braces are not taken.
+Pure string functions. A name consists of parts separated by slashes. A leading ``~`` stands for the
+node's own name, and a leading slash makes the name absolute. Substitutions in braces are not
+supported.
 
 Source: the ROS 2 article "Topic and Service name mapping to DDS", and ``rmw/validate_*_name.c``.
 """
@@ -16,15 +17,15 @@ from turtleact.errors import InvalidName
 
 __all__ = ["ActionNames", "action_names", "resolve_name", "validate_name", "validate_node_name"]
 
-#: What a name must not hold: where it stands, and why. The first of them that matches is told.
+#: Each pattern finds a forbidden part of a name. The error shows the match that comes first.
 FAULTS = (
     (re.compile(r"\A\Z"), "it is empty"),
     (
         re.compile(r"[^A-Za-z0-9_/~]"),
         "only letters, digits, '_', '/' and a leading '~' are allowed",
     ),
-    (re.compile(r"(?<!\A)~"), "'~' stands at the beginning only"),
-    (re.compile(r"(?<=\A~)[^/]"), "'~' is followed by a slash"),
+    (re.compile(r"(?<!\A)~"), "'~' is only allowed at the beginning"),
+    (re.compile(r"(?<=\A~)[^/]"), "'~' must be followed by a slash"),
     (re.compile(r"(?<=/)/"), "a slash follows a slash"),
     (re.compile(r"(?:(?<=/)|\A)[0-9]"), "a part begins with a digit"),
     (re.compile(r"(?<=_)_"), "an underscore follows an underscore"),
@@ -41,12 +42,12 @@ class ActionNames(msgspec.Struct, frozen=True):
     """The names of an action's endpoints.
 
     Attributes:
-        name: The action's own, absolute.
-        send_goal: The service that takes goals.
+        name: The absolute name of the action.
+        send_goal: The service that accepts or rejects goals.
         cancel_goal: The service that cancels them.
         get_result: The service that answers with results.
         feedback: The topic of feedback.
-        status: The topic of the states of all goals.
+        status: The topic with the states of all goals.
     """
 
     name: str
@@ -58,9 +59,9 @@ class ActionNames(msgspec.Struct, frozen=True):
 
 
 def validate_name(name: str) -> None:
-    """Refuses what is no name of a topic, service or action, relative or absolute.
+    """Check the name of a topic, service or action, relative or absolute.
 
-    A part that begins with an underscore hides the name; it is legal.
+    A part may begin with an underscore; that hides the name from listings.
 
     Raises:
         InvalidName: with the position of the first wrong character.
@@ -69,7 +70,7 @@ def validate_name(name: str) -> None:
 
 
 def validate_node_name(name: str) -> None:
-    """Refuses what is no name of a node: one part, without slashes.
+    """Check the name of a node: a single part, without slashes.
 
     Raises:
         InvalidName: with the position of the first wrong character.
@@ -78,15 +79,15 @@ def validate_node_name(name: str) -> None:
 
 
 def resolve_name(name: str, namespace: str = "/", node: str = "") -> str:
-    """The absolute form of a name.
+    """Return the absolute form of a name.
 
     Args:
         name: Relative, absolute or private (``~/pose``).
-        namespace: What a relative name is put into.
-        node: The node that a ``~`` stands for.
+        namespace: The namespace that a relative name belongs to.
+        node: The node's name, which replaces a ``~``.
 
     Raises:
-        InvalidName: if a part breaks the rules, or a ``~`` stands for no node.
+        InvalidName: if a part breaks the rules, or a ``~`` is used without a node.
 
     >>> resolve_name("pose", "/sim"), resolve_name("~/pose", "/sim", "turtle")
     ('/sim/pose', '/sim/turtle/pose')
@@ -104,12 +105,15 @@ def resolve_name(name: str, namespace: str = "/", node: str = "") -> str:
         raise InvalidName(name, "'~' stands for a node's name, and there is no node here", 0)
     validate_node_name(node)
     private = f"{namespace.rstrip('/')}/{node}{name[1:]}"
-    validate_name(private)  # a node's name may hold what a topic's may not
+    validate_name(private)  # some legal node names are not legal in a topic name
     return private
 
 
 def action_names(name: str) -> ActionNames:
-    """The endpoints that make up an action of this absolute name.
+    """Return the names of the endpoints that make up an action.
+
+    Args:
+        name: The absolute name of the action.
 
     Raises:
         InvalidName: if the name is not absolute, or breaks the rules.
@@ -125,7 +129,7 @@ def action_names(name: str) -> ActionNames:
 
 
 def refuse(name: str, faults: tuple[tuple[re.Pattern[str], str], ...]) -> None:
-    """Raises for the fault that comes first in the name, or if it is no text at all."""
+    """Raise for the first fault in the name, or if the name is not a string."""
     if not isinstance(name, str):  # a type and a name may have been mixed up
         raise InvalidName(repr(name), "expected text such as 'patrol'", 0)
     found = [(match.start(), problem) for fault, problem in faults if (match := fault.search(name))]

@@ -1,10 +1,10 @@
-"""Who watches the goals of a server or client: one list for each, whatever the purpose.
+"""Observers of the goals of a server or client: one list for all purposes.
 
-The status topic and the hooks of users are observers; recordings and telemetry will be. An observer
-only watches. What it raises is logged and never reaches a goal.
+The status topic and users' hooks are observers; recordings and telemetry can be. An observer only
+watches. The list logs whatever an observer raises, so that it never affects a goal.
 
-Order: all observers hear of one change before any hears of the next. An observer may cause a
-change, say by canceling a goal; that change is told after the present one.
+Order: all observers hear of one change before any hears of the next. If an observer causes a
+change, for example by canceling a goal, all observers hear of the current change first.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ logger = logging.getLogger("turtleact")
 
 
 class GoalObserver:
-    """Watches goals. A subclass overrides what it wants to hear of."""
+    """Watches goals. A subclass overrides the methods it needs."""
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
-        """Called after a goal has changed its state; a new goal comes from UNKNOWN."""
+        """Called after a goal has changed its state. For a new goal, ``before`` is UNKNOWN."""
 
     def feedback_published(self, goal: Goal, feedback: object) -> None:
-        """Called with each feedback message; ``feedback`` must not be changed."""
+        """Called with each feedback message, which must not be changed."""
 
 
 class Observers:
@@ -37,8 +37,8 @@ class Observers:
         action: The name of the action, for the log.
 
     Attributes:
-        are_any: Whether there is anybody to tell. A server looks here before it calls anything.
-        want_feedback: Whether any of them wants to hear of feedback.
+        are_any: Whether there are any observers. A server checks this before it calls anything.
+        want_feedback: Whether any observer overrides `feedback_published`.
     """
 
     __slots__ = ("_action", "_observers", "_untold", "are_any", "want_feedback")
@@ -55,7 +55,7 @@ class Observers:
         self._set((*self._observers, observer))
 
     def remove(self, observer: GoalObserver) -> None:
-        """Tell it nothing any more; an unknown observer is ignored."""
+        """Stop telling ``observer``; an unknown observer is ignored."""
         self._set(tuple(each for each in self._observers if each is not observer))
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
@@ -79,7 +79,9 @@ class Observers:
         )
 
     def _tell(self) -> None:
-        """Tell the first news, and what observers cause meanwhile after it."""
+        """Tell the oldest news, then whatever the observers cause meanwhile."""
+        # An observer may cause a change, which appends more news while this loop runs. The methods
+        # above do not call `_tell` then; the loop gets there after the current news.
         while self._untold:
             news = self._untold[0]
             for observer in self._observers:
@@ -91,7 +93,7 @@ class Observers:
                 except STOPS:
                     self._untold.clear()
                     raise
-                except BaseException as error:  # a cancellation too: nobody has cancelled it
+                except BaseException as error:  # also a stray cancellation
                     problem = "an observer of the goals of %s failed"
                     logger.error(problem, self._action, exc_info=loggable(error))
             self._untold.popleft()

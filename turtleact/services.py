@@ -1,15 +1,15 @@
-"""Services as a node's user sees them: a server that answers requests, a client that calls.
+"""Services as users of a node see them: servers that answer requests, clients that call them.
 
-Knows requests, responses and who waits for whom; how they travel stands in `turtleact.transports`.
-A client in the same process is handed the very server (`LocalService`) and calls it; another one
-sends its request by a `Caller`.
+This module knows requests, responses and callers. `turtleact.transports` knows how messages travel.
+A client in the same process calls the server object directly (`LocalService`). Other clients send
+their requests through a `Caller`.
 
-- Each request is handled in a task of its own, which the server holds; several run side by side.
-- However a handler ends, its caller gets an answer: the response, or the reason why there is none.
-- A caller that leaves cancels the handler of its request; a server that is closed cancels all. One
-  in another process has left when its client is closed or has died: nothing else tells of it.
+- The server handles each request in its own task. Several tasks run side by side.
+- Every caller gets an answer: the response, or the reason why there is none.
+- If a caller leaves, its handler is cancelled. If the server is closed, all handlers are. A caller
+  in another process counts as gone only when its client is closed or its process has died.
 
-Source: rclpy ``service.py`` and ``client.py`` for names and meaning.
+Source: rclpy ``service.py`` and ``client.py`` for names and behaviour.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ Check: TypeAlias = Callable[[object], Message]
 
 
 class ServiceType(Protocol[ReqMade, ResMade]):
-    """What a subclass of `turtleact.Service` is to a type checker: the makers of its messages."""
+    """A subclass of `turtleact.Service` as type checkers see it: the makers of its messages."""
 
     @property
     def type_name(self) -> str:
@@ -70,7 +70,7 @@ class ServiceType(Protocol[ReqMade, ResMade]):
 
 @runtime_checkable
 class LocalService(Protocol):
-    """What a client asks of a server in its own process; see `ServiceServer`."""
+    """The part of `ServiceServer` that clients in its own process use."""
 
     is_open: bool
 
@@ -81,12 +81,12 @@ class ServiceServer(Generic[Req, Res]):
     """Answers the requests of one service; made by `turtleact.Node.service`.
 
     Raises:
-        InvalidOption: if the handler is not a function, or one that yields.
+        InvalidOption: if the handler is not a function, or is a generator function.
 
     Attributes:
         name: The fully qualified name of the service.
         service_type: The service.
-        is_open: Whether it takes requests.
+        is_open: Whether it accepts requests.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class ServiceServer(Generic[Req, Res]):
         self._check_request = _checker(service_type.Request, "request")
         self._check_response = _checker(service_type.Response, "response")
         self._tasks = tasks
-        self._calls: dict[_Call, None] = {}  # in the order of their coming
+        self._calls: dict[_Call, None] = {}  # in the order of arrival
         self._ended = tasks.signal()
 
     @property
@@ -114,14 +114,14 @@ class ServiceServer(Generic[Req, Res]):
         return not self._calls
 
     async def answer(self, request: object, caller: bytes = b"") -> Res:
-        """Have a request handled, and wait for its response; what `ServiceClient.call` calls.
+        """Handle a request and return its response; `ServiceClient.call` calls this.
 
         ``caller`` is the gid of a client in another process.
-        Cancelling: cancels the handler, and waits for its end, `GRACE` seconds at most.
+        Cancelling: cancels the handler and waits for its end, at most `GRACE` seconds.
 
         Raises:
             InvalidMessage: if the request does not fit the service; the handler is not called.
-            ServerUnavailable: if the server is closed, or is so before the response.
+            ServerUnavailable: if the server is closed before it has responded.
             ServiceError: if the handler fails.
         """
         if not self.is_open:
@@ -139,20 +139,20 @@ class ServiceServer(Generic[Req, Res]):
         return cast("Res", call.take())
 
     async def reply(self, request: object, caller: bytes) -> Reply:
-        """Answer a request that came over a wire; as `answer`."""
+        """Answer a request from another process, as `answer` does."""
         return Reply(await self.answer(request, caller))
 
     def caller_lost(self, caller: bytes) -> None:
-        """Note that the client of this gid has gone: cancels the handlers of its requests."""
+        """Cancel the handlers of a client that has gone, given by its gid."""
         for call in self._calls:
             if call.caller == caller:
                 call.cancel()
 
     async def aclose(self) -> None:
-        """Take no more requests, answer all who wait, and wait for the end of the handlers.
+        """Stop accepting requests, answer every caller, and wait for the handlers to end.
 
-        The callers get `ServerUnavailable` at once, the handlers a cancellation; one that has not
-        ended after `GRACE` seconds is left behind, and logged. A handler must not await this.
+        Callers get `ServerUnavailable` at once, and handlers are cancelled. A handler that has not
+        ended after `GRACE` seconds is left running and logged. A handler must not await this.
         """
         self.is_open = False
         if self.registration is not None:
@@ -162,11 +162,11 @@ class ServiceServer(Generic[Req, Res]):
             call.cancel()
         await wait_while(lambda: self._calls, self._ended, GRACE)
         for _ in self._calls:
-            logger.error("a handler of service %s has not ended; it is left behind", self.name)
+            logger.error("a handler of service %s has not ended; it is left running", self.name)
 
     async def _run(self, call: _Call) -> None:
-        """Handle a request and answer its caller; raises only what stops the program."""
-        if call.is_canceled:  # before its first step
+        """Handle a request and answer its caller; only raises exceptions that stop the program."""
+        if call.is_canceled:  # before the task took its first step
             self._end(call, error=self._closed())
             return
         try:
@@ -190,7 +190,7 @@ class ServiceServer(Generic[Req, Res]):
             self._end(call, checked)
 
     def _reason(self, error: BaseException) -> str:
-        """What a caller that still waits is told of a handler's exception."""
+        """Describe a handler's exception for a caller that still waits."""
         if is_cancellation(error, self._tasks):
             return "the handler was canceled from within"
         logger.error("the handler of service %s failed", self.name, exc_info=loggable(error))
@@ -231,25 +231,25 @@ class ServiceClient(Generic[Req, Res]):
     async def call(self, request: Req, timeout: float | None = None) -> Res:
         """Send a request and wait for its response.
 
-        What is sent and what comes back are checked copies. Any number of calls may be under way.
-        Cancelling: cancels the handler of this request, and waits for its end (bounded); a handler
-        in another process goes on, as ROS 2 has no word for it, until this client is closed.
+        Both messages are checked and copied. Any number of calls may run at the same time.
+        Cancelling: cancels the handler and waits for its end (bounded). A handler in another
+        process continues until this client is closed, because ROS 2 cannot cancel a request.
 
         Args:
             request: The request message.
-            timeout: How long to wait for the response (s, by the clock of the graph); what is over
-                then is canceled as above. For ever if left out, not at all if 0 or less.
+            timeout: How long to wait for the response (s, by the graph's clock). Then the call is
+                cancelled as above. Left out, there is no limit; 0 or less does not wait at all.
 
         Raises:
-            InvalidOption: if ``timeout`` is not a number; nothing was sent.
-            InvalidMessage: if a value does not fit its type; nothing was sent.
-            ServerUnavailable: if nobody serves the service (see `open_zenoh` for how long servers
-                in other processes are looked for); if its server is closed before it has responded.
-            ServiceError: if the handler failed; its traceback is in the server's log.
+            InvalidOption: if ``timeout`` is not a number. Nothing was sent.
+            InvalidMessage: if a value does not fit its type. Nothing was sent.
+            ServerUnavailable: if nobody serves the service, or its server is closed before it has
+                responded. `open_zenoh` says how long servers in other processes are looked for.
+            ServiceError: if the handler failed. The server's log has its traceback.
             ServiceTimeout: if there was no response within ``timeout``.
         """
         check_timeout(timeout)
-        await self._tasks.checkpoint()  # or a loop of calls that never wait would let nobody run
+        await self._tasks.checkpoint()  # so that calls in a loop let other tasks run
         if timeout is None:
             return cast("Res", await self._answer(request))
         async with within(timeout, self._transport.clock):
@@ -257,10 +257,10 @@ class ServiceClient(Generic[Req, Res]):
         raise ServiceTimeout(self.name, timeout)
 
     async def wait_for_service(self, timeout: float | None = None) -> bool:
-        """Wait until somebody serves the service. Cancelling: safe.
+        """Wait until a server exists for the service. Cancelling: safe.
 
         Args:
-            timeout: How long to wait (s, by the clock of the graph); for ever if left out.
+            timeout: How long to wait (s, by the graph's clock); left out, there is no limit.
 
         Returns:
             Whether it is served.
@@ -271,12 +271,12 @@ class ServiceClient(Generic[Req, Res]):
         return await wait_until_served(self._transport, self._find, timeout)
 
     async def aclose(self) -> None:
-        """Leave the graph, once the calls are over that are under way: they go on."""
+        """Leave the graph as soon as all calls under way have ended; they are not cancelled."""
         if self.membership is not None:
             self.membership.close()
 
     async def _answer(self, request: object) -> object:
-        """Have a server in this process handle the request, or else one in another."""
+        """Ask a server in this process, or else one in another process."""
         server = self._found
         if server is None or not server.is_open:
             await find_server(self._transport, self._find)
@@ -297,14 +297,14 @@ class ServiceClient(Generic[Req, Res]):
 
 
 class _Call:
-    """One request and what comes of it.
+    """One request and its outcome.
 
     Attributes:
-        request: The checked copy.
-        caller: The gid of its client, if that is in another process.
-        changed: Fires when it is answered, and when its handler has ended.
-        is_answered: Whether there is something for the caller.
-        is_canceled: Whether its handler is to be canceled.
+        request: A checked copy of the request.
+        caller: The gid of its client in another process; empty for a client in this process.
+        changed: Fires when the call is answered, and when its handler has ended.
+        is_answered: Whether the caller has its answer.
+        is_canceled: Whether its handler must be cancelled.
         has_ended: Whether its handler has ended.
     """
 
@@ -332,19 +332,21 @@ class _Call:
         self._error: TurtleactError | None = None
 
     def run_in(self, task: Cancelable) -> None:
-        """Note the handler's task; its first step may have run, and asked to cancel it."""
+        """Remember the handler's task."""
+        # The task may have taken its first step before this call. If that step led to a cancel,
+        # there was no task to cancel yet, so it is done here.
         self._task = task
         if self.is_canceled:
             task.cancel()
 
     def cancel(self) -> None:
-        """Let a cancellation arrive at the handler's next await."""
+        """Cancel the handler at its next await."""
         self.is_canceled = True
         if self._task is not None:
             self._task.cancel()
 
     def answer(self, response: object = None, *, error: TurtleactError | None = None) -> None:
-        """Give the caller its answer, unless it has one, and wake it."""
+        """Give the caller its answer unless it has one, and wake it."""
         if not self.is_answered:
             self.is_answered = True
             self._response = response
@@ -352,8 +354,10 @@ class _Call:
         self.changed.fire()
 
     def take(self) -> object:
-        """The response; raises the error if that is the answer."""
-        error, self._error = self._error, None  # or the exception would hold itself
+        """Return the response, or raise the error."""
+        # An exception refers to the frames that raised it, and a frame to its variables. Without
+        # clearing both variables, the exception would keep itself alive until a garbage collection.
+        error, self._error = self._error, None
         if error is None:
             return self._response
         try:
@@ -363,7 +367,7 @@ class _Call:
 
 
 def _checked_handler(handler: object) -> Callable[[Message], object]:
-    """Raises for what could never give a response."""
+    """Check that a handler could return a response."""
     if not callable(handler):
         raise InvalidOption("handler", f"expected a function, not {handler!r}")
     is_function = isroutine(handler) or isinstance(handler, partial | type)

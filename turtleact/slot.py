@@ -1,18 +1,21 @@
-"""Who may run: the goals of one action, or of several that share a place, and the rules for it.
+"""Policies: which goals of an action may run at the same time, and what happens to the others.
 
-The rules, in prose:
+Goals run in the places of a `Slot`. Several actions can share one slot. The policies:
 
-- ``parallel``: every goal starts. With ``max_active`` only so many run, the others wait in a queue.
-- ``reject``: while one runs, a new goal is rejected.
-- ``queue``: while one runs, new goals wait, first come first served.
-- ``preempt``: the running goal is told to give way, and the new one waits until its clean-up has
-  ended. Only one waits: a still newer one takes its place.
-- A goal whose parent holds a place of the slot with another action runs in that very place, and
-  the place is free again when both have ended.
-- A goal that would have to wait for its own parent is rejected: a deadlock. So it is if all that
-  run have sent one that waits here, and would wait for each other.
+- ``parallel``: every goal starts. With ``max_active``, only that many run and the others queue.
+- ``reject``: while a goal runs, a new goal is rejected.
+- ``queue``: while a goal runs, new goals wait, first come, first served.
+- ``preempt``: the running goal is canceled. The new goal waits until the old one's clean-up has
+  ended. Only one goal waits: a newer one replaces it.
 
-Pure: a `Slot` says what is to be done; whoever asked does it.
+Two more rules concern goals that a body sends:
+
+- If the parent holds a place in this slot with another action, the child runs in the same place.
+  The place is free when both have ended.
+- A goal that would have to wait for its own parent is rejected, because that is a deadlock. So is a
+  goal if every running goal would then wait for a child in the queue.
+
+Pure: a `Slot` decides what must happen, and its caller does it.
 
 Source: nav2 ``SimpleActionServer`` for preempting with one pending goal.
 """
@@ -34,15 +37,15 @@ Policy: TypeAlias = Literal["parallel", "reject", "queue", "preempt"]
 
 
 class Rules(msgspec.Struct, frozen=True):
-    """How goals share a place.
+    """How goals share a slot.
 
     Attributes:
-        policy: What becomes of a new goal while another runs.
-        max_active: How many may run at a time under ``parallel``, at least 1; None for any number.
-        queue_limit: How many may wait, under ``queue`` or ``max_active``; None for any number.
+        policy: What happens to a new goal while another runs.
+        max_active: How many may run at a time under ``parallel``, at least 1; None for no limit.
+        queue_limit: How many may wait, under ``queue`` or ``max_active``; None for no limit.
 
     Raises:
-        InvalidOption: if one of them is something else, or they do not go together.
+        InvalidOption: if an option has a wrong value, or does not fit the policy.
     """
 
     policy: Policy = "parallel"
@@ -56,9 +59,9 @@ class Rules(msgspec.Struct, frozen=True):
         _check_count("max_active", self.max_active, 1)
         _check_count("queue_limit", self.queue_limit, 0)
         if self.max_active is not None and self.policy != "parallel":
-            raise InvalidOption("max_active", f"goes with policy 'parallel', not '{self.policy}'")
+            raise InvalidOption("max_active", f"only fits policy 'parallel', not '{self.policy}'")
         if self.queue_limit is not None and not self.has_queue:
-            raise InvalidOption("queue_limit", "goes with policy 'queue', or with max_active")
+            raise InvalidOption("queue_limit", "only fits policy 'queue', or max_active")
 
     def __str__(self) -> str:
         given = {name: getattr(self, name) for name in self.__struct_fields__}
@@ -66,17 +69,17 @@ class Rules(msgspec.Struct, frozen=True):
 
     @property
     def is_free(self) -> bool:
-        """Whether goals never have to do with each other."""
+        """Whether every goal may start, whatever else runs."""
         return self.policy == "parallel" and self.max_active is None
 
     @property
     def has_queue(self) -> bool:
-        """Whether goals may wait for others to end by themselves."""
+        """Whether goals may wait for running ones to end by themselves."""
         return self.policy == "queue" or self.max_active is not None
 
 
 class Claim(Protocol):
-    """A goal's wish to run.
+    """A goal that wants to run.
 
     Attributes:
         goal: The goal.
@@ -88,16 +91,16 @@ class Claim(Protocol):
 
     @property
     def label(self) -> str:
-        """What to call the goal in a message."""
+        """The goal's name in messages."""
 
 
 C = TypeVar("C", bound=Claim)
 
-_Place: TypeAlias = dict[Goal, C]  # those that run in it: a goal, and its children
+_Place: TypeAlias = dict[Goal, C]  # the goals that run in one place: a goal and its children
 
 
 class Admission(Enum):
-    """What a slot says to a new goal."""
+    """A slot's answer to a new goal."""
 
     START = 1
     WAIT = 2
@@ -105,13 +108,13 @@ class Admission(Enum):
 
 
 class Entry(msgspec.Struct, Generic[C], frozen=True):
-    """What is to be done with a new goal.
+    """What the server must do with a new goal, and because of it.
 
     Attributes:
-        admission: Whether it starts, waits or is rejected.
-        reason: Why it is rejected, or why others are ended for it.
-        displaced: The goal that has waited so far and is to be ended now.
-        evicted: The goals that run and are to be canceled now.
+        admission: Whether the goal starts, waits or is rejected.
+        reason: Why it is rejected, or why others end because of it.
+        displaced: The waiting goal that this one replaces; the server must end it now.
+        evicted: The running goals that the server must cancel now.
     """
 
     admission: Admission
@@ -121,18 +124,18 @@ class Entry(msgspec.Struct, Generic[C], frozen=True):
 
 
 class Slot(Generic[C]):
-    """A place for goals, or several.
+    """One or more places in which goals run.
 
     Args:
-        rules: How they share it.
+        rules: How goals share them.
 
     Attributes:
-        rules: The same.
+        rules: As given.
     """
 
     def __init__(self, rules: Rules) -> None:
         self.rules = rules
-        self._places: dict[Goal, _Place[C]] = {}  # of each goal that runs
+        self._places: dict[Goal, _Place[C]] = {}  # the place of each running goal
         self._taken = 0
         self._waiting: dict[Goal, C] = {}
 
@@ -142,11 +145,11 @@ class Slot(Generic[C]):
         return not (self._places or self._waiting or self._taken)
 
     def holds(self, goal: Goal) -> bool:
-        """Whether a goal runs here, or is about to."""
+        """Whether a goal runs here, or is about to start."""
         return goal in self._places
 
     def enter(self, claim: C) -> Entry[C]:
-        """Let a new goal run, wait, or go."""
+        """Decide whether a new goal starts, waits or is rejected."""
         kin = self._kin(claim.goal)
         rival = next((each for each in kin if each.action == claim.action), None)
         if kin and rival is None:
@@ -165,18 +168,18 @@ class Slot(Generic[C]):
             holder = next(iter(next(iter(self._places.values())).values()))
             return Entry(Admission.REJECT, f"busy with {holder.label}")
         if self.rules.queue_limit is not None and len(self._waiting) >= self.rules.queue_limit:
-            return Entry(Admission.REJECT, f"the queue is full, {len(self._waiting)} wait already")
+            return Entry(Admission.REJECT, f"the queue is full ({len(self._waiting)} waiting)")
         self._waiting[claim.goal] = claim
         return Entry(Admission.WAIT)
 
     def leave(self, goal: Goal) -> C | None:
-        """Let go of a goal that has ended, running or waiting; answer the one to be started now."""
+        """Remove a goal that has ended, running or waiting; return the goal to start now."""
         self._waiting.pop(goal, None)
         place = self._places.pop(goal, None)
         if place is None:
             return None
         del place[goal]
-        if place:  # a child of it still runs
+        if place:  # its parent or a child still runs
             return None
         if not self._waiting:
             self._taken -= 1
@@ -186,10 +189,10 @@ class Slot(Generic[C]):
         return claim
 
     def overdue(self) -> Entry[C] | None:
-        """What holds up the goal that has preempted; None if nothing is to be done.
+        """Return the goals that must give way to a preempting goal; None if nothing must happen.
 
-        To be asked whenever a goal has left: a detached child goes on when its parent gives way,
-        and is to give way too.
+        Call this whenever a goal has left. A detached child survives its parent, and must then give
+        way too.
         """
         if self.rules.policy != "preempt" or not self._waiting:
             return None
@@ -215,18 +218,18 @@ class Slot(Generic[C]):
         return Entry(Admission.WAIT, reason, displaced, self._families())
 
     def _families(self) -> tuple[C, ...]:
-        """Those that run and have no parent here: a cancel flows down from them."""
+        """The running goals without a parent here; canceling them also cancels their children."""
         running = (place[goal] for goal, place in self._places.items())
         return tuple(claim for claim in running if not self._kin(claim.goal))
 
     def _is_deadlock(self, claim: C) -> bool:
-        """Whether no place would come free: in each runs a parent of one that waits."""
+        """Whether no place could ever become free: each holds a parent of a waiting goal."""
         waiting = (claim, *self._waiting.values())
         parents = (parent.goal for each in waiting for parent in self._kin(each.goal))
         return len({id(self._places[parent]) for parent in parents}) == self._taken
 
     def _kin(self, goal: Goal) -> list[C]:
-        """The parents of a goal that run here, the nearest first."""
+        """The parents of a goal that run here, nearest first."""
         kin = []
         parent = goal.parent
         while parent is not None:
@@ -237,28 +240,28 @@ class Slot(Generic[C]):
 
 
 class Slots(Generic[C]):
-    """Slots that several actions share, by name, each for as long as somebody uses it."""
+    """Slots that several actions share, by name; a slot exists as long as somebody uses it."""
 
     def __init__(self) -> None:
         self._named: WeakValueDictionary[str, Slot[C]] = WeakValueDictionary()
 
     def find(self, rules: Rules, name: str | None) -> Slot[C] | None:
-        """The slot for goals under these rules; None if they need none.
+        """Return the slot for goals under these rules; None if they need none.
 
         Args:
-            rules: The rules.
-            name: The slot's name; None for a slot that nobody shares.
+            rules: How the goals share the slot.
+            name: The slot's name; None for a slot of this action only.
 
         Raises:
-            InvalidOption: if a shared one has other rules, or these need none.
+            InvalidOption: if the named slot has other rules, or these rules need no slot.
         """
         if name is None:
             return None if rules.is_free else Slot(rules)
         if rules.is_free:
-            raise InvalidOption("slot", "goes with another policy than 'parallel', or max_active")
+            raise InvalidOption("slot", "needs a policy other than 'parallel', or max_active")
         slot = self._named.setdefault(name, Slot(rules))
         if slot.rules != rules:
-            raise InvalidOption("slot", f"'{name}' is shared under other rules: {slot.rules}")
+            raise InvalidOption("slot", f"'{name}' is already used with other rules: {slot.rules}")
         return slot
 
 

@@ -1,22 +1,22 @@
-"""What users' code raised or gave, in a line of text."""
+"""One-line texts for what users' code raised or returned."""
 
 from __future__ import annotations
 
 __all__ = ["STOPPED", "STOPS", "encodable", "loggable", "shortened", "summary", "text_of"]
 
 STOPS = (KeyboardInterrupt, SystemExit, GeneratorExit)
-"""What stops the program or closes a coroutine; all else that a callback raises is its failure."""
+"""These exceptions stop the program or close a coroutine; a callback fails with any other."""
 
 STOPPED = "the program was stopped"
-"""Why what was under way has ended then."""
+"""The reason given for everything that ends because of it."""
 
 
 LONGEST = 10_000
-"""How many characters of an exception's text are logged or sent."""
+"""The maximum length of an exception's text in logs and messages, in characters."""
 
 
 def summary(error: BaseException) -> str:
-    """An exception in one line: the type and the text, those of a group one after the other."""
+    """Describe an exception in one line; the members of a group are joined with semicolons."""
     if isinstance(error, BaseExceptionGroup):
         return shortened("; ".join(summary(each) for each in error.exceptions))
     text = text_of(error)
@@ -24,16 +24,16 @@ def summary(error: BaseException) -> str:
 
 
 def text_of(value: object) -> str:
-    """The text of a user's object, in a line of `LONGEST` characters, even if it has none."""
+    """Return ``str(value)`` in one line, at most `LONGEST` characters, even if ``str`` fails."""
     try:
         text = str(value)
     except Exception as failure:
-        return f"({type(value).__name__}, whose text cannot be had: {type(failure).__name__})"
+        return f"({type(value).__name__}, whose text failed with {type(failure).__name__})"
     return " ".join(shortened(text).split("\n"))
 
 
 def shortened(text: str) -> str:
-    """The first `LONGEST` characters of a text, and how many it had if there are more.
+    """Cut a text after `LONGEST` characters and add how many it had.
 
     >>> shortened("a" * 10_001)[-25:]
     'aaaa… (10,001 characters)'
@@ -44,9 +44,9 @@ def shortened(text: str) -> str:
 
 
 def encodable(text: str) -> str:
-    r"""A text that UTF-8 can encode: halves of surrogate pairs become escapes.
+    r"""Escape what UTF-8 cannot encode: lone halves of surrogate pairs.
 
-    Names of files that are not UTF-8 have such halves (PEP 383).
+    Python uses such halves for file names that are not UTF-8 (PEP 383).
 
     >>> print(encodable("caf\udce9"))
     caf\udce9
@@ -55,10 +55,10 @@ def encodable(text: str) -> str:
 
 
 def loggable(error: BaseException) -> BaseException:
-    """An exception that can be logged with its traceback: the same, unless its text is huge.
+    """Return an exception that can be logged with its traceback without printing a huge text.
 
-    `logging` prints the whole text, and those of the exceptions before it. Where one of them is
-    longer than `LONGEST`, this is a stand-in with the same traceback and the shortened text.
+    `logging` prints the whole text of an exception and of those that caused it. If one of them is
+    longer than `LONGEST`, the result is a stand-in with the same traceback and the shortened text.
     """
     if not any(_is_huge(each) for each in _chain(error)):
         return error
@@ -66,7 +66,7 @@ def loggable(error: BaseException) -> BaseException:
 
 
 def _chain(error: BaseException) -> list[BaseException]:
-    """An exception, its causes and contexts, and the members of groups."""
+    """Collect an exception, its causes and contexts, and the members of groups."""
     found: list[BaseException] = []
     waiting = [error]
     while waiting:

@@ -1,8 +1,8 @@
-"""Topics as a node's user sees them: a publisher that checks, a subscription that is read.
+"""Topics as users of a node see them: publishers that check messages, subscriptions you read.
 
-Knows messages and queues; how they travel stands in `turtleact.transports`.
+This module knows messages and queues. `turtleact.transports` knows how messages travel.
 
-Source: rclpy ``publisher.py`` and ``subscription.py`` for names and meaning.
+Source: rclpy ``publisher.py`` and ``subscription.py`` for names and behaviour.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ class Publisher(Generic[M]):
 
     @property
     def has_subscriptions(self) -> bool:
-        """Whether anybody would get a message published now, or may later, as it is latched."""
+        """Whether a message published now has a reader, or may get a late one (latched topics)."""
         return self._publication.has_readers
 
     def publish(self, message: M) -> None:
-        """Send a snapshot of a message to every subscription.
+        """Send a copy of a message to every subscription.
 
         Raises:
             InvalidMessage: if it is not of the topic's type, or a value does not fit its type.
@@ -55,45 +55,45 @@ class Publisher(Generic[M]):
             self._publication.publish(snapshot)
 
     def give(self, message: M) -> None:
-        """Send a message itself, whose maker knows that it is right and lets go of it.
+        """Send a message without checking or copying it; does nothing if the publisher is closed.
 
-        Nothing is checked or copied, and nothing is sent once the publisher is closed.
+        The caller guarantees that the message is valid and never changes it afterwards.
         """
         if self.is_open and self._publication.has_readers:
             self._publication.publish(message)
 
     async def aclose(self) -> None:
-        """Leave the topic; a second time does nothing."""
+        """Leave the topic. A second call does nothing."""
         self.is_open = False
         self.membership.close()
 
 
 class Matching(Source):
-    """Has a function called when a topic gets its first reader, and when the last one has gone."""
+    """Calls a function when a topic gets its first reader and when the last one has left."""
 
     def __init__(self, on_matched: Callable[[], object]) -> None:
         self._on_matched = on_matched
 
-    def readers_changed(self, *, has_readers: bool) -> None:  # noqa: ARG002  # it can be asked for
-        """Pass it on."""
+    def readers_changed(self, *, has_readers: bool) -> None:  # noqa: ARG002  # the callback asks
+        """Call the function."""
         self._on_matched()
 
 
 class Subscription(Generic[M]):
     """Receives messages from a topic; made by `turtleact.Node.subscription`.
 
-    ``async for message in subscription`` gives the messages in order. The newest ``depth`` are kept
-    for a reader that lags; `missed` counts those that it lost. Of several readers each message goes
-    to one. The messages are shared with other subscriptions and must not be changed.
-    Cancelling: safe, nothing is lost.
+    ``async for message in subscription`` gives the messages in order. If a reader lags behind, the
+    newest ``depth`` messages are kept, and `missed` counts the dropped ones. With several readers,
+    each message goes to only one of them. Messages are shared with other subscriptions: do not
+    change them. Cancelling: safe, nothing is lost.
 
     Attributes:
         topic: The fully qualified name of the topic.
         latest: The newest message, read or not; None before the first.
         missed: How many messages were dropped unread.
-        notify: Called when a message has come, besides waking those who wait.
-        taker: Called with each message before anybody else; what it takes, by answering True, is
-            not kept for readers and wakes nobody.
+        notify: Called when a message has arrived, in addition to waking readers.
+        taker: Called with each message first. If it returns True, it has taken the message: the
+            message is not kept and wakes nobody.
     """
 
     def __init__(self, topic: str, depth: int, signal: Signal) -> None:
@@ -108,7 +108,7 @@ class Subscription(Generic[M]):
         self._is_open = True
 
     def deliver(self, message: M) -> None:
-        """Take a message from the transport."""
+        """Receive a message; the transport calls this."""
         if self.taker is not None and self.taker(message):
             self.latest = message
             return
@@ -122,7 +122,7 @@ class Subscription(Generic[M]):
             self.notify()
 
     def drain(self) -> list[M]:
-        """Take all that has come and was not read yet, without waiting."""
+        """Return all unread messages without waiting."""
         drained = list(self._kept)
         self._kept.clear()
         return drained
@@ -138,9 +138,9 @@ class Subscription(Generic[M]):
         return self._kept.popleft()
 
     async def aclose(self) -> None:
-        """Leave the topic: readers get what has come already, and are at their end.
+        """Leave the topic. Readers still get what has arrived; then their loops end.
 
-        A second time does nothing.
+        A second call does nothing.
         """
         self._is_open = False
         if self.membership is not None:

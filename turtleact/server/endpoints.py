@@ -46,7 +46,7 @@ from turtleact.transports.base import STATUS_QOS, Closeable, MakeEndpoint, Reply
 
 __all__ = ["ActionEndpoints"]
 
-NAMELESS = "zeros name no goal: nobody could ask for it"
+NAMELESS = "a goal id must not be all zeros"
 """Why a goal of the id zero is rejected."""
 
 OURS = GoalNote().write()
