@@ -370,7 +370,10 @@ class LocalActionServer:
         goal_id = self.name_goal(goal)
         if goal.ended and self.find(goal_id) is not goal:
             return CancelGoal.Response(CancelCode.UNKNOWN_GOAL_ID)
-        return await self.cancel(goal_id, 0)
+        if await self._ask_and_cancel(goal):
+            return CancelGoal.Response(CancelCode.NONE, [self.info(goal)])
+        is_kept = goal.status.is_active
+        return CancelGoal.Response(CancelCode.REJECTED if is_kept else CancelCode.GOAL_TERMINATED)
 
     def cancel_goal_nowait(self, goal: Goal) -> None:
         """Ask a goal to cancel; a ``cancel_callback`` answers in its own time, once."""
