@@ -3,8 +3,9 @@
 The floor does the same work with nothing but tasks (eager ones from Python 3.12 on) and queues. It
 makes the same messages and checks none of them. turtleact checks and copies each, since a bad value
 raises where it is sent and a body may go on changing what it has published; the rows "of that,
-snapshots" say how much of the row above them this is. The anyio version is written by the book: one task group, and for each
-goal an event, a cancel scope and a memory object stream; it checks nothing either.
+snapshots" say how much of the row above them this is. The anyio version is written by the book: one
+task group, and for each goal an event, a cancel scope and a memory object stream. It checks nothing
+either.
 
 Rounds are interleaved; a ratio is the median of the ratios of the rounds, and a time the median.
 The garbage collector is off while the time is taken. A goal has one public reader, its sender: the
