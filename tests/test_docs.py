@@ -8,6 +8,9 @@
   are its output, in which ``...`` stands for anything; without them it must just succeed.
   ``<!-- exit status N -->`` above the block says how its commands end, if not with 0;
   ``<!-- not run: why -->`` leaves the block out.
+- Blocks below ``<!-- recipe FILE -->`` are the files of one folder, the one below ``<!-- recipe
+  output of COMMAND -->`` is what the command prints there; ``<!-- recipe instead FILE -->`` is
+  another version of the file.
 - A block below ``<!-- file PATH -->`` is that file, one below ``<!-- made by PATH -->`` what that
   script prints. ``<!-- layers -->`` stands above the rows of the import contract.
 - No block is left over.
@@ -171,7 +174,7 @@ def is_checked(block: Block) -> bool:
     return (
         ">>> " in block.text
         or block.mark in {"run", "run on", "output", "layers", "install command", "test command"}
-        or block.mark.startswith(("file ", "made by ", "not run: "))
+        or block.mark.startswith(("file ", "made by ", "not run: ", "recipe "))
         or bool(commands_of(block))
     )
 
@@ -244,6 +247,23 @@ def test_the_line_that_installs_leads_to_a_goal_that_succeeds(tmp_path):
     outcome = run(["bash", "-c", f"{command} --speed max"], tmp_path)
     assert outcome.returncode == 0, outcome.stdout
     assert outcome.stdout.endswith("Goal finished with status: SUCCEEDED\n")
+
+
+def files_of_the_recipe() -> dict[str, str]:
+    blocks = [block for block in marked("recipe ") if block.page.name == "testing.md"]
+    return {block.mark.removeprefix("recipe "): block.text for block in blocks}
+
+
+@pytest.mark.parametrize("version", ["", "instead "])
+def test_the_recipe_for_tests_works_in_an_empty_folder(tmp_path, version):
+    blocks = files_of_the_recipe()
+    for name in ("pytest.ini", "conftest.py", "test_fibonacci.py"):
+        text = blocks.get(f"{version}{name}", blocks[name])
+        (tmp_path / name).write_text(text, "utf-8")
+    outcome = run(["pytest", "-q", "-p", "no:cacheprovider"], tmp_path)
+    shown = blocks["output of pytest -q"] if not version else ". [100%]\n1 passed in ...s"
+    printed = re.sub(" +", " ", outcome.stdout)
+    assert is_as_shown(printed, shown.rstrip()), outcome.stdout
 
 
 @pytest.mark.parametrize("block", marked("file "), ids=lambda block: block.name)
