@@ -54,3 +54,14 @@ def test_the_next_event_loop_of_a_thread_is_not_home():
     home = asyncio.run(make())
     with pytest.raises(TurtleactError, match=SAID):
         asyncio.run(check(home))
+
+
+def test_between_two_runs_the_event_loop_is_home():
+    async def make() -> Home:
+        return Home("node '/lab'")
+
+    with asyncio.Runner() as runner:
+        home = runner.run(make())
+        home.check()
+    with pytest.raises(TurtleactError, match=SAID):
+        home.check()  # it is closed

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from threading import get_ident
 
 import anyio
 
@@ -36,28 +37,36 @@ class Home:
         owner: What has it, as users call it: ``"node '/lab'"``.
     """
 
-    __slots__ = ("_current", "_loop", "_owner")
+    __slots__ = ("_current", "_loop", "_owner", "_thread")
 
     def __init__(self, owner: str) -> None:
         self._owner = owner
         self._current = _loop_getter()
         self._loop = self._current()
+        self._thread = get_ident()
 
     def check(self) -> None:
-        """Raise unless this is called in the home's event loop, and so in its thread.
+        """Raise unless this is called in the home's event loop, or between two runs of it.
+
+        A notebook that is run as plain Python calls plain functions between ``runner.run(…)`` and
+        ``runner.run(…)``: the loop stands still then, so nothing can get into its way.
 
         Raises:
-            TurtleactError: if another event loop runs here, or none.
+            TurtleactError: if another event loop runs here, or this is another thread.
         """
         try:
             if self._current() is self._loop:
                 return
         except RuntimeError:  # no event loop runs in this thread
-            pass
+            if self._thread == get_ident() and self._can_go_on():
+                return
         raise TurtleactError(
             f"{self._owner} belongs to another event loop: use it there, from another thread by "
             "anyio.from_thread.run or run_sync"
         )
+
+    def _can_go_on(self) -> bool:
+        return isinstance(self._loop, asyncio.AbstractEventLoop) and not self._loop.is_closed()
 
 
 def _loop_getter() -> Callable[[], object]:
