@@ -1,3 +1,4 @@
+# In a checkout: pip install .
 """A server and a client in one process: the goal goes out, feedback comes back, then the result.
 
 Prints:

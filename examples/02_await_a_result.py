@@ -1,3 +1,4 @@
+# In a checkout: pip install .
 """Who only wants the result awaits the goal; many goals run side by side.
 
 Prints:

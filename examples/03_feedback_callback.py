@@ -1,3 +1,4 @@
+# In a checkout: pip install .
 """A callback hears each feedback message while the result is awaited.
 
 Prints:

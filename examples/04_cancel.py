@@ -1,3 +1,4 @@
+# In a checkout: pip install .
 """A cancel reaches the body as Python's own cancellation: ``finally`` runs, and is waited for.
 
 Prints:

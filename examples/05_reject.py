@@ -1,3 +1,4 @@
+# In a checkout: pip install .
 """A server looks at a goal before it takes it, and says why it does not.
 
 Prints:

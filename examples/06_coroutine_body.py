@@ -1,3 +1,4 @@
+# In a checkout: pip install .
 """The other style of body: a coroutine that publishes feedback with a plain call, and returns.
 
 Prints:

@@ -1,3 +1,4 @@
+# In a checkout: pip install .
 """A body gives up, says why, and hands over what it has reached.
 
 Prints:

@@ -1,3 +1,4 @@
+# In a checkout: pip install .
 """A turtle is two topics: a pose comes in, a twist goes out. One twist lasts about a second.
 
 Prints:

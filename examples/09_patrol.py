@@ -1,3 +1,4 @@
+# In a checkout: pip install .
 """A patrol of ten seconds, in virtual time: it takes a fraction of one, and is the same each time.
 
 Prints:

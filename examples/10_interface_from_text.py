@@ -1,3 +1,4 @@
+# In a checkout: pip install .
 """An interface of one's own, from the text of its .action file; a path to the file will do too.
 
 Prints:

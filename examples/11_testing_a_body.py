@@ -1,3 +1,4 @@
+# In a checkout: pip install .
 """A declared body is still the plain function that it was: test it without a server.
 
 Prints:

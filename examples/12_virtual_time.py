@@ -1,3 +1,4 @@
+# In a checkout: pip install . trio
 """A test in virtual time: an hour of sleeping takes a few milliseconds, on asyncio and on trio.
 
 Prints:

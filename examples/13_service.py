@@ -1,3 +1,4 @@
+# In a checkout: pip install .
 """A service: one request, one response. Requests are handled side by side.
 
 Prints:

@@ -1,3 +1,4 @@
+# In a checkout: pip install .
 """A square: ahead by its topics, around each corner by its action. turtlesim's draw_square.
 
 Prints:

@@ -1,3 +1,4 @@
+# In a checkout: pip install .
 """One turtle does what another does: a second one is spawned, and told the first one's speeds.
 
 turtlesim's mimic.

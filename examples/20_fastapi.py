@@ -1,3 +1,4 @@
+# In a checkout: pip install . fastapi httpx
 """A web app: a goal outlives the request that started it, and later requests find it by its id.
 
 The app keeps no list of goals: one that is detached belongs to its server alone. ``visit`` plays

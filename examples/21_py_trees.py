@@ -1,3 +1,4 @@
+# In a checkout: pip install . py-trees
 """A tick of a behaviour tree may not wait: a leaf starts a goal, looks at it, and lets it go.
 
 The turtle patrols until its battery is low. Then the tree turns elsewhere, which cancels the

@@ -1,3 +1,4 @@
+# In a checkout: pip install .
 """A notebook has no block to stay in: a world is opened in one cell, used in others, and closed.
 
 The cells (``# %%``) run as plain Python too. There ``run`` lets the event loop go on until

@@ -1,3 +1,4 @@
+# In a checkout: pip install . fastapi httpx
 """A web app with a bridge in it: its own routes beside rosbridge and the page, over one node.
 
 ``main`` serves it on any free port and visits it; ``uvicorn --app-dir examples 23_web_mount:app``

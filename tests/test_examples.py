@@ -1,15 +1,20 @@
-"""Each example runs as it stands and prints what the ``Prints:`` block of its docstring shows."""
+"""Each example runs as it stands and prints what the ``Prints:`` block of its docstring shows.
+
+Its first line says what to install. It can import only that here, whatever else is installed.
+"""
 
 from __future__ import annotations
 
 import ast
 import doctest
 import inspect
+import re
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from . import installed
 
 EXAMPLES = sorted(Path(__file__).parents[1].joinpath("examples").glob("[0-9][0-9]_*.py"))
 SECONDS = 50
@@ -29,11 +34,19 @@ def printed(docstring: str) -> str | None:
     return inspect.cleandoc("\n" + "\n".join(lines[:end])).rstrip() + "\n"
 
 
+def named(path: Path) -> list[str]:
+    """What the first line of an example says to install."""
+    first = path.read_text("utf-8").partition("\n")[0]
+    found = re.fullmatch(r"# In a checkout: pip install \.( [\w -]+)?", first)
+    assert found is not None, first
+    return ["turtleact", *(found[1] or "").split()]
+
+
 @pytest.fixture(scope="module", params=EXAMPLES, ids=lambda path: path.name)
 def example(request):
     """An example and how its run ended: warnings are errors, and nobody types anything."""
     outcome = subprocess.run(
-        [sys.executable, "-W", "error", request.param],
+        installed.only(named(request.param), "-W", "error", script=request.param),
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
