@@ -27,8 +27,9 @@ from turtleact.errors import (
     TurtleactError,
 )
 from turtleact.interfaces import Message, Service, int32
+from turtleact.interfaces.standard import Fibonacci
 from turtleact.tasks import current_tasks
-from turtleact.transports import MemoryTransport
+from turtleact.transports import MemoryTransport, open_zenoh
 
 from .lab import (
     ON_ASYNCIO,
@@ -62,6 +63,10 @@ class Double(Service, type_name="lab_interfaces/srv/Double"):
 
 def double(request: Double.Request) -> Double.Response:
     return Double.Response(number=2 * request.number)
+
+
+async def fibonacci(goal: Fibonacci.Goal) -> Fibonacci.Result:
+    return Fibonacci.Result()
 
 
 OPENINGS: dict[str, Callable[[turtleact.Node, str], Any]] = {
@@ -300,12 +305,50 @@ async def test_one_that_waits_serves_once_the_first_has_gone():
         assert await client.send_goal(goal()) == result(7)
 
 
+async def test_one_that_waits_can_be_waited_for(caplog):
+    async with two_nodes() as (lab, user), anyio.create_task_group() as beside:
+        first = lab.action_server(Count, "count", count)
+        waiting = user.action_server(Count, "count", seven, on_conflict="wait")
+        assert (first.is_serving, waiting.is_serving) == (True, False)
+        beside.start_soon(first.aclose)
+        assert await waiting.wait_until_serving()
+        assert (first.is_serving, waiting.is_serving) == (False, True)
+    assert caplog.messages == [
+        "/count is served by /lab: waiting until that has gone",
+        "/count is free: serving it now",
+    ]
+
+
 async def test_one_that_waits_can_be_closed():
-    async with two_nodes() as (lab, user):
+    async with two_nodes() as (lab, user), anyio.create_task_group() as beside:
         lab.action_server(Count, "count", count)
         waiting = user.action_server(Count, "count", seven, on_conflict="wait")
-        await waiting.aclose()
+        beside.start_soon(waiting.aclose)
+        assert not await waiting.wait_until_serving()
         assert not waiting.is_open
+
+
+@pytest.mark.loops("asyncio")
+async def test_a_restarted_node_waits_for_its_predecessor_with_all_types_of_a_name(tmp_path):
+    """Two sessions, as of two processes, that know each other by discovery only."""
+    here = f"unixsock-stream/{tmp_path}/router"
+    async with (
+        open_zenoh(mode="router", listen=[here]) as first,
+        open_zenoh(mode="peer", connect=[here]) as second,
+        turtleact.open_node("lab", transport=first) as before,
+        turtleact.open_node("lab", transport=second) as after,
+    ):
+        before.action_server(Count, "count", count)
+        await first.flush()
+        await second.explore()
+        declared: list[turtleact.ActionServer[Any, Any, Any]] = [
+            after.action_server(Count, "count", count),
+            after.action_server(Fibonacci, "count", fibonacci),
+        ]
+        assert not any(server.is_serving for server in declared)
+        await before.aclose()
+        with anyio.fail_after(10.0):
+            assert all([await server.wait_until_serving() for server in declared])
 
 
 async def test_a_built_in_makes_way_and_its_running_goals_finish(caplog):

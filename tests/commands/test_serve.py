@@ -22,7 +22,7 @@ import pytest
 
 import turtleact
 from turtleact.commands.serve import _listed, serve_declared
-from turtleact.errors import TurtleactError
+from turtleact.errors import TurtleactError, UsageError
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.transports import MemoryTransport
 
@@ -172,8 +172,13 @@ class Served(NamedTuple):
 
 
 def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
+    """Start a command line."""
+    return start_python(folder, "-m", "turtleact", *arguments)
+
+
+def start_python(folder: Path, *arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-m", "turtleact", *arguments],
+        [sys.executable, *arguments],
         cwd=folder,
         env={**os.environ, "ROS_DOMAIN_ID": "0"},
         stdin=subprocess.DEVNULL,
@@ -499,15 +504,21 @@ async def test_an_action_that_another_node_serves_is_refused_with_its_name():
         turtleact.open_node("turtleact", transport=transport) as node,
     ):
         robot.serve(quick)
-        with pytest.raises(ExceptionGroup) as caught:
+        with pytest.raises(TurtleactError) as caught:
             await serve_declared(node, [quick], wait=False)
-    assert str(caught.value.exceptions[0]) == (
+    assert str(caught.value) == (
         "action '/quick' is served by node /robot already: choose another name, or give --wait to "
-        "serve it once that node is gone"
+        "serve it once that node has gone"
     )
 
 
-async def test_an_action_is_served_once_the_other_node_is_gone(capsys):
+async def test_an_action_that_is_given_twice_is_refused():
+    async with turtleact.open_node("turtleact") as node:
+        with pytest.raises(UsageError, match="action '/quick' is given twice"):
+            await serve_declared(node, [quick, quick], wait=False)
+
+
+async def test_an_action_is_served_once_the_other_node_is_gone(caplog):
     transport = MemoryTransport()
     async with turtleact.open_node("turtleact", transport=transport) as node:
         async with (
@@ -517,11 +528,10 @@ async def test_an_action_is_served_once_the_other_node_is_gone(capsys):
             robot.serve(quick)
             beside.start_soon(partial(serve_declared, node, [quick], wait=True))
             await anyio.wait_all_tasks_blocked()
-            assert capsys.readouterr().err == (
-                "turtleact: action '/quick' is served by node /robot: waiting until that is gone\n"
-            )
+            assert caplog.messages == ["/quick is served by /robot: waiting until that has gone"]
             await robot.aclose()
         assert node.graph().actions == {"/quick": (Fibonacci.type_name,)}
+        assert caplog.messages[1:] == ["/quick is free: serving it now"]
 
 
 def test_a_standby_takes_over_when_the_first_server_is_killed(served, lab):
@@ -530,10 +540,7 @@ def test_a_standby_takes_over_when_the_first_server_is_killed(served, lab):
         assert standby.stderr is not None
         assert standby.stdout is not None
         notes = {standby.stderr.readline() for _ in range(2)}
-        assert (
-            "turtleact: action '/quick' is served by node /turtleact: waiting until that is gone\n"
-            in notes
-        )
+        assert "/quick is served by /turtleact: waiting until that has gone\n" in notes
         served.process.kill()
         assert standby.stdout.readline().startswith("ready at ")
         standby.send_signal(signal.SIGTERM)
@@ -541,6 +548,74 @@ def test_a_standby_takes_over_when_the_first_server_is_killed(served, lab):
     finally:
         standby.kill()
         standby.communicate()
+
+
+@pytest.mark.loops("asyncio")
+async def test_a_server_of_the_same_node_that_lives_is_not_waited_for_for_ever(
+    tmp_path, monkeypatch
+):
+    """Two sessions, as of two processes: whether the other is a predecessor cannot be seen."""
+    monkeypatch.setattr("turtleact.commands.serve.LEASE", 0.1)
+    here = f"unixsock-stream/{tmp_path}/router"
+    async with (
+        turtleact.open_zenoh(mode="router", listen=[here]) as first,
+        turtleact.open_zenoh(mode="peer", connect=[here]) as second,
+        turtleact.open_node("turtleact", transport=first) as one,
+        turtleact.open_node("turtleact", transport=second) as other,
+    ):
+        one.serve(quick)
+        await first.flush()
+        await second.explore()
+        with pytest.raises(TurtleactError, match="'/quick' is served by node /turtleact already"):
+            await serve_declared(other, [quick], wait=False)
+
+
+STUDENT = """
+import sys
+import anyio
+import turtleact
+from turtleact.interfaces.standard import Fibonacci
+
+
+async def mine(goal):
+    return Fibonacci.Result(sequence=[7])
+
+
+async def main():
+    async with turtleact.open_zenoh([sys.argv[1]]) as graph:
+        await graph.explore()
+        async with turtleact.open_node("student", transport=graph) as node:
+            node.action_server(Fibonacci, "/fibonacci", mine)
+            await graph.flush()
+            print("serving", flush=True)
+            await anyio.sleep_forever()
+
+
+anyio.run(main)
+"""
+
+
+def test_a_built_in_action_makes_way_for_a_server_in_another_process(tmp_path):
+    """Both terminals say so, and a goal that the built-in action runs finishes."""
+    (tmp_path / "student.py").write_text(STUDENT)
+    goal = ("send-goal", "fibonacci", Fibonacci.type_name, "order: 6", "--feedback", "--plain")
+    with serving(tmp_path, "--speed", "2") as server:
+        sender = server.start(*goal)
+        first_lines(sender, "Feedback:")
+        student = start_python(tmp_path, "student.py", server.at)
+        try:
+            first_lines(student, "serving")
+            out, _ = sender.communicate(timeout=PATIENCE)
+            assert (sender.returncode, "    - 8\n\nGoal finished" in out) == (0, True)
+            status, out, _ = server.run(*goal)
+            assert (status, "    - 7\n\nGoal finished" in out) == (0, True)
+        finally:
+            student.kill()
+        _, err = student.communicate(timeout=PATIENCE)
+        assert err == "/fibonacci: the built-in action makes way for this one\n"
+        _, _, err = server.end(signal.SIGTERM)
+    note = "/fibonacci is served by /student now: the built-in action withdraws\n"
+    assert err.count(note) == 1
 
 
 def test_a_signal_ends_a_server_that_waits_for_another(served, lab):

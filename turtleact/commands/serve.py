@@ -22,8 +22,7 @@ from turtleact.commands import runner
 from turtleact.commands.output import abandon, note, printable
 from turtleact.commands.targets import find_actions
 from turtleact.commands.terminal import can_move
-from turtleact.errors import InvalidOption, TurtleactError, UsageError
-from turtleact.names import action_names, resolve_name
+from turtleact.errors import ActionConflict, InvalidOption, TurtleactError, UsageError
 from turtleact.node import Node, open_node
 from turtleact.tasks import Background
 from turtleact.transports import open_zenoh
@@ -38,6 +37,7 @@ if TYPE_CHECKING:
     from turtleact.commands.settings import Fleet, Page, Reach
     from turtleact.goal import GoalStatus
     from turtleact.node import ServerGoalHandle
+    from turtleact.node.conflicts import OnConflict
     from turtleact.transports import Transport, ZenohTransport
 
 __all__ = ["Service", "run", "serve_declared"]
@@ -45,11 +45,8 @@ __all__ = ["Service", "run", "serve_declared"]
 ROUTER = "tcp/127.0.0.1:7447"
 """Where the nodes of a machine look for a router."""
 
-BUILT_INS = "/turtle_actions"
-"""The node of the built-in actions, in whatever process."""
-
 LEASE = 15.0
-"""How long the graph may show a node whose process was killed (s, wall clock).
+"""How long the graph may show a node whose process was killed (s, event loop time).
 
 Zenoh's own lease is 10 s."""
 
@@ -140,10 +137,11 @@ async def _serve(
 async def serve_declared(
     node: Node, declared: list[ActionDeclaration[..., object]], *, wait: bool
 ) -> None:
-    """Serve actions, each once no other node serves its name.
+    """Serve actions, and return once all of them are on the graph.
 
-    One node serves an action name: if two did, every goal would run twice. A node of this node's
-    own name may be its predecessor, which was killed a moment ago, so it gets `LEASE` to go away.
+    One node serves an action name; `turtleact.node.conflicts` has the rules. A node of this node's
+    own name may be its predecessor, which was killed a moment ago, and is waited for in any case.
+    It may also be another ``turtleact serve``, which lives: so without ``wait`` it gets `LEASE`.
 
     Args:
         node: Serves the actions.
@@ -152,45 +150,28 @@ async def serve_declared(
 
     Raises:
         TurtleactError: if another node serves an action; the text names it.
+        UsageError: if an action is given twice.
     """
-    by_name: dict[str, list[ActionDeclaration[..., object]]] = {}
-    for each in declared:
-        by_name.setdefault(resolve_name(each.name), []).append(each)
-    async with anyio.create_task_group() as waiting:
-        for name, types in by_name.items():
-            waiting.start_soon(_serve_once_free, node, name, types, wait)
+    try:
+        on_conflict: OnConflict = "wait" if wait else "refuse"
+        servers = [node.serve(each, on_conflict=on_conflict) for each in declared]
+    except ActionConflict as taken:
+        if taken.node == node.fully_qualified_name:
+            raise UsageError(f"action '{taken.action}' is given twice") from None
+        raise _refused(taken) from None
+    with anyio.move_on_after(None if wait else LEASE):
+        for server in servers:
+            await server.wait_until_serving()
+    for server in servers:
+        if not server.is_serving:
+            raise _refused(ActionConflict(server.name, node.fully_qualified_name))
 
 
-async def _serve_once_free(
-    node: Node, name: str, types: list[ActionDeclaration[..., object]], wait: bool
-) -> None:
-    rival = _rival(node, name)
-    if rival is not None:
-        is_predecessor = rival == node.fully_qualified_name
-        if not (wait or is_predecessor):
-            raise TurtleactError(_conflict(name, rival))
-        note(f"action '{name}' is served by node {rival}: waiting until that is gone")
-        with anyio.move_on_after(None if wait else LEASE):
-            while _rival(node, name) is not None:
-                await node.transport.wait_for_change()
-        rival = _rival(node, name)
-        if rival is not None:
-            raise TurtleactError(_conflict(name, rival))
-    for each in types:
-        node.serve(each)
-
-
-def _rival(node: Node, name: str) -> str | None:
-    """Another node that serves an action. Built-in actions make way, so they do not count."""
-    endpoints = node.transport.endpoints(action_names(name).send_goal)
-    nodes = {each.node for each in endpoints if each.kind == "service"}
-    return min(nodes - {BUILT_INS}, default=None)
-
-
-def _conflict(name: str, rival: str) -> str:
-    return (
-        f"action '{name}' is served by node {rival} already: choose another name, or give --wait "
-        "to serve it once that node is gone"
+def _refused(taken: ActionConflict) -> TurtleactError:
+    """The same error, with the option of the command line."""
+    return TurtleactError(
+        f"action '{taken.action}' is served by node {taken.node} already: choose another name, or "
+        "give --wait to serve it once that node has gone"
     )
 
 

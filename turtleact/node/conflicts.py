@@ -74,11 +74,18 @@ class Rivals:
         own = (self._node, BUILT_INS_NODE)
         return next((node for node in self._nodes() if node not in own), None)
 
-    def is_taken(self, own_types: set[str]) -> bool:
-        """Whether another node serves the action, be it a predecessor of this one's name."""
-        if self.first() is not None:
-            return True
-        return not own_types and self._node in self._nodes(is_local=False)
+    def holder(self) -> str | None:
+        """The node that has to go before this one can serve the action; None if it is free.
+
+        It may have this node's own name, if that is seen in another process: a predecessor.
+        """
+        if self._node in self._nodes(is_local=False):
+            return self._node
+        return self.first()
+
+    def has_built_in(self) -> bool:
+        """Whether a built-in action in another process has to make way for this one."""
+        return self._node != BUILT_INS_NODE and BUILT_INS_NODE in self._nodes(is_local=False)
 
     async def wait_until(self, condition: Callable[[], bool]) -> None:
         """Wait until a condition on the graph holds. Cancelling: safe."""

@@ -93,6 +93,7 @@ class Node:
         definition: ActionDeclaration[..., object],
         *,
         name: str | None = None,
+        on_conflict: OnConflict = "refuse",
         **overrides: Unpack[ServerOptions],
     ) -> ActionServer[Message, Message, Message]:
         """Serve an action that was declared with `turtleact.action`.
@@ -100,6 +101,7 @@ class Node:
         Args:
             definition: The declared body.
             name: Another name than the declared one.
+            on_conflict: As for `action_server`.
             **overrides: Other options than the declared ones; as for `action_server`.
         """
         if not isinstance(definition, ActionDeclaration):
@@ -107,7 +109,11 @@ class Node:
         options = cast("ServerOptions", {**definition.options, **overrides})
         execute = cast("ActionBody[Message, Message, Message, object]", definition.execute)
         return self.action_server(
-            definition.action_type, name or definition.name, execute, **options
+            definition.action_type,
+            name or definition.name,
+            execute,
+            on_conflict=on_conflict,
+            **options,
         )
 
     def action_server(
@@ -175,11 +181,12 @@ class Node:
             server._watch(hook)
         if on_conflict == "withdraw":
             server._keep(server._make_way(rivals), "making way for others with")
-        if rivals.is_taken(own_types):
-            if on_conflict != "withdraw":
-                server._keep(server._serve_once_free(rivals, own_types), "waiting to serve")
-        else:
-            endpoints.open()
+        holder = rivals.holder()
+        if holder is None:
+            server._begin(rivals)
+        elif on_conflict != "withdraw":
+            logger.warning("%s is served by %s: waiting until that has gone", names.name, holder)
+            server._keep(server._serve_once_free(rivals), "waiting to serve")
         server.membership = self._resources.add_server(
             "action server", server, endpoints.stop_taking_goals
         )
@@ -411,6 +418,8 @@ class ActionServer(Generic[G, R, F]):
         name: The fully qualified name.
         action_type: The action.
         node: The node that serves it.
+        is_serving: Whether it is on the graph under its name. It is not while it waits for another
+            node to stop serving the name, nor after it has made way for one.
     """
 
     def __init__(
@@ -426,7 +435,9 @@ class ActionServer(Generic[G, R, F]):
         self.membership: Closeable | None = None
         self._local = local
         self._endpoints = endpoints
+        self.is_serving = False
         self._watches: list[Background] = []
+        self._turned = current_tasks().signal()
 
     @property
     def is_open(self) -> bool:
@@ -445,7 +456,7 @@ class ActionServer(Generic[G, R, F]):
         for ``grace`` seconds is given up, and the log says where it stands. asyncio can let go of
         such a task; trio cannot, so there this keeps waiting. Every waiter gets its answer.
         """
-        self._local.is_open = False
+        self._stop()
         for watch in self._watches:
             await watch.aclose()
         self._watches.clear()
@@ -453,6 +464,15 @@ class ActionServer(Generic[G, R, F]):
             self.membership.close()
         await self._local.aclose()
         await self._endpoints.aclose()
+
+    async def wait_until_serving(self) -> bool:
+        """Wait until it serves its name; False if it was closed, or made way, before it could.
+
+        Cancelling: safe; the server goes on waiting for its name.
+        """
+        while self.is_open and not self.is_serving:
+            await self._turned.wait()
+        return self.is_serving
 
     def _watch(self, hook: Transition) -> None:
         """Call a hook at each change of a goal."""
@@ -462,19 +482,35 @@ class ActionServer(Generic[G, R, F]):
         """Run something until the server is closed."""
         self._watches.append(Background(running, f"{name} {self.name}"))
 
-    async def _serve_once_free(self, rivals: Rivals, own_types: set[str]) -> None:
-        """Appear in the graph once nobody else serves the name."""
-        await rivals.wait_until(lambda: not rivals.is_taken(own_types))
+    def _begin(self, rivals: Rivals) -> None:
+        """Appear in the graph."""
+        if rivals.has_built_in():
+            logger.warning("%s: the built-in action makes way for this one", self.name)
         self._endpoints.open()
+        self.is_serving = True
+        self._turned.fire()
+
+    def _stop(self) -> None:
+        """Take no more goals."""
+        self._local.is_open = False
+        self.is_serving = False
+        self._turned.fire()
+
+    async def _serve_once_free(self, rivals: Rivals) -> None:
+        """Appear in the graph once nobody else serves the name."""
+        await rivals.wait_until(lambda: rivals.holder() is None)
+        logger.warning("%s is free: serving it now", self.name)
+        self._begin(rivals)
 
     async def _make_way(self, rivals: Rivals) -> None:
         """Take no more goals once another node serves the name, and leave when they have ended."""
         await rivals.wait_until(lambda: rivals.first() is not None)
-        self._local.is_open = False
+        self._stop()
         self._endpoints.stop_taking_goals()
-        logger.warning(
-            "%s is served by %s now: the built-in action withdraws", self.name, rivals.first()
-        )
+        if not self.node._types_served(self.name):  # one line, though it may have several types
+            logger.warning(
+                "%s is served by %s now: the built-in action withdraws", self.name, rivals.first()
+            )
         await self._local.wait_until_idle()
         await self._endpoints.aclose()
 
