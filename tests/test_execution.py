@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import sys
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextvars import ContextVar
 from typing import Any
@@ -13,7 +12,6 @@ import anyio
 import anyio.lowlevel
 import pytest
 
-import turtleact
 from turtleact import GoalStatus, Outcome
 from turtleact.errors import (
     Abort,
@@ -1389,55 +1387,6 @@ async def test_what_a_body_sets_in_its_context_does_not_reach_the_client(send, w
     async with lab(body) as served:
         await send(served, goal())
         assert PARENT.get() == "nobody"
-
-
-# --- what stops the program -----------------------------------------------------------------
-
-
-@pytest.mark.parametrize("when", ["at once", "after a wait"])
-@pytest.mark.parametrize("backend", ["asyncio", "uvloop", "trio"])
-def test_a_body_that_exits_ends_its_goal_and_then_the_program(backend, when, send):
-    ends: list[object] = []
-
-    async def body(goal):
-        if when == "after a wait":
-            await anyio.lowlevel.checkpoint()
-        sys.exit(3)
-
-    async def main():
-        async with lab(body) as served:
-            ends.append(await send(served, goal()))
-            await anyio.sleep_forever()
-
-    options = {"use_uvloop": True} if backend == "uvloop" else {}
-    name = "trio" if backend == "trio" else "asyncio"
-    with pytest.raises(SystemExit) as caught:
-        anyio.run(main, backend=name, backend_options=options)
-    assert caught.value.code == 3
-    if ends:  # the caller may be cancelled before it hears of the end
-        assert ends == [Outcome(GoalStatus.ABORTED, result(), "the program was stopped")]
-
-
-@pytest.mark.parametrize("backend", ["asyncio", "trio"])
-def test_a_body_that_exits_ends_the_program_from_within_a_nursery(backend):
-    async def body(goal):
-        sys.exit(3)
-
-    async def call(client):
-        await client.send_goal(goal())
-
-    async def inner(group):
-        async with lab(body) as served:
-            group.start_soon(call, served.client)
-            await anyio.sleep_forever()
-
-    async def main():
-        async with turtleact.open_node("outer"), anyio.create_task_group() as group:
-            group.start_soon(inner, group)
-            await anyio.sleep_forever()
-
-    with pytest.raises(SystemExit):
-        anyio.run(main, backend=backend)
 
 
 async def test_the_plain_body_of_the_laboratory_counts(send):
