@@ -63,5 +63,6 @@ def test_between_two_runs_the_event_loop_is_home():
     with asyncio.Runner() as runner:
         home = runner.run(make())
         home.check()
+        home.of("a client of it").check()
     with pytest.raises(TurtleactError, match=SAID):
         home.check()  # it is closed

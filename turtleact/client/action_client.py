@@ -51,7 +51,9 @@ class ActionClient(Generic[G, R, F]):
         observers: Told of each change and feedback of the goals that it has sent.
     """
 
-    def __init__(self, endpoints: ClientEndpoints, tasks: Tasks, cancel_timeout: float) -> None:
+    def __init__(
+        self, endpoints: ClientEndpoints, tasks: Tasks, home: Home, cancel_timeout: float
+    ) -> None:
         self.name = endpoints.name
         self.action_type: ActionType[G, R, F] = endpoints.action_type
         self.membership: Closeable | None = None
@@ -59,7 +61,7 @@ class ActionClient(Generic[G, R, F]):
         self.observers = _ClientObservers(self)
         self._endpoints = endpoints
         self._cancel_timeout = cancel_timeout
-        self._home = Home(f"the client of action '{self.name}'")
+        self._home = home.of(f"the client of action '{self.name}'")
         self._remote = RemoteActionServer(endpoints, tasks, self.observers)
         self._server: GoalServer | None = None
 

@@ -227,7 +227,7 @@ class Node:
         patience = math.inf if cancel_timeout is None else cancel_timeout
         names = self._action_names(name)
         endpoints = ClientEndpoints(self.transport, self._endpoint, names, action_type)
-        client: ActionClient[G, R, F] = ActionClient(endpoints, self._tasks, patience)
+        client: ActionClient[G, R, F] = ActionClient(endpoints, self._tasks, self._home, patience)
         client.membership = self._resources.add(client, endpoints)
         return client
 

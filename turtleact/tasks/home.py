@@ -20,6 +20,7 @@ of other threads, which may run anywhere.
 from __future__ import annotations
 
 import asyncio
+import copy
 from collections.abc import Callable
 from threading import get_ident
 
@@ -44,6 +45,12 @@ class Home:
         self._current = _loop_getter()
         self._loop = self._current()
         self._thread = get_ident()
+
+    def of(self, owner: str) -> Home:
+        """The same home, for something that was made there; no event loop need run now."""
+        home = copy.copy(self)
+        home._owner = owner
+        return home
 
     def check(self) -> None:
         """Raise unless this is called in the home's event loop, or between two runs of it.
