@@ -286,7 +286,7 @@ async def test_the_newest_feedback_is_known_when_its_callback_is_called():
     seen = []
 
     async def body(request, handle):
-        await anyio.lowlevel.checkpoint()
+        await take_turns()
         handle.publish_feedback(feedback(1))
         await anyio.lowlevel.checkpoint()
         return result()
