@@ -11,7 +11,7 @@ import pytest
 from turtleact.errors import TurtleactError
 from turtleact.tasks import Home
 
-SAID = "node '/lab' belongs to another event loop: use it there, from another thread by anyio"
+SAID = "node '/lab' belongs to another event loop: use it there, or call it from another thread"
 
 
 async def test_at_home_nothing_is_said():

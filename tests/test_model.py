@@ -521,7 +521,7 @@ class Model:
             raise RefusedError(f"the server of '{server.name}' is shutting down")
         if goal_id and self.find(server, goal_id) is not None:
             held = bytes([goal_id]) * 16
-            raise RefusedError(f"the server still holds a goal of the id {held.hex()}")
+            raise RefusedError(f"the server still holds a goal with the id {held.hex()}")
         goal.goal_id, goal.sender, goal.accepted = goal_id, sender, self.now
         is_started = self.place(goal)
         server.goals.append(goal)

@@ -202,7 +202,7 @@ async def test_other_options_than_the_declared_ones_can_be_given():
 async def test_a_function_that_is_not_declared_cannot_be_served():
     async with turtleact.open_node("lab") as node:
         with pytest.raises(
-            TypeError, match=r"^count is no action: declare it by @turtleact.action$"
+            TypeError, match=r"^count is no action: declare it with @turtleact.action$"
         ):
             node.serve(count)  # type: ignore[arg-type]  # that is the test
 

@@ -297,7 +297,7 @@ async def test_both_sides_know_a_goal_by_one_stamp():
 async def test_an_id_is_refused_while_its_goal_is_active():
     gate = Gate()
     async with lab(gate.wait) as served, served.client.send_goal(goal(), goal_id=b"1" * 16):
-        with pytest.raises(GoalRejected, match=f"still holds a goal of the id {'31' * 16}"):
+        with pytest.raises(GoalRejected, match=f"still holds a goal with the id {'31' * 16}"):
             await served.client.send_goal(goal(), goal_id=b"1" * 16)
         assert len(served.active) == 1
 
@@ -431,7 +431,7 @@ async def test_a_cancel_callback_that_breaks_is_logged(callback, caplog):
         await handle.result()
     (record,) = caplog.records
     assert (record.name, record.levelno) == ("turtleact.server", logging.ERROR)
-    assert record.getMessage() == "the cancel_callback of /count failed; the goal goes on"
+    assert record.getMessage() == "the cancel_callback of /count failed; the goal continues"
 
 
 async def test_a_cancel_callback_gets_the_goals_handle():

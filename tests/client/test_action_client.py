@@ -108,7 +108,7 @@ async def test_a_goal_is_sent_once(first, second):
     async with lab(count) as served:
         sending = served.client.send_goal(goal(1))
         assert await first(sending) == result(0)
-        with pytest.raises(TurtleactError, match="this goal for '/count' was sent already: call"):
+        with pytest.raises(TurtleactError, match="this goal for '/count' was already sent: call"):
             await second(sending)
 
 

@@ -795,7 +795,7 @@ async def test_a_second_attachment_of_a_client_shares_the_goal():
 async def test_an_id_that_is_under_way_is_refused_here():
     gate = Gate()
     async with apart(gate.wait) as served, served.client.send_goal(goal(), goal_id=ID):
-        with pytest.raises(GoalRejected, match="still holds a goal of the id 000102"):
+        with pytest.raises(GoalRejected, match="still holds a goal with the id 000102"):
             await served.client.send_goal(goal(), goal_id=ID)
 
 

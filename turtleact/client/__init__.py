@@ -1,4 +1,4 @@
-"""The client's side of an action: goals are sent, read, waited for and canceled."""
+"""The client side of actions: sends goals, reads their feedback, awaits and cancels them."""
 
 from turtleact.client.action_client import ActionClient, Attach, SendGoal
 from turtleact.client.goal_handle import (

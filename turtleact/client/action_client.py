@@ -1,10 +1,10 @@
-"""An action's client: sends goals, attaches to those of others, cancels them.
+"""Action clients: send goals, attach to other clients' goals, and cancel goals.
 
-What a client holds of one goal is in `turtleact.client.goal_handle`. The client uses a server in
-the same process directly, and one elsewhere by messages; both are a
+`turtleact.client.goal_handle` is the client's view of one goal. A client uses a server in the same
+process directly, and a server in another process through messages. To the client, both are a
 `turtleact.goal_server.GoalServer`.
 
-Source: rclpy ``action/client.py`` for names and meaning.
+Source: rclpy ``action/client.py`` for names and behaviour.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class ActionClient(Generic[G, R, F]):
     Attributes:
         name: The fully qualified name of the action.
         action_type: The action.
-        is_open: Whether it sends goals.
-        observers: Told of each change and feedback of the goals that it has sent.
+        is_open: Whether it can send goals.
+        observers: Told of each change and feedback of the goals sent by this client.
     """
 
     def __init__(
@@ -72,55 +72,56 @@ class ActionClient(Generic[G, R, F]):
         goal_id: bytes | uuid.UUID | None = None,
         feedback_callback: Callable[[F], object] | None = None,
     ) -> SendGoal[G, R, F]:
-        """Send a goal: ``await`` it for the result, or enter it for a handle.
+        """Send a goal: ``await`` it for the result, or use ``async with`` for a handle.
 
-        A server in another process is waited for if the session was opened a moment ago; see
-        `turtleact.transports.open_zenoh`.
+        If the Zenoh session was opened a moment ago, this first waits for a server in another
+        process to be discovered; see `turtleact.transports.open_zenoh`.
 
         Args:
             goal: The goal message.
-            goal_id: 16 bytes or a UUID; a fresh one if left out.
-            feedback_callback: Called with each feedback message, in the server's turn; what it
-                raises is logged and does no harm.
+            goal_id: 16 bytes or a UUID; left out, a new one.
+            feedback_callback: A plain function, called with each feedback message while the server
+                publishes it. If it raises, the exception is logged and nothing else happens.
 
         Raises:
             InvalidOption: if the ``feedback_callback`` is a coroutine function.
-            InvalidGoal: (when awaited or entered) if a value does not fit its type; nothing sent.
+            InvalidGoal: (when awaited or entered) if a value does not fit its type. Nothing was
+                sent.
             ServerUnavailable: if nobody serves the action.
-            GoalRejected: if the server does not take the goal.
-            GoalAborted, GoalCanceled: (when awaited) if the goal ends so.
-            TurtleactError: if the client is closed, or used in another event loop, or if what this
-                gives is awaited or entered twice.
+            GoalRejected: if the server rejects the goal.
+            GoalAborted, GoalCanceled: (when awaited) if the goal ends that way.
+            TurtleactError: if the client is closed or belongs to another event loop, or if the
+                returned object is awaited or entered twice.
         """
         if feedback_callback is not None and _is_coroutine_function(feedback_callback):
-            problem = "must be a plain function: it is called in the server's turn, not awaited"
+            problem = "must be a plain function: it is called, not awaited, for each message"
             raise InvalidOption("feedback_callback", problem)
         named = None if goal_id is None else goal_id_bytes(goal_id)
-        on_feedback = cast("OnFeedback | None", feedback_callback)  # gets the action's own class
+        on_feedback = cast("OnFeedback | None", feedback_callback)  # called with the action's class
         order = GoalOrder(goal, self, self._cancel_timeout, named, on_feedback)
         caller = sys._getframe(1)
         return SendGoal(self, order, caller.f_code, caller.f_lasti)
 
     def attach(self, goal_id: bytes | uuid.UUID) -> Attach[R, F]:
-        """Attach to a goal that somebody else has sent: ``await`` or enter it for a handle.
+        """Attach to a goal that somebody else sent: ``await`` this or use ``async with``.
 
-        The goal goes on when the block is left, whatever happens there.
+        Both give a handle. Leaving the block never cancels the goal.
 
         Args:
             goal_id: 16 bytes or a UUID.
 
         Raises:
             ServerUnavailable: (when awaited or entered) if nobody serves the action.
-            TurtleactError: likewise, if the client is closed, or used in another event loop.
-            UnknownGoal: likewise, if the server does not hold the goal, or not any more.
+            TurtleactError: likewise, if the client is closed or belongs to another event loop.
+            UnknownGoal: likewise, if the server does not hold the goal, or no longer does.
         """
         return Attach(self, goal_id_bytes(goal_id))
 
     async def wait_for_server(self, timeout: float | None = None) -> bool:
-        """Wait until somebody serves the action. Cancelling: safe.
+        """Wait until a server exists for the action. Cancelling: safe.
 
         Args:
-            timeout: How long to wait (s, by the clock of the graph); for ever if left out.
+            timeout: How long to wait (s, by the graph's clock); left out, there is no limit.
 
         Returns:
             Whether it is served.
@@ -140,7 +141,7 @@ class ActionClient(Generic[G, R, F]):
         return await (await self._find_server()).cancel(None, nanoseconds(stamp))
 
     async def aclose(self) -> None:
-        """Leave the graph; the goals it has sent go on, unless their server cancels them."""
+        """Leave the graph. Goals it has sent go on, unless ``on_client_lost`` cancels them."""
         self._home.check()
         self.is_open = False
         if self._server is not None and self._server is not self._remote:
@@ -153,7 +154,7 @@ class ActionClient(Generic[G, R, F]):
     # the server
 
     async def _find_server(self) -> GoalServer:
-        """The server of the action; waited for on a graph that is still being discovered.
+        """Return the action's server, waiting for discovery if the graph is new.
 
         Raises:
             ServerUnavailable: if nobody serves it.
@@ -195,12 +196,12 @@ class ActionClient(Generic[G, R, F]):
         raise failure(goal)
 
     async def _enter(self, order: GoalOrder) -> GoalReader:
-        """Send a goal and wait for its acceptance."""
+        """Send a goal and wait until it is accepted."""
         server = await self._find_server()
         return GoalReader(server, await server.send_goal(order), self._home, is_sender=True)
 
     async def _attach(self, goal_id: bytes) -> GoalReader:
-        """Attach to a goal of others."""
+        """Attach to a goal that somebody else sent."""
         server = await self._find_server()
         goal = await server.attach(goal_id)
         if goal is None:
@@ -211,25 +212,28 @@ class ActionClient(Generic[G, R, F]):
 if TYPE_CHECKING:
 
     class _Calling(Coroutine[Any, Any, R], Generic[R]):
-        """What a type checker takes a `SendGoal` for."""
+        """The base of `SendGoal` as type checkers see it."""
 
         def __init__(self, *parts: object) -> None: ...
 
 else:
 
     class _Calling(msgspec.Struct, Generic[R], eq=False):
-        """What a `SendGoal` is; no struct can inherit from an abstract base class."""
+        """The base of `SendGoal` at runtime; a struct cannot inherit from an abstract class."""
 
 
 class SendGoal(_Calling[R], Generic[G, R, F]):
-    """A goal about to be sent, once.
+    """A goal that is about to be sent, once.
 
-    ``await`` sends it and gives the result; cancelling the waiting task cancels the goal, waits for
-    its end and goes on. ``async with`` sends it and gives the handle; leaving the block with the
-    goal still active cancels it and waits for its end, unless it was detached. As it is also a
-    coroutine, ``create_task`` takes it as it is, and ``start_soon`` takes `ActionClient.send_goal`.
+    ``await`` sends it and gives the result. If the waiting task is cancelled, the goal is canceled
+    too, and the task waits for the goal's end before it continues to be cancelled.
 
-    One that is neither awaited nor entered warns of that, as a forgotten coroutine does.
+    ``async with`` sends it and gives a handle. If you leave the block while the goal is active, the
+    goal is canceled and you wait for its end, unless you have detached it.
+
+    The object is also a coroutine: you can pass it to ``create_task``, or pass
+    `ActionClient.send_goal` to ``start_soon``. If you neither await nor enter it, Python warns as
+    it does for a forgotten coroutine.
     """
 
     _client: ActionClient[G, R, F]
@@ -243,20 +247,20 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
         return self._client._run(self._take_order()).__await__()
 
     def send(self, value: object) -> object:
-        """Go on to the next wait; what an event loop calls."""
+        """Run to the next wait. Event loops call this."""
         if self._calling is None:
             self._calling = self._client._run(self._take_order())
         return self._calling.send(value)
 
     def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
-        """Raise something at the current wait; what an event loop calls."""
+        """Raise an exception at the current wait. Event loops call this."""
         if self._calling is None:
             self.close()
             raise error
         return self._calling.throw(error)
 
     def close(self) -> None:
-        """End it; what an event loop calls."""
+        """Close the coroutine. Event loops call this."""
         self._order = None
         if self._calling is not None:
             self._calling.close()
@@ -275,8 +279,8 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
         if reader is None or reader.goal.ended:
             return
         await reader.leave(self._client._cancel_timeout)
-        # A cancellation that came in that shielded wait is not lost. An exception that leaves the
-        # block goes first.
+        # The wait above is shielded, so a cancellation may have arrived meanwhile. Deliver it now,
+        # unless the block already ends with an exception.
         if error is None:
             await anyio.lowlevel.checkpoint_if_cancelled()
 
@@ -284,18 +288,18 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
         order, self._order = self._order, None
         if order is None:
             raise TurtleactError(
-                f"this goal for '{self._client.name}' was sent already: call send_goal again to "
+                f"this goal for '{self._client.name}' was already sent: call send_goal again to "
                 "send another"
             )
         return order
 
     def __del__(self) -> None:
         if self._order is not None:
-            # The line is worked out here, from the place in the code: most goals are sent.
+            # The line is computed here and not in `send_goal`, because most goals are sent.
             lines = (lines for *ends, lines in self._code.co_lines() if self._offset < ends[1])
             warnings.warn_explicit(
-                f"the goal for '{self._client.name}' was never sent: await what send_goal gives, "
-                "or enter it by async with",
+                f"the goal for '{self._client.name}' was never sent: await the object that "
+                "send_goal returns, or use it with 'async with'",
                 RuntimeWarning,
                 self._code.co_filename,
                 next(lines, None) or self._code.co_firstlineno,
@@ -306,7 +310,7 @@ Coroutine.register(SendGoal)
 
 
 class Attach(msgspec.Struct, Generic[R, F], eq=False):
-    """A goal about to be attached to: ``await`` or enter it for the handle."""
+    """Someone else's goal, about to be attached to: ``await`` or enter this for a handle."""
 
     _client: ActionClient[Any, R, F]
     _goal_id: bytes
@@ -323,15 +327,15 @@ class Attach(msgspec.Struct, Generic[R, F], eq=False):
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """The goal goes on."""
+        """Leave the goal alone; it continues."""
 
 
 class _ClientObservers(Observers):
     """The observers of one client.
 
-    Goals in other processes are followed here, and told of from here. Those of a server in this
-    process are the server's: its own observers hear of them, one of whom passes on what concerns
-    the goals of this client, as long as the client is observed.
+    The client follows goals in other processes itself and reports on them. A server in the same
+    process reports on its goals through its own observers. While the client has observers, a relay
+    among the server's observers passes on what concerns this client's goals.
     """
 
     __slots__ = ("_relay", "_theirs")
@@ -348,13 +352,13 @@ class _ClientObservers(Observers):
         super().add(observer)
 
     def remove(self, observer: GoalObserver) -> None:
-        """Tell it nothing any more; an unknown observer is ignored."""
+        """Stop telling ``observer``; an unknown observer is ignored."""
         super().remove(observer)
         if not self.are_any and self._theirs is not None:
             self._theirs.remove(self._relay)
 
     def watch(self, server: object | None) -> None:
-        """Pass on what happens to the client's goals at this server in place of another."""
+        """Relay from this server from now on, instead of another one; None for no server."""
         if self.are_any and self._theirs is not None:
             self._theirs.remove(self._relay)
         theirs = getattr(server, "observers", None)
@@ -364,7 +368,7 @@ class _ClientObservers(Observers):
 
 
 class _Relay(GoalObserver):
-    """Passes on what a server in this process tells of the goals of one client."""
+    """Passes on a local server's reports about one client's goals."""
 
     def __init__(self, client: ActionClient[Any, Any, Any], observers: Observers) -> None:
         self._client = client
@@ -382,6 +386,6 @@ class _Relay(GoalObserver):
 
 
 def _is_coroutine_function(callback: object) -> bool:
-    """What `inspect.iscoroutinefunction` says of functions and methods, and faster."""
+    """A faster `inspect.iscoroutinefunction` for functions and methods."""
     code = getattr(callback, "__code__", None)
     return code is not None and bool(code.co_flags & CO_COROUTINE)

@@ -1,9 +1,9 @@
-"""The endpoints of an action's client: three services that it calls, two topics that it reads.
+"""The endpoints of an action client: three service clients and two subscriptions.
 
-Knows which kind of server is at the other end, as far as that decides how requests are sent. A
-service of ROS 2 keeps ten requests that its node has not taken yet, and drops the oldest of more
-without telling anybody. So a client sends only a few at a time. Servers of turtleact drop none, and
-say that they are such by a note beside each answer.
+This module also finds out which kind of server is at the other end, because that decides how to
+send requests. A ROS 2 service queues ten requests that its node has not taken yet. If more arrive,
+it silently drops the oldest. The client therefore sends only a few at a time. Servers of turtleact
+drop no requests, and attach a note to each answer that identifies them.
 
 Source: rcl_action ``action_client.c``; rmw_zenoh_cpp ``rmw_service_data.cpp``, ``add_new_query``;
 rmw ``qos_profiles.h``.
@@ -51,24 +51,24 @@ __all__ = ["ClientEndpoints", "RequestLimiter"]
 T = TypeVar("T")
 
 AT_ONCE: Final = 8
-"""How many requests are sent before the first is answered; two more are left to other clients."""
+"""How many unanswered requests are allowed; two places of the queue are left to other clients."""
 
-# Both responses begin with a number, in the byte behind the header of CDR.
+# Both responses begin with a number, in the byte after the CDR header.
 _UNKNOWN: Final = bytes([GoalStatus.UNKNOWN])
 _UNKNOWN_GOAL_ID: Final = bytes([CancelCode.UNKNOWN_GOAL_ID])
 
 
 class RequestLimiter:
-    """Sends requests to one service in their order, at most `AT_ONCE` before one is answered."""
+    """Sends requests to one service in order, with at most `AT_ONCE` unanswered at a time."""
 
     def __init__(self) -> None:
         self._unanswered = 0
         self._waiting: deque[anyio.Event] = deque()
 
     async def call(self, caller: Caller, request: object) -> Reply:
-        """Send a request in its turn, and wait for the reply; raises as the caller does.
+        """Send a request in its turn and wait for the reply; raises what the caller raises.
 
-        Cancelling: safe; a request that waits for its turn is not sent.
+        Cancelling: safe. A request that still waits for its turn is not sent.
         """
         await self._wait_for_turn()
         try:
@@ -79,7 +79,7 @@ class RequestLimiter:
                 self._admit_next()
 
     def admit_all(self) -> None:
-        """Send all requests that wait now: the server drops none."""
+        """Send all waiting requests now, because the server drops none."""
         while self._waiting:
             self._admit_next()
 
@@ -92,7 +92,9 @@ class RequestLimiter:
         try:
             await turn.wait()
         except BaseException:
-            if turn.is_set():  # the turn and the cancellation came together: pass the turn on
+            # The turn and the cancellation may arrive together. This request then already counts
+            # as sent, so the turn must be passed on, or every later request would wait for ever.
+            if turn.is_set():
                 self._unanswered -= 1
                 self._admit_next()
             else:
@@ -108,25 +110,26 @@ class RequestLimiter:
 class ClientEndpoints:
     """The endpoints of one client.
 
-    At first there is only the client of ``send_goal``, by which the graph sees the action's client.
-    The others cost something, and a server in the same process needs none of them: see `open`.
+    At first only the client of ``send_goal`` exists; it makes the action client visible on the
+    graph. The other endpoints cost something and are useless if the server is in the same process.
+    `open` adds them.
 
     Args:
-        transport: Where they are opened.
-        endpoint: Describes them.
+        transport: The transport to open them on.
+        endpoint: Makes their descriptions.
         names: Their names.
         action_type: The action.
 
     Attributes:
-        transport: The same.
+        transport: As given.
         name: The fully qualified name of the action.
         action_type: The action.
         is_open: Whether the other endpoints are open.
         send_goal: Sends goals, each to one server.
-        get_result: Asks for results; there once `open` was called.
-        is_ours: Whether the server was one of turtleact's when it answered last; see `knows_ours`.
-        takes_both: Whether that server may get both requests of a goal at once. Set to False if it
-            did not know a goal yet when it was asked for its result.
+        get_result: Asks for results; exists after `open`.
+        is_ours: Whether the server belonged to turtleact when it last answered; see `knows_ours`.
+        takes_both: Whether a goal's two requests may be sent at once. Becomes False if the server
+            did not know a goal yet when the second request arrived.
     """
 
     get_result: Caller
@@ -150,29 +153,29 @@ class ClientEndpoints:
         self._opened: list[Closeable] = []
         self._watches_status = False
         self._goals, self._cancels = RequestLimiter(), RequestLimiter()
-        self._servers: list[Endpoint] = []  # those that were there when `is_ours` was learned
-        self._seen = 0  # the count of the graph's changes at which they were compared last
+        self._servers: list[Endpoint] = []  # the servers that existed when `is_ours` was learned
+        self._seen = 0  # the graph's change count when `_servers` was last compared
         self.send_goal = self._join(names.send_goal, "SendGoal", Target("one"))
 
     @cached_property
     def implied(self) -> Implied:
-        """The services and the message that the action is sent in."""
+        """The services and the feedback message generated for the action."""
         return implied(cast("type[Action]", self.action_type))
 
     def find_local(self) -> object | None:
-        """What serves the action in this very process."""
+        """Return the object that serves the action in this process, or None."""
         return self.transport.local(self._names.send_goal, f"{self.action_type.type_name}_SendGoal")
 
     async def wait_until_served(self) -> None:
-        """Wait for a server. Cancelling: safe."""
+        """Wait until a server exists. Cancelling: safe."""
         await wait_until_served(self.transport, lambda: self.send_goal.is_served or None, None)
 
     # which kind of server
 
     def knows_ours(self) -> bool:
-        """Whether the server is one of turtleact's: its note said so, and no server has come since.
+        """Whether the server belongs to turtleact, so that requests need not wait for their turn.
 
-        Then requests need not wait for one another.
+        True if its note said so and no server has appeared since.
         """
         if self.is_ours and self._seen != self.transport.changes:
             self._seen = self.transport.changes
@@ -180,7 +183,7 @@ class ClientEndpoints:
         return self.is_ours
 
     def learn(self, reply: Reply) -> None:
-        """Note by its reply of what kind the server is: ours put a note beside what they say."""
+        """Learn from a reply whether the server belongs to turtleact: only those attach a note."""
         if not reply.note:
             self.is_ours = False
         elif not self.is_ours:
@@ -190,13 +193,13 @@ class ClientEndpoints:
             self._cancels.admit_all()
 
     async def ask_for_goal(self, request: object) -> Reply:
-        """Send a goal and wait for the answer; in its turn, unless the server `knows_ours`."""
+        """Send a goal and return the answer; the request waits its turn unless `knows_ours`."""
         if self.knows_ours():
             return await self.send_goal.call(request)
         return await self._goals.call(self.send_goal, request)
 
     async def ask_to_cancel(self, request: object) -> Reply:
-        """Send a cancel request and wait for the answer, likewise; once `open` was called."""
+        """Send a cancel request and return the answer; as `ask_for_goal`. Needs `open` first."""
         if self.knows_ours():
             return await self._cancel_goal.call(request)
         return await self._cancels.call(self._cancel_goal, request)
@@ -204,11 +207,11 @@ class ClientEndpoints:
     # opening and closing
 
     def open(self, goals: Mapping[bytes, T], take_feedback: Callable[[T, Any], None]) -> None:
-        """Open the other services and the feedback topic; a second time does nothing.
+        """Open the other services and the feedback topic. A second call does nothing.
 
         Args:
-            goals: What is known of the goals whose feedback is wanted, by their ids.
-            take_feedback: Gets each feedback message of one of them, with what is known of it.
+            goals: The goals whose feedback is wanted: any object for each goal id.
+            take_feedback: Called with that object and the feedback message.
         """
         if self.is_open:
             return
@@ -218,15 +221,15 @@ class ClientEndpoints:
         def deliver(message: Any) -> None:  # noqa: ANN401  # see `_FeedbackOfGoals.decode`
             if type(message) is tuple:
                 take_feedback(*message)
-            elif message is not None:  # it came as an object
+            elif message is not None:  # the publisher is in this process, so it was not encoded
                 known = goals.get(bytes(message.goal_id.uuid))
                 if known is not None:
                     take_feedback(known, message.feedback)
 
         format = _FeedbackOfGoals(cast("type[Action]", self.action_type), goals)
         self._subscribe(names.feedback, f"{action}_FeedbackMessage", format, deliver)
-        # All servers are asked for a result, and to cancel: one that does not know the goal says
-        # so, and may say it sooner than the one that does.
+        # Results and cancels are requested from every server of the name. A server that does not
+        # know the goal says so, perhaps before the right server answers; that reply does not count.
         self.get_result = self._join(
             names.get_result, "GetResult", Target(counts=lambda reply: reply[4:5] != _UNKNOWN)
         )
@@ -238,7 +241,7 @@ class ClientEndpoints:
         self._opened.append(self._cancel_goal)
 
     def watch_status(self, take_states: Callable[[dict[bytes, State]], None]) -> None:
-        """Open the status topic; a second time does nothing."""
+        """Open the status topic. A second call does nothing."""
         if self._watches_status:
             return
         self._watches_status = True
@@ -256,7 +259,7 @@ class ClientEndpoints:
         self._opened.clear()
 
     def _find_servers(self) -> list[Endpoint]:
-        """All servers of the name; one that is opened again is another."""
+        """Find all servers of the action; a restarted server counts as a new one."""
         endpoints = self.transport.endpoints(self._names.send_goal)
         return [each for each in endpoints if each.kind == "service"]
 
@@ -281,11 +284,11 @@ class ClientEndpoints:
 
 
 class _FeedbackOfGoals(FeedbackFormat, Generic[T]):
-    """Reads the feedback of some goals only: in ROS 2 everybody gets the feedback of all.
+    """Decodes the feedback of known goals only. In ROS 2, every client gets all goals' feedback.
 
     Args:
         action: The action.
-        goals: What is known of these goals, by their ids.
+        goals: The known goals: any object for each goal id.
     """
 
     def __init__(self, action: type[Action], goals: Mapping[bytes, T]) -> None:
@@ -293,19 +296,19 @@ class _FeedbackOfGoals(FeedbackFormat, Generic[T]):
         self._goals = goals
 
     def decode(self, data: bytes) -> Any:  # noqa: ANN401  # not the message of the topic
-        """What is known of the goal, and its feedback; None if it is another goal."""
+        """Return the goal's object and its feedback; None for an unknown goal."""
         known = self._goals.get(data[GOAL_ID])
         return None if known is None else (known, self.read(data))
 
 
 class _States(WireFormat):
-    """Reads the status of all goals as what is needed of it."""
+    """Decodes the status of all goals into a dict of states."""
 
     def __init__(self) -> None:
         super().__init__(GoalStatusArray)
 
     def decode(self, data: bytes) -> Any:  # noqa: ANN401  # not the message of the topic
-        """The states; the message if they are written in an uncommon way."""
+        """Return the states, or the whole message if it has an unusual encoding."""
         states = read_states(data)
         return super().decode(data) if states is None else states
 

@@ -1,10 +1,10 @@
-"""A goal as its client sees it: its feedback, its events, its end, and how to cancel it.
+"""A client's view of one goal: its feedback, its events, its end, and how to cancel it.
 
-It reads a `Goal`: the one that a server in the same process holds, or one that messages keep up to
-date (`turtleact.goal_server`). The sender of the goal reads without loss, and the body waits for
-it; other readers, which have attached themselves, get what is kept.
+The handle reads a `Goal` object. For a server in the same process, it is the server's own object;
+otherwise messages keep it up to date (`turtleact.goal_server`). The goal's sender reads feedback
+without loss, and the body waits for it. Clients that have attached to the goal read what is kept.
 
-Source: rclpy ``action/client.py`` for names and meaning.
+Source: rclpy ``action/client.py`` for names and behaviour.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Outcome(msgspec.Struct, Generic[R], frozen=True):
 
     Attributes:
         status: SUCCEEDED, CANCELED or ABORTED.
-        result: The result; for a goal that did not succeed the partial or default one.
+        result: The result; if the goal did not succeed, the partial or default result.
         reason: Why it was aborted; empty otherwise.
     """
 
@@ -52,11 +52,11 @@ class Outcome(msgspec.Struct, Generic[R], frozen=True):
 
 
 class Accepted(msgspec.Struct, frozen=True):
-    """The first event of a goal: the server has taken it.
+    """The first event of a goal: the server has accepted it.
 
     Attributes:
-        goal_id: Its 16 bytes.
-        stamp: When that was.
+        goal_id: The goal's id, 16 bytes.
+        stamp: When the server accepted it.
     """
 
     kind: ClassVar[Literal["accepted"]] = "accepted"
@@ -105,22 +105,22 @@ Event: TypeAlias = Accepted | StatusChanged | FeedbackReceived[F] | ResultReceiv
 
 
 class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
-    """What a client holds of its goal.
+    """A client's handle of a goal.
 
-    ``async for feedback in handle`` gives each feedback message once, in order, also those that
-    were published before the iteration began, and ends when the goal does. The sender loses nothing
-    while it iterates; a generator that runs far ahead of it waits. Before and after that, and for
-    clients that have attached themselves, the newest 1,024 messages are kept, and `missed` counts
-    the others.
+    ``async for feedback in handle`` gives each feedback message once, in order, and ends when the
+    goal ends. It includes messages published before the loop began. The sender loses nothing while
+    it iterates, because a generator that is far ahead waits for it. Otherwise, and for clients that
+    have attached to the goal, only the newest 1,024 messages are kept, and `missed` counts the
+    others.
 
-    `done`, `status`, `last_feedback` and `cancel_nowait` are for callers that cannot wait.
+    `done`, `status`, `last_feedback` and `cancel_nowait` are for callers that cannot await.
     """
 
     _reader: GoalReader
 
     @property
     def goal_id(self) -> bytes:
-        """The goal's 16 bytes."""
+        """The goal's id, 16 bytes."""
         return self._reader.goal_id
 
     @property
@@ -130,12 +130,12 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
 
     @property
     def status(self) -> GoalStatus:
-        """The goal's state, as known now."""
+        """The goal's state, as far as the client knows."""
         return self._reader.goal.status
 
     @property
     def accepted(self) -> bool:
-        """Whether the server took the goal; a handle exists only if it did."""
+        """Whether the server accepted the goal; always true, since only then is there a handle."""
         return True
 
     @property
@@ -150,7 +150,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
 
     @property
     def missed(self) -> int:
-        """How many feedback messages this handle has lost."""
+        """How many feedback messages this handle has missed."""
         return self._reader.missed
 
     def __aiter__(self) -> AsyncIterator[F]:
@@ -162,10 +162,10 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         return self._reader.read()
 
     def events(self) -> AsyncIterator[Event[F, R]]:
-        """All that happens to the goal, from its acceptance to its result, each with a ``kind``.
+        """Iterate over the goal's events, from its acceptance to its result; each has a ``kind``.
 
-        The feedback among it is that of ``async for feedback in handle``: what one of the two has
-        given, the other does not give again.
+        Events share the feedback with ``async for feedback in handle``: a message given by one of
+        the two loops does not appear in the other.
         """
         self._reader.start_iteration()
         return _Events(self._reader)
@@ -176,7 +176,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         Raises:
             GoalAborted: if the goal was aborted.
             GoalCanceled: if the goal was canceled.
-            ServerUnavailable: if its server has gone.
+            ServerUnavailable: if the server has gone.
         """
         goal = await self._reader.wait_for_end()
         if goal.status is GoalStatus.SUCCEEDED:
@@ -184,10 +184,10 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         raise failure(goal)
 
     async def outcome(self) -> Outcome[R]:
-        """Wait for the end; never raises for a goal that did not succeed. Cancelling: safe.
+        """Wait for the end, and report it without raising if it failed. Cancelling: safe.
 
         Raises:
-            ServerUnavailable: if its server has gone.
+            ServerUnavailable: if the server has gone.
         """
         goal = await self._reader.wait_for_end()
         if goal.error is not None:
@@ -195,31 +195,31 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         return Outcome(goal.status, cast("R", goal.result), goal.reason)
 
     async def cancel(self) -> CancelGoal.Response:
-        """Ask the server to cancel the goal; the answer says whether it will."""
+        """Ask the server to cancel the goal and return its answer."""
         return await self._reader.cancel()
 
     def cancel_nowait(self) -> None:
-        """Ask the server to cancel the goal; `status` tells in time whether it has agreed."""
+        """Ask the server to cancel the goal without waiting; `status` shows later if it agreed."""
         self._reader.cancel_nowait()
 
     def detach(self) -> None:
-        """Let the goal go on when the block is left."""
+        """Let the goal continue when the ``async with`` block is left."""
         self._reader.is_detached = True
 
 
 class GoalReader:
-    """Reads one goal for one handle, and asks its server for what the handle's user wants.
+    """Reads one goal for one handle, and passes the handle's requests on to the server.
 
     Args:
-        server: Where the goal is.
+        server: The server that holds the goal.
         goal: The goal.
-        home: The event loop of the client.
-        is_sender: Whether the client has sent the goal.
+        home: The client's event loop.
+        is_sender: Whether this client sent the goal.
 
     Attributes:
-        goal: The same.
-        missed: How many feedback messages were lost to this reader.
-        is_detached: Whether the goal goes on when the block of the handle is left.
+        goal: As given.
+        missed: How many feedback messages this reader has missed.
+        is_detached: Whether the goal continues when the handle's block is left.
     """
 
     __slots__ = (
@@ -245,17 +245,19 @@ class GoalReader:
 
     @property
     def goal_id(self) -> bytes:
-        """The goal's 16 bytes."""
+        """The goal's id, 16 bytes."""
         return self._server.name_goal(self.goal)
 
     def check_home(self) -> None:
-        """Raise if this is called in another event loop than the client's."""
+        """Raise unless this is called in the client's event loop."""
         self._home.check()
 
     # feedback
 
     async def read(self) -> Any:  # noqa: ANN401  # the action's own class
-        """Wait for the next feedback message; raises StopAsyncIteration once the goal has ended."""
+        """Return the next feedback message; raises StopAsyncIteration when the goal has ended."""
+        # Messages in the log come first, even if the goal has ended. Checking the log and starting
+        # to wait happen in one step of the task, so no signal can fire in between and be lost.
         goal = self.goal
         while True:
             log = goal.feedback
@@ -283,12 +285,12 @@ class GoalReader:
 
     @property
     def next_unread(self) -> int | None:
-        """The number of the feedback that can be read without waiting; None if there is none."""
+        """The number of the next feedback message if it is already there; otherwise None."""
         log = self.goal.feedback
         return None if log is None or self._next >= log.count else max(self._next, log.dropped)
 
     def start_iteration(self) -> None:
-        """Have all feedback kept from here on, if it is the sender that reads."""
+        """Begin an iteration; if the sender reads, all feedback is kept from now on."""
         self._home.check()
         log = self.goal.feedback
         if log is None:
@@ -298,9 +300,9 @@ class GoalReader:
             log.read = self._next
 
     def end_iteration(self, thread: int) -> None:
-        """Note that an iterator made in ``thread`` is gone, from whatever thread this is called.
+        """Record that an iterator made in ``thread`` is gone. May be called in any thread.
 
-        The end of one that was left earlier does not disturb those begun since.
+        Only the end of the last iteration counts, so an abandoned loop does not disturb later ones.
         """
         if get_ident() != thread:
             self._server.from_anywhere(lambda: self.end_iteration(thread))
@@ -310,7 +312,7 @@ class GoalReader:
             self._stop_reading()
 
     def _stop_reading(self) -> None:
-        """Let the body run ahead: nobody iterates any more."""
+        """Let the body run ahead, because nobody iterates any more."""
         log = self.goal.feedback
         if log is not None and self._is_sender:
             log.read = None
@@ -319,7 +321,7 @@ class GoalReader:
     # the end
 
     async def wait_for_end(self) -> Goal:
-        """Wait for the goal's end; a sender that waits for it does not hold the body up."""
+        """Wait for the goal's end. A sender that waits does not hold up the body."""
         self._home.check()
         goal = self.goal
         if goal.ended:
@@ -344,16 +346,16 @@ class GoalReader:
         return await self._server.cancel_goal(self.goal)
 
     def cancel_nowait(self) -> None:
-        """Ask the server to cancel the goal, without waiting."""
+        """Ask the server to cancel the goal without waiting."""
         self._home.check()
         if not self.goal.ended:
             self._server.cancel_goal_nowait(self.goal)
 
     async def leave(self, timeout: float) -> None:
-        """Stop reading; cancel the goal and wait for its end, unless it is detached.
+        """Stop reading. Unless the goal is detached, cancel it and wait for its end.
 
         Args:
-            timeout: How long the end is waited for (s, event loop time).
+            timeout: The longest wait (s, event loop time).
         """
         self._stop_reading()
         if not self.is_detached:
@@ -361,12 +363,13 @@ class GoalReader:
 
 
 class _Iteration:
-    """One ``async for``; when it is left, the body need not wait for its reader any more.
+    """One ``async for`` loop; when it is left, the body need not wait for its reader any more.
 
-    A ``break`` tells nothing to what was iterated over: Python only lets go of the iterator. An
-    async generator would be told of that by the event loop's hooks, but it could not go on after a
-    cancelled ``anext``, and trio warns of each one that is not exhausted. So it is the finalizer
-    that tells. An iterator in a reference cycle is finalized in whatever thread collects it.
+    Python does not report a ``break`` to the iterator: it only drops the iterator. An async
+    generator would learn of it from the event loop's hooks. But it could not continue after a
+    cancelled ``anext``, and trio warns about every generator that is not exhausted. Therefore the
+    finalizer of this plain iterator reports the end. If the iterator is part of a reference cycle,
+    the finalizer may run in any thread.
     """
 
     __slots__ = ("_reader", "_thread")
@@ -392,14 +395,14 @@ class _Feedback(_Iteration, Generic[F]):
 
 
 class _Events(_Iteration, Generic[F, R]):
-    """One ``async for`` over all that happens to a goal."""
+    """One ``async for`` loop over a goal's events."""
 
     __slots__ = ("_step", "_told")
 
     def __init__(self, reader: GoalReader) -> None:
         super().__init__(reader)
         self._step: Literal["accepted", "under way", "ended", "over"] = "accepted"
-        self._told = 0  # how many states of the goal's history
+        self._told = 0  # how many states of the goal's history were given
 
     def __aiter__(self) -> Self:
         return self
@@ -428,7 +431,7 @@ class _Events(_Iteration, Generic[F, R]):
         raise StopAsyncIteration
 
     def _next_status(self) -> GoalStatus | None:
-        """The next state of the history, if no unread feedback went before it."""
+        """Return the next state of the history, unless unread feedback came before it."""
         history = self._reader.goal.history
         if self._told == len(history):
             return None

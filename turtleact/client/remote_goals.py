@@ -1,14 +1,16 @@
-"""The goals of one client that a server in another process holds, each followed to its end.
+"""Follows the goals of one client at a server in another process.
 
-For each goal there is a `Goal` here, too, which the messages of the server keep up to date. A goal
-is two requests: one that sends it, and one that waits for its result. A server of turtleact gets
-both at once and answers the second when the goal has ended, which saves half of the way; nothing
-waits for the replies then, what they say is noted as they come. If that server does not know the
-goal yet when the second request comes, it says so, and from then on gets one after the other. So do
-servers of ROS 2, whose services may be answered in any order.
+Each goal has a `Goal` object here, which messages from the server keep up to date. A goal takes two
+requests: one sends it, the other waits for its result. There are two ways to send them:
 
-Whatever takes waiting has a task, which the client owns: a server of which nothing is known yet, a
-cancel, feedback that comes after its goal's result, a server that went away.
+- A server of turtleact gets both at once. It answers the second when the goal has ended, which
+  saves a round trip. No task waits for the replies; they are handled as they arrive. If the second
+  request arrives before the server knows the goal, the server says so. From then on the client
+  sends the requests one after the other.
+- A ROS 2 server gets one request after the other, because ROS 2 services may answer in any order.
+
+Whenever something must be awaited, a task does it, and the client owns that task: for an unknown
+server, for a cancel, for feedback that arrives after the result, or for a server that has gone.
 
 Source: rcl_action ``action_client.c``, ``goal_state_machine.c``, and
 ``rcl_action_process_result_request``.
@@ -46,19 +48,19 @@ __all__ = ["RemoteGoal", "RemoteGoals"]
 logger = logging.getLogger("turtleact.client")
 
 MOST_UNREAD: Final = 1 << 16
-"""A reader that lags further behind loses the oldest feedback messages."""
+"""How many feedback messages may be unread before the oldest are dropped."""
 
 LATE_FEEDBACK: Final = 1.0
-"""How long feedback that comes after its goal's result is waited for (s, event loop time)."""
+"""How long to wait for feedback that arrives after the goal's result (s, event loop time)."""
 
 BACK_WITHIN: Final = 0.5
-"""A server that is back after so long was only out of reach (s, event loop time)."""
+"""A server that returns within this time was only unreachable (s, event loop time)."""
 
 ATTEMPTS: Final = 3
-"""How often the result of a goal is asked for, if its server seems to be back."""
+"""How often to ask for a goal's result if the server seems to have returned."""
 
 CLOSING: Final = 5.0
-"""How long a client that is closed waits for its tasks, all of which can be cancelled (s)."""
+"""How long a closing client waits for its tasks, all of which can be cancelled (s)."""
 
 _EXECUTING: Final = GoalStatus.EXECUTING
 
@@ -70,21 +72,21 @@ _ENDS: Final = {
 
 
 class RemoteGoal:
-    """What a client knows of a goal that a server elsewhere holds.
+    """A goal at a server in another process, as far as the client knows.
 
     Attributes:
-        goal: The goal, as it is known here.
+        goal: The goal object of this process.
         goal_id: Its id.
         log: Its feedback.
-        is_sender: Whether it was sent from here.
-        is_accepted: Whether the server has taken it.
+        is_sender: Whether this client sent it.
+        is_accepted: Whether the server has accepted it.
         is_abandoned: Whether it must be canceled as soon as it is accepted.
         is_awaited: Whether somebody waits for its acceptance.
         is_observed: Whether observers have heard of it.
-        received: How many feedback messages have come.
+        received: How many feedback messages have arrived.
         sent: The request that sends the goal, while it is under way without a task.
-        asked: The request for its result, while that is under way without a task.
-        task: What follows the goal, if that takes waiting.
+        asked: The request for its result, while it is under way without a task.
+        task: The task that follows the goal, if there is one.
     """
 
     __slots__ = (
@@ -123,12 +125,12 @@ class RemoteGoals:
 
     Args:
         endpoints: The client's endpoints.
-        tasks: The tasks of the event loop.
-        now: The time (ns since the epoch).
-        observers: Told of each change of the goals that were sent from here.
+        tasks: The task functions of the event loop.
+        now: Returns the current time (ns since the epoch).
+        observers: Told of each change of the goals sent by this client.
 
     Attributes:
-        by_id: All goals that have not ended, by their ids.
+        by_id: All goals that have not ended, by id.
     """
 
     def __init__(
@@ -147,13 +149,13 @@ class RemoteGoals:
         self._running: dict[object, Cancelable | None] = {}
         self._ended = tasks.signal()
 
-    # what the client does
+    # called by the client
 
     def send(self, goal: Goal) -> RemoteGoal:
-        """Send a goal, and follow it.
+        """Send a goal and follow it.
 
         Raises:
-            InvalidMessage: if a value does not fit its type; nothing was sent.
+            InvalidMessage: if a value does not fit its type. Nothing was sent.
         """
         if not self._endpoints.is_open:
             self.open()
@@ -165,7 +167,7 @@ class RemoteGoals:
         return remote
 
     def attach(self, goal: Goal, state: State) -> None:
-        """Follow a goal that somebody else has sent, and that is in this state."""
+        """Follow a goal that somebody else sent, starting from its current state."""
         remote = RemoteGoal(goal, is_sender=False)
         self.take_state(remote, state)
         self.by_id[remote.goal_id] = remote
@@ -175,7 +177,7 @@ class RemoteGoals:
         """Ask the server to cancel by id, by stamp (ns), by both, or every goal.
 
         Raises:
-            ServerUnavailable: if nobody answers, or the client was closed.
+            ServerUnavailable: if nobody answers, or the client is closed.
         """
         self.open()
         named = UUID() if goal_id is None else UUID(goal_id)
@@ -192,7 +194,7 @@ class RemoteGoals:
         return response
 
     def cancel_nowait(self, goal: Goal) -> None:
-        """Ask the server to cancel a goal, in a task of the client."""
+        """Ask the server to cancel a goal; a task of the client sends the request."""
 
         async def ask() -> None:
             try:
@@ -203,17 +205,17 @@ class RemoteGoals:
         self._run(ask(), f"a cancel of {self._endpoints.name}")
 
     def signal(self, goal: Goal) -> Signal:
-        """The signal that fires at each change of a goal."""
+        """Return the signal that fires at each change of a goal."""
         if goal.listener is None:
             goal.listener = self._tasks.signal()
-        return goal.listener  # type: ignore[return-value]  # nobody else puts one there
+        return goal.listener  # type: ignore[return-value]  # only this method sets it
 
     def open(self) -> None:
-        """Open what goals take, before the first request: no feedback comes too early then."""
+        """Open the client's endpoints. Do so before the first request, or feedback may be lost."""
         self._endpoints.open(self.by_id, self._take_feedback)
 
     def close(self) -> None:
-        """Follow no goal any more; all who wait for one hear that the client was closed."""
+        """Stop following goals; everybody who waits for one gets an error."""
         self._is_open = False
         for task in tuple(self._running.values()):
             if task is not None:
@@ -224,16 +226,16 @@ class RemoteGoals:
                 self._let_go(remote)
 
     async def aclose(self) -> None:
-        """Close, and wait for the end of the tasks."""
+        """Close, and wait for the tasks to end."""
         self.close()
         await wait_while(lambda: self._running, self._ended, CLOSING)
 
     # two requests at once, without a task
 
     def _send_both(self, remote: RemoteGoal) -> bool:
-        """Send both requests, if the server is known to take both at once.
+        """Send both requests, if the server takes both at once; return whether both were sent.
 
-        One may be under way even if this answers False; the task then goes on with it.
+        If only one was sent, the task that follows the goal continues with it.
         """
         endpoints = self._endpoints
         if not (endpoints.knows_ours() and endpoints.takes_both):
@@ -252,10 +254,11 @@ class RemoteGoals:
         return True
 
     def _on_reply(self, remote: RemoteGoal) -> None:
-        """Take up the replies that have come; whatever takes waiting goes on in a task.
+        """Handle the replies that have arrived; start a task if something must be awaited.
 
-        Called for each of the two, in any order; a result is taken up after the acceptance only.
-        A request that has failed is left as it is: the task meets the failure again and sees to it.
+        Called for each of the two replies, in any order. The result is handled only after the
+        acceptance. If a request has failed, a task is started, which meets the same failure again
+        and handles it.
         """
         if remote.task is not None:
             return
@@ -291,10 +294,10 @@ class RemoteGoals:
         remote.task = self._run(self._follow(remote), name)
 
     async def _follow(self, remote: RemoteGoal) -> None:
-        """Send a goal, unless that is done, and follow it to its end."""
+        """Send a goal unless it was sent already, and follow it to its end."""
         goal = remote.goal
         try:
-            if remote.asked is not None:  # what comes with a reply may say why it is none
+            if remote.asked is not None:  # a message that explains a missing reply may be next
                 await self._tasks.checkpoint()
             if not remote.is_accepted:
                 await self._send(remote)
@@ -317,11 +320,11 @@ class RemoteGoals:
             self._let_go(remote)
 
     async def _send(self, remote: RemoteGoal) -> None:
-        """Send a goal, unless that is done, and wait for its acceptance.
+        """Send a goal unless it was sent already, and wait until it is accepted.
 
         Raises:
-            GoalRejected: if it is not taken.
-            ServerUnavailable: if nobody serves the action, or its server goes away.
+            GoalRejected: if the server rejects it.
+            ServerUnavailable: if nobody serves the action, or the server goes away.
         """
         sent, remote.sent = remote.sent, None
         if sent is None:
@@ -332,11 +335,11 @@ class RemoteGoals:
             self._accept(remote, await sent.reply())
 
     async def _wait_for_result(self, remote: RemoteGoal) -> Reply:
-        """Wait for the end of a goal, as its server tells it.
+        """Wait for the server to report the end of a goal.
 
         Raises:
             UnknownGoal: if the server does not hold it.
-            ServerUnavailable: if the server goes away, and does not come back at once.
+            ServerUnavailable: if the server goes away and does not return at once.
         """
         lost = list[ServerUnavailable]()
         while True:
@@ -347,7 +350,7 @@ class RemoteGoals:
                 else:
                     question = self._endpoints.implied.get_result.Request(UUID(remote.goal_id))
                     reply = await self._endpoints.get_result.call(question)
-            except ServiceTimeout:  # the goal takes longer than the transport waits
+            except ServiceTimeout:  # the goal takes longer than the transport's timeout
                 continue
             except ServerUnavailable as error:
                 lost.append(error)
@@ -358,17 +361,17 @@ class RemoteGoals:
                 return reply
             if asked is None:
                 name, goal = self._endpoints.name, remote.goal
-                raise UnknownGoal(f"'{name}' holds no goal {goal.hex}, or not any more")
+                raise UnknownGoal(f"'{name}' holds no goal {goal.hex}, or no longer holds it")
             self._endpoints.takes_both = False
 
     async def _is_back(self) -> bool:
-        """Whether the server was out of reach for a moment only."""
+        """Whether the server was unreachable only for a moment."""
         with anyio.move_on_after(BACK_WITHIN):
             await self._endpoints.wait_until_served()
         return self._endpoints.send_goal.is_served
 
     async def _wait_for_feedback(self, remote: RemoteGoal, count: int) -> None:
-        """Wait for the feedback that the result has overtaken."""
+        """Wait for feedback that was published before the result but has not arrived yet."""
         if remote.received >= count:
             return
         signal = self.signal(remote.goal)
@@ -379,13 +382,13 @@ class RemoteGoals:
             lost = count - remote.received
             logger.warning("%d feedback messages of goal %s were lost", lost, remote.goal.hex)
 
-    # what the server says
+    # messages from the server
 
     def _accept(self, remote: RemoteGoal, reply: Reply) -> None:
-        """Note the answer to a goal that was sent.
+        """Record the answer to a goal that was sent.
 
         Raises:
-            GoalRejected: if it is not taken.
+            GoalRejected: if the server rejected it.
         """
         if not (reply.note and self._endpoints.is_ours):
             self._endpoints.learn(reply)
@@ -401,13 +404,13 @@ class RemoteGoals:
             self.signal(goal).fire()
 
     def _has_ended(self, reply: Reply) -> bool:
-        """Whether a reply to the request for a result is one, and not that the goal is unknown."""
+        """Whether a reply has the result; False if the server does not know the goal."""
         if not (reply.note and self._endpoints.is_ours):
             self._endpoints.learn(reply)
         return cast("Any", reply.message).status in _ENDS
 
     def _take_feedback(self, remote: RemoteGoal, feedback: Message) -> None:
-        """Note a feedback message, and tell the sender's callback."""
+        """Record a feedback message and call the sender's callback."""
         goal, log = remote.goal, remote.log
         if goal.status < _EXECUTING:
             self._move(remote, _EXECUTING)
@@ -423,14 +426,14 @@ class RemoteGoals:
                 goal.on_feedback(feedback)
             except STOPS:
                 raise
-            except BaseException as error:  # a cancellation too: nobody has cancelled it
+            except BaseException as error:  # also a stray cancellation
                 told = loggable(error)
                 logger.error("the feedback_callback of goal %s failed", goal.hex, exc_info=told)
         if goal.listener is not None:
             goal.listener.fire()
 
     def take_state(self, remote: RemoteGoal, state: State) -> None:
-        """Note what the status topic says of a goal; its end comes with the result."""
+        """Record a goal's state from the status topic; the end comes with the result instead."""
         seconds, rest, number = state
         remote.goal.stamp = seconds * SECOND + rest
         status = status_of(number)
@@ -440,7 +443,9 @@ class RemoteGoals:
     # states
 
     def _move(self, remote: RemoteGoal, status: GoalStatus) -> None:
-        """Bring a goal into a state through those that must have come before; never backwards."""
+        """Bring a goal into a state through the states before it; never backwards."""
+        # The status topic, a reply to a cancel and the result may arrive in any order, and some
+        # states may never be reported. Missing states are filled in, and old news is ignored.
         goal = remote.goal
         if status <= goal.status or goal.status.is_terminal:
             return
@@ -462,23 +467,24 @@ class RemoteGoals:
                 self._observers.goal_changed(goal, before, goal.status)
 
     def _show(self, remote: RemoteGoal) -> None:
-        """Tell the observers of a goal that was sent from here, before they hear more of it.
+        """Tell the observers of a goal sent by this client before they hear more about it.
 
-        Feedback may overtake the acceptance, as it goes another way; this is called at either.
+        Feedback may arrive before the acceptance, since it takes another way. Therefore this is
+        called for either.
         """
         if remote.is_sender and not remote.is_observed:
             remote.is_observed = True
             self._observers.goal_changed(remote.goal, GoalStatus.UNKNOWN, GoalStatus.ACCEPTED)
 
     def _conclude(self, remote: RemoteGoal, reply: Reply, note: GoalNote) -> None:
-        """End a goal as its server has."""
+        """End a goal the way its server reported."""
         response, goal = cast("Any", reply.message), remote.goal
         goal.result, goal.reason = response.result, note.reason
         goal.ended = self._now()
         self._move(remote, GoalStatus(response.status))
 
     def _lose(self, remote: RemoteGoal, error: TurtleactError) -> None:
-        """End a goal of which nothing more will be heard."""
+        """End a goal after contact with it was lost."""
         goal, before = remote.goal, remote.goal.status
         if not goal.ended:
             goal.error, goal.status, goal.ended = error, GoalStatus.UNKNOWN, self._now()
@@ -495,9 +501,10 @@ class RemoteGoals:
         self.by_id.pop(remote.goal_id, None)
 
     def _failure(self, error: TurtleactError, *, is_accepted: bool = False) -> TurtleactError:
-        """What the user is told if a request has failed: the action's name, and why.
+        """Turn the failure of a request into an error for the user, with the action's name.
 
-        A goal that was accepted was not dropped: a server that lives would be asked again.
+        If the goal was accepted, the request was certainly not dropped, so the error does not
+        mention that possibility.
         """
         if not self._is_open:
             return self._closed()
@@ -512,7 +519,7 @@ class RemoteGoals:
     # tasks
 
     def _run(self, running: Coroutine[object, object, None], name: str) -> Cancelable:
-        """Run something in a task that is cancelled and waited for when the client is closed."""
+        """Run a coroutine in a task; closing the client cancels the task and waits for it."""
         key = object()
 
         async def run() -> None:
@@ -524,6 +531,6 @@ class RemoteGoals:
 
         self._running[key] = None
         task = self._tasks.spawn(run(), name)
-        if key in self._running:  # its first steps may have been all
+        if key in self._running:  # an eager task may already have ended
             self._running[key] = task
         return task

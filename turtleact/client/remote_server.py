@@ -1,11 +1,12 @@
 """An action server in another process, as its clients see it.
 
-Implements `turtleact.goal_server.GoalServer` by messages; `turtleact.client.remote_goals` sends
-goals and keeps them up to date. Feedback and status come by topic.
+Implements `turtleact.goal_server.GoalServer` with messages. `turtleact.client.remote_goals` sends
+goals and follows them. Feedback and status arrive on topics.
 
-- The topics are open before the first request is sent, so no feedback can come too early.
-- A result that overtakes feedback waits for it: the server says how much there is (`GoalNote`).
-- A server that goes away ends its goals here, with a `ServerUnavailable` for all who wait.
+- The topics are open before the first request is sent, so no early feedback is lost.
+- A result that arrives before its feedback waits for it; the server says how many messages there
+  are (`GoalNote`).
+- If a server goes away, its goals end here, and every waiter gets `ServerUnavailable`.
 
 Source: rcl_action ``action_client.c``; the ROS 2 design article "Actions".
 """
@@ -37,16 +38,16 @@ __all__ = ["RemoteActionServer"]
 logger = logging.getLogger("turtleact.client")
 
 STATUS_WITHIN: Final = 5.0
-"""How long the first status of a server, and a result that it keeps, are waited for (s)."""
+"""How long to wait for a server's first status, and for the result of an ended goal (s)."""
 
 
 class RemoteActionServer:
-    """Stands for a server that is reached by messages only.
+    """Represents a server that is reached by messages only.
 
     Args:
         endpoints: The client's endpoints.
-        tasks: The tasks of the event loop.
-        observers: Told of each change of the goals that were sent.
+        tasks: The task functions of the event loop.
+        observers: Told of each change of the goals sent by the client.
     """
 
     def __init__(self, endpoints: ClientEndpoints, tasks: Tasks, observers: Observers) -> None:
@@ -59,25 +60,25 @@ class RemoteActionServer:
         self._tasks = tasks
         self._status = tasks.signal()
         self._last_told: dict[bytes, State] = {}
-        self._held: dict[bytes, State] | None = None  # the last status, if one has come
+        self._held: dict[bytes, State] | None = None  # None until the first status arrives
 
     @property
     def is_open(self) -> bool:
-        """Whether somebody serves the action out there."""
+        """Whether a server in another process serves the action."""
         return self._endpoints.send_goal.is_served
 
     # sending
 
     async def send_goal(self, order: GoalOrder) -> Goal:
-        """Send a goal and return it once it is accepted; its status is followed from then on.
+        """Send a goal and return it once it is accepted. Its status is followed from then on.
 
-        Cancelling: the goal is canceled, even if it is accepted late; its end is awaited, at most
-        ``order.cancel_timeout`` seconds.
+        Cancelling: the goal is canceled, even if it is accepted late. The caller waits for its end,
+        at most ``order.cancel_timeout`` seconds.
 
         Raises:
-            InvalidGoal: if the request does not fit the action; nothing was sent.
-            GoalRejected: if it is not taken.
-            ServerUnavailable: if nobody serves the action, or its server goes away.
+            InvalidGoal: if the request does not fit the action. Nothing was sent.
+            GoalRejected: if the server rejects it.
+            ServerUnavailable: if nobody serves the action, or the server goes away.
         """
         self._endpoints.watch_status(self._take_states)
         remote = self._send(order)
@@ -95,7 +96,7 @@ class RemoteActionServer:
         return goal
 
     async def run_goal(self, order: GoalOrder) -> Goal:
-        """Send a goal and return it once it has ended; see `send_goal` for the rest."""
+        """Send a goal and return it once it has ended; otherwise like `send_goal`."""
         remote = self._send(order)
         goal = remote.goal
         try:
@@ -109,19 +110,19 @@ class RemoteActionServer:
         message = self._check_goal(order.request)
         goal_id = order.goal_id or new_goal_id()
         if goal_id in self._goals.by_id:
-            raise GoalRejected(f"the server still holds a goal of the id {goal_id.hex()}")
+            raise GoalRejected(f"the server still holds a goal with the id {goal_id.hex()}")
         on_feedback = order.on_feedback
-        if on_feedback is not None:  # in the sender's context, not in that of the topic
+        if on_feedback is not None:  # runs in the sender's context, not the topic's
             on_feedback = partial(copy_context().run, on_feedback)  # type: ignore[call-arg]
         goal = Goal(message, 0, id=goal_id, on_feedback=on_feedback, sender=order.sender)
         return self._goals.send(goal)
 
     async def _abandon(self, remote: RemoteGoal, timeout: float) -> None:
-        """Have a goal canceled whose sender was cancelled, and wait for its end; never raises.
+        """Cancel a goal whose sender was cancelled, and wait for its end; never raises.
 
-        The sender must end cancelled, whatever the server does: it may die while it is asked to
-        cancel, or never answer. A goal that is not accepted yet is canceled by what follows it, as
-        soon as it is; that goes on after the ``timeout``, until the client is closed.
+        The sender must end cancelled, whatever the server does. The server may die while it is
+        asked to cancel, or never answer. If the goal is not accepted yet, the task that follows it
+        cancels it when it is. That task continues after the ``timeout``, until the client closes.
         """
         remote.is_abandoned = True
         with anyio.move_on_after(timeout, shield=True):
@@ -134,10 +135,10 @@ class RemoteActionServer:
             except Exception:
                 logger.exception("goal %s could not be canceled", remote.goal.hex)
 
-    # goals that are there
+    # goals that already exist
 
     async def attach(self, goal_id: bytes) -> Goal | None:
-        """A goal that somebody else has sent, by what the status says; None if it is not held."""
+        """Return a goal that somebody else sent, found in the status; None if it is not held."""
         remote = self._goals.by_id.get(goal_id)
         if remote is not None:
             return remote.goal
@@ -151,7 +152,7 @@ class RemoteActionServer:
         state = self._held[goal_id]
         goal = Goal(None, 0, id=goal_id)
         self._goals.attach(goal, state)
-        if status_of(state[2]).is_terminal:  # it may be forgotten since, and nobody tells of that
+        if status_of(state[2]).is_terminal:  # the server may have forgotten it without any notice
             with anyio.move_on_after(STATUS_WITHIN):
                 await self.wait_for_end(goal)
         return None if isinstance(goal.error, UnknownGoal) else goal
@@ -163,11 +164,11 @@ class RemoteActionServer:
             await signal.wait()
 
     def name_goal(self, goal: Goal) -> bytes:
-        """The id of a goal; it has had one from the start."""
+        """Return the id of a goal; every goal here has one."""
         return cast("bytes", goal.id)
 
     def _take_states(self, told: dict[bytes, State]) -> None:
-        # Two servers may share the name and tell of their goals by turns.
+        # Two servers may share the name and report on their goals in turn.
         self._held, self._last_told = {**self._last_told, **told}, told
         for goal_id, remote in tuple(self._goals.by_id.items()):
             if goal_id in self._held:
@@ -180,26 +181,26 @@ class RemoteActionServer:
         """Ask the server to cancel by id, by stamp (ns), by both, or every goal.
 
         Raises:
-            ServerUnavailable: if nobody answers, or the client was closed.
+            ServerUnavailable: if nobody answers, or the client is closed.
         """
         return await self._goals.cancel(goal_id, stamp)
 
     async def cancel_goal(self, goal: Goal) -> CancelGoal.Response:
-        """Ask the server to cancel one goal; raises as `cancel`."""
+        """Ask the server to cancel one goal; raises like `cancel`."""
         return await self._goals.cancel(goal.id, 0)
 
     def cancel_goal_nowait(self, goal: Goal) -> None:
-        """Ask the server to cancel a goal, without waiting; a failure is logged."""
+        """Ask the server to cancel a goal without waiting; a failure is logged."""
         self._goals.cancel_nowait(goal)
 
     # closing
 
-    def client_lost(self, sender: object) -> None:  # noqa: ARG002  # it has this one alone
-        """Follow no goal any more, and leave the graph."""
+    def client_lost(self, sender: object) -> None:  # noqa: ARG002  # always the same client
+        """Stop following goals and leave the graph."""
         self._goals.close()
         self._endpoints.close()
 
     async def aclose(self) -> None:
-        """Follow no goal any more, wait for the end of what followed them, and leave the graph."""
+        """Stop following goals, wait for the tasks to end, and leave the graph."""
         await self._goals.aclose()
         self._endpoints.close()

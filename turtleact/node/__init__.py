@@ -1,7 +1,7 @@
-"""A node: one participant of a graph.
+"""Nodes: the participants of a graph.
 
-`node` opens topics, services and actions by their names. `resources` holds all that was opened, to
-be closed with the node, and `conflicts` sees to it that one node serves an action name.
+`node` opens topics, services and actions by name. `resources` tracks everything a node has opened,
+so that it closes with the node. `conflicts` ensures that only one node serves an action name.
 """
 
 from turtleact.node.node import ActionServer, Node, ServerGoalHandle, Transition, open_node

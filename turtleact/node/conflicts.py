@@ -1,17 +1,18 @@
-"""One node serves an action name. What becomes of a second one.
+"""Ensures that only one node serves an action name, and decides what happens to a second one.
 
-A node may declare several types under one name, as ``/fibonacci`` does. If two nodes served the
-same name, every goal would run twice: ROS 2 sends a request to all servers of a service.
+A node may serve several types under one name, as it does for ``/fibonacci``. But if two nodes
+served the same name, every goal would run twice, because ROS 2 sends a request to all servers of a
+service. A second node chooses what happens:
 
-- ``refuse``: the second node's `action_server` raises, with the first one's name.
-- ``wait``: the second node begins to serve once the first has gone; for restarts and failover.
-- ``withdraw``: a built-in action makes way as soon as another node serves its name, in any process.
-  Its running goals finish.
+- ``refuse``: its `action_server` raises and names the first node.
+- ``wait``: it begins to serve when the first node has gone; useful for restarts and failover.
+- ``withdraw``: it withdraws when any other node, in any process, serves the name. Its running goals
+  finish. The built-in actions do this.
 
-A restarted node may still see its predecessor, a node of the same name whose process died a moment
-ago and whose lease has not run out. It is not refused: it waits until the predecessor has gone.
+A restarted node may still see its predecessor: a node of the same name whose process has just died
+and whose lease has not run out. Such a node is not refused. It waits until the predecessor is gone.
 
-Across processes all this rests on discovery: a server that has not been seen yet does not count.
+Across processes, all of this depends on discovery: a server counts only once it has been seen.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ logger = logging.getLogger("turtleact.server")
 OnConflict: TypeAlias = Literal["refuse", "wait", "withdraw"]
 
 BUILT_INS_NODE = "/turtle_actions"
-"""The node of the built-in actions, in whatever process: it makes way for every other."""
+"""The node of the built-in actions in every process; it withdraws in favour of any other node."""
 
 
 class Rivals:
@@ -52,11 +53,11 @@ class Rivals:
 
         Args:
             action: The action's name.
-            type_name: The type to be served.
-            own_types: The types that this very node serves under the name.
+            type_name: The type that the node wants to serve.
+            own_types: The types that the node already serves under the name.
 
         Raises:
-            ActionConflict: names the node that serves the action.
+            ActionConflict: with the name of the node that serves the action.
         """
         if type_name in own_types:
             raise ActionConflict(action, self._node)
@@ -67,24 +68,24 @@ class Rivals:
             raise ActionConflict(action, other)
 
     def first(self) -> str | None:
-        """The first other node that serves the action; None if there is none.
+        """Return the first other node that serves the action, or None.
 
-        Built-ins do not count: they make way.
+        Built-in actions do not count, because they withdraw.
         """
         own = (self._node, BUILT_INS_NODE)
         return next((node for node in self._nodes() if node not in own), None)
 
     def holder(self) -> str | None:
-        """The node that has to go before this one can serve the action; None if it is free.
+        """Return the node that must go before this one can serve the action; None if it is free.
 
-        It may have this node's own name, if that is seen in another process: a predecessor.
+        The holder may have this node's own name if it is in another process: a predecessor.
         """
         if self._node in self._nodes(is_local=False):
             return self._node
         return self.first()
 
     def has_built_in(self) -> bool:
-        """Whether a built-in action in another process has to make way for this one."""
+        """Whether a built-in action in another process must withdraw for this one."""
         return self._node != BUILT_INS_NODE and BUILT_INS_NODE in self._nodes(is_local=False)
 
     async def wait_until(self, condition: Callable[[], bool]) -> None:
@@ -93,7 +94,7 @@ class Rivals:
             await self._transport.wait_for_change()
 
     def _nodes(self, *, is_local: bool | None = None) -> list[str]:
-        """The nodes that serve the action: all, or those in this process, or those elsewhere."""
+        """List the nodes that serve the action: all, only local ones, or only remote ones."""
         return [
             endpoint.node
             for endpoint in self._transport.endpoints(self._service)
@@ -101,5 +102,5 @@ class Rivals:
         ]
 
     def _is_local(self, type_name: str) -> bool:
-        """Whether the service is offered in this process under a type."""
+        """Whether this process serves the service under that type."""
         return self._transport.local(self._service, type_name) is not None

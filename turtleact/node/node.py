@@ -1,9 +1,8 @@
-"""A node: one participant of a graph, with its topics, services and actions.
+"""Nodes: the participants of a graph, with their topics, services and actions.
 
-The one place where the layers below are put together for a user. Everything that is opened on a
-node is closed with it.
+This module assembles the layers below for users. Everything opened on a node is closed with it.
 
-Source: rclpy ``node.py`` for names and meaning.
+Source: rclpy ``node.py`` for names and behaviour.
 """
 
 from __future__ import annotations
@@ -51,18 +50,18 @@ Res = TypeVar("Res", bound=Message)
 
 
 class Node:
-    """One participant; made by `open_node`.
+    """One participant of a graph; made by `open_node`.
 
-    Whatever opens something raises `TurtleactError` once the node is closed, and TypeError if what
-    it is given is no interface of the kind. With ``on_demand``,
-    other processes are told of it only once one of them has an endpoint of its name: for things by
-    the thousand, few of which are ever used.
+    Methods that open something raise `TurtleactError` if the node is closed, and TypeError if you
+    pass something other than an interface of the right kind. With ``on_demand``, other processes
+    learn of an endpoint only once one of them has an endpoint of the same name. Use it if you open
+    thousands of endpoints and few of them are ever used.
 
     Attributes:
-        name: Its name.
-        namespace: What its relative names begin with.
-        clock: The time of its graph: what a body that waits should wait by.
-        transport: How it talks with others.
+        name: The node's name, without the namespace.
+        namespace: The prefix of relative names.
+        clock: The graph's time. Bodies should wait with it.
+        transport: The connection to other nodes.
     """
 
     def __init__(self, name: str, namespace: str, transport: Transport) -> None:
@@ -80,12 +79,12 @@ class Node:
 
     @property
     def fully_qualified_name(self) -> str:
-        """The namespace and the name."""
+        """The namespace and the name, for example ``/lab/arm``."""
         return f"{self.namespace.rstrip('/')}/{self.name}"
 
     @property
     def is_open(self) -> bool:
-        """Whether something can be opened on it."""
+        """Whether you can open something on the node."""
         return self._resources.is_open
 
     def serve(
@@ -96,16 +95,16 @@ class Node:
         on_conflict: OnConflict = "refuse",
         **overrides: Unpack[ServerOptions],
     ) -> ActionServer[Message, Message, Message]:
-        """Serve an action that was declared with `turtleact.action`.
+        """Serve an action declared with `turtleact.action`.
 
         Args:
             definition: The declared body.
-            name: Another name than the declared one.
-            on_conflict: As for `action_server`.
-            **overrides: Other options than the declared ones; as for `action_server`.
+            name: The name to serve it under, instead of the declared one.
+            on_conflict: See `action_server`.
+            **overrides: Options that replace declared ones; see `action_server`.
         """
         if not isinstance(definition, ActionDeclaration):
-            raise TypeError(f"{_named(definition)} is no action: declare it by @turtleact.action")
+            raise TypeError(f"{_named(definition)} is no action: declare it with @turtleact.action")
         options = cast("ServerOptions", {**definition.options, **overrides})
         execute = cast("ActionBody[Message, Message, Message, object]", definition.execute)
         return self.action_server(
@@ -130,31 +129,32 @@ class Node:
 
         Args:
             action_type: The action, a subclass of `turtleact.Action`.
-            name: The action's name; a relative one is put below the node's namespace.
-            execute: The body: an async generator or a coroutine function, which takes the goal
-                and, if it wants, the `ServerGoalHandle`.
+            name: The action's name. A relative name is put below the node's namespace.
+            execute: The body: an async generator or a coroutine function. It takes the goal and,
+                if it has a second parameter, the `ServerGoalHandle`.
             on_demand: See `Node`.
-            on_conflict: What happens if another node serves the name, in this process or, as far as
-                discovery shows, in another: "refuse" raises `ActionConflict`; "wait" begins to
-                serve once the other has gone. ("withdraw" is for built-in actions, which make way.)
-            **options: ``goal_callback(goal)`` answers a `GoalResponse` or raises
-                `turtleact.Reject`; ``cancel_callback(handle)`` answers a `CancelResponse`; both may
-                be coroutine functions. ``policy`` says what becomes of a goal while another runs:
-                "parallel", "reject", "queue" or "preempt"; under "parallel" at most ``max_active``
-                run and the others wait; at most ``queue_limit`` wait. Servers of this node that
-                are given the same ``slot`` share one policy and one place. ``result_timeout`` is
-                how long a result is kept from the goal's end (s, 10 unless given; None keeps it
-                for ever). ``on_client_lost`` is "keep", or "cancel" to cancel the goals of a client
-                that is closed.
-                ``grace`` is how long a cancelled body may take for its clean-up when the server is
-                closed (s, event loop time, 5 unless given); then it is given up.
+            on_conflict: What to do if another node already serves the name, in this process or, as
+                far as discovery shows, in another. "refuse" raises `ActionConflict`. "wait" begins
+                to serve when the other node has gone. "withdraw" is for built-in actions: they
+                withdraw when another node serves the name.
+            **options: ``goal_callback(goal)`` returns a `GoalResponse` or raises
+                `turtleact.Reject`. ``cancel_callback(handle)`` returns a `CancelResponse`. Both may
+                be coroutine functions. ``policy`` decides what happens to a new goal while another
+                runs: "parallel", "reject", "queue" or "preempt". Under "parallel", at most
+                ``max_active`` goals run and the others wait. At most ``queue_limit`` goals wait.
+                Servers of this node with the same ``slot`` share one policy and one place.
+                ``result_timeout`` is how long a result is kept after the goal's end (s, 10 by
+                default; None keeps it for ever). ``on_client_lost`` is "keep", or "cancel" to
+                cancel a client's goals when the client closes. ``grace`` is how long a cancelled
+                body may clean up when the server closes before it is given up (s, event loop time,
+                5 by default).
 
         Raises:
-            ActionConflict: if another node serves the name, or this one with the same type.
+            ActionConflict: if another node serves the name, or this node does with the same type.
             InvalidName: if the name breaks ROS 2's rules.
             InvalidBody: if the function cannot be a body.
-            InvalidOption: if an option has a value that it cannot have.
-            TypeError: if there is no such option.
+            InvalidOption: if the value of an option is not allowed.
+            TypeError: if an option does not exist.
         """
         self._home.check()
         _expect(Action, action_type)
@@ -193,10 +193,11 @@ class Node:
         return server
 
     def on_transition(self, hook: Transition) -> None:
-        """Have ``hook(goal, old, new)`` called at each change of a goal served on this node.
+        """Call ``hook(goal, old, new)`` at each change of a goal served on this node.
 
-        From now on, in the order of the changes, in the event loop. A new goal comes from UNKNOWN.
-        What the hook raises is logged and does no harm.
+        The hook is called from now on, in the event loop, in the order of the changes. For a new
+        goal, ``old`` is UNKNOWN. If the hook raises, the exception is logged and nothing else
+        happens.
 
         Args:
             hook: Takes the goal's `ServerGoalHandle` and two `GoalStatus`.
@@ -209,14 +210,14 @@ class Node:
     def action_client(
         self, action_type: ActionType[G, R, F], name: str, *, cancel_timeout: float | None = 6.0
     ) -> ActionClient[G, R, F]:
-        """Open a client of an action; it need not be served yet.
+        """Open a client of an action. The action need not be served yet.
 
         Args:
             action_type: The action, a subclass of `turtleact.Action`.
-            name: The action's name; a relative one is put below the node's namespace.
-            cancel_timeout: When a task that waits for a goal is cancelled, or leaves its block, the
-                goal is canceled, and the task waits so long for its end (s, of the event loop's
-                time; None for as long as it takes).
+            name: The action's name. A relative name is put below the node's namespace.
+            cancel_timeout: If a task is cancelled while it waits for a goal, or leaves the goal's
+                ``async with`` block, the goal is canceled too. The task then waits for the goal's
+                end, at most this long (s, event loop time; None for no limit).
 
         Raises:
             InvalidName: if the name breaks ROS 2's rules.
@@ -243,12 +244,12 @@ class Node:
         """Open the sending end of a topic.
 
         Args:
-            message_type: What is sent.
-            topic: The topic's name; a relative one is put below the node's namespace.
-            qos: Quality of service; that of `QoS` if left out.
-            on_demand: See `Node`; what is latched is there for all at once.
-            on_matched: Called when the topic has got its first reader, perhaps before this returns,
-                and when the last one has gone. Not for a latched topic.
+            message_type: The type of the messages.
+            topic: The topic's name. A relative name is put below the node's namespace.
+            qos: Quality of service; left out, the defaults of `QoS`.
+            on_demand: See `Node`. Latched topics are visible to every process at once.
+            on_matched: Called when the topic gets its first reader, perhaps before this returns,
+                and when the last one has left. Not for latched topics.
 
         Raises:
             InvalidName: if the topic's name breaks ROS 2's rules.
@@ -265,7 +266,7 @@ class Node:
     def subscription(
         self, message_type: type[M], topic: str, qos: QoS | None = None, *, on_demand: bool = False
     ) -> Subscription[M]:
-        """Open the receiving end of a topic: an object for ``async for``; as `publisher`.
+        """Open the receiving end of a topic, an object for ``async for``; see `publisher`.
 
         Raises:
             InvalidName: if the topic's name breaks ROS 2's rules.
@@ -291,10 +292,10 @@ class Node:
 
         Args:
             service_type: The service, a subclass of `turtleact.Service`.
-            name: The service's name; a relative one is put below the node's namespace.
-            handler: A function or coroutine function that takes a request and gives the response.
-                Each request is handled in a task of its own, several side by side. What it raises
-                reaches the caller as `ServiceError`.
+            name: The service's name. A relative name is put below the node's namespace.
+            handler: A function or coroutine function that takes a request and returns the response.
+                Each request is handled in its own task, and several tasks run side by side. If the
+                handler raises, the caller gets `ServiceError`.
             on_demand: See `Node`.
 
         Raises:
@@ -314,7 +315,7 @@ class Node:
     def service_client(
         self, service_type: ServiceType[Req, Res], name: str
     ) -> ServiceClient[Req, Res]:
-        """Open a client of a service; it need not be served yet.
+        """Open a client of a service. The service need not be served yet.
 
         Raises:
             InvalidName: if the name breaks ROS 2's rules.
@@ -329,7 +330,7 @@ class Node:
         return client
 
     def count_publishers(self, topic: str) -> int:
-        """How many publishers there are of a topic, on all nodes.
+        """Count the publishers of a topic on all nodes.
 
         Raises:
             InvalidName: if the topic's name breaks ROS 2's rules.
@@ -338,18 +339,19 @@ class Node:
         return sum(endpoint.kind == "publisher" for endpoint in self.transport.endpoints(name))
 
     def stoppable(self) -> AbstractContextManager[None]:
-        """A block that ends if a body or handler of this node raises `SystemExit`; for trio."""
+        """A block that ends if a body or handler on this node raises `SystemExit`; for trio."""
         return self._tasks.stoppable()
 
     def graph(self) -> Graph:
-        """What exists on the graph now."""
+        """Return what exists on the graph now."""
         return graph_of(self.transport)
 
     async def aclose(self) -> None:
-        """Close everything opened on the node; running goals end ABORTED, "shutdown".
+        """Close everything opened on the node. Running goals end ABORTED with reason "shutdown".
 
-        First the actions, all at once: their bodies have the rest for their clean-up. Then the
-        services, then the rest, the newest first. A body or handler must not await this.
+        Actions close first, all at once, so that their bodies can still use everything else while
+        they clean up. Then services close, then the rest, newest first. A body or handler must not
+        await this.
         """
         self._home.check()
         try:
@@ -358,13 +360,13 @@ class Node:
             self._membership.close()
 
     def _place(self, options: ServerOptions) -> Slot[SlotRequest] | None:
-        """The slot that a server with these options uses; None if its goals need none."""
+        """Return the slot for a server with these options; None if its goals need none."""
         policy = options.get("policy", "parallel")
         rules = Rules(policy, options.get("max_active"), options.get("queue_limit"))
         return self._slots.find(rules, options.get("slot"))
 
     def _servers(self) -> list[ActionServer[Any, Any, Any]]:
-        """The action servers of this node, those too that are being closed."""
+        """The action servers of this node, including those that are closing."""
         return cast("list[ActionServer[Any, Any, Any]]", self._resources.action_servers())
 
     def _types_served(self, action: str) -> set[str]:
@@ -395,7 +397,7 @@ class Node:
 
 
 class ServerGoalHandle(GoalHandle[G, R, F]):
-    """What a body, a callback or a hook holds of a goal.
+    """A goal as the server's bodies, callbacks and hooks see it.
 
     Attributes:
         node: The node that serves the goal.
@@ -441,20 +443,21 @@ class ActionServer(Generic[G, R, F]):
 
     @property
     def is_open(self) -> bool:
-        """Whether it takes goals, or will once the name is free."""
+        """Whether it accepts goals, or will when the name is free."""
         return self._local.is_open
 
     @property
     def is_idle(self) -> bool:
-        """Whether no goal waits or runs, and nobody waits for an answer."""
+        """Whether no goal waits or runs, and no request waits for an answer."""
         return self._local.is_idle and not self._endpoints.is_asked and not self._watches
 
     async def aclose(self) -> None:
-        """Take no more goals, end those that there are, and leave the graph.
+        """Stop accepting goals, end the existing ones, and leave the graph.
 
         Running goals end ABORTED with the reason "shutdown". A body that ignores its cancellation
-        for ``grace`` seconds is given up, and the log says where it stands. asyncio can let go of
-        such a task; trio cannot, so there this keeps waiting. Every waiter gets its answer.
+        for ``grace`` seconds is given up, and the log says where it stands. asyncio can abandon
+        such a task; trio cannot, so on trio this method keeps waiting. Every waiter gets its
+        answer.
         """
         self._stop()
         for watch in self._watches:
@@ -479,11 +482,11 @@ class ActionServer(Generic[G, R, F]):
         self._local.observers.add(_Hook(hook, self._local.execution))
 
     def _keep(self, running: Coroutine[object, object, None], name: str) -> None:
-        """Run something until the server is closed."""
+        """Run a coroutine until the server is closed."""
         self._watches.append(Background(running, f"{name} {self.name}"))
 
     def _begin(self, rivals: Rivals) -> None:
-        """Appear in the graph."""
+        """Join the graph."""
         if rivals.has_built_in():
             logger.warning("%s: the built-in action makes way for this one", self.name)
         self._endpoints.open()
@@ -491,19 +494,19 @@ class ActionServer(Generic[G, R, F]):
         self._turned.fire()
 
     def _stop(self) -> None:
-        """Take no more goals."""
+        """Stop accepting goals."""
         self._local.is_open = False
         self.is_serving = False
         self._turned.fire()
 
     async def _serve_once_free(self, rivals: Rivals) -> None:
-        """Appear in the graph once nobody else serves the name."""
+        """Join the graph when nobody else serves the name any more."""
         await rivals.wait_until(lambda: rivals.holder() is None)
         logger.warning("%s is free: serving it now", self.name)
         self._begin(rivals)
 
     async def _make_way(self, rivals: Rivals) -> None:
-        """Take no more goals once another node serves the name, and leave when they have ended."""
+        """Stop accepting goals when another node serves the name; leave when they have ended."""
         await rivals.wait_until(lambda: rivals.first() is not None)
         self._stop()
         self._endpoints.stop_taking_goals()
@@ -523,7 +526,7 @@ class _Hook(GoalObserver):
         self._execution = execution
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
-        # A goal that the hook sends is no child of the goal that it hears of.
+        # Without a current goal, a goal that the hook sends does not become a child of this one.
         token = CURRENT_GOAL.set(None)
         try:
             handle = cast("ServerGoalHandle[Any, Any, Any]", self._execution.make_handle(goal))
@@ -545,13 +548,13 @@ def _named(given: object) -> str:
 async def open_node(
     name: str, *, namespace: str = "/", transport: Transport | None = None
 ) -> AsyncIterator[Node]:
-    """A node for the length of a block.
+    """Open a node for the length of a block.
 
     Args:
         name: The node's name.
-        namespace: What its relative names begin with.
-        transport: The graph it belongs to; one of its own, inside the process, if left out. Nodes
-            that are given the same transport see each other.
+        namespace: The prefix of relative names.
+        transport: The graph that the node joins; left out, a new graph inside the process. Nodes
+            with the same transport see each other.
 
     Raises:
         InvalidName: if the name or the namespace breaks ROS 2's rules.

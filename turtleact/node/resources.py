@@ -1,6 +1,6 @@
-"""What a node has opened: each thing until it is closed, all of it when the node is.
+"""Tracks everything a node has opened, and closes what is left when the node closes.
 
-Knows no names and no types of messages.
+This module knows nothing about names and message types.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from turtleact.transports.base import Closeable
 __all__ = ["Kind", "Resources"]
 
 Kind: TypeAlias = Literal["action server", "service server", "other"]
-"""The kinds of things that are closed one after the other."""
+"""Kinds of resources; a node closes one kind after the other."""
 
 
 class _Closing(Protocol):
@@ -30,50 +30,55 @@ class _Serving(_Closing, Protocol):
 
 
 class Resources:
-    """All that is open on a node.
+    """Everything open on a node.
 
     Attributes:
-        is_open: Whether there may be more.
+        is_open: Whether more can be opened.
     """
 
     def __init__(self) -> None:
         self.is_open = True
         self._count = 0
         self._opened: dict[int, _Closing] = {}
-        # Weak, and not emptied when a server begins to close: the node waits for that one too.
+        # The references are weak, and a server stays here while it closes: the node waits for it.
         self._servers: dict[str, WeakValueDictionary[int, _Serving]] = {
             "action server": WeakValueDictionary(),
             "service server": WeakValueDictionary(),
         }
 
     def add(self, thing: _Closing, opened: Closeable) -> Closeable:
-        """Keep something until it is closed, by what is returned or with all the rest.
+        """Track something until the user closes it, or the node does.
 
         Args:
-            thing: What a user has of it.
-            opened: What the transport has of it, closed with it.
+            thing: The user's object.
+            opened: The transport's object, closed together with it.
+
+        Returns:
+            The object that closes both sides.
         """
         self._count += 1
         self._opened[self._count] = thing
         return _Membership(opened.close, self._opened, self._count)
 
     def add_server(self, kind: Kind, server: _Serving, close: Callable[[], object]) -> Closeable:
-        """Keep a server likewise; ``close`` takes it off the graph."""
+        """Track a server in the same way; ``close`` removes it from the graph."""
         self._count += 1
         self._opened[self._count] = server
         self._servers[kind][self._count] = server
         return _Membership(close, self._opened, self._count)
 
     def action_servers(self) -> list[object]:
-        """The action servers, those too that are being closed; the oldest first."""
+        """The action servers, oldest first, including those that are closing."""
         return list(self._servers["action server"].values())
 
     async def aclose(self) -> None:
-        """Close all, shielded: first actions, then services, then the rest, the newest first.
+        """Close everything, shielded: first actions, then services, then the rest, newest first.
 
-        Whatever becomes of one, the others are closed.
+        If closing one of them fails, the others are still closed.
         """
         with anyio.CancelScope(shield=True):
+            # An exit stack calls its callbacks in reverse order, and calls all of them even if
+            # one raises. It then raises the error at the end.
             async with AsyncExitStack() as last_first:
                 last_first.push_async_callback(self._close_rest)
                 last_first.push_async_callback(self._close_servers, "service server")
@@ -86,7 +91,7 @@ class Resources:
             for server in servers:
                 if not server.is_idle:
                     closing.start_soon(server.aclose)
-            for server in servers:  # the others wait for nothing, and a task costs more than that
+            for server in servers:  # idle servers close without waiting, so they need no task
                 if server.is_idle:
                     await server.aclose()
 
@@ -98,9 +103,9 @@ class Resources:
 
 
 class _Membership:
-    """A hold on something that is open: closing it lets go of it on both sides.
+    """Tracks one open thing; closing it removes the thing from the node and from the transport.
 
-    There are thousands of them, so no closure is made, which is four objects each.
+    A node may have thousands of these. A closure would be four objects each, so this is a class.
     """
 
     __slots__ = ("_close", "_number", "_things")

@@ -1,11 +1,11 @@
-"""The server's side of an action: goals are taken, carried out, canceled and told of.
+"""The server side of actions: accepts goals, runs them, cancels them, and reports on them.
 
 ::
 
-    endpoints                answers those who are not in this process
-    action_topics            feedback and status, for those who read the topics
-    local_server             which goals are taken, and which are canceled
-    goal_handle | callbacks  what a body holds of its goal; what the user is asked
-    execution                a body is run, and its end made the goal's end
+    endpoints                answers clients in other processes
+    action_topics            publishes feedback and status for whoever reads those topics
+    local_server             decides which goals are accepted and which are canceled
+    goal_handle | callbacks  the handle given to bodies; the user's callbacks
+    execution                runs a body and ends its goal when the body ends
     body_task                the task of a body
 """

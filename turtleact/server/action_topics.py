@@ -1,7 +1,6 @@
-"""The two topics of an action server: feedback, and the status of all goals it holds.
+"""The two topics of an action server: feedback, and the status of all its goals.
 
-Nothing is made or sent while nobody reads.
-
+Messages are created and sent only while somebody reads the topic.
 Source: rcl_action ``rcl_action_get_goal_status_array``; the ROS 2 design article "Actions".
 """
 
@@ -23,15 +22,15 @@ __all__ = ["FeedbackTopic", "StatusTopic"]
 
 
 class FeedbackTopic(Source):
-    """The feedback of a server's goals, for those who listen to the topic.
+    """Publishes the feedback of a server's goals.
 
-    Feedback that nobody in this process looks at is written as the body gives it: its values are
-    checked on the way, and the bytes are the copy that is kept.
+    If nobody in this process wants the feedback, it is encoded straight from the body's message.
+    Encoding checks the values, and the bytes serve as the copy that is kept.
 
     Args:
         server: The server.
-        transport: Where the topic is opened.
-        endpoint: Describes it.
+        transport: The transport to open the topic on.
+        endpoint: The description of the topic's endpoint.
     """
 
     def __init__(self, server: LocalActionServer, transport: Transport, endpoint: Endpoint) -> None:
@@ -41,11 +40,11 @@ class FeedbackTopic(Source):
         self._publication = transport.advertise(endpoint, self._format, self)
 
     def readers_changed(self, *, has_readers: bool) -> None:
-        """Publish while somebody reads."""
+        """Publish feedback while somebody reads the topic."""
         self._server.execution.outlet = self if has_readers else None
 
     def expect_readers(self) -> None:
-        """Publish from now on: whoever sends goals reads feedback, seen by discovery or not."""
+        """Publish from now on: a client that sends goals reads feedback, discovered yet or not."""
         self._publication.expect_readers()
 
     def close(self) -> None:
@@ -62,7 +61,7 @@ class FeedbackTopic(Source):
         await self._publication.drained()
 
     def emit(self, goal: Goal, feedback: object) -> bool:
-        """Write feedback as the body gives it; False if somebody in this process wants a copy."""
+        """Encode and send a body's feedback; False if somebody in this process wants a copy."""
         publication = self._publication
         if goal.is_streamed or goal.on_feedback or goal.ended or publication.has_near_readers:
             return False
@@ -70,12 +69,12 @@ class FeedbackTopic(Source):
         if data is None:
             return False
         goal.published += 1
-        goal.last_feedback = data  # `LocalActionServer.attach` reads it, if somebody comes
+        goal.last_feedback = data  # `LocalActionServer.attach` decodes it if needed
         publication.send(data)
         return True
 
     def publish(self, goal: Goal, message: Message) -> None:
-        """Send a checked copy."""
+        """Send a checked copy of feedback."""
         goal.published += 1
         goal_id, publication = goal.id or self._server.name_goal(goal), self._publication
         if publication.has_near_readers:
@@ -89,27 +88,27 @@ class FeedbackTopic(Source):
 
 
 class StatusTopic(GoalObserver):
-    """The status of all goals that a server holds, as messages and as the bytes of one.
+    """Publishes the status of all goals that a server holds.
 
-    A change only marks its goal. The message is made when it is sent, once for all changes until
-    then: a server may hold thousands of goals.
+    A change only marks its goal. The message is built when it is sent, once for all changes up to
+    then, because a server may hold thousands of goals.
 
     Args:
         server: The server.
-        transport: Where the topic is opened.
-        endpoint: Describes it.
+        transport: The transport to open the topic on.
+        endpoint: The description of the topic's endpoint.
     """
 
     def __init__(self, server: LocalActionServer, transport: Transport, endpoint: Endpoint) -> None:
         self._server = server
-        self._changed: dict[Goal, None] | None = None  # in order; None if all is to be written
-        self._entries: dict[bytes, bytes] = {}  # in the order of their acceptance
-        self._is_stale = False  # since it was written last
+        self._changed: dict[Goal, None] | None = None  # in order; None if all goals must be written
+        self._entries: dict[bytes, bytes] = {}  # in the order of the goals' acceptance
+        self._is_stale = False  # whether anything has changed since the last write
         self._publication: Publication | None = None  # `readers_changed` may be called in here:
         self._publication = transport.advertise(endpoint, WireFormat(GoalStatusArray), self)
 
     def current(self) -> Sequence[object]:
-        """The message that tells of all goals that the server holds."""
+        """Build the message with all goals that the server holds."""
         statuses = [
             GoalStatusMessage(self._server.info(goal), int(goal.status))
             for goal in self._server.held()
@@ -117,19 +116,19 @@ class StatusTopic(GoalObserver):
         return (GoalStatusArray(statuses),)
 
     def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:  # noqa: ARG002
-        """The same as bytes."""
+        """Build the same message as bytes."""
         changed, entries = self._changed, self._entries
         for goal in self._server.held() if changed is None else changed:
             goal_id = goal.id or self._server.name_goal(goal)
             entries[goal_id] = pack_state(goal_id, (*divmod(goal.stamp, SECOND), goal.status))
         self._changed, self._is_stale = {}, False
         held = self._server.held_ids()
-        if len(entries) > len(held):  # each goal held has one
+        if len(entries) > len(held):  # every goal held has an entry
             entries = self._entries = {key: each for key, each in entries.items() if key in held}
         return (write_states(entries.values()),)
 
     def readers_changed(self, *, has_readers: bool) -> None:
-        """Publish while somebody reads."""
+        """Publish the status while somebody reads the topic."""
         self._changed, self._entries, self._is_stale = None, {}, False
         self._server.observers.remove(self)
         if has_readers:
@@ -138,10 +137,10 @@ class StatusTopic(GoalObserver):
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
         """Publish the status again, now or soon.
 
-        A reader in this process gets a message for each change. Those elsewhere get one for all
-        changes in a row.
+        A reader in this process gets a message for each change. Readers in other processes get one
+        message for several changes in quick succession.
         """
-        if goal.id is None:  # or it would be forgotten at its end
+        if goal.id is None:  # without an id it would be forgotten when it ends
             self._server.name_goal(goal)
         if self._changed is not None:
             self._changed[goal] = None

@@ -1,10 +1,10 @@
-"""The task of one goal's body: its steps, its cancellation, and where it stands.
+"""The task that runs one goal's body: its steps, its cancellation, and its position.
 
-A body always runs in a task of its own, however its client waits. The task belongs to the server,
-which cancels it and waits for its end.
+A body always runs in its own task, however its client waits. The server owns the task: it cancels
+the task and waits for its end.
 
-A step is what a body does between two waits. A step that takes long keeps everybody else in the
-event loop from running, so it is reported.
+A step is what a body does between two awaits. A long step keeps everything else in the event loop
+from running, so it is reported.
 
 Source: asyncio's debug mode, for the report of slow callbacks.
 """
@@ -22,32 +22,32 @@ from turtleact.tasks import Tasks
 __all__ = ["BLOCKING", "BodyTask"]
 
 BLOCKING = 0.5
-"""A step that takes longer is reported (s, wall clock)."""
+"""Longer steps are reported (s, wall clock)."""
 
 
 class Runner(Protocol):
-    """What a body task asks of the server that runs it; see `turtleact.server.execution`."""
+    """What a body task needs from the server; see `turtleact.server.execution`."""
 
     def run(self, goal: Goal, task: BodyTask) -> Coroutine[object, object, None]:
-        """Run the goal's body to its end; never raises but for what stops the program."""
+        """Run the goal's body to its end; raises only what stops the program."""
 
     def end_unstarted(self, goal: Goal) -> None:
-        """End a goal that is cancelled before the first step of its body."""
+        """End a goal that was cancelled before its body took the first step."""
 
     def report_blocking(self, goal: Goal, seconds: float) -> None:
-        """Tell the log of a step that has blocked the event loop."""
+        """Log a step that has blocked the event loop."""
 
 
 class BodyTask(Coroutine[object, object, None]):
-    """A goal's body, as the coroutine that its task runs.
+    """The coroutine of a body's task. It wraps the body and watches each step.
 
     Args:
         runner: Runs the body and ends the goal.
         goal: The goal.
-        tasks: The tasks of the event loop.
+        tasks: The task functions of the event loop.
 
     Attributes:
-        body: The coroutine or generator of the user's function, once it is made.
+        body: The coroutine or generator that the user's function returned; None before.
     """
 
     __slots__ = ("_goal", "_is_cancel_due", "_runner", "_running", "_task", "_tasks", "body")
@@ -62,33 +62,37 @@ class BodyTask(Coroutine[object, object, None]):
         self._is_cancel_due = False
 
     def start(self, name: str, context: Context | None) -> None:
-        """Start the task, in a copy of the current context unless given.
+        """Start the task in ``context``, or in a copy of the current context.
 
-        With eager start the first step runs in here, and may end the goal or have it cancelled.
+        An eager task takes its first step in here. That step may end the goal, or lead to its
+        cancellation while `_task` is not known yet; the cancellation is then made up for.
         """
         self._task = self._tasks.spawn(self, name, context, is_eager=True)
         if self._is_cancel_due and not self._goal.ended:
             self.cancel()
 
     def cancel(self) -> None:
-        """Let a cancellation arrive at the body's next await that is not shielded.
+        """Cancel the body at its next await outside a shield.
 
         A body that has not begun never begins.
         """
+        # There are four cases. (1) The body has not begun: the goal ends now, and `send` finds it
+        # ended. (2) The body is in its first step, so `start` has not stored the task yet: `start`
+        # or `send` cancels afterwards. (3) The task is in an anyio shield, which
+        # `asyncio.Task.cancel` would break: `send` cancels after the step that leaves the shield.
+        # (4) Otherwise the task is cancelled now.
         if self._running is None:
             self._runner.end_unstarted(self._goal)
-        elif self._task is None:  # in its first step, started eagerly: there is no task yet
+        elif self._task is None:
             self._is_cancel_due = True
         else:
-            # `asyncio.Task.cancel` would break into an anyio shield. The cancellation is kept
-            # until the end of the step in which the body leaves the shield; see `send`.
             self._is_cancel_due = self._tasks.is_shielded(self._task)
             if not self._is_cancel_due:
                 self._task.cancel()
 
     @property
     def position(self) -> str:
-        """The file, line and function where the body waits; empty once it has ended."""
+        """The file, line and function where the body waits; empty after its end."""
         for attribute in ("cr_frame", "ag_frame"):
             frame = getattr(self.body, attribute, None)
             if frame is not None:
@@ -96,13 +100,13 @@ class BodyTask(Coroutine[object, object, None]):
                 return f"{code.co_filename}:{frame.f_lineno} in {code.co_qualname}"
         return ""
 
-    # the protocol of coroutines: the event loop calls these
+    # The coroutine protocol; the event loop calls these methods.
 
     def send(self, value: Any) -> object:  # noqa: ANN401  # whatever the loop sends
         """Run one step."""
         running = self._running
         if running is None:
-            if self._goal.ended:  # cancelled before it began
+            if self._goal.ended:  # cancelled before the first step
                 raise StopIteration
             running = self._running = self._runner.run(self._goal, self)
         began = monotonic()
@@ -118,7 +122,7 @@ class BodyTask(Coroutine[object, object, None]):
     def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
         """Run one step that begins with an exception."""
         running = self._running
-        if running is None:  # the program ends, and cancels a task that has not begun
+        if running is None:  # the program ends and cancels a task that has not begun
             self._runner.end_unstarted(self._goal)
             raise error
         began = monotonic()

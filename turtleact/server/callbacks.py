@@ -1,6 +1,7 @@
-"""What a server asks its user: whether to take a goal, and whether to cancel one.
+"""The user's callbacks: they decide whether to accept a goal, and whether to cancel one.
 
-A callback is a function or a coroutine function. One that fails means no, and is logged.
+A callback is a function or a coroutine function. If it fails, the answer is no and the failure is
+logged.
 """
 
 from __future__ import annotations
@@ -22,16 +23,17 @@ logger = logging.getLogger("turtleact.server")
 
 
 class Callbacks:
-    """The callbacks of one server; closing it ends the calls that have not answered yet.
+    """The callbacks of one server. Closing it cancels the calls that have not returned yet.
 
     Args:
         server: The action's name.
-        options: The user's ``goal_callback`` and ``cancel_callback`` are among them.
-        tasks: Knows whether a cancellation is that of the caller.
+        options: The server's options, with ``goal_callback`` and ``cancel_callback``.
+        tasks: Tells whether the caller itself was cancelled.
 
     Attributes:
         ask_about_goals: Whether there is a ``goal_callback``.
-        ask_about_cancels: Whether there is a ``cancel_callback``; without one, all are agreed to.
+        ask_about_cancels: Whether there is a ``cancel_callback``. Without one, every cancel request
+            is accepted.
     """
 
     def __init__(self, server: str, options: ServerOptions, tasks: Tasks) -> None:
@@ -45,10 +47,10 @@ class Callbacks:
         self.ask_about_cancels = self._cancel_callback is not None
 
     async def may_start(self, request: object) -> None:
-        """Put a goal message to the ``goal_callback``.
+        """Ask the ``goal_callback`` about a goal message.
 
         Raises:
-            GoalRejected: if the goal is not taken.
+            GoalRejected: if the goal is rejected.
         """
         if self._goal_callback is None:
             return
@@ -69,25 +71,25 @@ class Callbacks:
         raise GoalRejected(f"the goal_callback answered {answer!r}, not a GoalResponse")
 
     async def may_cancel(self, handle: object) -> bool:
-        """Put a goal, by its `turtleact.ServerGoalHandle`, to the ``cancel_callback``."""
+        """Ask the ``cancel_callback`` about a goal, given by its `turtleact.ServerGoalHandle`."""
         if self._cancel_callback is None:
             return True
         try:
             answer = await self._answer(self._cancel_callback(handle))
         except Exception as error:
-            problem = "the cancel_callback of %s failed; the goal goes on"
+            problem = "the cancel_callback of %s failed; the goal continues"
             logger.error(problem, self._server, exc_info=loggable(error))
             return False
         return answer is CancelResponse.ACCEPT
 
     def close(self) -> None:
-        """Cancel the callbacks that have not answered yet, and wait for none from now on."""
+        """Cancel the callbacks that have not returned yet; later ones are cancelled at once."""
         self._is_closed = True
         for scope in tuple(self._open):
             scope.cancel()
 
     async def _answer(self, given: object) -> object:
-        """Wait for the answer of a coroutine; that of a function is there already."""
+        """Return a function's answer, or await a coroutine function's."""
         if not isawaitable(given):
             return given
         with anyio.CancelScope() as scope:
@@ -99,7 +101,8 @@ class Callbacks:
             except self._tasks.cancelled:
                 if scope.cancel_called or self._tasks.is_canceled():
                     raise
-                # The callback waited for a task that somebody else has cancelled: its own failure.
+                # Nobody cancelled the caller. The callback awaited a task that was cancelled, which
+                # is a failure of the callback.
                 raise RuntimeError("it waited for something that was canceled") from None
             finally:
                 self._open.remove(scope)

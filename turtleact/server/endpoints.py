@@ -1,13 +1,13 @@
-"""What makes up an action on the graph: three services and two topics, open to any node.
+"""The endpoints of an action on the graph: three services and two topics, open to any node.
 
-A client in the same process needs none of them. They are for all others: whoever sends ``SendGoal``
-requests, cancels goals of others, asks for results, or listens to feedback and status. Nothing is
-made or published before somebody asks or listens.
+Clients in the same process do not need them. They serve everybody else: nodes that send
+``SendGoal`` requests, cancel other nodes' goals, ask for results, or read feedback and status.
+Nothing is created or published before somebody asks or reads.
 
 ========================  ==================================  ==================================
-``…/_action/send_goal``   ``pkg/action/Name_SendGoal``        takes a goal under an id
-``…/_action/cancel_goal`` ``action_msgs/srv/CancelGoal``      cancels by id and stamp
-``…/_action/get_result``  ``pkg/action/Name_GetResult``       waits for the end, and answers
+``…/_action/send_goal``   ``pkg/action/Name_SendGoal``        accepts or rejects a goal
+``…/_action/cancel_goal`` ``action_msgs/srv/CancelGoal``      cancels goals by id and stamp
+``…/_action/get_result``  ``pkg/action/Name_GetResult``       waits for the end, then answers
 ``…/_action/feedback``    ``pkg/action/Name_FeedbackMessage`` the feedback of all goals
 ``…/_action/status``      ``action_msgs/msg/GoalStatusArray`` all goals held, at each change
 ========================  ==================================  ==================================
@@ -47,13 +47,13 @@ from turtleact.transports.base import STATUS_QOS, Closeable, MakeEndpoint, Reply
 __all__ = ["ActionEndpoints"]
 
 NAMELESS = "a goal id must not be all zeros"
-"""Why a goal of the id zero is rejected."""
+"""Why a goal with the id zero is rejected."""
 
 OURS = GoalNote().write()
-"""The note beside an answer with nothing to add: it says that the server is one of turtleact's."""
+"""An empty note, attached to every answer: it shows that the server is one of turtleact's."""
 
 LATE_REQUEST = 0.5
-"""How long to wait, at the close, for clients elsewhere that have yet to ask for a result (s)."""
+"""How long a closing server waits for other processes that have yet to ask for a result (s)."""
 
 
 class ActionEndpoints:
@@ -61,10 +61,10 @@ class ActionEndpoints:
 
     Args:
         server: The server.
-        names: Their names.
-        transport: Where they are opened.
-        endpoint: Describes them.
-        tasks: Runs what answers requests.
+        names: The names of the endpoints.
+        transport: The transport to open them on.
+        endpoint: Makes their descriptions.
+        tasks: The task functions of the event loop.
     """
 
     def __init__(
@@ -91,13 +91,13 @@ class ActionEndpoints:
         return any(each.waiting for each in (self._send_goal, self._cancel_goal, self._get_result))
 
     def open(self) -> None:
-        """Appear in the graph."""
+        """Open the endpoints, so that the action appears on the graph."""
         action = self._server.served.action_type.type_name
         describe, names = self._endpoint, self._names
         for service, type_name in (
             (self._cancel_goal, CancelGoal.type_name),
             (self._get_result, f"{action}_GetResult"),
-            (self._send_goal, f"{action}_SendGoal"),  # last: whoever sees it expects the others
+            (self._send_goal, f"{action}_SendGoal"),  # last: clients that see it expect the others
         ):
             described = describe("service", service.name, type_name)
             offered = self._transport.serve(described, WireFormat(service.find_type), service)
@@ -109,12 +109,12 @@ class ActionEndpoints:
         self._send_goal.expect_readers = feedback.expect_readers
 
     def stop_taking_goals(self) -> None:
-        """Take no more goals. Those that there are can be cancelled and waited for."""
+        """Stop accepting goals. Existing goals can still be cancelled and awaited."""
         if self._services:
             self._services[-1].close()
 
     async def aclose(self) -> None:
-        """Answer all who still wait, and leave the graph; the goals have ended."""
+        """Answer every waiting request and leave the graph. The goals have already ended."""
         answered = self._get_result.answered
         if self._services:
             await wait_while(self._is_expected, answered, LATE_REQUEST)
@@ -127,19 +127,19 @@ class ActionEndpoints:
             topic.close()
 
     def _is_expected(self) -> bool:
-        """Whether a client elsewhere is about to ask how a goal has ended."""
+        """Whether a client in another process will soon ask how a goal has ended."""
         return any(map(_may_be_asked_for, self._server.held()))
 
 
 class _ActionService:
-    """One of the three services; its classes are made with the first request, as that takes time.
+    """One of the three services. Its classes are built on the first request, as this takes time.
 
-    Requests from the wire are not checked again: decoding them has done that.
+    Requests from other processes are not checked again, because decoding has checked them.
 
     Attributes:
-        server: The action server that it belongs to.
+        server: The action server it belongs to.
         name: The name of the service.
-        is_open: Whether it takes requests.
+        is_open: Whether it accepts requests.
         answered: Fires whenever a request has been answered.
         waiting: How many requests wait for their answer.
     """
@@ -154,21 +154,21 @@ class _ActionService:
         self._checked: ServiceServer[Any, Any] | None = None
 
     def find_type(self) -> Any:  # noqa: ANN401  # a service class
-        """The class of the service."""
+        """Return the class of the service."""
         raise NotImplementedError
 
     def handle_now(self, request: Any, caller: bytes) -> Reply | None:  # noqa: ANN401, ARG002
-        """Answer a request if that takes no waiting; else None, with nothing done."""
+        """Answer a request if no waiting is needed; otherwise do nothing and return None."""
         return None
 
     async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
-        """Answer a request; ``caller`` is the gid of the client, empty in the same process."""
+        """Answer a request. ``caller`` is the client's gid; empty in the same process."""
         raise NotImplementedError
 
-    # what transports and service clients call
+    # called by transports and service clients
 
     async def answer(self, request: object) -> object:
-        """Answer a service client in the same process, whose request is checked first."""
+        """Check a request from a client in the same process, and answer it."""
         if self._checked is None:
             self._checked = ServiceServer(
                 self.find_type(), self.name, self._handle_checked, tasks=self._tasks
@@ -177,19 +177,19 @@ class _ActionService:
             return await self._checked.answer(request)
 
     async def reply(self, request: object, caller: bytes) -> Reply:
-        """Answer a request that came over a wire."""
+        """Answer a request from another process."""
         with self._counting():
             return await self.handle(request, caller)
 
     def reply_now(self, request: object, caller: bytes) -> Reply | None:
-        """Answer a request that came over a wire, if that takes no waiting."""
+        """Answer a request from another process if no waiting is needed."""
         reply = self.handle_now(request, caller)
         if reply is not None and not self.server.is_open:  # `aclose` waits for such answers
             self.answered.fire()
         return reply
 
     async def aclose(self) -> None:
-        """Answer all who wait."""
+        """Answer every waiting request."""
         self.is_open = False
         if self._checked is not None:
             await self._checked.aclose()
@@ -212,11 +212,12 @@ class _ActionService:
 
 
 class _SendGoal(_ActionService):
-    """Takes goals.
+    """Accepts or rejects goals.
 
     Attributes:
         goal_server: The server, for clients in the same process; see `turtleact.goal_server`.
-        expect_readers: Called with the first goal from elsewhere: its client reads feedback.
+        expect_readers: Called with the first goal from another process, whose client reads
+            feedback.
     """
 
     def __init__(
@@ -231,7 +232,7 @@ class _SendGoal(_ActionService):
         return self._implied.send_goal
 
     def caller_lost(self, caller: bytes) -> None:
-        """Note that a client elsewhere has gone."""
+        """Tell the server that a client in another process has gone."""
         self.server.client_lost(caller)
 
     def handle_now(self, request: Any, caller: bytes) -> Reply | None:  # noqa: ANN401
@@ -267,7 +268,7 @@ class _SendGoal(_ActionService):
 
 
 class _CancelGoal(_ActionService):
-    """Cancels goals. The servers of one name share this service, whatever their types."""
+    """Cancels goals. Servers of several types under one name share this service."""
 
     def __init__(
         self, server: LocalActionServer, names: ActionNames, transport: Transport, tasks: Tasks
@@ -284,7 +285,7 @@ class _CancelGoal(_ActionService):
         return Reply(_joined([await each.cancel(goal_id, stamp) for each in servers]))
 
     def _siblings(self) -> list[LocalActionServer]:
-        """The servers of other actions of the same name in this process."""
+        """The other servers of this action name in this process."""
         handlers = self._transport.all_local(self.name, CancelGoal.type_name)
         return [
             each.server for each in handlers if isinstance(each, _CancelGoal) and each is not self
@@ -292,20 +293,21 @@ class _CancelGoal(_ActionService):
 
 
 class _GetResult(_ActionService):
-    """Waits for the end of goals.
+    """Waits for goals to end.
 
-    A request may come while its goal is still thought about, since clients of turtleact send both
-    requests at once: it waits then.
+    A client of turtleact sends the goal and asks for its result at the same time. The second
+    request may therefore arrive while the server still decides about the goal; it then waits for
+    the decision.
     """
 
     def __init__(self, server: LocalActionServer, names: ActionNames, tasks: Tasks) -> None:
         super().__init__(server, names.get_result, tasks)
-        self._expected: list[bytes | None] = []  # a list: a second goal of the same id may come
+        self._expected: list[bytes | None] = []  # a list, since the same id may be sent twice
         self._decided = tasks.signal()
 
     @contextmanager
     def expecting(self, goal_id: bytes | None) -> Iterator[None]:
-        """A block in which it is decided whether a goal is taken."""
+        """A block in which the server decides about a goal."""
         self._expected.append(goal_id)
         try:
             yield
@@ -324,7 +326,7 @@ class _GetResult(_ActionService):
     async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401, ARG002
         goal_id = request.goal_id.uuid
         if self.server.find(goal_id) is None:
-            # The goal's own request may have come just before, and its task not have begun yet.
+            # The goal's own request may have arrived just before, in a task that has not begun.
             await self._tasks.checkpoint()
         while (goal := self.server.find(goal_id)) is None:
             if goal_id not in self._expected:
@@ -344,17 +346,17 @@ class _GetResult(_ActionService):
 
 
 def _joined(answers: list[CancelGoal.Response]) -> CancelGoal.Response:
-    """The answer of several servers that share a cancel service: at most one knows a goal."""
+    """Join the answers of servers that share a cancel service; at most one knows a goal."""
     codes = [each.return_code for each in answers]
     known = [code for code in codes if code != CancelCode.UNKNOWN_GOAL_ID]
     return CancelGoal.Response(
-        return_code=min(known, default=CancelCode.UNKNOWN_GOAL_ID),  # NONE is the least
+        return_code=min(known, default=CancelCode.UNKNOWN_GOAL_ID),  # NONE is the smallest
         goals_canceling=[goal for each in answers for goal in each.goals_canceling],
     )
 
 
 def _may_be_asked_for(goal: Goal) -> bool:
-    """Whether a client elsewhere is about to ask for the end that came with the server's own."""
+    """Whether a client elsewhere will soon ask about a goal that ended because the server did."""
     is_sent_from_elsewhere = isinstance(goal.sender, bytes) and bool(goal.sender)
     is_ended_late = goal.reason in (SHUTDOWN, STOPPED)
     return is_sent_from_elsewhere and is_ended_late and not goal.is_asked_for

@@ -1,9 +1,9 @@
-"""How a goal is carried out: its body is run, its feedback published, its end made the goal's end.
+"""Runs goals: starts the body, publishes its feedback, and ends the goal when the body ends.
 
-A generator is never iterated with ``async for``: a cancellation that lands while it stands at a
-``yield`` would reach it as GeneratorExit only, and a timeout or task group around that ``yield``
-would break. One task drives it. What arrives between two steps is thrown in at its ``yield``, and
-it is closed on every path.
+Generators are never iterated with ``async for``. If a cancellation arrived while the generator is
+suspended at a ``yield``, the generator would only see GeneratorExit, and a timeout or task group
+around that ``yield`` would break. Here one task drives the generator. It throws whatever arrives
+between two steps in at the ``yield``, and closes the generator on every path.
 
 Source: PEP 525; PEP 789 for the hazards of generators.
 """
@@ -34,20 +34,20 @@ logger = logging.getLogger("turtleact.server")
 Check: TypeAlias = Callable[[object], Message]
 
 CURRENT_GOAL: ContextVar[Goal | None] = ContextVar("CURRENT_GOAL", default=None)
-"""The goal whose body runs here: the parent of the goals that it sends."""
+"""The goal whose body is running; it becomes the parent of goals that the body sends."""
 
 BURST = 16
-"""After so many messages in a row, a generator that never waits lets others run."""
+"""After this many messages in a row, a generator that never waits must let other tasks run."""
 
 
 class Served(NamedTuple):
-    """What a server serves.
+    """What a server offers.
 
     Attributes:
         name: The fully qualified name of the action.
         action_type: The action.
-        body: The function to run.
-        make_handle: Makes the handle that bodies and callbacks get.
+        body: The body to run.
+        make_handle: Makes the handle for bodies and callbacks.
     """
 
     name: str
@@ -57,39 +57,39 @@ class Served(NamedTuple):
 
 
 class FeedbackOutlet(Protocol):
-    """The feedback topic, while somebody reads it."""
+    """The feedback topic, as long as somebody reads it."""
 
     @property
     def is_congested(self) -> bool:
         """Whether bodies should wait before they publish more."""
 
     def emit(self, goal: Goal, feedback: object) -> bool:
-        """Send feedback as a body gives it, if no copy is needed; return whether it was sent."""
+        """Send a body's feedback if nobody needs a copy; return whether it was sent."""
 
     def publish(self, goal: Goal, message: Message) -> None:
-        """Send a checked copy."""
+        """Send a checked copy of feedback."""
 
     async def drained(self) -> None:
         """Wait until it is not congested. Cancelling: safe."""
 
 
 class Execution:
-    """Carries out the goals of one server.
+    """Runs the goals of one server.
 
     Args:
         served: The action, its name and its body.
-        table: Where goals are held.
-        tasks: Starts the tasks of bodies.
-        now: The time (ns since the epoch).
+        table: The goals held.
+        tasks: The task functions of the event loop.
+        now: Returns the current time (ns since the epoch).
         release: Called when a goal ends. May return a callable that starts the next goal. None if
             goals never wait for one another.
 
     Attributes:
-        served: The same.
-        check_result: The checked copy of a result.
+        served: As given.
+        check_result: Checks and copies a result.
         observers: Told of each change of a goal and, if they want it, of feedback.
-        outlet: Where feedback goes besides; None while nobody reads the topic.
-        bodies: The tasks of the bodies that run.
+        outlet: The feedback topic; None while nobody reads it.
+        bodies: The tasks of the running bodies, with their goals.
     """
 
     def __init__(
@@ -118,9 +118,9 @@ class Execution:
     # running
 
     def start(self, goal: Goal, context: Context | None = None) -> None:
-        """Run a goal's body in a task of its own, in a copy of the current context unless given.
+        """Run a goal's body in its own task, in ``context`` or a copy of the current context.
 
-        A goal that an observer has had cancelled already ends at once.
+        If an observer has already had the goal cancelled, the goal ends at once.
         """
         if goal.status is GoalStatus.CANCELING or goal.reason:
             self._end_canceled(goal)
@@ -131,8 +131,8 @@ class Execution:
         task.start(self.served.name, context)
 
     async def run(self, goal: Goal, task: BodyTask) -> None:
-        """Run a body and make its end the goal's end."""
-        CURRENT_GOAL.set(goal)  # in the context of this task alone
+        """Run a body and end its goal when the body ends."""
+        CURRENT_GOAL.set(goal)  # only in this task's context
         body = self.served.body
         try:
             if body.wants_handle:
@@ -143,7 +143,8 @@ class Execution:
             if body.is_generator:
                 running = self._drive(goal, running)  # type: ignore[arg-type]  # see Body
             result = await running  # type: ignore[misc]  # see Body
-            # A journal would be awaited here and in `_fail`'s place below, before the end is told.
+            # A future journal would be awaited here and in `_fail`, before anybody hears of the
+            # goal's end.
             self._succeed(goal, result)
         except BaseException as error:
             if _is_closed_by_loop(error):
@@ -155,7 +156,11 @@ class Execution:
             self._forget(task)
 
     async def _drive(self, goal: Goal, steps: Steps) -> object:
-        """Run a generator to its end; return its result, or None if it gave none."""
+        """Run a generator to its end; return its result, or None if it yielded none."""
+        # Everything that happens between two steps belongs to the body: a feedback message that
+        # does not fit, a cancellation during a pause, an error while publishing. It is thrown in at
+        # the `yield`, where the body can handle it. If the body does not, the exception comes
+        # back out of `athrow` and the generator is finished; `aclose` then does nothing.
         result_type, step = self._result_type, steps.asend
         countdown = BURST
         try:
@@ -163,7 +168,7 @@ class Execution:
             while type(item) is not result_type:
                 try:
                     if self._publish_or_emit(goal, item):
-                        countdown = 1  # a callback has cancelled the goal: let that arrive now
+                        countdown = 1  # a callback has cancelled the goal: deliver that now
                     countdown -= 1
                     if not countdown:
                         countdown = BURST
@@ -180,7 +185,7 @@ class Execution:
             await steps.aclose()
             raise
         try:
-            result = self.check_result(item)  # now: the body may go on changing it
+            result = self.check_result(item)  # copied now, since the body may change it later
         except InvalidMessage as misfit:
             await steps.aclose()
             raise Abort(f"the body's result does not fit: {misfit}") from None
@@ -188,7 +193,7 @@ class Execution:
         return result
 
     def _publish_or_emit(self, goal: Goal, feedback: object) -> bool:
-        """Publish feedback; return whether somebody who was told of it has cancelled the goal."""
+        """Publish feedback; return whether a callback or observer has cancelled the goal."""
         outlet = self.outlet
         if outlet is not None and not self.observers.want_feedback and outlet.emit(goal, feedback):
             return False
@@ -197,7 +202,7 @@ class Execution:
         return goal.status is not status or goal.reason is not reason
 
     async def _pause(self, goal: Goal) -> None:
-        """Let others run; if the sender reads and is far behind, let it catch up."""
+        """Let other tasks run, and wait for the sender's stream if it is far behind."""
         await self._tasks.checkpoint()
         if self.outlet is not None and self.outlet.is_congested:
             await self.outlet.drained()
@@ -216,7 +221,7 @@ class Execution:
                 log.drained = None
 
     def publish(self, goal: Goal, feedback: object) -> None:
-        """Take a snapshot of feedback and hand it to all who read.
+        """Copy feedback and pass it to every reader.
 
         Raises:
             InvalidMessage: if it is not this action's Feedback, or a value does not fit its type.
@@ -238,7 +243,7 @@ class Execution:
                 goal.on_feedback(message)
             except STOPS:
                 raise
-            except BaseException as error:  # a cancellation too: nobody has cancelled this body
+            except BaseException as error:  # also a stray cancellation: this body was not cancelled
                 told = loggable(error)
                 logger.error("the feedback_callback of goal %s failed", goal.hex, exc_info=told)
         if self.outlet is not None:
@@ -247,7 +252,7 @@ class Execution:
             self.observers.feedback_published(goal, message)
 
     def report_blocking(self, goal: Goal, seconds: float) -> None:
-        """Warn of a step that kept all others from running; a stopped process looks the same."""
+        """Warn about a step that blocked the event loop. A stopped process looks the same."""
         logger.warning(
             "a step of the body of %s took %.1f s (goal %s): nothing else could run meanwhile;"
             " unless the process was stopped, await what waits, and move long work to"
@@ -258,20 +263,20 @@ class Execution:
         )
 
     def make_handle(self, goal: Goal) -> object:
-        """The handle of a goal, for its body and the callbacks."""
+        """Make the handle of a goal for its body and the callbacks."""
         return self.served.make_handle(self, goal)
 
     # changing and ending
 
     def name_goal(self, goal: Goal) -> bytes:
-        """The id of a goal; it can be found by it from now on."""
+        """Return the goal's id, giving it one if needed; the goal can then be found by it."""
         return goal.id or self._table.name(goal, new_goal_id(), self._now())
 
     def move(self, goal: Goal, event: GoalEvent) -> None:
-        """Change a goal's state, and tell the observers.
+        """Change a goal's state and tell the observers.
 
         Raises:
-            InvalidTransition: if the event is not allowed now; nothing has changed.
+            InvalidTransition: if the state does not allow the event. Nothing changed.
         """
         before = goal.status
         goal.apply(event)
@@ -285,7 +290,7 @@ class Execution:
         self._end_canceled(goal)
 
     def end_unstarted(self, goal: Goal) -> None:
-        """End a goal that is cancelled before the first step of its body."""
+        """End a goal that was cancelled before its body took the first step."""
         if not goal.ended:
             task = goal.body
             self._end_canceled(goal)
@@ -293,7 +298,7 @@ class Execution:
                 self._forget(task)
 
     def end(self, goal: Goal, event: GoalEvent, result: object, reason: str = "") -> None:
-        """End a goal; nothing happens if it was given up and has been answered already."""
+        """End a goal; does nothing if it has already ended, for example by being given up."""
         if goal.ended:
             return
         if result is not None:
@@ -302,18 +307,20 @@ class Execution:
             goal.result = self._result_type()
         goal.reason = reason
         goal.body = None
-        goal.parent = goal.on_feedback = None  # or a chain of goals would never be forgotten
+        goal.parent = goal.on_feedback = None  # so that a chain of goals can be freed
         before = goal.status
         goal.apply(event)
         self._table.end(goal, self._now())
         start_next = None if self._release is None else self._release(goal)
+        # The next goal gets the place before observers hear of the end, but starts only later: it
+        # must not run inside the step of the body that has just ended.
         if self.observers.are_any:
             self.observers.goal_changed(goal, before, goal.status)
         if start_next is not None:
             self._tasks.call_soon(start_next)
 
     def _succeed(self, goal: Goal, result: object) -> None:
-        if result is None or not self.served.body.is_generator:  # else `_drive` has checked it
+        if result is None or not self.served.body.is_generator:  # `_drive` has checked the others
             try:
                 result = self.check_result(result)
             except InvalidMessage as error:
@@ -339,14 +346,14 @@ class Execution:
             self.end(goal, GoalEvent.ABORT, None, summary(error))
 
     def _end_canceled(self, goal: Goal) -> None:
-        """End a goal CANCELED if a client asked for that; else the server ended it: ABORTED."""
+        """End a cancelled goal: CANCELED if a client asked for it, else ABORTED."""
         if goal.status is GoalStatus.CANCELING:
             self.end(goal, GoalEvent.CANCELED, None)
         else:
             self.end(goal, GoalEvent.ABORT, None, goal.reason or "canceled from within")
 
     def _end_with(self, goal: Goal, event: GoalEvent, result: object, reason: str) -> None:
-        """End a goal with a result that the body chose, if it fits."""
+        """End a goal with the body's own result, if that fits its type."""
         if result is not None:
             try:
                 result = self.check_result(result)
@@ -362,15 +369,15 @@ class Execution:
             await self._ended.wait()
 
     async def wait_for_bodies(self, grace: float, reason: str) -> None:
-        """Wait until all bodies have ended, shielded; give up those that take too long.
+        """Wait, shielded, until all bodies have ended; give up those that take too long.
 
         A body that ignores its cancellation for ``grace`` seconds (event loop time) is given up:
-        its goal ends ABORTED, and the log says where the body stands. asyncio can let go of such
-        a task. trio cannot, so there this keeps waiting.
+        its goal ends ABORTED, and the log says where the body stands. asyncio can abandon such a
+        task; trio cannot, so on trio this keeps waiting.
 
         Args:
-            grace: How long bodies may take for their clean-up (s).
-            reason: Why the goals end whose bodies are given up.
+            grace: How long bodies may clean up (s).
+            reason: The reason for goals whose bodies are given up.
         """
         await wait_while(lambda: self.bodies, self._ended, grace)
         for task, goal in list(self.bodies.items()):
@@ -380,20 +387,20 @@ class Execution:
                 goal.hex,
                 task.position,
             )
-            task.cancel()  # once more, for one that has swallowed the first
+            task.cancel()  # once more, in case the body has swallowed the first
             self.end(goal, GoalEvent.ABORT, None, goal.reason or reason)
         if self.bodies and not self._tasks.can_let_go:
             logger.error("%s waits for its bodies: trio cannot let go of a task", self.served.name)
             await wait_while(lambda: self.bodies, self._ended, math.inf)
 
     def _forget(self, task: BodyTask) -> None:
-        """Note that a body has ended."""
+        """Remove the task of a body that has ended."""
         self.bodies.pop(task, None)
         self._ended.fire()
 
 
 async def _finish(steps: Steps) -> None:
-    """Let a generator run on behind its result: the result stands, whatever it does."""
+    """Let a generator run on after its result. The result stands, whatever happens."""
     try:
         extra = await steps.asend(None)
         logger.warning("a body yielded %s after its result; it is closed", type(extra).__name__)
@@ -410,9 +417,9 @@ async def _finish(steps: Steps) -> None:
 
 
 def _is_closed_by_loop(error: BaseException) -> bool:
-    """Whether the event loop is gone and closes the coroutine that asks.
+    """Whether the event loop is gone and is closing the running coroutine.
 
-    A GeneratorExit that the body raised itself has passed through a frame of the body.
+    A GeneratorExit that the body raised itself would have passed through a frame of the body.
     """
     trace = error.__traceback__
     return isinstance(error, GeneratorExit) and trace is not None and trace.tb_next is None

@@ -1,6 +1,6 @@
 """A goal as its body and the server's callbacks see it.
 
-Source: rclpy ``action/server.py`` for names and meaning.
+Source: rclpy ``action/server.py`` for names and behaviour.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ F = TypeVar("F", bound=Message)
 
 
 class GoalHandle(Generic[G, R, F]):
-    """What a body holds of its goal; `turtleact.ServerGoalHandle` adds the node."""
+    """A body's view of its goal; `turtleact.ServerGoalHandle` adds the node."""
 
     __slots__ = ("_execution", "_goal")
 
@@ -36,7 +36,7 @@ class GoalHandle(Generic[G, R, F]):
 
     @property
     def goal_id(self) -> bytes:
-        """The goal's 16 bytes."""
+        """The goal's id, 16 bytes."""
         return self._execution.name_goal(self._goal)
 
     @property
@@ -51,7 +51,7 @@ class GoalHandle(Generic[G, R, F]):
 
     @property
     def reason(self) -> str:
-        """Why the goal was, or is about to be, aborted; empty otherwise."""
+        """Why the goal was aborted, or is about to be; otherwise empty."""
         return self._goal.reason
 
     @property
@@ -61,11 +61,11 @@ class GoalHandle(Generic[G, R, F]):
 
     @property
     def is_cancel_requested(self) -> bool:
-        """Whether a client has asked to cancel the goal, and the server agreed."""
+        """Whether a client has asked to cancel the goal and the server has agreed."""
         return self._goal.status is GoalStatus.CANCELING
 
     def publish_feedback(self, feedback: F) -> None:
-        """Send feedback: a snapshot is taken, so the message may be changed and sent again.
+        """Send a copy of ``feedback``; you may change the message and send it again.
 
         Raises:
             InvalidMessage: if it is not this action's Feedback, or a value does not fit its type.
@@ -74,7 +74,7 @@ class GoalHandle(Generic[G, R, F]):
         self._execution.publish(self._goal, feedback)
 
     def set_partial_result(self, result: R) -> None:
-        """Set what is reported should the goal be canceled or aborted.
+        """Set the result to report if the goal is canceled or aborted.
 
         Raises:
             InvalidMessage: if it is not this action's Result, or a value does not fit its type.

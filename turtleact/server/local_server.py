@@ -1,8 +1,8 @@
-"""An action's server in this process: which goals it takes, which it cancels, and how it closes.
+"""An action's server in this process: accepting goals, canceling them, and closing.
 
-What may happen to a goal is said in `turtleact.goal`, who may run in `turtleact.slot`, and how a
-body runs in `execution`. Clients in the same process use this object, and the `Goal` objects that
-it makes. The requests of clients elsewhere reach it through `endpoints`.
+`turtleact.goal` has the rules for a goal's states, `turtleact.slot` decides which goals may run,
+and `execution` runs bodies. Clients in the same process use this object and its `Goal` objects.
+Requests from other processes arrive through `endpoints`.
 
 Source: rcl_action ``action_server.c``; rclpy ``action/server.py``.
 """
@@ -39,22 +39,22 @@ __all__ = ["SHUTDOWN", "LocalActionServer", "SlotRequest"]
 
 _ACCEPTED = GoalStatus.ACCEPTED
 _EXECUTING = GoalStatus.EXECUTING
-_AT_ONCE = ((_EXECUTING, 0),)  # the history of a goal that nobody saw ACCEPTED
+_AT_ONCE = ((_EXECUTING, 0),)  # the history of a goal that starts without being seen ACCEPTED
 
 IN_A_ROW = 64
-"""After so many goals, others get a turn: a body that never waits would not let them."""
+"""After this many goals in a row, other tasks get a turn."""
 
 SHUTDOWN = "shutdown"
-"""Why the goals of a closing server end."""
+"""The reason for goals that end because their server closes."""
 
 
 class SlotRequest:
-    """A goal that shares a slot with others; while it waits, this is what a cancel reaches.
+    """A goal's request for a place in a slot. While the goal waits, a cancel goes to this object.
 
     Attributes:
         goal: The goal.
         action: The fully qualified name of its action.
-        context: The context of its sender, in which its body will run.
+        context: The sender's context, in which the body will run.
     """
 
     __slots__ = ("_server", "action", "context", "goal")
@@ -67,46 +67,46 @@ class SlotRequest:
 
     @property
     def label(self) -> str:
-        """What to call the goal in a message; gives it an id."""
+        """The goal's name in messages; gives it an id."""
         return f"goal {self._server.name_goal(self.goal).hex()} of {self.action}"
 
     def start(self) -> None:
-        """Start the goal, whose turn has come, unless it has ended meanwhile."""
+        """Start the goal when its turn has come, unless it has ended meanwhile."""
         if self.goal.body is self:
             self.goal.body = None
             self._server.execution.move(self.goal, GoalEvent.EXECUTE)
             self._server.execution.start(self.goal, self.context)
 
     def cancel(self) -> None:
-        """End the goal while it waits."""
+        """End the waiting goal."""
         self._server.execution.drop(self.goal)
 
     def evict(self, reason: str) -> None:
-        """End the goal, or cancel its body, by the server's own decision."""
+        """End the goal or cancel its body, because the server decided so."""
         self._server.evict(self.goal, reason)
 
 
 class LocalActionServer:
-    """Takes and cancels the goals of one action; implements `turtleact.goal_server.GoalServer`.
+    """Accepts and cancels the goals of one action; implements `turtleact.goal_server.GoalServer`.
 
     Args:
         served: The action, its name and its body.
-        options: The user's options for the server.
-        tasks: The tasks of the event loop.
-        now: The time (ns since the epoch).
-        slot: Where goals have their places; None if they never wait for one another.
+        options: The user's options.
+        tasks: The task functions of the event loop.
+        now: Returns the current time (ns since the epoch).
+        slot: The slot that goals run in; None if they never wait for one another.
 
     Attributes:
-        served: The same.
+        served: As given.
         name: The fully qualified name of the action.
-        is_open: Whether it takes goals.
+        is_open: Whether it accepts goals.
         execution: Runs the bodies.
         observers: Told of each change of the goals.
-        slot: Where goals have their places; None if they need none, and once the server is closed.
-        grace: How long a body may take for its clean-up (s, event loop time).
+        slot: The slot that goals run in; None if they need none, or after the server has closed.
+        grace: How long a body may clean up (s, event loop time).
 
     Raises:
-        InvalidOption: if an option has a value that it cannot have.
+        InvalidOption: if the value of an option is not allowed.
     """
 
     def __init__(
@@ -135,29 +135,29 @@ class LocalActionServer:
         goal_type = cast("type[Message]", served.action_type.Goal)
         self._check_goal = cast("Callable[[object], Message]", snapshotter(goal_type, root="goal"))
         self._until_turn = IN_A_ROW
-        self._preparing: Counter[object] = Counter()  # how many goals, by their senders
-        self._lost: set[object] = set()  # which of these senders have gone
-        self._cancels: dict[Goal, Background] = {}  # whose cancel_callback has yet to answer
+        self._preparing: Counter[object] = Counter()  # goals not decided yet, counted by sender
+        self._lost: set[object] = set()  # those of these senders that have gone
+        self._cancels: dict[Goal, Background] = {}  # goals whose cancel_callback has not answered
 
     @property
     def is_idle(self) -> bool:
         """Whether no goal waits or runs."""
         return not (self._table.active or self.execution.bodies)
 
-    # taking goals
+    # accepting goals
 
     async def send_goal(self, order: GoalOrder) -> Goal:
-        """Take a goal and start its body, or let it wait for its turn.
+        """Accept a goal and start its body, or let it wait for its turn.
 
-        Cancelling: the goal is not taken.
+        Cancelling: the goal is not accepted.
 
         Raises:
             InvalidGoal: if the request does not fit the action.
-            GoalRejected: if it is not taken.
+            GoalRejected: if it is rejected.
         """
         goal = await self.take(order, is_streamed=True)
-        # One turn, so that the body has begun when the client gets its handle: on every loop and
-        # Python, a cancel that the client sends next reaches the body and not the wait for it.
+        # Yield once, so that the body has begun when the client gets its handle. On every loop and
+        # Python version, a cancel that the client sends next then reaches the running body.
         try:
             await self._tasks.checkpoint()
         except self._tasks.cancelled:
@@ -166,7 +166,7 @@ class LocalActionServer:
         return goal
 
     async def run_goal(self, order: GoalOrder) -> Goal:
-        """Take a goal and wait for its end; raises as `send_goal`.
+        """Accept a goal and wait for its end; raises like `send_goal`.
 
         Cancelling: cancels the goal and waits for its end, at most ``order.cancel_timeout`` s.
         """
@@ -180,7 +180,7 @@ class LocalActionServer:
         return goal
 
     async def take(self, order: GoalOrder, *, is_streamed: bool) -> Goal:
-        """Take a goal once that can be decided; its feedback is kept if it ``is_streamed``."""
+        """Accept a goal after asking the callback if needed; ``is_streamed`` keeps its feedback."""
         goal = self.take_nowait(order, is_streamed=is_streamed)
         if goal is None:
             request = await self._prepare(order)
@@ -188,9 +188,9 @@ class LocalActionServer:
         return goal
 
     def take_nowait(self, order: GoalOrder, *, is_streamed: bool) -> Goal | None:
-        """Take a goal; None, and nothing done, if that takes waiting: see `take`.
+        """Accept a goal without waiting, or do nothing and return None if that needs waiting.
 
-        It does if there is a ``goal_callback``, and after `IN_A_ROW` goals.
+        It does if there is a ``goal_callback``, and after `IN_A_ROW` goals in a row.
         """
         self._until_turn -= 1
         if not self._until_turn or self._callbacks.ask_about_goals:
@@ -198,11 +198,11 @@ class LocalActionServer:
         return self._admit(order, order.request, is_streamed=is_streamed)
 
     async def _prepare(self, order: GoalOrder) -> object:
-        """Let others run, and ask the ``goal_callback``; return the request to be admitted.
+        """Let other tasks run and ask the ``goal_callback``; return the request to admit.
 
         Raises:
             InvalidGoal: if the request does not fit the action.
-            GoalRejected: if the goal is not taken, or its client has gone meanwhile.
+            GoalRejected: if the goal is rejected, or its client has gone meanwhile.
         """
         request, sender = order.request, order.sender
         self._preparing[sender] += 1
@@ -224,16 +224,16 @@ class LocalActionServer:
                 self._lost.discard(sender)
 
     def _admit(self, order: GoalOrder, request: object, *, is_streamed: bool) -> Goal:
-        """Hold a goal and start it, or let it wait.
+        """Hold a goal, then start it or let it wait.
 
         Raises:
             InvalidGoal: if the request does not fit the action.
-            GoalRejected: if it is not taken.
+            GoalRejected: if it is rejected.
         """
         if not self.is_open:
             raise GoalRejected(f"the server of '{self.name}' is shutting down")
         on_feedback = order.on_feedback
-        if on_feedback is not None:  # in the sender's context, not in that of the body
+        if on_feedback is not None:  # runs in the sender's context, not the body's
             on_feedback = partial(copy_context().run, on_feedback)  # type: ignore[call-arg]
         goal = Goal(
             self._check_goal(request),
@@ -246,9 +246,9 @@ class LocalActionServer:
             parent=CURRENT_GOAL.get(),
             sender=order.sender,
         )
-        # A journal would have to hold the goal from here on, before anybody hears of it.
+        # A future journal would have to record the goal here, before anybody hears of it.
         if not self._table.add(goal):
-            raise GoalRejected(f"the server still holds a goal of the id {goal.hex}")
+            raise GoalRejected(f"the server still holds a goal with the id {goal.hex}")
         if self.slot is None:
             if self.observers.are_any:
                 self._show_accepted(goal)
@@ -258,9 +258,9 @@ class LocalActionServer:
         return goal
 
     def _show_accepted(self, goal: Goal) -> None:
-        """Let a goal that starts at once pass through ACCEPTED for its observers.
+        """Show observers the ACCEPTED state of a goal that starts at once.
 
-        One of them may cancel the goal; it is not made EXECUTING then, and never starts.
+        An observer may cancel the goal. It then never becomes EXECUTING and never starts.
         """
         goal.status, goal.history = _ACCEPTED, ()
         self.observers.goal_changed(goal, GoalStatus.UNKNOWN, _ACCEPTED)
@@ -289,7 +289,7 @@ class LocalActionServer:
                 each.evict(entry.reason)
 
     def _release(self, goal: Goal) -> Callable[[], None] | None:
-        """Give the place of a goal that has ended to the next; return what starts that one."""
+        """Give the place of an ended goal to the next; return a function that starts that one."""
         slot = self.slot
         if slot is None:  # the server is closed
             return None
@@ -302,25 +302,25 @@ class LocalActionServer:
     # goals that are held
 
     def find(self, goal_id: bytes) -> Goal | None:
-        """The goal of that id; None if it was never held, or is not held any more."""
+        """Return the goal with that id; None if it is unknown or has been forgotten."""
         return self._table.find(goal_id, self._now())
 
     async def attach(self, goal_id: bytes) -> Goal | None:
-        """The goal of that id, if it is held; its feedback is kept from now on."""
+        """Return the goal with that id, if it is held, and keep its feedback from now on."""
         goal = self.find(goal_id)
         if goal is not None:
             goal.is_streamed = True
-            if isinstance(goal.last_feedback, bytes):  # sent without a copy, as nobody read it here
+            if isinstance(goal.last_feedback, bytes):  # sent as bytes, since nobody here read it
                 format = FeedbackFormat(cast("type[Action]", self.served.action_type))
                 goal.last_feedback = format.read(goal.last_feedback)
         return goal
 
     def held_ids(self) -> Collection[bytes]:
-        """The ids of all goals held that have one."""
+        """The ids of all goals held; goals without an id are left out."""
         return self._table.ids(self._now())
 
     def held(self) -> list[Goal]:
-        """All goals held: the active ones, and those whose result is kept."""
+        """All goals held: the active ones and those whose result is kept."""
         return self._table.held(self._now())
 
     async def wait_for_end(self, goal: Goal) -> None:
@@ -336,17 +336,17 @@ class LocalActionServer:
                 self._table.unpin(goal)
 
     def signal(self, goal: Goal) -> Signal:
-        """The signal that fires at each change of a goal."""
+        """Return the signal that fires at each change of a goal."""
         if goal.listener is None:
             goal.listener = self._tasks.signal()
-        return goal.listener  # type: ignore[return-value]  # nobody else puts one there
+        return goal.listener  # type: ignore[return-value]  # only this method sets it
 
     def name_goal(self, goal: Goal) -> bytes:
-        """The id of a goal; it can be found by it from now on."""
+        """Return the goal's id, giving it one if needed; the goal can then be found by it."""
         return self.execution.name_goal(goal)
 
     def info(self, goal: Goal) -> GoalInfo:
-        """A goal's id and stamp, as sent."""
+        """A goal's id and stamp as a message."""
         return GoalInfo(UUID(self.name_goal(goal)), stamp_of(goal.stamp))
 
     # canceling
@@ -366,7 +366,7 @@ class LocalActionServer:
         return CancelGoal.Response(int(code), [self.info(goal) for goal in canceled])
 
     async def cancel_goal(self, goal: Goal) -> CancelGoal.Response:
-        """Answer a request to cancel one goal, which may have been forgotten."""
+        """Answer a request to cancel one goal, even if it has been forgotten."""
         goal_id = self.name_goal(goal)
         if goal.ended and self.find(goal_id) is not goal:
             return CancelGoal.Response(CancelCode.UNKNOWN_GOAL_ID)
@@ -376,7 +376,7 @@ class LocalActionServer:
         return CancelGoal.Response(CancelCode.REJECTED if is_kept else CancelCode.GOAL_TERMINATED)
 
     def cancel_goal_nowait(self, goal: Goal) -> None:
-        """Ask a goal to cancel; a ``cancel_callback`` answers in its own time, once."""
+        """Cancel a goal without waiting; a ``cancel_callback`` is asked at most once at a time."""
         if not self._callbacks.ask_about_cancels:
             self._cancel(goal)
         elif goal.status.is_active and goal not in self._cancels:
@@ -386,7 +386,7 @@ class LocalActionServer:
 
     async def _ask_and_cancel(self, goal: Goal) -> bool:
         """Cancel a goal if the user agrees; False if not, or if it has ended."""
-        has_ended = not goal.status.is_active  # perhaps while the user was asked of another
+        has_ended = not goal.status.is_active  # perhaps while the user was asked about another goal
         if (
             has_ended
             or not self._callbacks.ask_about_cancels
@@ -403,24 +403,24 @@ class LocalActionServer:
             self._cancels.pop(goal, None)
 
     def _cancel(self, goal: Goal) -> bool:
-        """Cancel a goal; False if it has ended before."""
+        """Cancel a goal; False if it has already ended."""
         if not goal.status.is_active:
             return False
         if goal.status is not GoalStatus.CANCELING:
             self.execution.move(goal, GoalEvent.CANCEL_GOAL)
-            if goal.body is not None and not goal.reason:  # else it has been cancelled already
+            if goal.body is not None and not goal.reason:  # else the body was cancelled before
                 goal.body.cancel()
         return True
 
     def evict(self, goal: Goal, reason: str) -> None:
-        """Cancel a goal by the server's own decision, unless it is being cancelled already."""
+        """Cancel a goal because the server decided so, unless it is already being cancelled."""
         if goal.status.is_active and not goal.reason and goal.status is not GoalStatus.CANCELING:
             goal.reason = reason
             if goal.body is not None:
                 goal.body.cancel()
 
     def client_lost(self, sender: object) -> None:
-        """Note that a client has gone: its goals go on, unless ``on_client_lost`` is "cancel"."""
+        """Handle the loss of a client: with ``on_client_lost="cancel"`` its goals are canceled."""
         if self._cancels_lost:
             if sender in self._preparing:
                 self._lost.add(sender)
@@ -435,16 +435,16 @@ class LocalActionServer:
         await self.execution.wait_until_idle()
 
     async def aclose(self) -> None:
-        """Take no more goals, cancel those that run, drop those that wait, and wait for all.
+        """Stop accepting goals, cancel running ones, drop waiting ones, and wait for them all.
 
         They end ABORTED with the reason "shutdown", and every waiter gets its answer. A body that
-        ignores its cancellation is given up after `grace` seconds; see `Execution`.
+        ignores its cancellation for `grace` seconds is given up; see `Execution`.
         """
         self.is_open = False
         self._callbacks.close()
         for goal in self._table.active:
             self.evict(goal, SHUTDOWN)
         await self.execution.wait_for_bodies(self.grace, SHUTDOWN)
-        self.slot = None  # gives places to nobody any more
+        self.slot = None  # from now on no goal gets a place
         for asking in list(self._cancels.values()):
             await asking.aclose(self.grace)

@@ -1,12 +1,12 @@
-"""Tasks and wake-ups, on asyncio (uvloop too) and on trio.
+"""Tasks and wake-ups on asyncio (uvloop too) and trio.
 
-The few things for which anyio's own cost too much to spend one on each goal or message. Nothing
+These few tools exist because anyio's own cost too much to use once per goal or message. Nothing
 here knows what a goal is.
 
-- `Tasks.spawn` runs a coroutine in a task that no task group holds. Its caller owns the task,
-  cancels it and waits for its end.
-- A `Signal` wakes all that wait for it when it fires; it does not remember earlier fires.
-- `asyncio.Task.cancel` breaks into anyio's shields, a scope of trio does not. Ask
+- `Tasks.spawn` runs a coroutine in a task outside any task group. The caller owns the task, cancels
+  it and waits for its end.
+- Firing a `Signal` wakes every task that waits for it. A signal does not remember earlier fires.
+- `asyncio.Task.cancel` breaks into anyio's shields, unlike a cancel scope of trio. Ask
   `Tasks.is_shielded` first where that matters.
 """
 

@@ -1,4 +1,4 @@
-"""Coroutines that run beside their owner, and waiting for what is being ended."""
+"""Coroutines that run beside their owner, and a bounded wait for things to end."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ logger = logging.getLogger("turtleact")
 
 
 def current_tasks() -> Tasks:
-    """The tasks of the event loop that runs now."""
+    """The task functions for the running event loop."""
     if anyio.get_cancelled_exc_class() is asyncio.CancelledError:
         return AsyncioTasks()
     return TrioTasks()
 
 
 class Background:
-    """A coroutine that runs beside its owner until it is closed; how it fails is logged.
+    """A coroutine that runs until its owner closes it; a failure is logged.
 
     Args:
         running: The coroutine.
-        name: What it is called in a log.
-        tasks: What runs it; the event loop that runs now if left out.
+        name: Its name in the log.
+        tasks: The task functions to use; left out, those of the running event loop.
 
     Attributes:
-        has_ended: Whether it is over.
+        has_ended: Whether the coroutine has ended.
     """
 
     def __init__(
@@ -47,11 +47,11 @@ class Background:
         self._task = tasks.spawn(self._run(running), name)
 
     def cancel(self) -> None:
-        """Cancel it, without waiting for its end."""
+        """Cancel the coroutine without waiting for its end."""
         self._task.cancel()
 
     async def aclose(self, timeout: float | None = None) -> None:
-        """Cancel it and wait for its end, ``timeout`` seconds at most (event loop time)."""
+        """Cancel the coroutine and wait for its end, at most ``timeout`` seconds (loop time)."""
         self._task.cancel()
         with anyio.move_on_after(timeout, shield=True):
             while not self.has_ended:
@@ -70,14 +70,14 @@ class Background:
 
 
 async def wait_while(is_busy: Callable[[], object], changed: Signal, patience: float) -> None:
-    """Wait, shielded, until something is over, at most ``patience`` seconds (event loop time).
+    """Wait, shielded, until something has ended, at most ``patience`` seconds (loop time).
 
-    What is over already costs next to nothing: thousands may be closed together.
+    If it has already ended, this costs next to nothing, because thousands may be closed together.
 
     Args:
-        is_busy: Whether it is not over yet.
-        changed: Fires whenever it may be.
-        patience: How long it is waited for (s).
+        is_busy: Whether it is still running.
+        changed: Fires when ``is_busy`` may have changed.
+        patience: The longest wait (s).
     """
     if is_busy():
         with anyio.move_on_after(patience, shield=True):

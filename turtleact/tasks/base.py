@@ -1,4 +1,4 @@
-"""What an event loop offers, whichever it is."""
+"""The interface to an event loop's tasks, the same for asyncio and trio."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from turtleact.goal import Cancelable
 __all__ = ["GRACE", "Signal", "Tasks", "is_cancellation"]
 
 GRACE = 5.0
-"""How long a cancelled task is waited for before it is given up, unless the user says (s)."""
+"""How long to wait for a cancelled task before giving it up, unless the user says otherwise (s)."""
 
 
 class Signal(Protocol):
-    """Many wait, one fires, all go on. A signal does not remember earlier fires."""
+    """Wakes every task that waits for it. A signal does not remember earlier fires."""
 
     def fire(self) -> None:
-        """Wake all that wait now."""
+        """Wake every task that waits now."""
 
     async def wait(self) -> None:
         """Wait for the next fire. Cancelling: safe, nothing is lost."""
@@ -30,11 +30,11 @@ class Signal(Protocol):
 
 
 class Tasks(Protocol):
-    """What one kind of event loop offers.
+    """The task functions of one kind of event loop.
 
     Attributes:
         cancelled: The exception that cancels a task.
-        can_let_go: Whether the loop can end while a task ignores its cancellation. trio cannot.
+        can_let_go: Whether the loop can end while a task ignores its cancellation; trio's cannot.
     """
 
     cancelled: type[BaseException]
@@ -48,40 +48,40 @@ class Tasks(Protocol):
         *,
         is_eager: bool = False,
     ) -> Cancelable:
-        """Run a coroutine in a task of its own, in a copy of the current context unless given.
+        """Run a coroutine in a new task.
 
-        The caller owns the task: it cancels it and waits for its end. The coroutine handles its own
-        exceptions. Its first step runs soon; with ``is_eager`` it has run when this returns, on
-        asyncio from Python 3.12 on.
+        The caller owns the task: it cancels the task and waits for its end. The coroutine handles
+        its own exceptions. Its first step runs soon. With ``is_eager``, on asyncio from Python 3.12
+        on, the first step has run before this returns.
         """
 
     def is_shielded(self, task: Cancelable) -> bool:
         """Whether cancelling a task would break into a shielded scope; trio never does."""
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Call something that may spawn a task, but not within this very call on asyncio."""
+        """Schedule a callback that may spawn tasks; asyncio never runs it within this call."""
 
     def from_anywhere(self, callback: Callable[[], object]) -> None:
-        """Call something soon, from any thread; nothing happens once the loop is gone."""
+        """Schedule a callback from any thread; does nothing once the loop is closed."""
 
     def signal(self) -> Signal:
-        """A new signal."""
+        """Make a new signal."""
 
     async def checkpoint(self) -> None:
-        """Let others run, once."""
+        """Let other tasks run once."""
 
     def is_canceled(self) -> bool:
-        """Whether somebody has cancelled the running task; True where that cannot be told."""
+        """Whether somebody has cancelled the running task; True if the loop cannot tell."""
 
     def stop_program(self, error: BaseException) -> None:
-        """End the program with a `SystemExit` or `KeyboardInterrupt` that a task has raised."""
+        """End the program because a task raised `SystemExit` or `KeyboardInterrupt`."""
 
     def stoppable(self) -> AbstractContextManager[None]:
-        """A block that `stop_program` ends, on loops where a task cannot do that by itself."""
+        """Make a block that `stop_program` ends, for loops whose tasks cannot end the program."""
 
 
 def is_cancellation(error: BaseException, tasks: Tasks) -> bool:
-    """Whether an exception is the event loop's cancellation, or a group of nothing else."""
+    """Whether an exception is a cancellation, or a group that contains nothing else."""
     if isinstance(error, BaseExceptionGroup):
         return error.split(tasks.cancelled)[1] is None
     return isinstance(error, tasks.cancelled)

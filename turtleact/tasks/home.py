@@ -1,11 +1,10 @@
-"""The event loop that an object belongs to, so that using it elsewhere is told clearly.
+"""Remembers which event loop an object belongs to, so that use from elsewhere fails clearly.
 
-Nothing of turtleact may be used from another thread or another event loop. Without a check, such a
-use fails much later and with a text that says nothing: "aclose(): asynchronous generator is already
+Objects of turtleact must not be used from another thread or event loop. Without a check, such use
+fails much later, with a text that explains nothing: "aclose(): asynchronous generator is already
 running".
 
-A node, server or client makes a `Home` when it is made, and checks it first thing in what users
-call::
+Nodes, servers and clients create a `Home` and check it first in every public method::
 
     def __init__(self, name: str) -> None:
         self._home = Home(f"node '{name}'")
@@ -13,8 +12,8 @@ call::
     def publisher(self, ...) -> Publisher:
         self._home.check()
 
-The check takes well below a microsecond. Do not check in `__del__` or in callbacks
-of other threads, which may run anywhere.
+The check takes well below a microsecond. Do not check in `__del__` or in other threads' callbacks,
+which may run anywhere.
 """
 
 from __future__ import annotations
@@ -32,10 +31,10 @@ __all__ = ["Home"]
 
 
 class Home:
-    """The event loop that runs now; whatever has this home must be used there.
+    """The running event loop; the owner of this home must be used only there.
 
     Args:
-        owner: What has it, as users call it: ``"node '/lab'"``.
+        owner: How messages name the owner, for example ``"node '/lab'"``.
     """
 
     __slots__ = ("_current", "_loop", "_owner", "_thread")
@@ -53,10 +52,10 @@ class Home:
         return home
 
     def check(self) -> None:
-        """Raise unless this is called in the home's event loop, or between two runs of it.
+        """Raise unless the home's event loop is running this call, or stands between two runs.
 
-        A notebook that is run as plain Python calls plain functions between ``runner.run(…)`` and
-        ``runner.run(…)``: the loop stands still then, so nothing can get into its way.
+        A notebook run as plain Python calls functions between ``runner.run(…)`` and
+        ``runner.run(…)``. The loop does not run then, so nothing can interfere.
 
         Raises:
             TurtleactError: if another event loop runs here, or this is another thread.
@@ -68,8 +67,8 @@ class Home:
             if self._thread == get_ident() and self._can_go_on():
                 return
         raise TurtleactError(
-            f"{self._owner} belongs to another event loop: use it there, from another thread by "
-            "anyio.from_thread.run or run_sync"
+            f"{self._owner} belongs to another event loop: use it there, or call it from another "
+            "thread with anyio.from_thread.run or run_sync"
         )
 
     def _can_go_on(self) -> bool:
@@ -77,9 +76,9 @@ class Home:
 
 
 def _loop_getter() -> Callable[[], object]:
-    """What gives the event loop that runs, one and the same object each time; else RuntimeError."""
+    """Return a function that gives the running loop, always the same object, or RuntimeError."""
     if anyio.get_cancelled_exc_class() is asyncio.CancelledError:
         return asyncio.get_running_loop
-    import trio  # it runs, so it is there
+    import trio  # already imported, since its loop runs
 
     return trio.lowlevel.current_trio_token

@@ -1,13 +1,13 @@
-"""Being idle: when every task waits. Virtual time leaps only then.
+"""Detects when an event loop is idle, that is, when every task waits. Virtual time jumps only then.
 
-Where the answer comes from depends on the loop:
+The method depends on the loop:
 
 - A loop made by `new_event_loop` asks its selector to wait when it has nothing else to do. The
-  selector sees that moment and wakes whoever waits for idleness.
-- Another asyncio loop shows its queue of callbacks, in a private attribute.
-- A loop that hides its queue (uvloop) is asked by `anyio.wait_all_tasks_blocked`, which polls every
-  0.1 s. That is slow, so a warning is logged once for each run.
-- trio has a function of its own.
+  selector notices that moment and wakes every task that waits for idleness.
+- Other asyncio loops keep their callbacks in a private queue, which is read.
+- A loop without that queue (uvloop) needs `anyio.wait_all_tasks_blocked`, which polls every 0.1 s.
+  That is slow, so a warning is logged once per run.
+- trio has a function for it.
 
 Source: asyncio ``BaseEventLoop._run_once``; trio ``wait_all_tasks_blocked``.
 """
@@ -35,27 +35,27 @@ __all__ = [
 logger = logging.getLogger("turtleact")
 
 CALLBACK_TURNS = 3
-"""Turns given to callbacks that belong to no task, on a loop that hides them.
+"""How many turns to give callbacks outside any task, on a loop that hides its callbacks.
 
-A task that has ended wakes its parent by such a callback: between the two, all tasks wait."""
+A finished task wakes its parent with such a callback; until it runs, all tasks seem to wait."""
 
 
 def new_event_loop() -> asyncio.AbstractEventLoop:
-    """An asyncio event loop that knows when it is idle; for ``loop_factory``."""
+    """Make an asyncio event loop that knows when it is idle; pass this as ``loop_factory``."""
     return WatchedEventLoop()
 
 
 async def wait_until_idle() -> None:
-    """Wait until every other task waits for something that none of them brings about.
+    """Wait until no other task can run by itself.
 
-    Several may wait; all of them go on then. What waits for the network, a thread or wall time
-    counts as idle. Cancelling: safe, nothing is lost.
+    Any number of tasks may call this; they all continue together. Tasks that wait for the network,
+    a thread or wall time count as idle. Cancelling: safe, nothing is lost.
     """
     await idleness()()
 
 
 def idleness() -> Callable[[], Awaitable[None]]:
-    """The `wait_until_idle` of the running event loop, for those who wait again and again."""
+    """Return the `wait_until_idle` of the running loop, for callers that wait again and again."""
     if anyio.get_cancelled_exc_class() is not asyncio.CancelledError:
         return anyio.wait_all_tasks_blocked  # trio's own
     loop = asyncio.get_running_loop()
@@ -69,7 +69,7 @@ def idleness() -> Callable[[], Awaitable[None]]:
 
 
 class IdleSelector(selectors.DefaultSelector):
-    """A selector that tells who waits for idleness before it waits itself."""
+    """A selector that wakes those who wait for idleness before it blocks."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -92,7 +92,7 @@ class IdleSelector(selectors.DefaultSelector):
         return self.wait_for_events(timeout)
 
     def wait_for_events(self, timeout: float | None) -> list[tuple[selectors.SelectorKey, int]]:
-        """Wait while the loop is idle and nobody wants to know."""
+        """Block until an event arrives; the loop is idle and nobody waits for that."""
         return super().select(timeout)
 
     def _wake(self) -> None:
@@ -115,10 +115,10 @@ class WatchedEventLoop(asyncio.SelectorEventLoop):
 
 
 def ready_callbacks(loop: asyncio.AbstractEventLoop) -> Sized | None:
-    """The callbacks that an asyncio loop runs in this turn or the next; None if it hides them.
+    """Return the callbacks that an asyncio loop runs next; None if the loop hides them.
 
-    Reads a private attribute: asyncio has no public way to ask, and for loops that turtleact did
-    not make there is no other. Without the attribute virtual time still works, slowly.
+    This reads a private attribute, because asyncio has no public way to ask and turtleact did not
+    make the loop. If the attribute is missing, virtual time still works, but slowly.
     """
     return cast("Sized | None", getattr(loop, "_ready", None))
 
@@ -126,8 +126,8 @@ def ready_callbacks(loop: asyncio.AbstractEventLoop) -> Sized | None:
 class _Turns:
     """Watches a loop that turtleact did not make.
 
-    A watcher takes turn after turn of the loop, so each watcher has one callback in the queue. The
-    loop is idle when a watcher, in its own turn, finds only the callbacks of the others there.
+    Each watcher sleeps for one turn of the loop at a time, so it always has one callback in the
+    queue. The loop is idle if a watcher, when its turn comes, finds only the other watchers' there.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -136,13 +136,13 @@ class _Turns:
         self._idle = 0
         if self._ready is None:
             logger.warning(
-                "virtual time is slow on %s: each leap takes 0.1 s; run the program on asyncio's"
+                "virtual time is slow on %s: each jump takes 0.1 s; run the program on asyncio's"
                 " own loop, or with turtleact.testing.run",
                 type(loop).__name__,
             )
 
     async def wait_until_idle(self) -> None:
-        """Take turns until the loop is idle; whoever sees it first has seen it for all."""
+        """Take turns until the loop is idle. The first watcher to notice tells the others."""
         if self._ready is None:
             await anyio.wait_all_tasks_blocked()
             for _ in range(CALLBACK_TURNS):

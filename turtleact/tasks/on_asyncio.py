@@ -1,4 +1,4 @@
-"""Tasks of asyncio (uvloop too), and futures to wait for.
+"""Tasks on asyncio (uvloop too), and signals made of futures.
 
 Source: asyncio ``Task(eager_start=...)``, Python 3.12.
 """
@@ -18,18 +18,18 @@ from turtleact.goal import Cancelable
 __all__ = ["AsyncioSignal", "AsyncioTasks", "is_in_shielded_scope"]
 
 DEEPEST = 32
-"""How many first steps may run inside one another.
+"""How many tasks may start inside one another's first step.
 
 A body that starts eagerly may send a goal whose body starts eagerly, and so on. Each level takes
-about six frames of Python's stack, which holds 1,000. Deeper bodies start on the next turn."""
+about six of the 1,000 frames on Python's stack. Deeper bodies start on the loop's next turn."""
 
 
 def is_in_shielded_scope(task: object) -> bool:
     """Whether an asyncio task is inside a shielded anyio scope.
 
-    `asyncio.Task.cancel` knows nothing of anyio's shields and would break into one. anyio keeps
-    which scopes a task has entered in a private table, and has no public way to ask. Without it
-    the answer is no: the cancellation is delivered at once.
+    `asyncio.Task.cancel` ignores anyio's shields and would break into one. anyio keeps the scopes
+    that a task has entered in a private table and has no public way to ask. If the table is
+    missing, the answer is no and the cancellation is delivered at once.
     """
     backend = sys.modules.get("anyio._backends._asyncio")
     states = getattr(backend, "_task_states", {})
@@ -57,8 +57,10 @@ class AsyncioTasks:
         *,
         is_eager: bool = False,
     ) -> Cancelable:
-        """Run a coroutine in a task of its own; started eagerly from Python 3.12 on."""
+        """Run a coroutine in a new task; with ``is_eager``, eagerly from Python 3.12 on."""
         if sys.version_info >= (3, 12) and is_eager and self._depth < DEEPEST:
+            # An eager task runs its first step inside this call. That step may spawn another task,
+            # and so on, which is why the depth is limited.
             self._depth += 1
             try:
                 return asyncio.Task(
@@ -75,20 +77,20 @@ class AsyncioTasks:
         return is_in_shielded_scope(task)
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Call something in the loop's next turn: it may run a body's first step."""
+        """Schedule a callback for the loop's next turn, since it may run a body's first step."""
         self._loop.call_soon(callback)
 
     def from_anywhere(self, callback: Callable[[], object]) -> None:
-        """Call something soon, from any thread; nothing happens once the loop is gone."""
+        """Schedule a callback from any thread; does nothing once the loop is closed."""
         with suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(callback)
 
     def signal(self) -> AsyncioSignal:
-        """A new signal."""
+        """Make a new signal."""
         return AsyncioSignal(self._loop)
 
     async def checkpoint(self) -> None:
-        """Let others run, once."""
+        """Let other tasks run once."""
         await asyncio.sleep(0)
 
     def is_canceled(self) -> bool:
@@ -97,22 +99,23 @@ class AsyncioTasks:
         return task is None or task.cancelling() > 0
 
     def stop_program(self, error: BaseException) -> None:
-        """Raise in a callback of the loop: that ends `asyncio.run`.
+        """Raise the error in a callback of the loop, which ends `asyncio.run`.
 
-        Raised in the task itself, it would reach whoever has started the task eagerly.
+        Raised in an eager task itself, it would reach the code that started the task.
         """
         self._loop.call_soon(_throw, error)
 
     def stoppable(self) -> AbstractContextManager[None]:
-        """A callback can end the program on this loop, so the block needs nothing."""
+        """Return a block that does nothing, because a callback can end the program on asyncio."""
         return nullcontext()
 
 
 class _Begun(Coroutine[object, object, None]):
-    """A coroutine whose first step runs even if its task is cancelled before it.
+    """A coroutine whose first step runs even if its task is cancelled before that step.
 
-    asyncio would throw the cancellation into a coroutine that has not begun, which then runs no
-    ``finally`` and tells nobody of its end. Here, as on trio, it arrives at the first await.
+    asyncio throws the cancellation into a coroutine that has not begun. The coroutine then runs no
+    ``finally`` and reports its end to nobody. This wrapper runs the first step anyway, so that the
+    cancellation arrives at the first await, as on trio.
     """
 
     __slots__ = ("_has_begun", "_running")
@@ -127,7 +130,7 @@ class _Begun(Coroutine[object, object, None]):
         return self._running.send(value)
 
     def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
-        """Run one step that begins with an exception."""
+        """Throw an exception into the coroutine, after its first step."""
         if not self._has_begun:
             self.send(None)
         return self._running.throw(error)
@@ -141,7 +144,7 @@ class _Begun(Coroutine[object, object, None]):
 
 
 class AsyncioSignal:
-    """Futures, in the order of their coming; a cancelled waiter takes its own out."""
+    """A signal made of futures, one per waiter, in the order of arrival."""
 
     __slots__ = ("_loop", "_waiting")
 
@@ -150,7 +153,7 @@ class AsyncioSignal:
         self._waiting: dict[asyncio.Future[None], None] = {}
 
     def fire(self) -> None:
-        """Wake all that wait now."""
+        """Wake every task that waits now."""
         if self._waiting:
             waiting, self._waiting = self._waiting, {}
             for future in waiting:

@@ -1,4 +1,4 @@
-"""System tasks of trio, and parking lots to wait in."""
+"""Tasks on trio (its system tasks), and signals made of parking lots."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ __all__ = ["TrioSignal", "TrioTask", "TrioTasks"]
 
 
 class TrioTasks:
-    """System tasks of trio, each in a cancel scope of its own.
+    """System tasks of trio, each in its own cancel scope.
 
-    They outlive the task that starts them, as a goal outlives its client; their owner waits for
-    them. trio ends no program before its last task, whatever that ignores.
+    They outlive the task that starts them, as a goal outlives its client, and their owner waits for
+    them. trio never ends a program before its last task, even if that task ignores cancellation.
     """
 
     can_let_go = False
@@ -46,7 +46,7 @@ class TrioTasks:
         *,
         is_eager: bool = False,  # noqa: ARG002  # for asyncio
     ) -> TrioTask:
-        """Run a coroutine in a task of its own; its first step runs soon."""
+        """Run a coroutine in a new task; its first step runs soon."""
         task = TrioTask(self._trio.CancelScope())
         self._trio.lowlevel.spawn_system_task(
             task.run, body, name=name, context=copy_context() if context is None else context
@@ -54,37 +54,37 @@ class TrioTasks:
         return task
 
     def is_shielded(self, task: Cancelable) -> bool:  # noqa: ARG002  # for asyncio
-        """Trio's cancellation heeds shields by itself."""
+        """Return False: trio's cancellation respects shields by itself."""
         return False
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Call something now: what it spawns begins later."""
+        """Call the callback now, since trio starts spawned tasks later anyway."""
         callback()
 
     def from_anywhere(self, callback: Callable[[], object]) -> None:
-        """Call something soon, from any thread; nothing happens once the loop is gone."""
+        """Schedule a callback from any thread; does nothing once the loop has ended."""
         with suppress(self._trio.RunFinishedError):
             self._token.run_sync_soon(callback)
 
     def signal(self) -> TrioSignal:
-        """A new signal."""
+        """Make a new signal."""
         return TrioSignal(self._trio.lowlevel.ParkingLot())
 
     async def checkpoint(self) -> None:
-        """Let all others that are ready run."""
+        """Let all other tasks that are ready run."""
         # trio runs the tasks of a batch in random order. After one checkpoint, a task that was
         # spawned just before may still be waiting for its turn; after two it has had it.
         await self._trio.lowlevel.checkpoint()
         await self._trio.lowlevel.checkpoint()
 
     def is_canceled(self) -> bool:
-        """Trio raises nothing else: nobody can await what was cancelled."""
+        """Return True: on trio, only a cancellation of this very task raises ``Cancelled``."""
         return True
 
     def stop_program(self, error: BaseException) -> None:
-        """Cancel the `stoppable` blocks, which raise ``error`` at their end.
+        """Cancel the `stoppable` blocks, each of which then raises ``error``.
 
-        A system task must not raise it: trio takes that for a bug of its own.
+        A system task must not raise it, because trio treats that as an internal error.
         """
         self._stop.error = error
         for block in self._stop.blocks:
@@ -92,7 +92,7 @@ class TrioTasks:
 
     @contextmanager
     def stoppable(self) -> Iterator[None]:
-        """A block that `stop_program` cancels; it raises the error instead of the cancellation."""
+        """Make a block that `stop_program` cancels and that then raises the program's error."""
         stop = self._stop
         scope = self._trio.CancelScope()
         stop.blocks.append(scope)
@@ -104,14 +104,14 @@ class TrioTasks:
                 raise
         finally:
             stop.blocks.remove(scope)
-        # Whatever else came of the cancellation, perhaps wrapped by nurseries, the program ends
-        # with the error that has stopped it.
+        # The cancellation may have ended the block with other errors, perhaps wrapped by nurseries.
+        # The program must still end with the error that stopped it.
         if scope.cancel_called and stop.error:
             raise stop.error
 
 
 class _Stop:
-    """What ends the program, shared by all that runs in one event loop."""
+    """The error that ends the program, and the blocks to cancel; one per event loop."""
 
     def __init__(self) -> None:
         self.error: BaseException | None = None
@@ -122,7 +122,7 @@ _stop: RunVar[_Stop] = RunVar("turtleact_stop")
 
 
 class TrioTask:
-    """A coroutine in a cancel scope."""
+    """A coroutine in its own cancel scope."""
 
     __slots__ = ("_scope",)
 
@@ -135,12 +135,12 @@ class TrioTask:
             await body
 
     def cancel(self) -> None:
-        """Let a cancellation arrive at the coroutine's next await, and at each one after it."""
+        """Cancel the coroutine at its next await, and at every one after it."""
         self._scope.cancel()
 
 
 class TrioSignal:
-    """A parking lot."""
+    """A signal made of a parking lot."""
 
     __slots__ = ("_lot",)
 
@@ -148,7 +148,7 @@ class TrioSignal:
         self._lot = lot
 
     def fire(self) -> None:
-        """Wake all that wait now."""
+        """Wake every task that waits now."""
         self._lot.unpark_all()
 
     async def wait(self) -> None:
