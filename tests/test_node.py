@@ -814,7 +814,7 @@ async def cancel_everywhere(*, is_native: bool) -> int:
 
 
 async def test_a_node_canceled_by_a_scope_at_any_point_leaves_nothing_behind():
-    assert await cancel_everywhere(is_native=False) > 20
+    assert await cancel_everywhere(is_native=False) > 10  # awaits, in any order that trio chooses
 
 
 @ON_ASYNCIO

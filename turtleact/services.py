@@ -36,13 +36,14 @@ from turtleact.tasks import GRACE, Signal, Tasks, is_cancellation, wait_while
 from turtleact.transports.base import (
     Caller,
     Closeable,
+    Owner,
     Reply,
     Transport,
     find_server,
     wait_until_served,
 )
 
-__all__ = ["ServiceClient", "ServiceServer", "ServiceType"]
+__all__ = ["LocalServiceServer", "ServiceClient", "ServiceServer", "ServiceType"]
 
 logger = logging.getLogger("turtleact.services")
 
@@ -70,7 +71,7 @@ class ServiceType(Protocol[ReqMade, ResMade]):
 
 @runtime_checkable
 class LocalService(Protocol):
-    """The part of `ServiceServer` that clients in its own process use."""
+    """The part of `LocalServiceServer` that clients in its own process use."""
 
     is_open: bool
 
@@ -79,6 +80,45 @@ class LocalService(Protocol):
 
 class ServiceServer(Generic[Req, Res]):
     """Answers the requests of one service; made by `turtleact.Node.service`.
+
+    Attributes:
+        name: The fully qualified name of the service.
+        service_type: The service.
+    """
+
+    def __init__(
+        self, local: LocalServiceServer[Req, Res], owner: Owner, registration: Closeable
+    ) -> None:
+        self.name = local.name
+        self.service_type = local.service_type
+        self._local = local
+        self._membership = owner.add_server("service server", self, registration.close)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it takes requests."""
+        return self._local.is_open
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether no request is being handled."""
+        return self._local.is_idle
+
+    async def aclose(self) -> None:
+        """Stop accepting requests, answer every caller, and wait for the handlers to end.
+
+        Callers get `ServerUnavailable` at once, and handlers are cancelled. A handler that has not
+        ended after 5 seconds is left running and logged. A handler must not await this.
+        """
+        self._local.is_open = False
+        self._membership.close()
+        await self._local.aclose()
+
+
+class LocalServiceServer(Generic[Req, Res]):
+    """Handles the requests of one service, whether they come from this process or over a wire.
+
+    This is what transports and clients in the same process are given.
 
     Raises:
         InvalidOption: if the handler is not a function, or is a generator function.
@@ -100,7 +140,6 @@ class ServiceServer(Generic[Req, Res]):
         self.name = name
         self.service_type = service_type
         self.is_open = True
-        self.registration: Closeable | None = None
         self._handler = _checked_handler(handler)
         self._check_request = _checker(service_type.Request, "request")
         self._check_response = _checker(service_type.Response, "response")
@@ -152,11 +191,9 @@ class ServiceServer(Generic[Req, Res]):
         """Stop accepting requests, answer every caller, and wait for the handlers to end.
 
         Callers get `ServerUnavailable` at once, and handlers are cancelled. A handler that has not
-        ended after `GRACE` seconds is left running and logged. A handler must not await this.
+        ended after `GRACE` seconds is left running and logged.
         """
         self.is_open = False
-        if self.registration is not None:
-            self.registration.close()
         for call in self._calls:
             call.answer(error=self._closed())
             call.cancel()
@@ -217,13 +254,19 @@ class ServiceClient(Generic[Req, Res]):
     """
 
     def __init__(
-        self, transport: Transport, service_type: ServiceType[Req, Res], name: str, *, tasks: Tasks
+        self,
+        service_type: ServiceType[Req, Res],
+        name: str,
+        transport: Transport,
+        caller: Caller,
+        owner: Owner,
+        tasks: Tasks,
     ) -> None:
         self.name = name
         self.service_type = service_type
-        self.membership: Closeable | None = None
-        self.caller: Caller | None = None
         self._transport = transport
+        self._caller = caller
+        self._membership = owner.add(self, caller)
         self._tasks = tasks
         self._found: LocalService | None = None
         self._check_request = _checker(service_type.Request, "request")
@@ -272,8 +315,7 @@ class ServiceClient(Generic[Req, Res]):
 
     async def aclose(self) -> None:
         """Leave the graph as soon as all calls under way have ended; they are not cancelled."""
-        if self.membership is not None:
-            self.membership.close()
+        self._membership.close()
 
     async def _answer(self, request: object) -> object:
         """Ask a server in this process, or else one in another process."""
@@ -283,17 +325,14 @@ class ServiceClient(Generic[Req, Res]):
             server = self._found = self._find_local()
         if server is not None:
             return await server.answer(request)
-        if self.caller is not None:
-            return (await self.caller.call(self._check_request(request))).message
-        raise ServerUnavailable(self.name, kind="service")
+        return (await self._caller.call(self._check_request(request))).message
 
     def _find_local(self) -> LocalService | None:
         found = self._transport.local(self.name, self.service_type.type_name)
         return found if isinstance(found, LocalService) else None
 
     def _find(self) -> object | None:
-        afar = self.caller is not None and self.caller.is_served
-        return self._find_local() or (self.caller if afar else None)
+        return self._find_local() or (self._caller if self._caller.is_served else None)
 
 
 class _Call:

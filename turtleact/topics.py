@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import Generic, Self, TypeVar
+from typing import Generic, Self, TypeVar, cast
 
 from turtleact.errors import TurtleactError
-from turtleact.interfaces import Message, snapshotter
+from turtleact.interfaces import Message, WireFormat, snapshotter
 from turtleact.tasks import Signal
-from turtleact.transports.base import Closeable, Publication, Source
+from turtleact.transports.base import Deliver, Endpoint, Owner, Publication, Source, Transport
 
-__all__ = ["Matching", "Publisher", "Subscription"]
+__all__ = ["Matching", "Publisher", "Subscription", "publish_unchecked"]
 
 M = TypeVar("M", bound=Message)
 
@@ -29,12 +29,14 @@ class Publisher(Generic[M]):
         is_open: Whether it can publish.
     """
 
-    def __init__(self, topic: str, message_type: type[M], publication: Publication) -> None:
+    def __init__(
+        self, topic: str, message_type: type[M], publication: Publication, owner: Owner
+    ) -> None:
         self.topic = topic
         self.is_open = True
         self._check = snapshotter(message_type)
         self._publication = publication
-        self.membership: Closeable = publication
+        self._membership = owner.add(self, publication)
 
     @property
     def has_subscriptions(self) -> bool:
@@ -54,18 +56,20 @@ class Publisher(Generic[M]):
         if self._publication.has_readers:
             self._publication.publish(snapshot)
 
-    def give(self, message: M) -> None:
-        """Send a message without checking or copying it; does nothing if the publisher is closed.
-
-        The caller guarantees that the message is valid and never changes it afterwards.
-        """
-        if self.is_open and self._publication.has_readers:
-            self._publication.publish(message)
-
     async def aclose(self) -> None:
         """Leave the topic. A second call does nothing."""
         self.is_open = False
-        self.membership.close()
+        self._membership.close()
+
+
+def publish_unchecked(publisher: Publisher[M], message: M) -> None:
+    """Send a message without checking or copying it; does nothing if the publisher is closed.
+
+    The caller guarantees that the message is valid and never changes it afterwards.
+    """
+    publication = publisher._publication
+    if publisher.is_open and publication.has_readers:
+        publication.publish(message)
 
 
 class Matching(Source):
@@ -96,18 +100,28 @@ class Subscription(Generic[M]):
             message is not kept and wakes nobody.
     """
 
-    def __init__(self, topic: str, depth: int, signal: Signal) -> None:
-        self.topic = topic
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        message_type: type[M],
+        transport: Transport,
+        owner: Owner,
+        signal: Signal,
+    ) -> None:
+        self.topic = endpoint.name
         self.latest: M | None = None
         self.missed = 0
         self.notify: Callable[[], object] | None = None
         self.taker: Callable[[M], bool] | None = None
-        self.membership: Closeable | None = None
-        self._kept: deque[M] = deque(maxlen=depth)
+        self._kept: deque[M] = deque(maxlen=endpoint.qos.depth)
         self._signal = signal
         self._is_open = True
+        # Latched messages may come before this returns.
+        deliver = cast("Deliver", self._deliver)
+        subscribed = transport.subscribe(endpoint, WireFormat(message_type), deliver)
+        self._membership = owner.add(self, subscribed)
 
-    def deliver(self, message: M) -> None:
+    def _deliver(self, message: M) -> None:
         """Receive a message; the transport calls this."""
         if self.taker is not None and self.taker(message):
             self.latest = message
@@ -137,12 +151,15 @@ class Subscription(Generic[M]):
             await self._signal.wait()
         return self._kept.popleft()
 
-    async def aclose(self) -> None:
+    def close(self) -> None:
         """Leave the topic. Readers still get what has arrived; then their loops end.
 
         A second call does nothing.
         """
         self._is_open = False
-        if self.membership is not None:
-            self.membership.close()
+        self._membership.close()
         self._signal.fire()
+
+    async def aclose(self) -> None:
+        """Same as `close`."""
+        self.close()

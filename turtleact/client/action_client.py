@@ -32,7 +32,7 @@ from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.standard import CancelGoal, Time
 from turtleact.observers import GoalObserver, Observers
 from turtleact.tasks import Home, Tasks
-from turtleact.transports.base import Closeable, find_server, wait_until_served
+from turtleact.transports.base import Owner, find_server, wait_until_served
 
 __all__ = ["ActionClient", "Attach", "SendGoal"]
 
@@ -52,14 +52,19 @@ class ActionClient(Generic[G, R, F]):
     """
 
     def __init__(
-        self, endpoints: ClientEndpoints, tasks: Tasks, home: Home, cancel_timeout: float
+        self,
+        endpoints: ClientEndpoints,
+        tasks: Tasks,
+        home: Home,
+        owner: Owner,
+        cancel_timeout: float,
     ) -> None:
         self.name = endpoints.name
         self.action_type: ActionType[G, R, F] = endpoints.action_type
-        self.membership: Closeable | None = None
         self.is_open = True
         self.observers = _ClientObservers(self)
         self._endpoints = endpoints
+        self._membership = owner.add(self, endpoints)
         self._cancel_timeout = cancel_timeout
         self._home = home.of(f"the client of action '{self.name}'")
         self._remote = RemoteActionServer(endpoints, tasks, self.observers)
@@ -148,8 +153,7 @@ class ActionClient(Generic[G, R, F]):
             self._server.client_lost(self)
         self._use(None)
         await self._remote.aclose()
-        if self.membership is not None:
-            self.membership.close()
+        self._membership.close()
 
     # the server
 

@@ -377,8 +377,8 @@ class _Served:
         self._status = status
         if status.is_terminal:
             self.ended_at = self._clock.time()
-            if self._poses is not None and self._poses.membership is not None:
-                self._poses.membership.close()
+            if self._poses is not None:
+                self._poses.close()
 
     def look(self) -> list[render.Target]:
         """The places that its turtle has not passed yet."""

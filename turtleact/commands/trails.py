@@ -80,9 +80,7 @@ class PoseTrails:
         """Follow new turtles, and forget those that are gone."""
         topics = pose_topics(self._node)
         for gone in self._poses.keys() - topics.keys():
-            leaving = self._poses.pop(gone).membership
-            if leaving is not None:
-                leaving.close()
+            self._poses.pop(gone).close()
         leader_first = sorted(topics, key=lambda topic: topic != self._leader)
         for topic in leader_first[:MOST_TURTLES]:
             if topic not in self._poses:

@@ -30,7 +30,7 @@ from turtleact.server.endpoints import ActionEndpoints
 from turtleact.server.execution import CURRENT_GOAL, Execution, Served
 from turtleact.server.goal_handle import GoalHandle
 from turtleact.server.local_server import LocalActionServer, SlotRequest
-from turtleact.services import ServiceClient, ServiceServer, ServiceType
+from turtleact.services import LocalServiceServer, ServiceClient, ServiceServer, ServiceType
 from turtleact.slot import Rules, Slot, Slots
 from turtleact.tasks import Background, Home, current_tasks
 from turtleact.topics import Matching, Publisher, Subscription
@@ -187,7 +187,7 @@ class Node:
         elif on_conflict != "withdraw":
             logger.warning("%s is served by %s: waiting until that has gone", names.name, holder)
             server._keep(server._serve_once_free(rivals), "waiting to serve")
-        server.membership = self._resources.add_server(
+        server._membership = self._resources.add_server(
             "action server", server, endpoints.stop_taking_goals
         )
         return server
@@ -228,9 +228,7 @@ class Node:
         patience = math.inf if cancel_timeout is None else cancel_timeout
         names = self._action_names(name)
         endpoints = ClientEndpoints(self.transport, self._endpoint, names, action_type)
-        client: ActionClient[G, R, F] = ActionClient(endpoints, self._tasks, self._home, patience)
-        client.membership = self._resources.add(client, endpoints)
-        return client
+        return ActionClient(endpoints, self._tasks, self._home, self._resources, patience)
 
     def publisher(
         self,
@@ -259,9 +257,7 @@ class Node:
         end = self._endpoint("publisher", name, message_type.type_name, qos, on_demand=on_demand)
         matching = None if on_matched is None else Matching(on_matched)
         publication = self.transport.advertise(end, WireFormat(message_type), matching)
-        publisher = Publisher(name, message_type, publication)
-        publisher.membership = self._resources.add(publisher, publication)
-        return publisher
+        return Publisher(name, message_type, publication, self._resources)
 
     def subscription(
         self, message_type: type[M], topic: str, qos: QoS | None = None, *, on_demand: bool = False
@@ -274,11 +270,8 @@ class Node:
         _expect(Message, message_type)
         name = resolve_name(topic, self.namespace, self.name)
         end = self._endpoint("subscription", name, message_type.type_name, qos, on_demand=on_demand)
-        subscription: Subscription[M] = Subscription(name, end.qos.depth, self._tasks.signal())
-        deliver = cast("Callable[[object], None]", subscription.deliver)
-        subscribed = self.transport.subscribe(end, WireFormat(message_type), deliver)
-        subscription.membership = self._resources.add(subscription, subscribed)
-        return subscription
+        signal = self._tasks.signal()
+        return Subscription(end, message_type, self.transport, self._resources, signal)
 
     def service(
         self,
@@ -303,14 +296,11 @@ class Node:
         """
         _expect(Service, service_type)
         full_name = resolve_name(name, self.namespace, self.name)
-        server = ServiceServer(service_type, full_name, handler, tasks=self._tasks)
+        server = LocalServiceServer(service_type, full_name, handler, tasks=self._tasks)
         endpoint = self._endpoint("service", full_name, service_type.type_name, on_demand=on_demand)
         format = WireFormat(cast("type[Service]", service_type))
         registration = self.transport.serve(endpoint, format, server)
-        server.registration = self._resources.add_server(
-            "service server", server, registration.close
-        )
-        return server
+        return ServiceServer(server, self._resources, registration)
 
     def service_client(
         self, service_type: ServiceType[Req, Res], name: str
@@ -324,10 +314,10 @@ class Node:
         full_name = resolve_name(name, self.namespace, self.name)
         endpoint = self._endpoint("client", full_name, service_type.type_name)
         format = WireFormat(cast("type[Service]", service_type), asks=True)
-        client = ServiceClient(self.transport, service_type, full_name, tasks=self._tasks)
-        client.caller = self.transport.join(endpoint, format)
-        client.membership = self._resources.add(client, client.caller)
-        return client
+        caller = self.transport.join(endpoint, format)
+        return ServiceClient(
+            service_type, full_name, self.transport, caller, self._resources, self._tasks
+        )
 
     def count_publishers(self, topic: str) -> int:
         """Count the publishers of a topic on all nodes.
@@ -434,7 +424,7 @@ class ActionServer(Generic[G, R, F]):
         self.name = local.name
         self.action_type = action_type
         self.node = node
-        self.membership: Closeable | None = None
+        self._membership: Closeable | None = None
         self._local = local
         self._endpoints = endpoints
         self.is_serving = False
@@ -463,8 +453,8 @@ class ActionServer(Generic[G, R, F]):
         for watch in self._watches:
             await watch.aclose()
         self._watches.clear()
-        if self.membership is not None:
-            self.membership.close()
+        if self._membership is not None:
+            self._membership.close()
         await self._local.aclose()
         await self._endpoints.aclose()
 

@@ -7,29 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AsyncExitStack
-from typing import Literal, Protocol, TypeAlias
 from weakref import WeakValueDictionary
 
 import anyio
 
-from turtleact.transports.base import Closeable
+from turtleact.transports.base import AsyncCloseable, Closeable, Owner, ServerKind, Serving
 
-__all__ = ["Kind", "Resources"]
-
-Kind: TypeAlias = Literal["action server", "service server", "other"]
-"""Kinds of resources; a node closes one kind after the other."""
+__all__ = ["Resources"]
 
 
-class _Closing(Protocol):
-    async def aclose(self) -> None: ...
-
-
-class _Serving(_Closing, Protocol):
-    @property
-    def is_idle(self) -> bool: ...
-
-
-class Resources:
+class Resources(Owner):
     """Everything open on a node.
 
     Attributes:
@@ -39,28 +26,22 @@ class Resources:
     def __init__(self) -> None:
         self.is_open = True
         self._count = 0
-        self._opened: dict[int, _Closing] = {}
+        self._opened: dict[int, AsyncCloseable] = {}
         # The references are weak, and a server stays here while it closes: the node waits for it.
-        self._servers: dict[str, WeakValueDictionary[int, _Serving]] = {
+        self._servers: dict[str, WeakValueDictionary[int, Serving]] = {
             "action server": WeakValueDictionary(),
             "service server": WeakValueDictionary(),
         }
 
-    def add(self, thing: _Closing, opened: Closeable) -> Closeable:
-        """Track something until the user closes it, or the node does.
-
-        Args:
-            thing: The user's object.
-            opened: The transport's object, closed together with it.
-
-        Returns:
-            The object that closes both sides.
-        """
+    def add(self, thing: AsyncCloseable, opened: Closeable) -> Closeable:
+        """Track something until the user closes it, or the node does."""
         self._count += 1
         self._opened[self._count] = thing
         return _Membership(opened.close, self._opened, self._count)
 
-    def add_server(self, kind: Kind, server: _Serving, close: Callable[[], object]) -> Closeable:
+    def add_server(
+        self, kind: ServerKind, server: Serving, close: Callable[[], object]
+    ) -> Closeable:
         """Track a server in the same way; ``close`` removes it from the graph."""
         self._count += 1
         self._opened[self._count] = server
@@ -84,7 +65,7 @@ class Resources:
                 last_first.push_async_callback(self._close_servers, "service server")
                 last_first.push_async_callback(self._close_servers, "action server")
 
-    async def _close_servers(self, kind: Kind) -> None:
+    async def _close_servers(self, kind: ServerKind) -> None:
         """Close all servers of a kind, and wait for those that somebody else is closing."""
         servers = list(self._servers[kind].values())[::-1]
         async with anyio.create_task_group() as closing:
@@ -111,7 +92,7 @@ class _Membership:
     __slots__ = ("_close", "_number", "_things")
 
     def __init__(
-        self, close: Callable[[], object], things: dict[int, _Closing], number: int
+        self, close: Callable[[], object], things: dict[int, AsyncCloseable], number: int
     ) -> None:
         self._close = close
         self._things = things

@@ -39,7 +39,7 @@ from turtleact.interfaces.standard import CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
 from turtleact.server.action_topics import FeedbackTopic, StatusTopic
 from turtleact.server.local_server import SHUTDOWN, LocalActionServer
-from turtleact.services import ServiceServer
+from turtleact.services import LocalServiceServer
 from turtleact.summaries import STOPPED
 from turtleact.tasks import GRACE, Tasks, wait_while
 from turtleact.transports.base import STATUS_QOS, Closeable, MakeEndpoint, Reply, Transport
@@ -151,7 +151,7 @@ class _ActionService:
         self.answered = tasks.signal()
         self.waiting = 0
         self._tasks = tasks
-        self._checked: ServiceServer[Any, Any] | None = None
+        self._checked: LocalServiceServer[Any, Any] | None = None
 
     def find_type(self) -> Any:  # noqa: ANN401  # a service class
         """Return the class of the service."""
@@ -170,7 +170,7 @@ class _ActionService:
     async def answer(self, request: object) -> object:
         """Check a request from a client in the same process, and answer it."""
         if self._checked is None:
-            self._checked = ServiceServer(
+            self._checked = LocalServiceServer(
                 self.find_type(), self.name, self._handle_checked, tasks=self._tasks
             )
         with self._counting():

@@ -31,6 +31,7 @@ from turtleact.sim.pictures import BACKGROUND, Figure, Snapshot, thumbnail
 from turtleact.sim.turtle import TOPIC_QOS, Habitat, Turtle
 from turtleact.sim.world import FEW
 from turtleact.sim.world_services import Pictures, Poses, Simulation, Ticking, poses_of
+from turtleact.topics import publish_unchecked
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -192,11 +193,12 @@ class Turtlesim:
             # Column by column: a list for each turtle would call the garbage collector.
             x, y, theta, linear, angular = self._world.poses().T.tolist()
             for i, publisher in self._told:
-                publisher.give(TurtlePose(x[i], y[i], theta[i], linear[i], angular[i]))
+                pose = TurtlePose(x[i], y[i], theta[i], linear[i], angular[i])
+                publish_unchecked(publisher, pose)
             return
         for index, publisher in self._told:
             if publisher.has_subscriptions:
-                publisher.give(TurtlePose(*self._world.pose(index)))
+                publish_unchecked(publisher, TurtlePose(*self._world.pose(index)))
 
     # turtles that come and go
 

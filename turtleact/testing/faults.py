@@ -14,10 +14,10 @@ import logging
 import math
 import random
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from types import TracebackType
-from typing import Self, TypeAlias
+from typing import Self
 
 import msgspec
 
@@ -29,6 +29,7 @@ from turtleact.transports.base import (
     EVERY_SERVER,
     Caller,
     Closeable,
+    Deliver,
     Endpoint,
     Format,
     Publication,
@@ -39,8 +40,6 @@ from turtleact.transports.base import (
 __all__ = ["Faults", "FaultyTransport"]
 
 logger = logging.getLogger("turtleact.transport")
-
-Deliver: TypeAlias = Callable[[object], None]
 
 
 class Faults(msgspec.Struct, frozen=True):

@@ -23,7 +23,7 @@ Source: ROS 2 ``rmw``; the QoS policies of the ROS 2 documentation.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Literal, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import msgspec
 
@@ -35,18 +35,23 @@ if TYPE_CHECKING:
 __all__ = [
     "EVERY_SERVER",
     "STATUS_QOS",
+    "AsyncCloseable",
     "AsyncHandler",
     "Caller",
     "CallerAware",
     "Closeable",
+    "Deliver",
     "Endpoint",
     "EndpointKind",
     "Format",
     "MakeEndpoint",
+    "Owner",
     "PendingCall",
     "Publication",
     "QoS",
     "Reply",
+    "ServerKind",
+    "Serving",
     "Source",
     "SyncHandler",
     "Target",
@@ -59,7 +64,12 @@ __all__ = [
 
 EndpointKind = Literal["publisher", "subscription", "service", "client"]
 
+ServerKind = Literal["action server", "service server"]
+
 T = TypeVar("T")
+
+Deliver: TypeAlias = Callable[[object], None]
+"""Takes each message of a topic."""
 
 
 class QoS(msgspec.Struct, frozen=True, kw_only=True):
@@ -172,6 +182,41 @@ class Closeable(Protocol):
 
     def close(self) -> None:
         """Close it; a second time does nothing."""
+
+
+class AsyncCloseable(Protocol):
+    """Something open; closing it may take a while."""
+
+    async def aclose(self) -> None:
+        """Close it. A second call does nothing."""
+
+
+class Serving(AsyncCloseable, Protocol):
+    """A server."""
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether closing it would take no time."""
+
+
+class Owner(Protocol):
+    """Closes everything open on it together with itself; what a node is to its parts."""
+
+    def add(self, thing: AsyncCloseable, opened: Closeable) -> Closeable:
+        """Track something until the user closes it, or the owner does.
+
+        Args:
+            thing: The user's object.
+            opened: The transport's object, closed together with it.
+
+        Returns:
+            The object that closes both sides; ``thing`` closes it when it is closed itself.
+        """
+
+    def add_server(
+        self, kind: ServerKind, server: Serving, close: Callable[[], object]
+    ) -> Closeable:
+        """Track a server in the same way; ``close`` removes it from the graph."""
 
 
 class Publication(Closeable, Protocol):

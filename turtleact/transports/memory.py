@@ -23,6 +23,7 @@ from turtleact.transports.base import (
     Caller,
     CallerAware,
     Closeable,
+    Deliver,
     Endpoint,
     Format,
     Publication,
@@ -37,7 +38,6 @@ __all__ = ["MemoryTransport"]
 
 logger = logging.getLogger("turtleact.transport")
 
-Deliver: TypeAlias = Callable[[object], None]
 Key: TypeAlias = tuple[str, str]
 Leave: TypeAlias = Callable[[], None]
 

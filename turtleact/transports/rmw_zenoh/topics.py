@@ -12,12 +12,12 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import anyio
 
 from turtleact.errors import InvalidMessage
-from turtleact.transports.base import Format, Publication, QoS, Source
+from turtleact.transports.base import Deliver, Format, Publication, QoS, Source
 from turtleact.transports.rmw_zenoh.attachment import gid_in
 from turtleact.transports.rmw_zenoh.context import Context, Counter, Named, Opened, Presence
 
@@ -30,7 +30,6 @@ logger = logging.getLogger("turtleact.transport")
 
 T = TypeVar("T")
 
-Deliver: TypeAlias = Callable[[object], None]
 
 #: How much a lane holds, before the oldest is dropped (bytes).
 CAPACITY = 32 * 1024 * 1024

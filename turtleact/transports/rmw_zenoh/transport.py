@@ -14,11 +14,10 @@ Source: rmw_zenoh_cpp, ``docs/design.md``.
 from __future__ import annotations
 
 import os
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from functools import partial
 from time import perf_counter
-from typing import TypeAlias
 from weakref import WeakValueDictionary
 
 import anyio
@@ -34,6 +33,7 @@ from turtleact.transports.base import (
     Caller,
     CallerAware,
     Closeable,
+    Deliver,
     Endpoint,
     Format,
     Publication,
@@ -56,8 +56,6 @@ from turtleact.transports.rmw_zenoh.session import Session
 from turtleact.transports.rmw_zenoh.topics import WirePublication, WireSubscription
 
 __all__ = ["ZenohTransport", "open_zenoh"]
-
-Deliver: TypeAlias = Callable[[object], None]
 
 
 class ZenohTransport:
