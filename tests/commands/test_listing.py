@@ -250,7 +250,14 @@ def test_an_invalid_action_name_is_shown_with_a_caret(on_graph, graphs):
 
 
 def test_nodes_that_share_a_name_are_noted(on_graph, graphs):
-    twice = graphs.in_turn(graphs.fibonacci, graphs.fibonacci)
+    @asynccontextmanager
+    async def twice(transport):
+        async with (
+            graphs.fibonacci(transport),
+            open_node("fibonacci_action_server", transport=transport),
+        ):
+            yield
+
     ran = on_graph(twice, "node", "list")
     assert ran.out == "/fibonacci_action_server\n/fibonacci_action_server\n"
     assert ran.err.endswith("hard to tell: /fibonacci_action_server\n")

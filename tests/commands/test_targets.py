@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from turtleact.commands.targets import find_actions
+from turtleact.commands.serve import find_actions
 from turtleact.errors import TurtleactError, UsageError
 
 LAB = """

@@ -12,8 +12,8 @@ from typer.core import TyperGroup
 
 from turtleact.commands import GROUPS, VERBS, send_goal, serve, verbs
 from turtleact.commands.message_text import GoalText
+from turtleact.commands.serve import find_actions
 from turtleact.commands.settings import Fleet, Place, Placing, Policies, Reach
-from turtleact.commands.targets import find_actions
 from turtleact.commands.verbs import without_daemon
 from turtleact.commands.verbs.goals import moment
 from turtleact.commands.verbs.topic import policies

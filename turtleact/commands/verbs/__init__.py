@@ -72,7 +72,8 @@ _ELSEWHERE: Final = {
 BROKEN_PIPE: Final = 141
 
 HOMES: Final = {
-    **dict.fromkeys(("send-goal", "cancel", "watch", "result"), "goals"),
+    **dict.fromkeys(("send-goal", "cancel", "watch", "result", "action"), "goals"),
+    **dict.fromkeys(("param", "service"), "node"),
     **dict.fromkeys(("run", "teleop", "snapshot"), "turtlesim"),
 }
 """The modules of the verbs that are not in a module of their own name."""
@@ -191,8 +192,9 @@ def assemble(take: Callable[..., None], *, completion: bool = True) -> typer.Typ
 
 def load(verb: str) -> Any:  # noqa: ANN401  # of click, which Typer brings along privately
     """The command or group of a verb."""
-    home = HOMES.get(verb, verb)
-    command = get_command(import_module(f"turtleact.commands.verbs.{home}").app)
+    home = import_module(f"turtleact.commands.verbs.{HOMES.get(verb, verb)}")
+    group = getattr(home, verb) if verb in GROUPS and verb in HOMES else home.app
+    command = get_command(group)
     if isinstance(command, TyperGroup) and verb not in GROUPS:
         return command.commands[verb]
     return command

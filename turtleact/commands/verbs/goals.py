@@ -1,4 +1,4 @@
-"""``send-goal``, ``goals``, ``cancel``, ``watch`` and ``result``, as Typer reads them."""
+"""The verbs about goals, and the group ``action``, as Typer reads them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import typer
 
 from turtleact.commands import VERBS, completion
 from turtleact.commands.settings import Place, quoted
-from turtleact.commands.verbs import SETTINGS, Job, Verb
+from turtleact.commands.verbs import SETTINGS, Job, Verb, new_group
 from turtleact.commands.verbs.options import (
     Config,
     Connect,
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from turtleact.commands.verbs.options import Look, Plan
     from turtleact.node import Node
 
-__all__ = ["EXAMPLES", "app", "moment", "send_goal"]
+__all__ = ["action", "app", "moment"]
 
 _GOAL_ID = re.compile(r"[0-9a-f]{4,32}")
 _SECONDS = re.compile(r"(?P<whole>[0-9]{1,10})(?:\.(?P<part>[0-9]{0,9}))?")
@@ -148,6 +148,17 @@ Before: TypeAlias = Annotated[
     ),
 ]
 
+KnownType: TypeAlias = Annotated[str, type_of("action")]
+ShowTypes: TypeAlias = Annotated[
+    bool, typer.Option("--show-types", "-t", help="Print the types too.")
+]
+CountActions: TypeAlias = Annotated[
+    bool, typer.Option("--count-actions", "-c", help="Print only how many there are.")
+]
+Count: TypeAlias = Annotated[
+    bool, typer.Option("--count", "-c", help="Print only how many there are.")
+]
+
 _CANCELING = """\
 [bold]Examples[/]
   turtleact cancel 71a9 0d4f
@@ -156,6 +167,7 @@ _CANCELING = """\
 """
 
 app = typer.Typer(**SETTINGS)
+action = new_group("action")
 
 
 @app.command("send-goal", cls=Verb, help=VERBS["send-goal"], epilog=EXAMPLES)
@@ -294,6 +306,93 @@ def result(
     """``result``."""
     plan = _follow(goal_id, "plain", hears_feedback=False)
     return on_known_graph(reach(connect, domain, config), interfaces, plan)
+
+
+action.command("send_goal", cls=Verb, help=VERBS["send-goal"], epilog=EXAMPLES)(send_goal)
+
+
+@action.command("list", cls=Verb)
+def list_actions(
+    *,
+    types: ShowTypes = False,
+    count: CountActions = False,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """List the actions on the graph."""
+    from turtleact.commands import listing
+
+    return on_graph(
+        reach(connect, domain, config),
+        lambda node: listing.print_list(node, "action", types=types, count=count, hidden=False),
+    )
+
+
+@action.command(cls=Verb)
+def info(
+    name: Name,
+    *,
+    types: ShowTypes = False,
+    count: Count = False,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Print which nodes serve an action and which are its clients."""
+    from turtleact.commands import listing
+
+    return on_graph(
+        reach(connect, domain, config),
+        lambda node: listing.print_action_info(node, name, types=types, count=count),
+    )
+
+
+@action.command("type", cls=Verb)
+def type_(name: Name, *, connect: Connect = None, domain: Domain = 0, config: Config = None) -> Job:
+    """Print the type of an action."""
+    from turtleact.commands import listing
+
+    return on_graph(
+        reach(connect, domain, config), lambda node: listing.print_type(node, "action", name)
+    )
+
+
+@action.command(cls=Verb)
+def find(
+    type_name: KnownType,
+    *,
+    count: CountActions = False,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """List the actions of a type."""
+    from turtleact.commands import listing
+
+    return on_graph(
+        reach(connect, domain, config),
+        lambda node: listing.print_found(node, "action", type_name, count=count, hidden=False),
+    )
+
+
+@action.command(cls=Verb)
+def echo(
+    name: Name,
+    *,
+    interfaces: Interfaces = None,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Print the feedback and the states of all goals of an action."""
+    from turtleact.commands import held_goals
+
+    return on_known_graph(
+        reach(connect, domain, config),
+        interfaces,
+        lambda _: lambda node: held_goals.echo(node, name),
+    )
 
 
 def moment(text: str) -> int:
