@@ -68,7 +68,7 @@ def test_an_error_is_its_message(ends):
 def test_a_bug_is_one_line_that_says_how_to_see_more(ends):
     assert ends(raises(ZeroDivisionError("by hand")))[1] == (
         "turtleact: a bug in turtleact: ZeroDivisionError: by hand; "
-        "'python -X dev -m turtleact …' shows where\n"
+        "'PYTHONDEVMODE=1 turtleact …' shows where\n"
     )
 
 

@@ -123,7 +123,7 @@ def _report(error: BaseException) -> int:
     if sys.flags.dev_mode or not isinstance(error, Exception):
         raise error
     name = type(error).__name__
-    _note(f"a bug in turtleact: {name}: {error}; 'python -X dev -m turtleact …' shows where")
+    _note(f"a bug in turtleact: {name}: {error}; 'PYTHONDEVMODE=1 turtleact …' shows where")
     return FAILED
 
 
