@@ -1686,9 +1686,9 @@ async def test_from_the_second_goal_on_each_is_sent_with_the_request_for_its_res
     kind: Any = type(current_tasks())
     spawn = kind.spawn
 
-    def note(self: Any, running: Any, name: str, *context: Any) -> Any:
+    def note(self: Any, running: Any, name: str, *context: Any, **options: Any) -> Any:
         spawned.append(name)
-        return spawn(self, running, name, *context)
+        return spawn(self, running, name, *context, **options)
 
     async with (
         two(address) as (here, there, _),
