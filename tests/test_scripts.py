@@ -131,3 +131,8 @@ def test_a_figure_is_counted_as_it_is_defined(package, row, figures):
 def test_a_cycle_names_its_modules(package):
     cycles = COUNT["cycles_of"](COUNT["modules_of"](package))
     assert (cycles.run_time, cycles.typing) == ([], [["small.other", "small.thing"]])
+
+
+def test_no_modules_of_turtleact_import_each_other():
+    cycles = COUNT["cycles_of"](COUNT["modules_of"](SCRIPTS.parent / "turtleact"))
+    assert (cycles.run_time, cycles.typing) == ([], [])
