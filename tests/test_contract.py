@@ -285,8 +285,10 @@ async def test_a_client_waits_for_its_server_by_the_clock_of_the_graph():
 async def test_the_newest_feedback_is_known_when_its_callback_is_called():
     seen = []
 
+    has_handle = anyio.Event()
+
     async def body(request, handle):
-        await take_turns()
+        await has_handle.wait()
         handle.publish_feedback(feedback(1))
         await anyio.lowlevel.checkpoint()
         return result()
@@ -298,6 +300,7 @@ async def test_the_newest_feedback_is_known_when_its_callback_is_called():
         )
         async with sending as handle:
             handles.append(handle)
+            has_handle.set()
             await handle.outcome()
     assert seen == [feedback(1)]
 

@@ -28,7 +28,6 @@ from turtleact.errors import (
 )
 from turtleact.interfaces import Message, Service, int32
 from turtleact.interfaces.standard import Fibonacci
-from turtleact.tasks import current_tasks
 from turtleact.transports import MemoryTransport, open_zenoh
 
 from .lab import (
@@ -791,7 +790,7 @@ async def cancel_after(turns: int, call: Callable[[], Any], *, is_native: bool) 
     async with anyio.create_task_group() as group:
         group.start_soon(run)
         for _ in range(turns):
-            await current_tasks().checkpoint()
+            await anyio.lowlevel.checkpoint()
         was_on = not is_over.is_set()
         scope.cancel()
     return was_on
