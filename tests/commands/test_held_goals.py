@@ -100,7 +100,7 @@ def test_an_action_that_nobody_serves_is_an_error_that_names_the_nearest(on_grap
     ],
 )
 def test_an_age_is_told_in_two_units(seconds, text):
-    assert verbs._duration(seconds) == text
+    assert verbs.duration(seconds) == text
 
 
 # --- peers that do things their own way -----------------------------------------------------
@@ -108,10 +108,13 @@ def test_an_age_is_told_in_two_units(seconds, text):
 STRANGER = bytes(range(16))
 
 
-def peer(*statuses, says=True, cancel_code=0, canceling=(), answers=True, leaves_after=None):
+def peer(
+    *statuses, says=True, cancel_code=0, canceling=(), answers=True, leaves_after=None, end=None
+):
     """An action server of another make: its endpoints, and goals of these states.
 
-    It may answer no request, and leave after so many seconds.
+    It may answer no request, and leave after so many seconds. ``end`` handles the requests for a
+    goal's result, if it is given.
     """
 
     @asynccontextmanager
@@ -122,7 +125,7 @@ def peer(*statuses, says=True, cancel_code=0, canceling=(), answers=True, leaves
             node.service(send_goal, "/far/_action/send_goal", lambda _: send_goal.Response())
             result = get_result.Response()
             canceled = [GoalInfo(UUID(goal_id)) for goal_id in canceling]
-            node.service(get_result, "/far/_action/get_result", answer(result, answers))
+            node.service(get_result, "/far/_action/get_result", end or answer(result, answers))
             response = CancelGoal.Response(cancel_code, canceled)
             node.service(CancelGoal, "/far/_action/cancel_goal", answer(response, answers))
             node.publisher(interface(f"{FIBONACCI}_FeedbackMessage"), "/far/_action/feedback")
@@ -364,22 +367,21 @@ def test_feedback_that_has_come_with_the_result_is_printed_before_it(on_graph, g
     async def nodes(transport):
         feedback_message = interface(f"{FIBONACCI}_FeedbackMessage")
         get_result = interface(f"{FIBONACCI}_GetResult")
-        async with peer(2)(transport), open_node("late", transport=transport) as node:
+        async with open_node("late", transport=transport) as node:
             feedback = node.publisher(feedback_message, "/far/_action/feedback")
-            transport._handlers.pop(("/far/_action/get_result", f"{FIBONACCI}_GetResult"))
 
             def publish():
                 for goal_id in (STRANGER, bytes(15) + b"x"):
                     parts = Fibonacci.Feedback(sequence=[goal_id[15]])
                     feedback.publish(feedback_message(UUID(goal_id), parts))
 
-            async def answer(_):
+            async def end(_):
                 await anyio.sleep(0)
                 asyncio.get_running_loop().call_soon(publish)  # when the caller is woken already
                 return get_result.Response(status=4, result=Fibonacci.Result())
 
-            node.service(get_result, "/far/_action/get_result", answer)
-            yield
+            async with peer(2, end=end)(transport):
+                yield
 
     assert on_graph(nodes, "watch", STRANGER.hex()).out == (
         "Feedback:\n    sequence:\n    - 15\n\n"
@@ -555,7 +557,7 @@ async def test_the_states_of_a_goal_that_is_watched_are_heard(graphs):
         open_node("viewer", transport=transport) as viewer,
     ):
         goal = HeldGoal(STRANGER, "/far", FIBONACCI, GoalStatus.EXECUTING, 0)
-        watched = verbs._Watched(goal)
+        watched = verbs.WatchedGoal(goal)
         statuses = viewer.subscription(GoalStatusArray, "/states")
         publisher = viewer.publisher(GoalStatusArray, "/states")
         others = GoalStatusMessage(GoalInfo(UUID(bytes(16))), 6)

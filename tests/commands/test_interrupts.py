@@ -7,7 +7,6 @@ import os
 import select
 import signal
 import time
-from math import inf
 from threading import Lock, Thread, get_ident
 
 import pytest
@@ -118,15 +117,21 @@ def spin() -> None:
         pass
 
 
-def heard_alarms(interrupts, monkeypatch) -> list[float]:
-    """When the alarm clock rings, which goes on to do what it does."""
-    rung, ring = [], interrupts._ring
+def heard_alarms(monkeypatch) -> list[float]:
+    """When the alarm clock rings, which goes on to do what it does; for handlers set from now."""
+    rung, set_handler = [], signal.signal
 
-    def hear(*_):
-        rung.append(time.monotonic())
-        ring()
+    def set_heard(number, handler):
+        if number != signal.SIGALRM or isinstance(handler, signal.Handlers):
+            return set_handler(number, handler)
 
-    monkeypatch.setattr(interrupts, "_ring", hear)
+        def hear(*arguments):
+            rung.append(time.monotonic())
+            handler(*arguments)
+
+        return set_handler(number, hear)
+
+    monkeypatch.setattr(signal, "signal", set_heard)
     return rung
 
 
@@ -303,7 +308,7 @@ def test_a_beginning_behind_a_signal_is_a_short_one(installed, monkeypatch):
 def test_behind_the_first_signal_nothing_waits_for_long_without_an_alarm(installed, monkeypatch):
     """A second one that comes in the moment before a write begins is told then."""
     monkeypatch.setattr("turtleact.commands.interrupts.GRACE", 0.001)
-    rung = heard_alarms(installed, monkeypatch)
+    rung = heard_alarms(monkeypatch)
 
     async def steps():
         signal.raise_signal(SIGINT)
@@ -313,13 +318,17 @@ def test_behind_the_first_signal_nothing_waits_for_long_without_an_alarm(install
     in_the_loop(installed, steps)
 
 
-def test_a_beginning_that_is_soon_over_leaves_the_end_to_the_loop(installed):
+def test_a_beginning_that_is_soon_over_leaves_the_end_to_the_loop(installed, monkeypatch):
+    left: list[int] = []
+    monkeypatch.setattr("turtleact.commands.interrupts.leave", left.append)
+
     async def steps():
         with installed.beginning(7):
-            installed.end_within(60.0, 8)
+            installed.end_within(0.02, 8)
             signal.raise_signal(SIGINT)
-        assert installed._due == inf
         await installed.wait(1)
+        time.sleep(0.05)  # the alarm clock would end a loop that is stuck
+        assert not left
 
     in_the_loop(installed, steps)
 

@@ -64,7 +64,7 @@ async def displayed(goal, name="/drive", turtles=("turtle1",)):
         publishers = {each: node.publisher(TurtlePose, f"/{each}/pose") for each in turtles}
         handle: Any = Handle()
         sent = Sent(node, name, "pkg/action/Name", goal, handle)
-        yield live._Picture(sent.followed()), handle, publishers
+        yield live.GoalPicture(sent.followed()), handle, publishers
 
 
 def shown(picture, width=79, height=23):
@@ -173,9 +173,15 @@ def test_a_goal_of_many_lines_does_not_flood_the_terminal(transcript, stream):
     assert lines[-2:] == ["     turtle: turtle1", ""]
 
 
-def test_a_note_does_not_stand_in_the_display(transcript, stream, capsys):
-    transcript._region.draw(["one"])
-    transcript.note("by the way")
+async def test_a_note_does_not_stand_in_the_display(transcript, stream, capsys):
+    async with open_node("stage") as node, anyio.create_task_group() as beside:
+        handle: Any = Handle()
+        transcript.accepted(Sent(node, "/x", "pkg/action/Name", Fibonacci.Goal(), handle))
+        beside.start_soon(transcript.animate)
+        while "/x" not in stream.getvalue():
+            await anyio.sleep(0.01)
+        transcript.note("by the way")
+        beside.cancel_scope.cancel()
     assert stream.getvalue().endswith("\x1b[?25h")
     assert capsys.readouterr().err == "turtleact: by the way\n"
 

@@ -385,8 +385,8 @@ def test_a_server_that_does_not_take_the_goal_is_told_of(start):
 async def test_a_goal_that_ended_in_the_moment_of_its_timeout_has_not_timed_out(capsys, interrupts):
     order: Any = SimpleNamespace()
     sent: Any = SimpleNamespace(handle=SimpleNamespace(status=GoalStatus.SUCCEEDED))
-    sending = send_goal._Sending(order, "/now", None, JsonTranscript(), interrupts)
-    await sending._time_out(sent, 0.0)
+    sending = send_goal.Sending(order, "/now", None, JsonTranscript(), interrupts)
+    await sending.time_out(sent, 0.0)
     assert capsys.readouterr().err == ""
 
 

@@ -21,7 +21,7 @@ import anyio
 import pytest
 
 import turtleact
-from turtleact.commands.serve import _listed, serve_declared
+from turtleact.commands.serve import listed, serve_declared
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.transports import MemoryTransport
@@ -467,7 +467,7 @@ def test_what_is_said_of_the_world_reaches_it(turtleact, monkeypatch):
     ],
 )
 def test_a_server_tells_of_a_few_of_many_actions(count, said):
-    assert _listed([f"/{number}" for number in range(count)]) == said
+    assert listed([f"/{number}" for number in range(count)]) == said
 
 
 def test_the_world_is_served_with_its_actions(tmp_path):

@@ -134,4 +134,4 @@ async def test_turtles_of_newer_distributions_are_turtles_too():
 )
 def test_the_distance_from_a_line_is_that_of_its_nearest_point(start, end, offset):
     place = (4.0, 3.0) if offset == 3.0 else (3.0, 4.0)
-    assert trails._offset(place, start, end) == offset
+    assert trails.offset(place, start, end) == offset

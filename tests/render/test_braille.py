@@ -62,7 +62,7 @@ def test_a_trail_follows_in_strides():
     trails = render.Trails(11.0)
     for step in range(100):
         trails.follow("leo", step / 64, 0.0, "cyan")
-    assert [round(x * 64) for x, _ in trails._places["leo"]][:4] == [0, 6, 12, 18]
+    assert [round(x * 64) for x, _ in trails.places["leo"]][:4] == [0, 6, 12, 18]
 
 
 def test_a_map_of_another_size_has_the_same_trails():

@@ -58,8 +58,10 @@ if TYPE_CHECKING:
 __all__ = [
     "STATUS_QOS",
     "HeldGoal",
+    "WatchedGoal",
     "cancel",
     "cancel_many",
+    "duration",
     "echo",
     "find_goal",
     "find_goals",
@@ -276,7 +278,7 @@ async def print_goals(node: Node, name: str | None, *, as_json: bool) -> int:
 def _row(node: Node, goal: HeldGoal, now: int) -> tuple[str, ...]:
     clients = _clients(node, goal.action)
     client = clients[0] if len(clients) == 1 else f"one of {len(clients)}" if clients else "gone"
-    age = _duration((now - goal.stamp) / SECOND)
+    age = duration((now - goal.stamp) / SECOND)
     return goal.goal_id.hex(), goal.action, goal.status.name, age, client
 
 
@@ -307,7 +309,7 @@ def _clients(node: Node, action: str) -> list[str]:
     )
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
     """A duration in its two largest units."""
     if seconds < 60:
         return f"{seconds:.1f} s"
@@ -438,7 +440,7 @@ async def follow(node: Node, wanted: str, transcript: Transcript, *, hears_feedb
     action_type = interface_class(Action, goal.type_name, f"action '{goal.action}'")
     kinds, names = implied(action_type), action_names(goal.action)
     client: Any = node.service_client(kinds.get_result, names.get_result)
-    watched = _Watched(goal)
+    watched = WatchedGoal(goal)
     age = (node.clock.now() - goal.stamp) / SECOND
     transcript.follows(Followed(node, goal.action, action_type.Goal, None, watched, age))
     async with anyio.create_task_group() as beside:
@@ -466,7 +468,7 @@ async def follow(node: Node, wanted: str, transcript: Transcript, *, hears_feedb
     return {GoalStatus.ABORTED: ABORTED, GoalStatus.CANCELED: CANCELED}.get(status, DONE)
 
 
-class _Watched:
+class WatchedGoal:
     """A goal that somebody else sent, kept up to date from its topics.
 
     Attributes:

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
     Handle: TypeAlias = ServerGoalHandle[Any, Any, Any]
 
-__all__ = ["Dashboard", "LiveTranscript"]
+__all__ = ["Dashboard", "GoalPicture", "LiveTranscript"]
 
 MOST_LINES = 40
 """How many lines of a goal are printed at most."""
@@ -60,7 +60,7 @@ class LiveTranscript:
         wants_feedback: Whether to print each feedback message too.
     """
 
-    _picture: _Picture  # from the acceptance on
+    _picture: GoalPicture  # from the acceptance on
 
     def __init__(self, stream: TextIO, *, wants_feedback: bool) -> None:
         self.wants_feedback = wants_feedback
@@ -84,7 +84,7 @@ class LiveTranscript:
 
     def follows(self, goal: Followed) -> None:
         """The goal is followed from now on."""
-        self._picture = _Picture(goal)
+        self._picture = GoalPicture(goal)
 
     async def animate(self) -> None:
         """Draw frames until the goal ends."""
@@ -148,7 +148,7 @@ class _Above(io.TextIOBase):
         return self._stream.fileno()
 
 
-class _Picture:
+class GoalPicture:
     """Composes the display of a goal."""
 
     def __init__(self, shown: Followed) -> None:

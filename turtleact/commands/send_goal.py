@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from turtleact.interfaces import Message
     from turtleact.node import Node
 
-__all__ = ["Order", "embedded_world", "run"]
+__all__ = ["Order", "Sending", "embedded_world", "run"]
 
 SUCCEEDED, REJECTED, ABORTED, CANCELED, TIMEOUT = 0, 3, 4, 5, 124
 """Exit statuses."""
@@ -104,7 +104,7 @@ def run(order: Order, interrupts: Interrupts) -> int:
     transcript = choose_transcript(order.view, wants_feedback=order.feedback)
     interrupts.restore = transcript.close
     try:
-        sending = _Sending(order, name, goal, transcript, interrupts)
+        sending = Sending(order, name, goal, transcript, interrupts)
         return runner.run(sending.run(), interrupts)
     finally:
         transcript.close()
@@ -141,7 +141,7 @@ def embedded_world(speed: float | str, seed: int) -> AbstractAsyncContextManager
     return open_world(speed=speed, seed=seed)
 
 
-class _Sending:
+class Sending:
     """Sends one goal, from the opening of the graph to the exit status."""
 
     def __init__(
@@ -235,7 +235,7 @@ class _Sending:
             transcript.note(self._way_back(sent))
             return SUCCEEDED
         if self._order.timeout is not None:
-            beside.start_soon(self._time_out, sent, self._order.timeout)
+            beside.start_soon(self.time_out, sent, self._order.timeout)
             self._interrupts.end_within(self._order.timeout + PATIENCE, TIMEOUT)
         beside.start_soon(transcript.animate)
         if transcript.wants_feedback:
@@ -308,7 +308,8 @@ class _Sending:
         if not await self._cancel(sent, status):
             self._transcript.note("the server refuses to cancel the goal, and goes on with it")
 
-    async def _time_out(self, sent: Sent, seconds: float) -> None:
+    async def time_out(self, sent: Sent, seconds: float) -> None:
+        """Cancel the goal after its time, unless it has ended by then."""
         await anyio.sleep(seconds)
         if sent.handle.status.is_terminal:  # it ended in the same moment
             return

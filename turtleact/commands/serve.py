@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from turtleact.node.conflicts import OnConflict
     from turtleact.transports import Transport, ZenohTransport
 
-__all__ = ["Service", "find_actions", "run", "serve_declared"]
+__all__ = ["ServerLog", "Service", "find_actions", "listed", "run", "serve_declared"]
 
 ROUTER = "tcp/127.0.0.1:7447"
 """Where the nodes of a machine look for a router."""
@@ -101,13 +101,13 @@ def run(service: Service, interrupts: Interrupts) -> int:
     with interrupts.beginning(0):  # a module of the user's may take any time
         declared = [each for target in service.targets for each in find_actions(target)]
     if not (service.is_live and can_move(sys.stdout)):
-        return runner.run(_serve(service, declared, _Log(None), interrupts), interrupts)
+        return runner.run(_serve(service, declared, ServerLog(None), interrupts), interrupts)
     from turtleact.commands.live import Dashboard
 
     board = Dashboard(sys.stdout)
     interrupts.restore = board.close
     try:
-        return runner.run(_serve(service, declared, _Log(board), interrupts), interrupts)
+        return runner.run(_serve(service, declared, ServerLog(board), interrupts), interrupts)
     finally:
         board.close()
 
@@ -115,7 +115,7 @@ def run(service: Service, interrupts: Interrupts) -> int:
 async def _serve(
     service: Service,
     declared: list[ActionDeclaration[..., object]],
-    log: _Log,
+    log: ServerLog,
     interrupts: Interrupts,
 ) -> int:
     opened: list[tuple[ZenohTransport, str]] = []
@@ -136,7 +136,7 @@ async def _serve(
                 log.say(f"web page, and rosbridge, at {url}")
             (transport, where), *_ = opened
             await transport.flush()
-            actions = _listed(list(node.graph().actions))
+            actions = listed(list(node.graph().actions))
             log.say(f"ready at {where}, domain {service.reach.domain}: {actions}")
             await interrupts.wait(1)
             note("no new goals are taken; those that run are ended")
@@ -221,7 +221,9 @@ async def _open_web(page: Page, node: Node) -> AsyncIterator[str]:
 
 @asynccontextmanager
 async def _open_node(
-    service: Service, graph: Callable[[Clock], AbstractAsyncContextManager[Transport]], log: _Log
+    service: Service,
+    graph: Callable[[Clock], AbstractAsyncContextManager[Transport]],
+    log: ServerLog,
 ) -> AsyncIterator[Node]:
     """Open the node that serves the targets, on a graph with or without a world."""
     async with AsyncExitStack() as stack:
@@ -288,7 +290,7 @@ async def _open_graph(
         yield transport
 
 
-def _listed(names: list[str]) -> str:
+def listed(names: list[str]) -> str:
     """Names in one line, not too many of them."""
     some = names if len(names) <= MOST_LISTED else names[: MOST_LISTED - 1]
     more = [f"and {len(names) - len(some)} more"] if some is not names else []
@@ -302,7 +304,7 @@ class _Escaping(logging.Formatter):
         return printable(super().format(record))
 
 
-class _Log:
+class ServerLog:
     """Tells the user what happens: by lines on stdout, or on a dashboard."""
 
     def __init__(self, board: Dashboard | None) -> None:

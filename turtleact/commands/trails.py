@@ -17,7 +17,15 @@ if TYPE_CHECKING:
     from turtleact.node import Node
     from turtleact.topics import Subscription
 
-__all__ = ["POSES_A_FRAME", "Course", "PoseTrails", "places_in", "pose_topics", "sends_a_turtle"]
+__all__ = [
+    "POSES_A_FRAME",
+    "Course",
+    "PoseTrails",
+    "offset",
+    "places_in",
+    "pose_topics",
+    "sends_a_turtle",
+]
 
 NEAR: Final = 0.15
 """A turtle that has come this near to a place has passed it (m)."""
@@ -109,7 +117,7 @@ class Course:
         here, self._last = self._last or (x, y), (x, y)
         if self.passed < self.stops:
             place = self._places[self.passed % len(self._places)]
-            self.passed += _offset(place, here, (x, y)) <= NEAR
+            self.passed += offset(place, here, (x, y)) <= NEAR
 
     def ahead(self) -> list[Target]:
         """The places ahead in this round, numbered as in the goal."""
@@ -156,7 +164,7 @@ def sends_a_turtle(name: str, goal: Message) -> tuple[bool, str]:
     return bool(named) or has_places, f"/{(named or 'turtle1').strip('/')}{POSE}"
 
 
-def _offset(
+def offset(
     place: tuple[float, float], start: tuple[float, float], end: tuple[float, float]
 ) -> float:
     """The distance of a place from a line segment (m)."""

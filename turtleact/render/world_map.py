@@ -190,12 +190,15 @@ class Trails:
 
     Args:
         side: Length of the world's walls (m).
+
+    Attributes:
+        places: The points of each turtle's trail (m), by the turtle's name.
     """
 
     def __init__(self, side: float) -> None:
         self._side = side
         self._canvas = Braille(1, 1)
-        self._places: dict[str, list[tuple[float, float]]] = {}
+        self.places: dict[str, list[tuple[float, float]]] = {}
         self._colours: dict[str, str] = {}
 
     def follow(self, turtle: str, x: float, y: float, colour: str) -> None:
@@ -207,7 +210,7 @@ class Trails:
             y: Where it is (m).
             colour: The colour of the whole trail.
         """
-        places = self._places.setdefault(turtle, [])
+        places = self.places.setdefault(turtle, [])
         self._colours[turtle] = colour
         if places and math.hypot(x - places[-1][0], y - places[-1][1]) < STRIDE:
             return
@@ -220,7 +223,7 @@ class Trails:
         """All trails, redrawn if the size is new."""
         if (self._canvas.width, self._canvas.height) != (2 * columns, 4 * rows):
             self._canvas = Braille(columns, rows)
-            for turtle, places in self._places.items():
+            for turtle, places in self.places.items():
                 for here, there in itertools.pairwise(places):
                     self._draw(*here, *there, self._colours[turtle])
         return self._canvas
