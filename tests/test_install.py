@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -30,3 +32,59 @@ def test_the_front_door_imports_nothing_of_the_page(module, modules_of_the_front
 
 def test_the_extra_web_is_empty_so_that_old_requirements_resolve():
     assert PROJECT["optional-dependencies"]["web"] == []
+
+
+# --- what pages and examples tell users to install ----------------------------------------------
+
+SOURCES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *(ROOT / "docs").glob("*.md"),
+    *(ROOT / "examples").glob("*.py"),
+    *(ROOT / "turtleact").rglob("*.py"),
+    ROOT / "scripts" / "check",
+]
+TEXTS = {path: path.read_text("utf-8") for path in SOURCES}
+INSTALLS = sorted(
+    {
+        found.strip()
+        for text in TEXTS.values()
+        for found in re.findall(r"\b((?:pip install|pipx|uvx) [^`'\n&]*(?:'[^'\n]*')?)", text)
+    }
+)
+PUBLISHED = ["pip install turtleact", "pipx install turtleact", "uvx turtleact serve"]
+
+
+def test_there_is_a_way_for_pip_pipx_and_uvx():
+    assert {line.partition(" ")[0] for line in INSTALLS} == {"pip", "pipx", "uvx"}
+    assert {"pip install .", "pipx install .", "uvx --from . turtleact serve"} <= set(INSTALLS)
+
+
+@pytest.mark.parametrize("line", [line for line in INSTALLS if line not in PUBLISHED])
+def test_what_is_to_be_installed_is_the_checkout_or_exists(line):
+    """pip resolves it; without a network, what is not the checkout must be here already."""
+    tool, *arguments = shlex.split(line)
+    if tool != "pip":
+        assert arguments in (["install", "."], ["--from", ".", "turtleact", "serve"])
+        return
+    if "-e" in arguments:  # would need one more build requirement, which only a network brings
+        arguments.remove("-e")
+    offline = ["--dry-run", "--no-index", "--no-deps", "--no-build-isolation", "--quiet"]
+    outcome = subprocess.run(
+        [sys.executable, "-m", "pip", *arguments, *offline],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert outcome.returncode == 0, outcome.stderr
+    assert "WARNING" not in outcome.stderr  # as for an extra that does not exist
+
+
+@pytest.mark.parametrize("line", PUBLISHED)
+def test_what_needs_a_release_says_so(line):
+    """Move it to the others once turtleact is published."""
+    for text in TEXTS.values():
+        for paragraph in text.split("\n\n"):
+            if re.search(rf"\b{line}", paragraph):
+                assert "Once turtleact is published" in paragraph
