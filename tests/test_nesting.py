@@ -40,7 +40,7 @@ from .lab import (
     running,
     settle,
 )
-from .test_execution import awaited, entered
+from .server.test_execution import awaited, entered
 from .test_policies import (
     CANCELED,
     ID,

@@ -51,8 +51,8 @@ from .lab import (
     settle,
     take_turns,
 )
-from .test_execution import awaited, entered
-from .test_server import ids
+from .server.test_execution import awaited, entered
+from .server.test_local_server import ids
 
 Send = Callable[[Lab, Count.Goal], Awaitable[Outcome[Count.Result]]]
 

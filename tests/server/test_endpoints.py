@@ -22,7 +22,7 @@ from turtleact.topics import Subscription
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Endpoint, Format
 
-from .lab import Count, Gate, count, feedback, goal, lab, result, running, settle
+from ..lab import Count, Gate, count, feedback, goal, lab, result, running, settle
 
 IMPLIED = implied(Count)
 LATCHED = QoS(depth=10, durability="transient_local")

@@ -26,7 +26,7 @@ from turtleact.feedback import FeedbackLog
 from turtleact.server.execution import BURST, CURRENT_GOAL
 from turtleact.summaries import LONGEST
 
-from .lab import (
+from ..lab import (
     ON_ASYNCIO,
     ON_TRIO,
     Count,

@@ -16,7 +16,7 @@ from turtleact.tasks import Background, current_tasks, wait_while
 from turtleact.tasks.on_asyncio import AsyncioTasks, is_in_shielded_scope
 from turtleact.tasks.on_trio import TrioTasks
 
-from .lab import ON_ASYNCIO, ON_TRIO, other_tasks, settle
+from ..lab import ON_ASYNCIO, ON_TRIO, other_tasks, settle
 
 COLOUR: ContextVar[str] = ContextVar("COLOUR", default="none")
 

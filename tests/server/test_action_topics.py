@@ -15,7 +15,7 @@ from turtleact.interfaces.standard import GoalStatusArray
 from turtleact.server.action_topics import StatusTopic
 from turtleact.server.local_server import LocalActionServer
 
-from .lab import Count, Lab, goal, lab, settle
+from ..lab import Count, Lab, goal, lab, settle
 
 
 class Topic:

@@ -26,7 +26,7 @@ from turtleact.goal import CancelCode
 from turtleact.interfaces.standard import CancelGoal
 from turtleact.tasks import current_tasks
 
-from .lab import (
+from ..lab import (
     ON_ASYNCIO,
     Count,
     Gate,

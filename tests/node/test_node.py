@@ -30,7 +30,7 @@ from turtleact.interfaces import Message, Service, int32
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.transports import MemoryTransport, open_zenoh
 
-from .lab import (
+from ..lab import (
     ON_ASYNCIO,
     Count,
     Gate,

@@ -13,7 +13,7 @@ from turtleact.clock import VirtualClock
 from turtleact.tasks import Background, new_event_loop, wait_until_idle
 from turtleact.tasks.idle import ready_callbacks as ready_of
 
-from .lab import running
+from ..lab import running
 
 
 async def test_one_is_idle_once_all_others_wait():
