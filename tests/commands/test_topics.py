@@ -496,7 +496,7 @@ def test_the_bandwidth_is_printed_each_second(on_graph, graphs):
     ran = on_graph(nodes, "topic", "bw", "/turtle1/pose")
     assert ran.out == (
         "Subscribed to [/turtle1/pose]\n"
-        "1.51 KB/s from 62 messages\n\tMessage size mean: 0.02 KB min: 0.02 KB max: 0.02 KB\n"
+        "1.51 KB/s from 63 messages\n\tMessage size mean: 0.02 KB min: 0.02 KB max: 0.02 KB\n"
         "1.50 KB/s from 100 messages\n\tMessage size mean: 0.02 KB min: 0.02 KB max: 0.02 KB\n"
     )
 
