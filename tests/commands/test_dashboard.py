@@ -194,6 +194,13 @@ async def test_many_goals_are_counted(monkeypatch):
         assert any(line.endswith("… 2 more") for line in lines)
 
 
+async def test_the_last_place_counts_though_no_frame_was_drawn_since():
+    async with served() as (board, node):
+        client = node.action_client(Patrol, "/patrol")
+        await client.send_goal(Patrol.Goal(targets=[Point(x=6.0, y=5.5)]))
+        assert any("SUCCEEDED" in line and "1 of 1 places" in line for line in shown(board, 140))
+
+
 async def test_only_so_many_turtles_are_followed_on_their_way(monkeypatch):
     monkeypatch.setattr(live, "MOST_TURTLES", 1)
     async with served(turtles=2) as (board, node):

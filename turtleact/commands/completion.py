@@ -1,4 +1,4 @@
-"""What the Tab key offers for each argument, as Typer's ``autocompletion=`` asks for it.
+"""Completion by the Tab key: functions for Typer's ``autocompletion=``.
 
 Each function takes Typer's context, which holds the arguments typed so far, and the word begun, and
 gives the values that may stand there. Typer drops those that do not begin with that word, and
@@ -66,14 +66,14 @@ EMBEDDED: Final = {
 """The actions, with their types, of the world that ``send-goal`` starts if it finds no graph."""
 
 LARGEST: Final = 100_000
-"""Only so many characters of a module are searched for actions."""
+"""How many characters of a module are searched for actions."""
 
 _DECLARING: Final = re.compile(r"\bturtleact\b")
 _FOR_BASH: Final = str.maketrans({each: f"\\{each}" for each in '"\\$`'})
 
 
 def _silent(complete: Complete) -> Complete:
-    """Offer nothing instead of raising, also where a module ends the program on import."""
+    """Offer nothing instead of raising, even if a module calls `sys.exit` on import."""
 
     @wraps(complete)
     def offer(ctx: typer.Context, incomplete: str) -> Candidates:
@@ -278,7 +278,7 @@ def _folder(ctx: typer.Context) -> str | None:
 
 
 def _reach(ctx: typer.Context) -> Reach:
-    """The graph that the options on the line mean."""
+    """The graph that the options on the line select."""
     given = ctx.params
     config = given.get("config")
     return Reach.of(
@@ -287,7 +287,7 @@ def _reach(ctx: typer.Context) -> Reach:
 
 
 def _look(where: Reach) -> Graph:
-    """Who is on the graph.
+    """The nodes and endpoints on the graph.
 
     Raises:
         TurtleactError: if there is none in reach.

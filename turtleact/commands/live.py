@@ -376,6 +376,7 @@ class _Served:
         """Record a change of state."""
         self._status = status
         if status.is_terminal:
+            self.look()  # the last place is often reached after the last frame
             self.ended_at = self._clock.time()
             if self._poses is not None:
                 self._poses.close()

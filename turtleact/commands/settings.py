@@ -1,4 +1,4 @@
-"""What the options of a command line ask for, as data.
+"""The values of a command line's options, as data.
 
 The verbs fill these structs in, and the modules that do the work read them. Nothing heavy is
 imported here, because every verb needs this module before it knows what it has to do.
@@ -34,7 +34,7 @@ Reliability: TypeAlias = Literal["reliable", "best_effort"]
 Placing: TypeAlias = Literal["random", "grid", "ring"]
 
 LONGEST_SHOWN = 60
-"""So many characters of an argument are repeated in an error."""
+"""How many characters of an argument an error repeats at most."""
 
 _PORT = re.compile(r"(tcp|udp|tls|quic|ws)/(.*:(?P<port>[0-9]{1,9})|.*)")
 _ENDPOINT = re.compile(r"[a-z][a-z0-9]*/\S+")
@@ -55,7 +55,7 @@ class Reach(NamedTuple):
 
     @classmethod
     def of(cls, connect: str | None, domain: int, config: str | None) -> Reach:
-        """The graph that options mean.
+        """The graph that the options select.
 
         Raises:
             UsageError: if ``connect`` makes no sense.
@@ -63,7 +63,7 @@ class Reach(NamedTuple):
         return cls(endpoints("--connect", connect), domain, config)
 
     def locks(self) -> Locks:
-        """What the file says.
+        """Read the ``--config`` file.
 
         Raises:
             UsageError: if it cannot be read, or makes no sense.
@@ -169,6 +169,6 @@ def endpoints(option: str, text: str | None) -> tuple[str, ...]:
 
 
 def quoted(text: str) -> str:
-    """What the user typed, in quotes, and not too much of it."""
+    """Quote what the user typed, shortened if it is long."""
     shown = text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"
     return f"'{printable(shown)}'"

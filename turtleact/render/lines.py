@@ -29,7 +29,7 @@ LONGEST_LIST: Final = 8
 """How many elements of a list are shown: its first and its last."""
 
 LONGEST_TEXT: Final = 400
-"""How many characters of a text are used; the window shows fewer."""
+"""How many characters of a text are kept; no window shows more."""
 
 
 def lines(content: Picture, *, width: int, height: int) -> list[str]:

@@ -49,7 +49,7 @@ SETTINGS: Final[dict[str, Any]] = {
 """What all groups of verbs have in common."""
 
 _VALUE: Final = re.compile(r"-[\d.\s]|---\s")
-"""How a value begins that has a dash and is no option: ``-5``, ``- x: 1``, a YAML document."""
+"""How a value with a leading dash begins: ``-5``, ``- x: 1``, or a YAML document."""
 
 _ELSEWHERE: Final = {
     "bag": "'turtleact topic echo NAME --csv' prints messages, one a line, to keep in a file",
@@ -76,7 +76,7 @@ HOMES: Final = {
     **dict.fromkeys(("param", "service"), "node"),
     **dict.fromkeys(("run", "teleop", "snapshot"), "turtlesim"),
 }
-"""The modules of the verbs that are not in a module of their own name."""
+"""Where to find the verbs that have no module of their own name."""
 
 PANELS: Final = {
     **dict.fromkeys(("send-goal", "goals", "cancel", "watch", "result"), "Goals"),
@@ -87,7 +87,7 @@ PANELS: Final = {
 
 
 class Verb(TyperCommand):
-    """A command that takes what ``ros2`` takes, and says what is wrong as Typer does."""
+    """A command that accepts what ``ros2`` accepts; its usage errors look like Typer's."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
         """Read the arguments; values may begin with a dash, and there is no daemon."""
@@ -102,7 +102,7 @@ class Verb(TyperCommand):
         return left
 
     def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]  # noqa: ANN401  # as above; the job
-        """Make the job; what our own checks refuse is a usage error like Typer's."""
+        """Make the job; report errors of our own checks as Typer reports its own."""
         try:
             return super().invoke(ctx)
         except UsageError as error:
@@ -148,9 +148,9 @@ class LazyGroup(Group):
 
 
 def parse(arguments: Sequence[str]) -> Job:
-    """The job that a command line asks for; Typer prints help, completions and usage errors.
+    """Parse a command line into a job; Typer prints help, completions and usage errors.
 
-    What Typer has done already leaves a job that only returns its exit status.
+    If Typer has done everything itself, the job only returns the exit status.
     """
     jobs: list[Job | None] = []
     # The options for completion can only stand before a verb. Even when they are absent, Typer
@@ -218,7 +218,7 @@ def new_group(name: str) -> typer.Typer:
 
 
 def without_daemon(args: Sequence[str]) -> list[str]:
-    """Arguments without the options that tell ``ros2`` how to use its daemon: we have none.
+    """Remove the options about the daemon of ``ros2``: turtleact has no daemon.
 
     >>> without_daemon(["--no-daemon", "--spin-time", "2", "-t", "--spin-time=1"])
     ['-t']
@@ -265,11 +265,11 @@ def _root(
 
 
 def _unloaded() -> None:
-    """Stands for a verb in the list; `LazyGroup` puts the verb in its place."""
+    """A placeholder for a verb in the list; `LazyGroup` replaces it."""
 
 
 def _daemon(what: Annotated[str, typer.Argument()] = "") -> Job:  # noqa: ARG001  # whatever it is
-    """What ``ros2 daemon`` is asked: we have none."""
+    """Answer ``ros2 daemon``: turtleact has no daemon."""
     typer.echo("The daemon is not running: each command asks the graph itself")
     return partial(_exit_status, 0)
 
@@ -279,7 +279,7 @@ def _exit_status(status: int, _: Interrupts) -> int:
 
 
 def _check_text(ctx: typer.Context, param: Any) -> None:  # noqa: ANN401  # option or argument
-    """Refuse text that is not UTF-8; only names of files may be, and those are paths."""
+    """Refuse text that is not UTF-8, except in paths: a file may have any name."""
     value = ctx.params.get(param.name)
     for text in value if isinstance(value, list | tuple) else [value]:
         if not isinstance(text, str):

@@ -1,4 +1,4 @@
-"""The options that verbs share, as Typer declares them, and what their values mean."""
+"""The options that several verbs share, as Typer declarations, and how their values are parsed."""
 
 from __future__ import annotations
 
@@ -48,16 +48,16 @@ Look: TypeAlias = Callable[["Node"], Awaitable[int]]
 """Looks at the graph through a node and returns the exit status."""
 
 Plan: TypeAlias = Callable[[Interrupts], Look]
-"""Does what comes before the graph, such as reading stdin, and returns the look."""
+"""Does what must happen before the graph is opened, such as reading stdin; returns the look."""
 
 GRAPH = "Graph"
-"""The heading of the options that say which graph is meant."""
+"""The heading of the options that select a graph."""
 
 MOST_DOMAIN = 232
 """The highest domain; source: the ROS 2 article "The ROS_DOMAIN_ID"."""
 
 MOST_DIGITS = 18
-"""A whole number has no more digits, so that it fits 64 bits."""
+"""The most digits of a whole number, so that it fits 64 bits."""
 
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+)+")
 
@@ -121,7 +121,7 @@ Plain: TypeAlias = Annotated[
 
 
 def reach(connect: str | None = None, domain: int = 0, config: Path | None = None) -> Reach:
-    """The graph that these options mean; raises as `Reach.of` does."""
+    """The graph that these options select; raises as `Reach.of` does."""
     return Reach.of(connect, domain, None if config is None else str(config))
 
 
@@ -142,7 +142,7 @@ def on_graph(where: Reach, look: Look) -> Job:
 
 
 def on_known_graph(where: Reach, interfaces: Path | None, plan: Plan) -> Job:
-    """A job that looks at a graph, once the interfaces are known and ``plan`` is carried out."""
+    """A job that makes the interfaces known, carries out ``plan``, then looks at a graph."""
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph
@@ -155,7 +155,7 @@ def on_known_graph(where: Reach, interfaces: Path | None, plan: Plan) -> Job:
 
 
 def type_of(kind: Kind, *, is_asked: bool = False) -> Any:  # noqa: ANN401  # as typer.Argument
-    """The argument TYPE; if it may be left out, the graph is asked."""
+    """The argument TYPE; if it is optional, the graph is asked for a missing one."""
     name = f"pkg/{completion.SUFFIXES[kind]}/Name"
     return typer.Argument(
         metavar="TYPE",
@@ -166,7 +166,7 @@ def type_of(kind: Kind, *, is_asked: bool = False) -> Any:  # noqa: ANN401  # as
 
 
 def message_of(what: str, metavar: str = "VALUES") -> Any:  # noqa: ANN401  # likewise
-    """The argument that is a message."""
+    """The argument that takes a message."""
     return typer.Argument(
         metavar=metavar,
         help=f"The {what}, as YAML or JSON. {{}} if left out.",
@@ -178,7 +178,7 @@ def message_of(what: str, metavar: str = "VALUES") -> Any:  # noqa: ANN401  # li
 def type_and_text(
     type_name: str | None, text: str | None, what: str
 ) -> tuple[str | None, str | None]:
-    """Tell TYPE from the text of a message: the first alone is a type if it looks like one.
+    """Tell a type from the text of a message; a single argument may be either.
 
     Args:
         type_name: What was typed in the place of the type.
@@ -199,14 +199,14 @@ def type_and_text(
 
 
 def only_one(what: str, **given: bool) -> None:
-    """Refuse what is said in two ways.
+    """Refuse options that exclude each other.
 
     Args:
-        what: What is said.
-        **given: Whether each way was taken, by its name: ``goal_file`` is ``--goal-file``.
+        what: What all of them give, for the error.
+        **given: Whether each was given, by its name: ``goal_file`` is ``--goal-file``.
 
     Raises:
-        UsageError: if more than one was.
+        UsageError: if more than one was given.
     """
     if sum(given.values()) > 1:
         *names, last = (name if name.isupper() else f"--{name.replace('_', '-')}" for name in given)
