@@ -30,13 +30,12 @@ from .client.test_cancelling import (
     by_its_task,
     by_move_on_after,
     in_process,
-    no_patience,
     over_zenoh,
 )
 from .conftest import INSTALLED, LOOPS
 from .lab import ON_ASYNCIO, Count, Running, feedback, goal, result, running, settle
 
-__all__ = ["address", "no_patience"]  # fixtures
+__all__ = ["address"]  # a fixture
 
 Send: TypeAlias = Callable[[], Any]
 
@@ -289,7 +288,12 @@ async def test_a_body_that_does_not_handle_the_failure_of_a_child_is_aborted(
     ("where", "when"),
     [(in_process, "at once"), (in_process, "after a wait"), (over_zenoh, "after a wait")],
 )
-def test_a_body_that_exits_ends_its_goal_and_then_the_program(loop, wait, where, address, when):
+def test_a_body_that_exits_ends_its_goal_and_then_the_program(
+    loop, wait, where, address, when, monkeypatch
+):
+    # A closing server waits this long for a client that has yet to ask for the result.
+    monkeypatch.setattr("turtleact.server.endpoints.LATE_REQUEST", 0.0)
+
     async def body(request: Count.Goal) -> Count.Result:
         if when == "after a wait":
             await anyio.lowlevel.checkpoint()
