@@ -78,11 +78,11 @@ def test_a_note_that_is_no_text_is_read_all_the_same():
         ),
         (
             b"\xff" * 8 + WRITTEN[8:],
-            "attachment: a sequence number and a time are not negative: -1, 1700000000123456789",
+            "attachment: sequence number and time must not be negative: -1, 1700000000123456789",
         ),
         (
             WRITTEN[:8] + b"\xff" * 8 + WRITTEN[16:],
-            "attachment: a sequence number and a time are not negative: 1, -1",
+            "attachment: sequence number and time must not be negative: 1, -1",
         ),
     ],
     ids=["nothing", "short", "gid", "sequence", "stamp"],

@@ -84,7 +84,7 @@ def test_a_file_and_where_to_connect():
         ),
         (
             {"config": {"mode": object}},
-            "option 'config': expected values that JSON can say: "
+            "option 'config': expected values that fit in JSON: "
             "Object of type type is not JSON serializable",
         ),
     ],

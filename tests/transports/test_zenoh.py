@@ -1803,7 +1803,7 @@ class Unending:
 
 def test_a_session_that_zenoh_cannot_close_is_left_behind_with_a_word(caplog):
     Session(cast("zenoh.Session", Unending())).close()
-    said = "Zenoh cannot close its session: close operation timed out; it is left behind"
+    said = "Zenoh cannot close its session: close operation timed out; it is left open"
     assert caplog.messages == [said]
 
 

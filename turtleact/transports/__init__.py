@@ -1,4 +1,4 @@
-"""How messages travel between nodes; the names that are public."""
+"""How messages travel between nodes. This package exports the public names."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["MemoryTransport", "QoS", "Transport", "ZenohTransport", "open_zenoh"
 
 
 def __getattr__(name: str) -> object:
-    """Imports a transport, ``rmw_zenoh`` with Zenoh, when one of its names is first asked for."""
+    """Import a transport on first use, so that Zenoh is loaded only if it is needed."""
     if name == "MemoryTransport":
         from turtleact.transports.memory import MemoryTransport
 

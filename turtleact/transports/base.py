@@ -81,7 +81,7 @@ class QoS(msgspec.Struct, frozen=True, kw_only=True):
         reliability: ``"best_effort"`` allows the transport to lose messages.
 
     Raises:
-        InvalidMessage: if one of them is something else.
+        InvalidMessage: if an attribute has another value.
     """
 
     depth: int = 10
@@ -103,15 +103,15 @@ _POLICIES = {
 
 
 class TimePolicies(msgspec.Struct, frozen=True, gc=False):
-    """The QoS policies of an endpoint of ROS 2 that count in time.
+    """The QoS policies of a ROS 2 endpoint that are measured in time.
 
-    turtleact shows those of its peers. It offers none itself and enforces none.
+    turtleact shows those of its peers. Its own endpoints have none, and it enforces none.
 
     Attributes:
         deadline: The longest time between two messages (ns); None if there is no limit.
         lifespan: How long a message is valid (ns); None for ever.
         liveliness: Who asserts that a publisher is alive, such as ``"automatic"``.
-        lease: How long a publisher counts as alive without that (ns); None for ever.
+        lease: How long a publisher counts as alive without asserting it (ns); None for ever.
     """
 
     deadline: int | None = None
@@ -121,23 +121,23 @@ class TimePolicies(msgspec.Struct, frozen=True, gc=False):
 
 
 STATUS_QOS = QoS(depth=1, durability="transient_local")
-"""That of an action's status topic."""
+"""The quality of service of an action's status topic."""
 
 
 class Endpoint(msgspec.Struct, frozen=True, gc=False):
     """One end of a topic or service.
 
     Attributes:
-        kind: What it does there.
+        kind: The role of the endpoint.
         name: The fully qualified name of the topic or service.
         type_name: The interface, ``pkg/kind/Name``.
         node: The fully qualified name of its node.
         qos: Quality of service, for topics.
-        times: More of it, as a peer of ROS 2 declares it.
-        type_hash: The hash of its type, where it is known from a wire.
-        gid: The 16 bytes that name it on a wire, where it has such.
-        on_demand: Whether other processes see it only once one of them has an endpoint of this
-            name. For thousands of endpoints of which few are ever used.
+        times: The QoS policies in time, as a ROS 2 peer declares them.
+        type_hash: The hash of its type, if known.
+        gid: The 16 bytes that identify it to other processes, if any.
+        on_demand: Whether other processes see it only once one of them has an endpoint with this
+            name. Useful for thousands of endpoints, few of which are ever used.
     """
 
     kind: EndpointKind
@@ -152,7 +152,7 @@ class Endpoint(msgspec.Struct, frozen=True, gc=False):
 
 
 class Format(Protocol):
-    """How an endpoint writes what it sends and reads what it receives.
+    """Converts an endpoint's messages to bytes and back.
 
     The server of a service reads requests and writes responses, its client the other way round.
     """
@@ -174,14 +174,14 @@ class MakeEndpoint(Protocol):
     def __call__(
         self, kind: EndpointKind, name: str, type_name: str, qos: QoS | None = None
     ) -> Endpoint:
-        """The description."""
+        """Return the description."""
 
 
 class Closeable(Protocol):
     """Something opened on a transport."""
 
     def close(self) -> None:
-        """Close it; a second time does nothing."""
+        """Close it. A second call does nothing."""
 
 
 class AsyncCloseable(Protocol):
@@ -224,7 +224,7 @@ class Publication(Closeable, Protocol):
 
     @property
     def has_readers(self) -> bool:
-        """Whether anybody would get a message published now, or later because it is latched."""
+        """Whether a message published now has a reader, or may get a late one (latched topics)."""
 
     @property
     def has_near_readers(self) -> bool:
@@ -241,13 +241,13 @@ class Publication(Closeable, Protocol):
         """Send an encoded message, only to subscriptions in other processes."""
 
     def expect_readers(self) -> None:
-        """Send from now on even if no reader is known: one exists, but may not be seen yet."""
+        """Send from now on, because a reader exists even if it has not been discovered yet."""
 
     def refresh(self) -> None:
-        """Publish the source's current state; over a wire, once for many calls in a row."""
+        """Publish the source's current state. Other processes get many calls in a row as one."""
 
     async def drained(self) -> None:
-        """Wait until it is not congested. Cancelling: safe."""
+        """Wait until the publication is no longer congested. Cancelling: safe."""
 
 
 class Source(Protocol):
@@ -261,13 +261,13 @@ class Source(Protocol):
         return ()
 
     def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:  # noqa: ARG002
-        """The same as bytes, for readers in other processes."""
+        """Return the same as bytes, for readers in other processes."""
         return ()
 
     def readers_changed(self, *, has_readers: bool) -> None:
-        """Called when the first reader has come, and when the last one has gone.
+        """Called when the first reader has come, and when the last one has left.
 
-        If a reader is there before the publisher, this is called while the publisher is opened.
+        If there is a reader before the publisher, this is called while the publisher is opened.
         """
 
 
@@ -276,7 +276,7 @@ class Reply(msgspec.Struct, frozen=True):
 
     Attributes:
         message: The response.
-        note: A short text beside it, which only turtleact reads.
+        note: A short text sent with it, which only turtleact reads.
     """
 
     message: object
@@ -284,12 +284,12 @@ class Reply(msgspec.Struct, frozen=True):
 
 
 class Target(msgspec.Struct, frozen=True, gc=False):
-    """Which servers get a client's requests, if several serve the same service elsewhere.
+    """Selects servers for a client's requests if several processes serve the same service.
 
     Attributes:
-        servers: ``"all"``, as in ROS 2, or ``"one"``: the nearest. Of all, the first reply is used.
-        counts: Tells from the bytes of a reply whether it counts. One that does not is used only if
-            no server sends one that does. May be called in any thread.
+        servers: ``"all"``, as in ROS 2, or ``"one"``: the nearest. With all, the first reply wins.
+        counts: Tells from a reply's bytes whether it may win. A reply that may not is used only if
+            no server sends a better one. May be called in any thread.
     """
 
     servers: Literal["one", "all"] = "all"
@@ -297,7 +297,7 @@ class Target(msgspec.Struct, frozen=True, gc=False):
 
 
 EVERY_SERVER = Target()
-"""What ROS 2's clients do."""
+"""The target of ROS 2's clients."""
 
 
 class PendingCall(Protocol):
@@ -305,49 +305,51 @@ class PendingCall(Protocol):
 
     @property
     def is_over(self) -> bool:
-        """Whether there is a reply, or will be none."""
+        """Whether a reply has arrived, or none ever will."""
 
     def tell(self, told: Callable[[], object]) -> None:
-        """Call ``told`` in the event loop when the call is over; once or more often."""
+        """Call ``told`` in the event loop, at least once, when the call is over."""
 
     def take(self) -> Reply:
-        """The reply of a call that is over; raises as `Caller.call` does, each time."""
+        """Return the reply of a call that is over; raises like `Caller.call`, each time."""
 
     async def reply(self) -> Reply:
-        """Wait for the reply; as `take` then."""
+        """Wait for the reply, then return or raise like `take`."""
 
     def drop(self) -> None:
-        """Give the reply up. Does nothing once the reply was taken."""
+        """Give up the reply. Does nothing after the reply was taken."""
 
 
 class Caller(Closeable, Protocol):
-    """The asking end of a service."""
+    """The client end of a service."""
 
     @property
     def is_served(self) -> bool:
         """Whether a call would reach a server now. Changes only when the graph does."""
 
     async def call(self, request: object) -> Reply:
-        """Send a request, and wait for the reply.
+        """Send a request and wait for the reply.
 
-        Cancelling: safe; a server in the same process is told.
+        Cancelling: safe. A server in the same process is told.
 
         Raises:
-            InvalidMessage: if the request does not fit its type; nothing was sent.
-            ServerUnavailable: if nobody serves it, or under another type, or the server went away.
-            ServiceError: if the handler failed; what it raised on purpose comes as it is.
+            InvalidMessage: if the request does not fit its type. Nothing was sent.
+            ServerUnavailable: if nobody serves the service, or serves it with another type, or if
+                the server went away.
+            ServiceError: if the handler failed. If the handler raised a `TurtleactError`, that
+                error is raised here instead.
             TurtleactError: if the caller is closed.
         """
 
     def ask(self, request: object) -> PendingCall | None:
-        """Send a request to another process now; None if that would have to wait: use `call` then.
+        """Send a request to another process now; return None if `call` would have to wait first.
 
         Raises:
-            InvalidMessage: if the request does not fit its type; nothing was sent.
+            InvalidMessage: if the request does not fit its type. Nothing was sent.
         """
 
     def why_not_served(self, suffix: str = "") -> str:
-        """Why a call would reach no server; ``suffix`` is left out of the types that are named."""
+        """Explain why a call would reach no server; ``suffix`` is cut from the type names shown."""
 
 
 @runtime_checkable
@@ -378,10 +380,10 @@ class Transport(Protocol):
     """A graph of endpoints.
 
     Attributes:
-        clock: The time of all nodes on it.
-        round_trip: How long others took to say who is there (s); 0 if nobody was asked.
-        discovery_ends: Until when servers that exist already may not be seen yet (in the event
-            loop's time, that of `anyio.current_time`); -inf if all are seen at once.
+        clock: The time of all nodes on the graph.
+        round_trip: How long other processes took to answer who exists (s); 0 if none was asked.
+        discovery_ends: Until then, servers that already exist may not have been seen (event loop
+            time, as `anyio.current_time`); -inf if all are seen at once.
     """
 
     clock: Clock
@@ -399,18 +401,18 @@ class Transport(Protocol):
         """Open the receiving end of a topic; ``deliver`` gets each message."""
 
     def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
-        """Offer ``handler`` as the server of a service, and appear in the graph as its server.
+        """Offer ``handler`` as the server of a service, and show the service on the graph.
 
         Each request of another process runs in its own task. Closing the service lets these tasks
         finish; closing the transport cancels them.
 
-        If a node serves a name and type more than once, it is one service to others, so that no
-        client gets two replies: the handler that came first answers. It finds the others by
-        `all_local`, in case it has to answer for them.
+        If a node serves the same name and type several times, other processes see one service, so
+        that no client gets two replies. The oldest handler answers. It finds the others with
+        `all_local`, in case it must answer for them.
         """
 
     def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
-        """Appear in the graph as a client of a service, and be able to call it."""
+        """Show a client of a service on the graph, and return the object to call it with."""
 
     def local(self, name: str, type_name: str) -> object | None:
         """The handler that serves a service in this process, if there is one."""
@@ -419,13 +421,13 @@ class Transport(Protocol):
         """All handlers that serve a service in this process, in the order they were offered."""
 
     def enter(self, node: str) -> Closeable:
-        """Appear in the graph as a node of this fully qualified name."""
+        """Show a node with this fully qualified name on the graph."""
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints of the graph, or those of a name, in the order of their opening."""
+        """All endpoints on the graph, or those with a name, in the order they were opened."""
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """The endpoints that were opened in this process, or those of a name."""
+        """The endpoints opened in this process, or those with a name."""
 
     def nodes(self) -> tuple[str, ...]:
         """The names of all nodes, in the order they appeared. A name may occur twice."""
@@ -450,13 +452,13 @@ async def wait_until_served(
 
     Args:
         transport: The graph.
-        find: Gives the server, or None.
-        timeout: How long to wait (s, by the clock of the graph); None for ever.
+        find: Returns the server, or None.
+        timeout: How long to wait (s, by the graph's clock); None for no limit.
 
     Raises:
         InvalidOption: if ``timeout`` is not a number.
     """
-    from turtleact.clock import check_timeout, within  # who only knows names does without
+    from turtleact.clock import check_timeout, within  # slow to import, and rarely needed
 
     check_timeout(timeout)
     async with within(timeout, transport.clock):
@@ -466,14 +468,14 @@ async def wait_until_served(
 
 
 async def find_server(transport: Transport, find: Callable[[], T | None]) -> T | None:
-    """What ``find`` finds now, or while the graph is still being discovered.
+    """Return the server that ``find`` finds, waiting while the graph is still being discovered.
 
-    A transport that was opened a moment ago may not have seen a server that has been there for
-    long. So this waits for a server until `Transport.discovery_ends`; after that it does not wait.
+    A transport that was opened a moment ago may not have seen an older server yet. Therefore this
+    waits until `Transport.discovery_ends`, and does not wait after that.
 
     Cancelling: safe.
     """
-    import anyio  # the completion of command lines has no event loop, and starts without it
+    import anyio  # slow to import, and command-line completion has no event loop
 
     found = find()
     if found is None and (rest := transport.discovery_ends - anyio.current_time()) > 0:
@@ -484,12 +486,12 @@ async def find_server(transport: Transport, find: Callable[[], T | None]) -> T |
 
 
 def why_not_served(servers: Sequence[Endpoint], wanted: Endpoint, suffix: str = "") -> str:
-    """Why a client finds no server.
+    """Explain why a client finds no server.
 
     Args:
-        servers: The endpoints of the service's name, clients among them.
+        servers: All endpoints with the service's name, clients included.
         wanted: The client; its type hash is compared if it has one.
-        suffix: What the types end in and users do not say.
+        suffix: The end of the type names that users do not write.
     """
     others = [each for each in servers if each.kind == "service" and each.name == wanted.name]
     hashes = {each.type_hash for each in others if each.type_name == wanted.type_name}

@@ -1,7 +1,7 @@
-"""Inside one process: hands each message on as it is, in the publisher's own call.
+"""The transport inside one process: passes message objects on within the publisher's call.
 
-Messages are shared, not copied: a publisher gives away a snapshot. No format is ever asked, nothing
-is ever congested. One event loop only.
+Messages are shared, not copied, so a publisher must not change a message afterwards. Formats are
+never used, and nothing is ever congested. One event loop only.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ Leave: TypeAlias = Callable[[], None]
 class MemoryTransport:
     """A graph inside one process and one event loop.
 
-    Nodes that are given the same object see each other.
+    Nodes with the same transport object see each other.
 
     Args:
-        clock: The time of all nodes on it; wall time if left out.
+        clock: The time of all nodes on the graph; wall time if left out.
     """
 
     def __init__(self, clock: Clock | None = None) -> None:
@@ -58,7 +58,7 @@ class MemoryTransport:
         self._topics: dict[Key, _Topic] = {}
         self._handlers: dict[Key, list[_Offer]] = {}
         self._endpoints: dict[int, Endpoint] = {}
-        self._by_name: dict[str, dict[int, Endpoint]] = {}  # the same
+        self._by_name: dict[str, dict[int, Endpoint]] = {}  # the same endpoints by name
         self._nodes: dict[int, str] = {}
         self._opened = 0
         self.changes = 0
@@ -70,7 +70,7 @@ class MemoryTransport:
         format: Format,  # noqa: ARG002  # no bytes travel here
         source: Source | None = None,
     ) -> Publication:
-        """Open the sending end of a topic; with a source, nothing is latched but what it makes."""
+        """Open the sending end of a topic; with a source, only its messages are latched."""
         topic = self._topic(endpoint)
         publication = _Publication(topic, endpoint.qos, source)
         topic.publications.append(publication)
@@ -105,10 +105,9 @@ class MemoryTransport:
         format: Format,  # noqa: ARG002  # as above
         handler: object,
     ) -> Closeable:
-        """Offer ``handler`` as a server; of several, the one that came first is found.
+        """Offer ``handler`` as a server; clients find the oldest one.
 
-        The handlers of one node are one endpoint of the graph, which is there until the last of
-        them is closed.
+        The handlers of one node appear as one endpoint on the graph, until the last is closed.
         """
         key, offer = _key(endpoint), _Offer(handler, endpoint.node)
         offers = self._handlers.setdefault(key, [])
@@ -126,23 +125,23 @@ class MemoryTransport:
         format: Format,  # noqa: ARG002  # as above
         target: Target = EVERY_SERVER,  # noqa: ARG002  # a request goes to the first server
     ) -> Caller:
-        """Appear in the graph as a client of a service, and be able to call it."""
+        """Show a client of a service on the graph, and return the object to call it with."""
         caller = _Caller(self, endpoint, endpoint.gid or self._opened.to_bytes(16))
         leave = partial(self._lose, caller)
         caller.on_close = self._appear_as(endpoint, leave)
         return caller
 
     def local(self, name: str, type_name: str) -> object | None:
-        """The handler that serves a service, if there is one."""
+        """The oldest handler that serves a service, or None."""
         offers = self._handlers.get((name, type_name))
         return offers[0].handler if offers else None
 
     def all_local(self, name: str, type_name: str) -> tuple[object, ...]:
-        """All handlers that serve it, the one that came first before others."""
+        """All handlers that serve a service, oldest first."""
         return tuple(offer.handler for offer in self._handlers.get((name, type_name), ()))
 
     def handlers(self, name: str) -> list[object]:
-        """The handlers of all services of that name, whatever their type."""
+        """The handlers of all services with that name, whatever their type."""
         return [
             offer.handler
             for key, offers in self._handlers.items()
@@ -151,23 +150,23 @@ class MemoryTransport:
         ]
 
     def enter(self, node: str) -> Closeable:
-        """Appear in the graph as a node."""
+        """Show a node on the graph."""
         number = self._number()
         self._nodes[number] = node
         self.tell_change()
         return _Opened(partial(self._depart, number))
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints of the graph, or those of a name, in the order of their opening."""
+        """All endpoints on the graph, or those with a name, in the order they were opened."""
         found = self._by_name.get(name, {}) if name else self._endpoints
         return tuple(found.values())
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """The same: all of them are in this process."""
+        """The same as `endpoints`, because all of them are in this process."""
         return self.endpoints(name)
 
     def nodes(self) -> tuple[str, ...]:
-        """The names of all nodes, in the order of their coming; a name may be there twice."""
+        """The names of all nodes, in the order they appeared. A name may occur twice."""
         return tuple(self._nodes.values())
 
     async def wait_for_change(self) -> None:
@@ -177,7 +176,7 @@ class MemoryTransport:
         await self._changed.wait()
 
     def tell_change(self) -> None:
-        """Note a change, and wake all who wait for one: it may have been made elsewhere."""
+        """Count a change of the graph, made here or elsewhere, and wake those who wait for one."""
         self.changes += 1
         if self._changed is not None:
             self._changed.fire()
@@ -217,9 +216,10 @@ class MemoryTransport:
             self.tell_change()
 
     def _appear_as(self, endpoint: Endpoint, leave: Callable[[], None]) -> Leave:
-        """Show an endpoint in the graph until what is given back is called.
+        """Show an endpoint on the graph; return the function that removes it.
 
-        There are thousands of them, so no closures are made, which are ten objects each.
+        A graph may have thousands of endpoints. `partial` needs fewer objects than closures, which
+        would take ten each.
         """
         number = self._number()
         self._endpoints[number] = endpoint
@@ -255,7 +255,7 @@ class _Topic:
     """The publications and readers of one topic.
 
     Attributes:
-        readers: Never changed but replaced, since readers come and go while one gets a message.
+        readers: Replaced, never changed, since readers come and go during a delivery.
     """
 
     def __init__(self, key: Key) -> None:
@@ -281,7 +281,7 @@ class _Publication:
     """The sending end of a topic.
 
     Attributes:
-        has_readers: See `Publication`; kept, as it is asked at each message.
+        has_readers: See `Publication`; stored, because it is read for every message.
     """
 
     on_close: Leave
@@ -319,10 +319,10 @@ class _Publication:
                 reader.take(message)
 
     def send(self, data: bytes) -> None:
-        """Nobody is in another process."""
+        """Do nothing: there are no readers in other processes."""
 
     def expect_readers(self) -> None:
-        """All readers are known here."""
+        """Do nothing: every reader is known here."""
 
     def refresh(self) -> None:
         if self.source is not None and self._topic.readers:
@@ -330,7 +330,7 @@ class _Publication:
                 self.publish(message)
 
     async def drained(self) -> None:
-        """Nothing is ever congested."""
+        """Return at once: nothing is ever congested."""
 
     def close(self) -> None:
         self._is_open = False
@@ -349,7 +349,7 @@ class _Reader:
         self._is_open = True
 
     def take(self, message: object) -> None:
-        if self._is_open:  # else it was closed by a reader that got the message first
+        if self._is_open:  # an earlier reader of this message may have closed it
             try:
                 self._deliver(message)
             except Exception:
@@ -361,7 +361,7 @@ class _Reader:
 
 
 class _Caller:
-    """The asking end of a service."""
+    """The client end of a service."""
 
     on_close: Leave
 
@@ -371,7 +371,7 @@ class _Caller:
         self._transport = transport
         self._is_open = True
         self._is_served = False
-        self._seen = -1  # the changes of the graph by which that is so
+        self._seen = -1  # the graph's change count when `_is_served` was computed
 
     @property
     def is_served(self) -> bool:
@@ -394,7 +394,7 @@ class _Caller:
             raise ServiceError(name, f"the handler failed: {summary(error)}") from error
 
     def ask(self, _request: object) -> None:
-        """Nobody is in another process."""
+        """Return None: there are no servers in other processes."""
 
     def why_not_served(self, suffix: str = "") -> str:
         endpoint = self.endpoint
@@ -409,10 +409,10 @@ class _Caller:
 
 
 class _Offer:
-    """A handler that is offered; two offers are never the same.
+    """A handler that is offered. No two offers are equal.
 
     Attributes:
-        leave: Takes the endpoint out of the graph. Of the offers of one node only one has it.
+        leave: Removes the node's endpoint from the graph. One offer of each node has it.
     """
 
     __slots__ = ("handler", "leave", "node")
@@ -424,14 +424,14 @@ class _Offer:
 
 
 class _Opened:
-    """Anything else that was opened."""
+    """Something else that was opened."""
 
     def __init__(self, on_close: Leave) -> None:
         self.close = on_close
 
 
 def _nothing() -> None:
-    """Nothing else is to be done."""
+    """Do nothing."""
 
 
 def _key(endpoint: Endpoint) -> Key:

@@ -1,4 +1,4 @@
-"""ROS 2 on Zenoh: a graph that reaches other processes and the nodes of ROS 2's ``rmw_zenoh``."""
+"""ROS 2 over Zenoh: a graph that includes other processes and ROS 2 nodes with ``rmw_zenoh``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["ZenohTransport", "open_zenoh"]
 
 
 def __getattr__(name: str) -> object:
-    """Imports the transport when it is first asked for: a `census` does without."""
+    """Import the transport on first use; `census` does not need it."""
     if name in __all__:
         from turtleact.transports.rmw_zenoh import transport
 

@@ -1,4 +1,4 @@
-"""What travels beside each message: who sent it, when, and as which one in a row. Pure.
+"""The attachment of each message: its sender, time and sequence number. Pure.
 
 ==  ====  =============================================================================
 at  size
@@ -6,12 +6,12 @@ at  size
 0   8     sequence number, a little-endian int64 from 1, counted by publisher or client
 8   8     time of sending, a little-endian int64: ns since the Unix epoch
 16  1     16, the length of what comes next
-17  16    gid of the publisher; of the client, in a request and in its reply
-33  …     a note: text in UTF-8, which only peers of our kind write and read
+17  16    gid of the publisher; in requests and replies, of the client
+33  …     a note: text in UTF-8, written and read only by turtleact
 ==  ====  =============================================================================
 
-A reply has the sequence number and gid of its request. rmw_zenoh reads the first 33 bytes, field by
-field, and never asks whether there are more: the note does no harm there.
+A reply carries the sequence number and gid of its request. rmw_zenoh reads the first 33 bytes field
+by field and never checks for more, so the note does no harm.
 
 Source: rmw_zenoh_cpp ``detail/attachment_helpers.cpp``, Jazzy from 0.2.4 to Rolling.
 """
@@ -39,18 +39,18 @@ GID_SIZE = 16
 #: An attachment without a note.
 LAYOUT = struct.Struct("<qqB16s")
 
-#: How long a note may be (bytes); what is longer is cut.
+#: The longest note (bytes); longer ones are cut.
 LONGEST_NOTE = 4096
 
 
 class Attachment(msgspec.Struct, frozen=True):
-    """What is said beside a message.
+    """The data attached to a message.
 
     Attributes:
-        sequence: Which one in a row it is, from 0.
+        sequence: The sequence number, from 0.
         stamp: When it was sent (ns since the Unix epoch).
-        gid: The 16 bytes of its publisher or client.
-        note: A text for peers of our kind.
+        gid: The 16 bytes that identify the publisher or client.
+        note: A text for other programs of turtleact.
     """
 
     sequence: int
@@ -60,21 +60,21 @@ class Attachment(msgspec.Struct, frozen=True):
 
 
 def write_attachment(sequence: int, stamp: int, gid: bytes, note: str = "") -> bytes:
-    """The bytes; a note of more than 4,096 bytes is cut."""
+    """Encode an attachment; a note of more than 4,096 bytes is cut."""
     fixed = LAYOUT.pack(sequence, stamp, GID_SIZE, gid)
     if not note:
         return fixed
-    tail = note.encode(errors="backslashreplace")  # a note never fails the message that it is with
+    tail = note.encode(errors="backslashreplace")  # a note must never make its message fail
     if len(tail) > LONGEST_NOTE:
         tail = tail[:LONGEST_NOTE].decode(errors="ignore").encode()
     return fixed + tail
 
 
 def read_attachment(data: bytes) -> Attachment:
-    """What the bytes say; a note is cut as above, and what is no UTF-8 in it is replaced.
+    """Decode an attachment; a long note is cut, and bytes that are not UTF-8 are replaced.
 
     Raises:
-        InvalidMessage: if they are not such bytes.
+        InvalidMessage: if the bytes are not an attachment.
     """
     if len(data) < LAYOUT.size:
         raise _invalid(f"expected {LAYOUT.size} bytes, got {len(data)}")
@@ -82,20 +82,20 @@ def read_attachment(data: bytes) -> Attachment:
     if size != GID_SIZE:
         raise _invalid(f"expected a gid of {GID_SIZE} bytes, not of {size}")
     if sequence < 0 or stamp < 0:
-        raise _invalid(f"a sequence number and a time are not negative: {sequence}, {stamp}")
-    note = note_in(data) if len(data) > LAYOUT.size else ""  # requests have none
+        raise _invalid(f"sequence number and time must not be negative: {sequence}, {stamp}")
+    note = note_in(data) if len(data) > LAYOUT.size else ""  # requests carry none
     return Attachment(sequence, stamp, gid, note)
 
 
 def note_in(data: bytes) -> str:
-    """The note alone, of bytes that may be anything."""
+    """Return only the note; the bytes may be anything."""
     if len(data) <= LAYOUT.size:
         return ""
     return data[LAYOUT.size : LAYOUT.size + LONGEST_NOTE].decode(errors="replace")
 
 
 def gid_in(data: bytes) -> bytes:
-    """The gid alone, of bytes that may be anything."""
+    """Return only the gid; the bytes may be anything."""
     return data[LAYOUT.size - GID_SIZE : LAYOUT.size]
 
 

@@ -1,8 +1,7 @@
-"""How a session is configured, and why it cannot be opened. Pure.
+"""The configuration of a Zenoh session, and the reason why one cannot be opened. Pure.
 
-A ``peer`` finds the others through the router that it connects to, and then talks with them
-directly, as a node of ROS 2 does. A ``client`` talks through its router only. The ``router`` is
-what the nodes of a machine look for.
+A ``peer`` finds other peers through a router and then talks with them directly, like a ROS 2 node.
+A ``client`` talks only through its router. The ``router`` is what the nodes of a machine look for.
 
 Source: ``DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5`` of rmw_zenoh; Zenoh's ``DEFAULT_CONFIG.json5``.
 """
@@ -30,11 +29,11 @@ __all__ = [
 
 Mode: TypeAlias = Literal["peer", "client", "router"]
 
-#: So long a call waits for its answer (s), as in rmw_zenoh. Zenoh keeps a timer for each until
-#: then, answered or not, so that no end at all would fill the memory.
+#: How long a call waits for its answer (s), as in rmw_zenoh. Zenoh keeps a timer per call until
+#: then, answered or not, so without an end the timers would fill the memory.
 PATIENCE = 600.0
 
-#: The last domain whose ports ROS 2 can count with.
+#: The highest domain for which ROS 2 can compute ports.
 LAST_DOMAIN = 232
 
 #: The environment variable that names the domain of a ROS 2 process.
@@ -50,44 +49,44 @@ LISTEN: dict[str, tuple[str, ...]] = {
     "router": ("tcp/127.0.0.1:7447",),
 }
 
-#: What a session has where nothing else is said: path to value.
+#: The settings of a session unless others are given: path to value.
 DEFAULTS: dict[str, object] = {
-    "scouting/delay": 0,  # or opening takes half a second
+    "scouting/delay": 0,  # otherwise opening takes half a second
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": True,
     "timestamping/enabled": True,  # latched topics need it
-    "connect/timeout_ms": 0,  # an endpoint that refuses is not tried again while opening
+    "connect/timeout_ms": 0,  # do not retry an endpoint that refuses while opening
     "connect/exit_on_failure": True,
     "listen/timeout_ms": 0,
     "listen/exit_on_failure": True,
 }
 
-#: The same, for what Zenoh has other defaults for.
+#: More settings, where Zenoh has other defaults.
 TIGHTER: dict[str, object] = {
-    # How long to wait for a peer's greeting (ms). On a line that loses each tenth packet, every
-    # second greeting takes more than two seconds.
+    # How long to wait for a peer's greeting (ms). On a connection that loses one packet in ten,
+    # every second greeting takes more than two seconds.
     "transport/unicast/open_timeout": 5000,
-    # After this time (us) a peer that stops reading is disconnected. Until then it delays others.
+    # After this time (us), a peer that stops reading is disconnected. Until then it delays others.
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,
 }
 
 
 SOURCE_LINE = re.compile(r" at /\S+:[0-9]+\.?")
 
-#: In brackets stands what happened, behind the address; before them what was tried, with it, too.
+#: Zenoh puts what happened in brackets, after an address. Before them it says what it tried.
 INNER = re.compile(r".*\[(?:\S+: )?(.*)\]")
 
 
 class SessionConfig(msgspec.Struct, frozen=True):
-    """What a session is opened with.
+    """The configuration of a session.
 
     Attributes:
         domain: The ROS domain.
-        text: A whole configuration in JSON5 to begin with; empty for Zenoh's own.
-        settings: Path to value as JSON: what is set in any case.
-        defaults: Path to value as JSON: what is set where the text says nothing.
-        connect: Where it connects to, as far as it is known here.
-        listen: Where it listens, likewise.
+        text: A complete configuration in JSON5 to start from; empty for Zenoh's own.
+        settings: Settings that always apply: path to value as JSON.
+        defaults: Settings that apply unless the text sets them: path to value as JSON.
+        connect: Where the session connects to, as far as known here.
+        listen: Where the session listens, as far as known here.
     """
 
     domain: int
@@ -99,13 +98,13 @@ class SessionConfig(msgspec.Struct, frozen=True):
 
 
 def domain_of(environment: Mapping[str, str]) -> int:
-    """The ROS domain that the environment names by ``ROS_DOMAIN_ID``, 0 if it names none.
+    """Return the ROS domain in ``ROS_DOMAIN_ID``, or 0 if it is not set.
 
     >>> domain_of({"ROS_DOMAIN_ID": "7"}), domain_of({"ROS_DOMAIN_ID": ""}), domain_of({})
     (7, 0, 0)
 
     Raises:
-        InvalidOption: if the variable is no domain.
+        InvalidOption: if the variable is not a domain.
     """
     text = environment.get(DOMAIN_VARIABLE) or "0"
     is_number = text.isascii() and text.isdigit() and len(text) <= 3
@@ -121,10 +120,10 @@ def session_config(
     domain: int,
     config: Mapping[str, object] | str,
 ) -> SessionConfig:
-    """The configuration of a session; the options are those of `open_zenoh`.
+    """Build the configuration of a session; the options are those of `open_zenoh`.
 
     Raises:
-        InvalidOption: if one of them has a value that it cannot have.
+        InvalidOption: if the value of an option is not allowed.
     """
     if mode not in get_args(Mode):
         raise InvalidOption("mode", f"expected 'peer', 'client' or 'router', not {mode!r}")
@@ -160,11 +159,11 @@ def _as_json(values: Mapping[str, object]) -> dict[str, str]:
     try:
         return {path: json.dumps(value) for path, value in values.items()}
     except (TypeError, ValueError) as error:
-        raise InvalidOption("config", f"expected values that JSON can say: {error}") from error
+        raise InvalidOption("config", f"expected values that fit in JSON: {error}") from error
 
 
 def words(text: str) -> str:
-    """What Zenoh says, without the lines of its source that it names, in brackets or behind.
+    """Return Zenoh's message without the source lines it mentions.
 
     >>> words("Unicast not supported for foo protocol at /zenoh-link/src/lib.rs:183.")
     'Unicast not supported for foo protocol'
@@ -173,11 +172,11 @@ def words(text: str) -> str:
 
 
 def why_not_open(config: SessionConfig, said: str) -> str:
-    """Why a session cannot be opened: where that was, and what to do.
+    """Explain why and where a session cannot be opened, and what to do.
 
     Args:
-        config: What it was to be opened with.
-        said: The `words` of Zenoh.
+        config: The session's configuration.
+        said: Zenoh's message, after `words`.
     """
     if "listener" in said or (config.listen and not config.connect):
         at = ", ".join(config.listen) or "the configured endpoints"

@@ -1,7 +1,7 @@
-"""What the endpoints of a transport share: its session, its event loop and threads, its local half.
+"""What the endpoints of a transport share: session, event loop, threads, and the local transport.
 
-Between the event loop and other threads stand an `Inbox` and an `Outbox`. Many messages cost one
-wake-up of the loop, and none of them ever makes it wait.
+An `Inbox` and an `Outbox` connect the event loop to other threads. Many messages cost a single
+wake-up of the loop, and none of them ever blocks it.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ logger = logging.getLogger("turtleact.transport")
 
 Job: TypeAlias = Callable[[], object]
 
-#: So many jobs are done before the event loop has its turn.
+#: How many jobs run in a row before the event loop gets a turn.
 IN_A_ROW = 100
 
-#: How many complaints about one peer are logged, in so many seconds.
+#: How many complaints about one peer are logged within the period below (s).
 LOGGED = 3
 PERIOD = 10.0
 
-#: How many peers are told apart in that time; a gid is easily made up.
+#: How many peers are told apart in that period; anybody can make up gids.
 MOST_PEERS = 100
 
 
@@ -69,27 +69,27 @@ class Named(msgspec.Struct, frozen=True):
 
     @property
     def on_demand(self) -> str:
-        """The endpoint's name if it is to be declared on demand, else empty."""
+        """The endpoint's name if it must be declared on demand, otherwise empty."""
         return self.endpoint.name if self.endpoint.on_demand else ""
 
 
 class Context:
-    """What carries the messages of a transport.
+    """Everything that the endpoints of one transport share.
 
     Attributes:
-        session: The session; used in the outbox only.
-        near: The graph within the process.
-        tasks: The event loop.
-        inbox: What came from other threads.
-        outbox: What goes to Zenoh.
+        session: The session. Only jobs in the outbox use it.
+        near: The transport inside this process.
+        tasks: The task functions of the event loop.
+        inbox: Runs jobs from other threads in the event loop.
+        outbox: Runs jobs that call Zenoh.
         crew: The tasks of the transport.
-        complaints: Warnings about what peers send.
+        complaints: Logs warnings about peers.
         domain: The ROS domain.
         opened: The nodes and endpoints that are open.
         latched: The gids of this session's latched publishers. A new latched subscription also gets
             their messages from Zenoh and must ignore them, since they came as objects already.
         sought: How many endpoints other processes have, by name.
-        asleep: The endpoints that are declared once other processes have one of their name.
+        asleep: Endpoints that are declared as soon as another process has one of the same name.
         is_open: Whether the transport is open.
     """
 
@@ -109,20 +109,20 @@ class Context:
         self.is_open = True
 
     def seek(self, name: str) -> None:
-        """Note that another process has an endpoint of this name."""
+        """Record that another process has an endpoint with this name."""
         self.sought[name] += 1
         for presence in self.asleep.pop(name, ()):
             presence.wake()
 
     def forgo(self, name: str) -> None:
-        """Note that another process has closed an endpoint of this name."""
+        """Record that another process has closed an endpoint with this name."""
         self.sought[name] -= 1
         if not self.sought[name]:
             del self.sought[name]
 
 
 class Crew:
-    """The tasks of a transport; it waits for all of them when it is closed.
+    """The tasks of a transport, which waits for all of them when it is closed.
 
     Attributes:
         running: The tasks that have not ended, by number.
@@ -134,15 +134,15 @@ class Crew:
         self._count = 0
 
     def run(self, running: Coroutine[object, object, None], name: str) -> None:
-        """Run a coroutine in a task of its own."""
+        """Run a coroutine in a new task."""
         self._count += 1
         number = self._count
         background = Background(self._run(running, number), name, self._tasks)
-        if not background.has_ended:  # its first steps may have been all
+        if not background.has_ended:  # an eager task may already have ended
             self.running[number] = background
 
     async def aclose(self) -> None:
-        """Cancel all tasks, and wait for the end of each, `GRACE` seconds at most."""
+        """Cancel all tasks and wait for each to end, at most `GRACE` seconds."""
         for background in tuple(self.running.values()):
             await background.aclose(GRACE)
 
@@ -165,29 +165,29 @@ class Counter:
         self._sequence = 0
 
     def next(self) -> bytes:
-        """The attachment of the next message."""
+        """Return the attachment of the next message."""
         self._sequence += 1
         # The same as `write_attachment`, inlined because this runs for each message.
         return LAYOUT.pack(self._sequence, time_ns(), GID_SIZE, self._gid)
 
 
 class Presence:
-    """An endpoint or node on the wire: what it declares, and its liveliness token.
+    """An endpoint or node as other processes see it: its declarations and its liveliness token.
 
-    The token is declared last and undeclared first, so that others never see an endpoint that
-    cannot be reached.
+    The token is declared last and undeclared first, so that nobody sees an endpoint that cannot be
+    reached.
 
     Args:
         context: The transport's context.
         token: The token.
-        declare: Declares the rest; called in the outbox.
-        undeclare: Undeclares the rest; called in the outbox.
-        on_demand: If not empty, the name of an endpoint that is declared once another process has
-            one of that name.
+        declare: Makes the other declarations; called in the outbox.
+        undeclare: Undoes them; called in the outbox.
+        on_demand: If not empty, the endpoint is declared only once another process has an endpoint
+            with this name.
         on_wake: Called when it is declared on demand.
 
     Attributes:
-        is_asleep: Whether it waits to be declared on demand.
+        is_asleep: Whether it still waits to be declared on demand.
     """
 
     def __init__(
@@ -214,7 +214,7 @@ class Presence:
             self._appear()
 
     def wake(self) -> None:
-        """Declare it now, since another process has an endpoint of its name."""
+        """Declare it now, because another process has an endpoint with its name."""
         self._appear()
         if self._on_wake is not None:
             self._on_wake()
@@ -247,16 +247,16 @@ class Presence:
 
 
 class Opened:
-    """Something that is open within the process and on the wire until it is closed.
+    """Something open both inside the process and on Zenoh, until it is closed.
 
     Args:
         context: The transport's context.
-        near: Its half within the process.
-        presence: Its half on the wire.
+        near: Its part inside the process.
+        presence: Its part on Zenoh.
 
     Attributes:
-        is_open: Whether it is.
-        presence: Its half on the wire.
+        is_open: Whether it is open.
+        presence: Its part on Zenoh.
     """
 
     def __init__(self, context: Context, near: Closeable, presence: Presence) -> None:
@@ -267,7 +267,7 @@ class Opened:
         context.opened.add(self)
 
     def close(self) -> None:
-        """Leave the graph; a second time does nothing."""
+        """Leave the graph. A second call does nothing."""
         if self.is_open:
             self.is_open = False
             self._near.close()
@@ -276,10 +276,10 @@ class Opened:
 
 
 class Inbox:
-    """Runs jobs of other threads in the event loop, in order.
+    """Runs jobs from other threads in the event loop, in order.
 
     Args:
-        tasks: The event loop.
+        tasks: The task functions of the event loop.
     """
 
     def __init__(self, tasks: Tasks) -> None:
@@ -289,14 +289,14 @@ class Inbox:
         self._is_open = True
 
     def push(self, job: Job) -> None:
-        """Run a job in the event loop; may be called in any thread."""
+        """Run a job in the event loop. May be called in any thread."""
         self._jobs.append(job)
         if not self._is_armed:
             self._is_armed = True
             self._tasks.from_anywhere(self._work)
 
     def close(self) -> None:
-        """Do nothing more."""
+        """Run no more jobs."""
         self._is_open = False
         self._jobs.clear()
 
@@ -309,55 +309,55 @@ class Inbox:
             try:
                 jobs.popleft()()
             except Exception:
-                logger.exception("the Zenoh transport failed on what has come")
+                logger.exception("the Zenoh transport failed on a message that has come")
         if self._jobs and not self._is_armed:
             self._is_armed = True
             self._tasks.from_anywhere(self._work)
 
 
 class Outbox:
-    """A thread that runs jobs that may block, in order. It logs the exceptions of jobs.
+    """A thread that runs jobs that may block, in order, and logs their exceptions.
 
     Args:
-        name: What the thread is called.
+        name: The name of the thread.
 
     Attributes:
-        post: Takes a job; never blocks.
+        post: Adds a job; never blocks.
         thread: The thread.
     """
 
     def __init__(self, name: str) -> None:
         self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
-        self.post: Callable[[Job], None] = self._jobs.put  # without a call between
+        self.post: Callable[[Job], None] = self._jobs.put  # saves a call per job
         self._is_left = False
         self.thread = threading.Thread(target=self._work, name=name, daemon=True)
         self.thread.start()
 
     async def aclose(self) -> None:
-        """Run the remaining jobs and end. A job that hangs is left behind after `GRACE` seconds."""
+        """Run the remaining jobs and end. A job that hangs is abandoned after `GRACE` seconds."""
         self._jobs.put(None)
         await anyio.to_thread.run_sync(self.thread.join, GRACE)
         if self.thread.is_alive():
             self._is_left = True
-            logger.error("a peer takes nothing: the Zenoh transport leaves unsent what is left")
+            logger.error("a peer reads nothing: the Zenoh transport closes with messages unsent")
 
     def _work(self) -> None:
         while (job := self._jobs.get()) is not None and not self._is_left:
             try:
                 job()
             except Exception:
-                if not self._is_left:  # else the session was closed under it
-                    logger.exception("the Zenoh transport failed on what it was to send")
+                if not self._is_left:  # otherwise the session may have been closed meanwhile
+                    logger.exception("the Zenoh transport failed to send")
 
 
 class Complaints:
-    """Warnings about what peers send, a few for each peer, so that none can fill a log.
+    """Logs warnings about peers, a few per peer, so that no peer can fill the log.
 
-    The first `LOGGED` of a peer are logged as they come. What else comes within `PERIOD` seconds is
-    counted, and the count is logged after that time.
+    The first `LOGGED` warnings about a peer are logged at once. Further ones within `PERIOD`
+    seconds are counted, and the count is logged at the end of that time.
 
     Args:
-        crew: Runs what logs the counts.
+        crew: Runs the task that logs the counts.
     """
 
     def __init__(self, crew: Crew) -> None:
@@ -368,9 +368,9 @@ class Complaints:
         """Log a warning, or count it.
 
         Args:
-            about: What went wrong and where, in words.
-            peer: The gid of who sent it; empty if that is not known.
-            error: Why.
+            about: What went wrong, and where.
+            peer: The gid of the sender; empty if unknown.
+            error: The cause.
         """
         if not self._counts:
             self._crew.run(self._log_counts(), "the counts of complaints")
@@ -382,7 +382,7 @@ class Complaints:
     async def _log_counts(self) -> None:
         try:
             await anyio.sleep(PERIOD)
-        finally:  # at the close too
+        finally:  # also when the transport closes
             counts, self._counts = self._counts, Tally()
             for (about, peer), count in counts.items():
                 if count > LOGGED:

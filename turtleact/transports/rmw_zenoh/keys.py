@@ -1,8 +1,8 @@
-"""Names on Zenoh: keys of data, liveliness tokens and gids, and the graph they make. Pure.
+"""Names on Zenoh: data keys, liveliness tokens and gids, and the graph made of tokens. Pure.
 
-A topic or service has a *key expression*. Endpoints with the same key talk with each other, so the
-type and its hash are part of the key. A node or endpoint is in the graph as long as its *liveliness
-token* is. The token is a key that describes it, chunk by chunk; its gid is a hash of that key.
+A topic or service has a *key expression*. Endpoints with the same key talk to each other, so the
+key includes the type and its hash. A node or endpoint is on the graph while its *liveliness token*
+exists. The token is a key that describes it, chunk by chunk. The endpoint's gid is a hash of it.
 
 ::
 
@@ -10,8 +10,8 @@ token* is. The token is a key that describes it, chunk by chunk; its gid is a ha
     @ros2_lv/DOMAIN/ZID/NODE_ID/NODE_ID/NN/ENCLAVE/NAMESPACE/NODE                  a node
     @ros2_lv/DOMAIN/ZID/NODE_ID/ID/KIND/ENCLAVE/NAMESPACE/NODE/NAME/TYPE/HASH/QOS  an endpoint
 
-Tokens are written as rmw_zenoh writes them. Tokens that are read may have more chunks and odd
-qualities of service, because newer and older peers send such tokens.
+Tokens are written as rmw_zenoh writes them. When they are read, they may have more chunks and
+unusual qualities of service, because newer and older peers send such tokens.
 
 Source: rmw_zenoh_cpp ``detail/liveliness_utils.cpp`` and ``docs/design.md``, Jazzy to Rolling.
 """
@@ -49,10 +49,10 @@ CODES = {kind: code for code, kind in KINDS.items()}
 NODE_CHUNKS = 9
 ENDPOINT_CHUNKS = 13
 
-#: A token is read up to this many characters; names and types of ROS 2 are far shorter.
+#: Longer tokens are ignored (characters); names and types of ROS 2 are far shorter.
 LONGEST = 8192
 
-#: What a chunk of a quality of service that is left empty means, and a depth of 0 too.
+#: The meaning of an empty chunk of a quality of service, and of a depth of 0.
 DEFAULT_DEPTH = 42
 TRANSIENT_LOCAL = "1"
 BEST_EFFORT = "2"
@@ -64,12 +64,12 @@ LIVELINESS = {
     "5": "best_available",
 }
 
-#: From so many seconds on a duration is infinite: ROS 2 writes 9,223,372,036 s, or nothing.
+#: Durations from here on are infinite (s): ROS 2 writes 9,223,372,036 s, or nothing.
 INFINITE = 9_223_372_036
 
 
 class Token(msgspec.Struct, frozen=True):
-    """What a liveliness token says.
+    """The meaning of a liveliness token.
 
     Attributes:
         zid: The id of the session that declared it.
@@ -86,10 +86,10 @@ class Graph:
     """The nodes and endpoints of all other sessions, in the order they appeared.
 
     Args:
-        zid: The id of our own session, whose tokens do not count.
+        zid: The id of our own session, whose tokens are ignored.
 
     Attributes:
-        tokens: What each token says, by its key.
+        tokens: The meaning of each token, by its key.
     """
 
     def __init__(self, zid: str) -> None:
@@ -98,7 +98,7 @@ class Graph:
         self._by_name: dict[str, dict[str, Endpoint]] = {}  # token to endpoint
 
     def add(self, key: str) -> Token | None:
-        """Note a token; answers what it says, if it is news."""
+        """Add a token; return its meaning if it is new, otherwise None."""
         token = None if key in self.tokens else parse_token(key)
         if token is None or token.zid == self._zid:
             return None
@@ -108,7 +108,7 @@ class Graph:
         return token
 
     def remove(self, key: str) -> Token | None:
-        """Forget a token; answers what it said, if it was known."""
+        """Remove a token; return its meaning if it was known, otherwise None."""
         token = self.tokens.pop(key, None)
         if token is not None and token.endpoint is not None:
             namesakes = self._by_name[token.endpoint.name]
@@ -118,7 +118,7 @@ class Graph:
         return token
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """The endpoints, or those of a name."""
+        """All endpoints, or those with a name."""
         if name:
             return tuple(self._by_name.get(name, {}).values())
         return tuple(token.endpoint for token in self.tokens.values() if token.endpoint is not None)
@@ -129,7 +129,7 @@ class Graph:
 
 
 def data_key(domain: int, endpoint: Endpoint) -> str:
-    """The key expression of a topic or service.
+    """Return the key expression of a topic or service.
 
     >>> point = Endpoint("publisher", "/at", "geometry_msgs/msg/Point", "/n", type_hash="RIHS01_6")
     >>> data_key(0, point)
@@ -140,12 +140,12 @@ def data_key(domain: int, endpoint: Endpoint) -> str:
 
 
 def all_tokens(domain: int) -> str:
-    """The key expression that all tokens of a domain match."""
+    """Return a key expression that matches all tokens of a domain."""
     return f"{PREFIX}/{domain}/**"
 
 
 def node_token(domain: int, zid: str, node_id: int, node: str) -> str:
-    """The token of a node.
+    """Return the token of a node.
 
     Args:
         domain: The ROS domain.
@@ -157,13 +157,13 @@ def node_token(domain: int, zid: str, node_id: int, node: str) -> str:
 
 
 def endpoint_token(domain: int, zid: str, node_id: int, number: int, endpoint: Endpoint) -> str:
-    """The token of an endpoint.
+    """Return the token of an endpoint.
 
     Args:
         domain: The ROS domain.
         zid: The id of the session.
         node_id: The number of its node.
-        number: Its own, unique in the session among those of nodes too.
+        number: The endpoint's own number, unique in the session among nodes and endpoints.
         endpoint: The endpoint, with its type hash.
     """
     return "/".join(
@@ -179,7 +179,7 @@ def endpoint_token(domain: int, zid: str, node_id: int, number: int, endpoint: E
 
 
 def parse_token(key: str) -> Token | None:
-    """What a token says; None if it is none that can be understood.
+    """Return the meaning of a token; None if it cannot be understood.
 
     An endpoint gets the gid that its peers know it by.
     """
@@ -205,7 +205,7 @@ def parse_token(key: str) -> Token | None:
 
 
 def gid_of(token: str) -> bytes:
-    """The gid of an endpoint, 16 bytes: the XXH3-128 of its token, the lower half first.
+    """Return the gid of an endpoint, 16 bytes: the XXH3-128 of its token, lower half first.
 
     >>> gid_of("@ros2_lv/0/a/0/0/NN/%/%/lab").hex()
     'a69d7ac3e2c03c91abab72e6833b800c'
@@ -214,7 +214,7 @@ def gid_of(token: str) -> bytes:
 
 
 def dds_type(type_name: str) -> str:
-    """The name of a type as DDS has it; a service's is without ``_Request`` and ``_Response``.
+    """Convert a type name to DDS's form; for a service, without ``_Request`` and ``_Response``.
 
     >>> dds_type("turtlesim/srv/Spawn")
     'turtlesim::srv::dds_::Spawn_'
@@ -224,7 +224,7 @@ def dds_type(type_name: str) -> str:
 
 
 def ros_type(dds_name: str) -> str:
-    """The name of a type as ROS 2 has it; what is no DDS name of ROS 2 stays as it is."""
+    """Convert a type name from DDS's form to ROS 2's; any other name is returned unchanged."""
     packages, separator, name = dds_name.rpartition("::dds_::")
     if not separator or not name.endswith("_"):
         return dds_name
@@ -252,7 +252,7 @@ def _qos_chunk(qos: QoS) -> str:
 
 
 def _parse_qos(chunk: str) -> QoS:
-    """The part of a quality of service that we know; what is odd or left out is the default."""
+    """Parse the parts of a quality of service that we use; anything odd becomes the default."""
     reliability, durability, history, *_ = (*chunk.split(":"), "", "", "")
     _, _, depth = history.partition(",")
     is_depth = _is_number(depth) and len(depth) < 10
@@ -264,7 +264,7 @@ def _parse_qos(chunk: str) -> QoS:
 
 
 def _parse_times(chunk: str) -> TimePolicies:
-    """The policies that count in time; what is odd or left out is infinite, as in rmw_zenoh."""
+    """Parse the policies in time; anything odd or missing is infinite, as in rmw_zenoh."""
     parts = chunk.split(":")
     deadline, lifespan, liveliness = (*parts[3:6], "", "", "")[:3]
     kind, _, lease = liveliness.partition(",")
@@ -277,7 +277,7 @@ def _parse_times(chunk: str) -> TimePolicies:
 
 
 def _duration(text: str) -> int | None:
-    """A duration of two numbers, ``SECONDS,NANOSECONDS``, in ns; None if it is infinite.
+    """Convert ``SECONDS,NANOSECONDS`` to ns; None if it is infinite.
 
     >>> _duration("10,0"), _duration("0,500000000"), _duration(","), _duration("9223372036,")
     (10000000000, 500000000, None, None)

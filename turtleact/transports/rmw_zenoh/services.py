@@ -1,9 +1,9 @@
-"""Both ends of a service: objects within the process, Zenoh queries to and from other processes.
+"""Both ends of a service: objects inside the process, Zenoh queries to and from other processes.
 
-A request names its client by gid and sequence number. It is handled in its own task, unless the
-handler can answer at once. It is always answered: with the response, or with the exception of the
-handler, which turtleact's clients raise again. If nobody serves a key, or the server dies, Zenoh
-ends the query without a reason; the client finds the reason in the graph.
+A request carries its client's gid and a sequence number. It is handled in its own task, unless the
+handler can answer at once. Every request is answered: with the response, or with the handler's
+exception, which turtleact's clients raise again. If nobody serves a key or the server dies, Zenoh
+ends the query without a reason. The client then finds the reason in the graph.
 
 Source: rmw_zenoh_cpp ``rmw_service_data.cpp``, ``rmw_client_data.cpp``.
 """
@@ -57,21 +57,21 @@ __all__ = ["WireCall", "WireCaller", "WireService", "error_said", "said"]
 
 logger = logging.getLogger("turtleact.services")
 
-#: So long a call goes on without its server (s).
+#: How long a call continues after its server has gone (s).
 LOST = 0.25
 
 
 class WireService:
-    """The serving end of a service.
+    """The server end of a service.
 
     Args:
-        context: What carries the messages.
+        context: The transport's context.
         named: The endpoint.
-        format: How requests are read and responses written.
+        format: Decodes requests and encodes responses.
         is_for_others: Whether its handlers answer other processes.
 
     Attributes:
-        is_open: Whether it takes requests, and more handlers.
+        is_open: Whether it accepts requests and more handlers.
     """
 
     def __init__(
@@ -92,10 +92,10 @@ class WireService:
         context.opened.add(self)
 
     def add(self, handler: object) -> Closeable:
-        """Let a handler answer too; requests of other processes go to the first one.
+        """Add a handler; requests from other processes go to the first one.
 
         Returns:
-            What takes it back. The service is there until the last of them is closed.
+            The object that removes it. The service exists until the last handler is removed.
         """
         near = self._context.near.serve(self._named.endpoint, self._format, handler)
         offer = _Offer(self, near, handler)
@@ -103,14 +103,14 @@ class WireService:
         return offer
 
     def remove(self, offer: _Offer) -> None:
-        """Take a handler back; a second time does nothing."""
+        """Remove a handler. A second call does nothing."""
         if offer in self._offers:
             self._offers.remove(offer)
             if not self._offers:
                 self.close()
 
     def close(self) -> None:
-        """Take no more requests; those under way go on. A second time does nothing."""
+        """Accept no more requests; those under way continue. A second call does nothing."""
         if not self.is_open:
             return
         self.is_open = False
@@ -120,7 +120,7 @@ class WireService:
         self._context.opened.discard(self)
 
     def _take(self, query: Query) -> None:
-        """Called in a thread of the session."""
+        """Receive a query; a thread of the session calls this."""
         self._context.inbox.push(partial(self._begin, query))
 
     def _begin(self, query: Query) -> None:
@@ -154,10 +154,10 @@ class WireService:
     async def _answer(
         self, offer: _Offer, query: Query, beside: Attachment, request: object
     ) -> None:
-        """Have a request answered; nothing but a cancellation gets out."""
+        """Answer a request; raises only cancellations."""
         error: TurtleactError | None = self._closed()
         try:
-            assert offer.handler is not None  # noqa: S101  # else it was not chosen
+            assert offer.handler is not None  # noqa: S101  # otherwise it would not be chosen
             self._respond(query, beside, await offer.handler.reply(request, beside.gid))
             error = None
         except Exception as failure:
@@ -173,7 +173,7 @@ class WireService:
         self._context.outbox.post(partial(query.reply, payload, attachment))
 
     def _failure(self, error: Exception) -> TurtleactError:
-        """What a client is told of what a handler has raised."""
+        """Turn a handler's exception into the error that its client gets."""
         if isinstance(error, TurtleactError):
             return error
         logger.error("the handler of service %s failed", self._name, exc_info=loggable(error))
@@ -186,7 +186,7 @@ class WireService:
     def _closed(self) -> ServerUnavailable:
         return ServerUnavailable(self._name, "the server was closed", kind="service")
 
-    # in the outbox
+    # called in the outbox
 
     def _declare(self) -> None:
         self._declared = self._context.session.declare_queryable(self._named.key, self._take)
@@ -197,7 +197,7 @@ class WireService:
 
 
 class _Offer:
-    """A handler of a service, and what has it open within the process."""
+    """A handler of a service, and its registration inside the process."""
 
     __slots__ = ("_near", "_service", "handler", "sync")
 
@@ -213,19 +213,19 @@ class _Offer:
 
 
 class WireCaller:
-    """The asking end of a service.
+    """The client end of a service.
 
     Args:
-        context: What carries the messages.
+        context: The transport's context.
         named: The endpoint.
-        format: How requests are written and responses read.
-        target: Which servers are asked, and which of their replies count.
-        find: Gives the servers of the same name that others have.
+        format: Encodes requests and decodes responses.
+        target: Which servers to ask, and which of their replies count.
+        find: Returns the servers with the same name in other processes.
 
     Attributes:
-        is_matching: Whether Zenoh knows of a server elsewhere.
-        querier: What it has declared; None before that, and after it has left.
-        presence: What it is on the wire.
+        is_matching: Whether Zenoh knows of a server in another process.
+        querier: The declared querier; None before it is declared and after it was undeclared.
+        presence: The client as other processes see it.
     """
 
     def __init__(
@@ -259,7 +259,7 @@ class WireCaller:
         return self._near.is_served or (self.is_matching and self._context.is_open)
 
     async def call(self, request: object) -> Reply:
-        """Send a request, and wait for the reply; see `turtleact.transports.base.Caller`."""
+        """Send a request and wait for the reply; see `turtleact.transports.base.Caller`."""
         if self._near.is_served or not self._is_open:
             return await self._near.call(request)
         payload = self._format.encode(request)
@@ -270,17 +270,17 @@ class WireCaller:
         return await self._send(payload, is_cancelable=True).reply()
 
     def ask(self, request: object) -> PendingCall | None:
-        """Send a request now; None if it would not go to another process, or has to wait."""
+        """Send a request to another process now; None if that is not possible at once."""
         is_far = self.is_matching and self._context.is_open and not self._near.is_served
         if not is_far or not self._is_open:
             return None
         return self._send(self._format.encode(request), is_cancelable=False)
 
     def close(self) -> None:
-        """Leave the graph, but others are told only when the calls under way are over.
+        """Leave the graph when the calls under way are over. A second call does nothing.
 
-        They go on, and a server may cancel those of a client that has gone. A second time does
-        nothing.
+        The calls continue. Other processes are told only then, because a server may cancel the
+        requests of a client that has gone.
         """
         if self._is_open:
             self._is_open = False
@@ -288,20 +288,20 @@ class WireCaller:
             self._leave_if_idle()
 
     def give_up(self) -> None:
-        """Let all calls under way end: the transport is being closed."""
+        """End all calls under way, because the transport is closing."""
         calls, self._calls = self._calls, set()
         for call in calls:
             call.end()
 
     def doubt(self, server: str) -> None:
-        """A server has gone: give calls to it a moment to end, or to be answered by another."""
+        """Handle the loss of a server: calls may still be answered by another one for a moment."""
         if server != self._endpoint.name:
             return
-        for call in tuple(self._calls):  # one that is over is taken at once
+        for call in tuple(self._calls):  # a copy, since finished calls remove themselves
             self._context.crew.run(call.end_soon(), f"a call of {self._endpoint.name}")
 
     async def _wait_for_route(self) -> None:
-        """Wait until a server whose token has come can be reached, `GRACE` seconds at most."""
+        """Wait until a server whose token was seen can be reached, at most `GRACE` seconds."""
         with anyio.move_on_after(GRACE):
             while not self.is_matching and any(map(self._fits, self._servers())):
                 await self._context.near.wait_for_change()
@@ -315,7 +315,7 @@ class WireCaller:
         return call
 
     def forget(self, call: WireCall) -> None:
-        """Note that nobody waits for a call any more."""
+        """Forget a call that nobody waits for any more."""
         self._calls.discard(call)
         self._leave_if_idle()
 
@@ -325,11 +325,11 @@ class WireCaller:
 
     def _leave(self) -> None:
         self._has_left = True
-        self._context.opened.discard(self)  # until now it is to be told of servers that go
+        self._context.opened.discard(self)  # only now: calls under way must hear of lost servers
         self.presence.close()
 
     def finish(self, call: WireCall) -> Reply:
-        """What came of a call that is over; raises what its server raised."""
+        """Return the reply of a call that is over, or raise its error."""
         self._calls.discard(call)
         if not self._is_open:
             self._leave_if_idle()
@@ -345,7 +345,7 @@ class WireCaller:
             raise ServiceError(self._endpoint.name, problem) from error
         return Reply(message, note_in(attachment))
 
-    # servers
+    # finding servers
 
     def _servers(self) -> list[Endpoint]:
         return self._find(self._endpoint.name)
@@ -355,7 +355,7 @@ class WireCaller:
         return (server.type_name, server.type_hash) == (ours.type_name, ours.type_hash)
 
     def why_not_served(self, suffix: str = "") -> str:
-        """Why a call would reach no server; see `turtleact.transports.base.Caller`."""
+        """Explain why a call would reach no server; see `turtleact.transports.base.Caller`."""
         ours, servers = self._endpoint, self._servers()
         if not self._context.is_open:
             return "the Zenoh transport is closed"
@@ -371,7 +371,7 @@ class WireCaller:
         return "the server went away before there was an answer"
 
     def _why_otherwise(self) -> str:
-        """What else may have happened, if one that was asked may be there still."""
+        """Give another possible reason, if a server that was asked may still exist."""
         if self._context.is_open and any(map(self._fits, self._servers())):
             return "dropped the request: ROS 2 keeps 10 that wait"
         return ""
@@ -381,7 +381,7 @@ class WireCaller:
         return ServerUnavailable(name, problem, kind="service", otherwise=otherwise)
 
     def _matching(self, is_matching: bool) -> None:
-        """Called in a thread of the session."""
+        """Receive Zenoh's news about servers; a thread of the session calls this."""
         self._context.inbox.push(lambda: self._servers_changed(is_matching))
 
     def _servers_changed(self, is_matching: bool) -> None:
@@ -390,7 +390,7 @@ class WireCaller:
             self.doubt(self._endpoint.name)
         self._context.near.tell_change()
 
-    # in the outbox
+    # called in the outbox
 
     def _declare(self) -> None:
         is_for_all = self._target.servers == "all"
@@ -404,26 +404,26 @@ class WireCaller:
 
 
 class WireCall:
-    """One request and what comes of it.
+    """One request and its outcome.
 
     Args:
-        context: What carries it.
-        payload: The request.
-        attachment: What goes beside it.
-        caller: Whose call it is.
-        is_cancelable: Whether Zenoh forgets it at once if it is dropped, not with its client.
+        context: The transport's context.
+        payload: The encoded request.
+        attachment: The request's attachment.
+        caller: The client that makes the call.
+        is_cancelable: Whether dropping the call frees it at once, rather than with its client.
 
     Attributes:
-        answer: Payload and attachment of the reply.
-        error: The text of an error, and its kind.
-        is_over: Whether there is a reply or an error, or the end without either.
+        answer: The payload and attachment of the reply.
+        error: The text and the kind of an error.
+        is_over: Whether a reply or error has arrived, or neither ever will.
     """
 
     answer: tuple[bytes, bytes] | None = None
     error: tuple[str, str] | None = None
     is_over = False
     _is_wanted = True
-    _changed: Signal | None = None  # made for who waits
+    _changed: Signal | None = None  # created when somebody waits
     _told: Callable[[], object] | None = None
     _give_up: Callable[[], None] | None = None
 
@@ -443,11 +443,11 @@ class WireCall:
         self._is_cancelable = is_cancelable
 
     def tell(self, told: Callable[[], object]) -> None:
-        """Have something called when it is over; see `turtleact.transports.base.PendingCall`."""
+        """Have a function called when it is over; see `turtleact.transports.base.PendingCall`."""
         self._told = told
 
     def take(self) -> Reply:
-        """The reply, once it is over; see `turtleact.transports.base.PendingCall`."""
+        """Return the reply of a call that is over; see `turtleact.transports.base.PendingCall`."""
         self._is_wanted = False
         return self._caller.finish(self)
 
@@ -460,7 +460,7 @@ class WireCall:
         return self._caller.finish(self)
 
     def drop(self) -> None:
-        """Want no reply any more; a second time does nothing."""
+        """Give up the reply. A second call does nothing."""
         if self._is_wanted:
             self._is_wanted = False
             if self._is_cancelable and not self.is_over:
@@ -468,13 +468,13 @@ class WireCall:
             self._caller.forget(self)
 
     async def end_soon(self) -> None:
-        """End it in a while: Zenoh may have lost it with its server, and never say so."""
+        """End the call soon: Zenoh may have lost it with its server without saying so."""
         with anyio.move_on_after(LOST):
             await self._wait()
         self.end()
 
     def end(self) -> None:
-        """Nothing more comes."""
+        """Record that nothing more will arrive."""
         self.is_over = True
         self._tell()
 
@@ -490,7 +490,7 @@ class WireCall:
                 self._changed = self._context.tasks.signal()
             await self._changed.wait()
 
-    # in the outbox
+    # called in the outbox
 
     def send(self) -> None:
         """Send the request."""
@@ -515,15 +515,15 @@ class WireCall:
         if self._give_up is not None:
             self._give_up()
 
-    # in a thread of the session
+    # called in a thread of the session
 
     def replied(self, payload: bytes, attachment: bytes) -> None:
-        """Note a reply."""
-        if not self.is_over:  # of several servers the quickest is heard
+        """Receive a reply."""
+        if not self.is_over:  # the first reply of several servers wins
             self.answer = payload, attachment
             counts = self._caller.counts
             if counts is not None and not counts(payload):
-                return  # another server may know better; if none does, `_ended` comes next
+                return  # another server may send a better reply; otherwise `_ended` comes next
             self.is_over = True
             self._context.inbox.push(self._tell)
 
@@ -534,12 +534,12 @@ class WireCall:
             self._context.inbox.push(self._tell)
 
     def _ended(self) -> None:
-        if not self.is_over:  # else the loop has been told
+        if not self.is_over:  # otherwise the loop already knows
             self._context.inbox.push(self.end)
 
 
 def said(error: TurtleactError) -> tuple[str, str]:
-    """The kind of an error, and the text by which `error_said` makes it again."""
+    """Return the kind of an error, and a text from which `error_said` restores it."""
     if isinstance(error, InvalidMessage):
         return "InvalidMessage", shortened(str(error))
     if isinstance(error, ServerUnavailable):
@@ -550,7 +550,7 @@ def said(error: TurtleactError) -> tuple[str, str]:
 
 
 def error_said(name: str, text: str, kind: str) -> TurtleactError:
-    """What a server raised; an error of a peer of another kind is its own text."""
+    """Restore a server's error; an error from other programs becomes its text."""
     if kind == "InvalidMessage":
         path, _, problem = text.partition(": ")
         return InvalidMessage(path, problem)

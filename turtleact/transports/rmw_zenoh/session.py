@@ -1,9 +1,9 @@
-"""The door to Zenoh: a session, with plain bytes and callbacks in and out.
+"""The only access to Zenoh: a session with plain bytes and callbacks.
 
-Every method may block, so an `Outbox` calls them. Zenoh calls back in its own threads. Whatever is
-declared must be undeclared by hand, since the garbage collector would do so in any thread. Nothing
-that is declared here talks with its own session: within a process messages are objects. Exceptions
-of Zenoh become `TurtleactError` here and nowhere else.
+Every method may block, so only an `Outbox` calls them. Zenoh calls back in its own threads.
+Everything declared must be undeclared explicitly, because the garbage collector would do it in any
+thread. Nothing declared here exchanges data with its own session, since inside a process messages
+are objects. Only this module turns Zenoh's exceptions into `TurtleactError`.
 
 Source: rmw_zenoh_cpp ``rmw_publisher_data.cpp``, ``rmw_subscription_data.cpp``,
 ``rmw_service_data.cpp`` and ``rmw_client_data.cpp``; eclipse-zenoh 1.10.
@@ -41,27 +41,27 @@ logger = logging.getLogger("turtleact.transport")
 
 Take: TypeAlias = Callable[[bytes, bytes], object]
 
-#: The kind of the error by which a query is over that nobody has answered.
+#: The kind of error that ends a query without an answer.
 TIMEOUT = "Timeout"
 
-#: So long others have to say which tokens they know (s).
+#: How long others have to answer which tokens they know (s).
 ANSWER = 2.0
 
-#: How soon after the last message its number is told, for who has missed it (s).
+#: How soon after the last message its number is repeated for readers that missed it (s).
 HEARTBEAT = 0.5
 
 #: How long closing a session may take (s).
 CLOSING = 1.0
 
-#: How long a new peer may take to connect to the other peers (s).
+#: How long a new peer may take to connect to other peers (s).
 MEETING = 2.0
 
-#: It is done if no connection has been added for this time (s), and so many times what the router
-#: took to greet or to answer: greeting a peer takes a few round trips as well.
+#: A new peer is connected if no connection was added for this time (s), and for a multiple of the
+#: time that the router took to greet or to answer. Greeting a peer takes a few round trips too.
 SHORTEST_QUIET = 0.04
 QUIET_PER_TRIP = 3.0
 
-#: How often the connections are counted meanwhile (s).
+#: How often to count the connections meanwhile (s).
 LOOK = 0.005
 
 REMOTE = zenoh.Locality.REMOTE
@@ -71,14 +71,14 @@ class Declared(Protocol):
     """Something declared on a session."""
 
     def undeclare(self) -> object:
-        """Take it back."""
+        """Undeclare it."""
 
 
 class Session:
-    """A session; opened by `Session.open`, closed by `close`.
+    """A Zenoh session; opened by `Session.open`, closed by `close`.
 
     Attributes:
-        zid: Its id, as tokens say it.
+        zid: The session's id, as it appears in tokens.
     """
 
     def __init__(
@@ -86,17 +86,17 @@ class Session:
     ) -> None:
         self._session = session
         self._is_peer = is_peer
-        self._opening = opening  # how long that took (s)
+        self._opening = opening  # how long opening took (s)
         self._opened_at = monotonic()
         self.zid = str(session.zid())
 
     @classmethod
     def open(cls, config: SessionConfig) -> Session:
-        """Open a session; blocks, a few seconds at most.
+        """Open a session. Blocks for a few seconds at most.
 
         Raises:
-            InvalidOption: if the configuration is none.
-            TurtleactError: if an endpoint cannot be reached, or not be listened at.
+            InvalidOption: if the configuration is not valid.
+            TurtleactError: if the session cannot connect to or listen on an endpoint.
         """
         try:
             settings = zenoh.Config.from_json5(config.text) if config.text else zenoh.Config()
@@ -116,14 +116,15 @@ class Session:
         return cls(session, is_peer=is_peer, opening=monotonic() - began)
 
     def close(self) -> None:
-        """End it; what was declared on it must have been taken back.
+        """Close the session; everything declared on it must already be undeclared.
 
-        Blocks for `CLOSING` seconds at most. Zenoh waits longer, up to ten seconds, if it is still
-        greeting a peer that has stopped (SIGSTOP, a debugger). The thread that closes is left
-        behind then; others have been told by that time, and the process can end.
+        Blocks for `CLOSING` seconds at most. Zenoh itself may take up to ten seconds, if it is
+        still greeting a peer that has stopped (SIGSTOP, a debugger). The closing thread is then
+        abandoned. Other processes have been told by that time, and this process can end.
         """
         session = self._session
-        # Given up in that thread, where it may block: the garbage collector would do it in any.
+        # The closing thread drops the session, where that may block. Without this line the garbage
+        # collector might do it in any thread.
         del self._session
         closing = threading.Thread(target=_close, args=[session], name="closing", daemon=True)
         del session
@@ -131,14 +132,14 @@ class Session:
         closing.join(CLOSING)
 
     def declare_token(self, key: str) -> Declared:
-        """Be in the graph."""
+        """Declare a liveliness token."""
         with _mapped(f"declare {key}"):
             return self._session.liveliness().declare_token(key)
 
     def watch_tokens(
         self, key: str, appeared: Callable[[str], object], gone: Callable[[str], object]
     ) -> Declared:
-        """Be told of all tokens, those that there are already too."""
+        """Receive all tokens, including those that already exist."""
 
         def take(sample: zenoh.Sample) -> None:
             is_put = sample.kind == zenoh.SampleKind.PUT
@@ -151,17 +152,17 @@ class Session:
             return watched
 
     def tokens(self, key: str) -> list[str]:
-        """All tokens that there are; blocks until those who know of some have answered.
+        """Return all existing tokens; blocks until every process that knows some has answered.
 
-        A peer that has just been opened waits until it is connected with the other peers.
+        A new peer first waits until it is connected to the other peers.
         """
         if not self._is_peer or monotonic() > self._opened_at + MEETING:
             return self._ask(key)
-        # Watched meanwhile: a question to a peer just met is sometimes answered without its tokens.
+        # Also watch, because a peer just met sometimes answers a question without its own tokens.
         found: dict[str, None] = {}
         watched = self.watch_tokens(key, found.setdefault, lambda gone: found.pop(gone, None))
         began = monotonic()
-        self._ask(key)  # the router tells of the other peers before it answers this
+        self._ask(key)  # the router announces the other peers before it answers this
         self._meet_peers(max(self._opening, monotonic() - began), found)
         asked = self._ask(key)
         watched.undeclare()
@@ -173,13 +174,13 @@ class Session:
             return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
     def _meet_peers(self, round_trip: float, found: Sized) -> None:
-        """Wait until a new peer has connected to the peers that its router has told it of.
+        """Wait until a new peer has connected to the peers announced by its router.
 
-        A router tells a peer where the others are, but passes on none of their tokens. The peer
-        connects to each of them in the background, and Zenoh does not say when it is done. So this
-        waits until no connection and no token has been added for some time. That time is a multiple
-        of how long the router took to greet or to answer, so that it fits a busy machine and a slow
-        network.
+        A router tells a peer where other peers are, but does not forward their tokens. The peer
+        connects to each of them in the background, and Zenoh does not report when it has finished.
+        So this waits until no connection and no token has been added for some time. That time is a
+        multiple of how long the router took to greet or to answer, so that it suits a busy machine
+        and a slow network.
         """
         quiet = SHORTEST_QUIET + QUIET_PER_TRIP * round_trip
         known, since = -1, monotonic()
@@ -194,7 +195,7 @@ class Session:
     def declare_publisher(
         self, key: str, *, is_reliable: bool, matching: Callable[[bool], object]
     ) -> Publisher:
-        """Publish a topic; ``matching`` is told whether anybody elsewhere reads it."""
+        """Declare a publisher; ``matching`` is told whether other processes read the topic."""
         with _mapped(f"declare {key}"):
             publisher = self._session.declare_publisher(
                 key, congestion_control=_congestion(is_reliable), allowed_destination=REMOTE
@@ -203,7 +204,7 @@ class Session:
             return Publisher(publisher)
 
     def declare_latched_publisher(self, key: str, *, is_reliable: bool, depth: int) -> Publisher:
-        """Publish a topic whose last messages are kept for who comes later."""
+        """Declare a publisher that keeps its last messages for later readers."""
         with _mapped(f"declare {key}"):
             return Publisher(
                 ext.declare_advanced_publisher(
@@ -220,9 +221,9 @@ class Session:
             )
 
     def declare_subscriber(self, key: str, take: Callable[[bytes], object]) -> Declared:
-        """Read a topic: the payload of each message."""
+        """Subscribe to a topic; ``take`` gets the payload of each message."""
 
-        def receive(sample: zenoh.Sample) -> None:  # as `_direct` does, without calls between
+        def receive(sample: zenoh.Sample) -> None:  # like `_direct`, but without an extra call
             stay_attached()
             take(sample.payload.to_bytes())
 
@@ -233,13 +234,13 @@ class Session:
             return subscriber
 
     def declare_latched_subscriber(self, key: str, take: Take, *, depth: int) -> Declared:
-        """Read a topic, the last messages of its publishers first: payload and attachment."""
+        """Subscribe to a latched topic; ``take`` gets payload and attachment, oldest first."""
         with _mapped(f"declare {key}"):
             return _LatchedSubscriber(
                 ext.declare_advanced_subscriber(
                     self._session,
                     key,
-                    # With None beside it, or parts of it would stay for as long as the session.
+                    # Without the None, parts of it would live as long as the session.
                     (_direct(lambda sample: take(*_parts(sample))), None),
                     allowed_origin=REMOTE,
                     subscriber_detection=True,
@@ -249,11 +250,11 @@ class Session:
             )
 
     def declare_queryable(self, key: str, take: Callable[[Query], object]) -> Declared:
-        """Serve a service."""
+        """Declare the server of a service."""
         with _mapped(f"declare {key}"):
-            checked = zenoh.KeyExpr(key)  # once, not at each reply
+            checked = zenoh.KeyExpr(key)  # checked once, not for each reply
 
-            def receive(query: zenoh.Query) -> None:  # as `_direct` does, without calls between
+            def receive(query: zenoh.Query) -> None:  # like `_direct`, but without an extra call
                 stay_attached()
                 take(Query(query, checked))
 
@@ -268,9 +269,9 @@ class Session:
     def declare_querier(
         self, key: str, matching: Callable[[bool], object], *, is_for_all: bool = True
     ) -> Querier:
-        """Call a service; ``matching`` is told whether anybody elsewhere serves it.
+        """Declare a client; ``matching`` is told whether other processes serve the service.
 
-        If several do, all get each request, as in rmw_zenoh, or only the nearest.
+        If several do, each request goes to all of them, as in rmw_zenoh, or only to the nearest.
         """
         target = zenoh.QueryTarget.ALL_COMPLETE if is_for_all else zenoh.QueryTarget.BEST_MATCHING
         with _mapped(f"declare {key}"):
@@ -292,7 +293,7 @@ class Publisher:
         self._publisher = publisher
 
     def put(self, payload: bytes, attachment: bytes) -> None:
-        """Send a message; blocks while a reader takes nothing, if it is reliable."""
+        """Send a message; blocks while a reader of a reliable topic is not reading."""
         try:
             self._publisher.put(payload, attachment=attachment)
         except zenoh.ZError as error:
@@ -300,16 +301,16 @@ class Publisher:
 
     @property
     def is_matching(self) -> bool:
-        """Whether Zenoh knows of a reader elsewhere; a latched one does not say."""
+        """Whether Zenoh knows of a reader elsewhere; latched publishers cannot tell."""
         publisher = self._publisher
         return isinstance(publisher, zenoh.Publisher) and _is_matching(publisher)
 
     def undeclare(self) -> None:
-        """Take it back, and what it has kept; to be called once.
+        """Undeclare the publisher and drop what it keeps; call this once.
 
-        It is dropped, which leaves the GIL to others. ``undeclare`` of an advanced one holds it and
-        waits for a task in a thread of Zenoh, which may be waiting for the GIL: for ten seconds
-        nothing of Python runs (eclipse-zenoh 1.10).
+        The object is dropped, which releases the GIL. An advanced publisher's ``undeclare`` would
+        hold the GIL while it waits for a task in one of Zenoh's threads, which may itself be
+        waiting for the GIL. Then no Python code runs for ten seconds (eclipse-zenoh 1.10).
         """
         del self._publisher
 
@@ -321,12 +322,12 @@ class _LatchedSubscriber:
         self._subscriber = subscriber
 
     def undeclare(self) -> None:
-        """Take it back, once; it is dropped, as `Publisher` is, and for the same reason."""
+        """Undeclare it once, by dropping it, for the same reason as `Publisher.undeclare`."""
         del self._subscriber
 
 
 class Querier:
-    """The asking end of a service."""
+    """The client end of a service."""
 
     def __init__(self, querier: zenoh.Querier) -> None:
         self._querier = querier
@@ -344,20 +345,20 @@ class Querier:
         """Send a request; this costs a fifth less if it need not be cancelable.
 
         Args:
-            payload: The request.
-            attachment: What goes beside it.
-            replied: Gets payload and attachment of each reply.
-            failed: Gets the text of each error, and its kind.
-            ended: Called when there is no more to come, whatever came before.
-            is_cancelable: Whether it can be given up before this is taken back.
+            payload: The encoded request.
+            attachment: The request's attachment.
+            replied: Called with payload and attachment of each reply.
+            failed: Called with the text and kind of each error.
+            ended: Called at the end, whatever came before.
+            is_cancelable: Whether the request can be cancelled before the querier is undeclared.
 
         Returns:
-            What gives the request up, if it is cancelable.
+            A function that cancels the request, if it is cancelable.
         """
 
-        def take(reply: zenoh.Reply) -> None:  # as `_direct` does, without a call between
+        def take(reply: zenoh.Reply) -> None:  # like `_direct`, but without an extra call
             stay_attached()
-            sample = reply.ok  # each look at these makes an object anew
+            sample = reply.ok  # each access creates a new object
             if sample is not None:
                 replied(*_parts(sample))
             elif (error := reply.err) is not None:
@@ -383,21 +384,21 @@ class Querier:
         return _is_matching(self._querier)
 
     def undeclare(self) -> None:
-        """Take it back."""
+        """Undeclare the client."""
         with _mapped("close a client"):
-            self._querier.undeclare()  # type: ignore[no-untyped-call]  # zenoh leaves it so
+            self._querier.undeclare()  # type: ignore[no-untyped-call]  # zenoh has no type here
 
 
 class Query:
-    """A request that has come; to be answered once, and to be dropped at last.
+    """A request that has arrived; answer it once, then drop it.
 
     Attributes:
-        payload: The request.
-        attachment: What came beside it.
+        payload: The encoded request.
+        attachment: The request's attachment.
     """
 
     def __init__(self, query: zenoh.Query, key: zenoh.KeyExpr) -> None:
-        payload, attachment = query.payload, query.attachment  # made anew at each look
+        payload, attachment = query.payload, query.attachment  # each access creates new objects
         self.payload = b"" if payload is None else payload.to_bytes()
         self.attachment = b"" if attachment is None else attachment.to_bytes()
         self._query = query
@@ -412,29 +413,30 @@ class Query:
             raise _error("reply", error) from error
 
     def fail(self, text: str, kind: str) -> None:
-        """Answer that it has failed: a text for people, and a kind for peers like us."""
+        """Send an error: a text for people, and a kind for turtleact."""
         with _mapped("reply"), self._query:
             self._query.reply_err(encodable(text).encode(), encoding=f"text/plain;{kind}")
 
     def drop(self) -> None:
-        """Give no answer."""
-        self._query.drop()  # type: ignore[no-untyped-call]  # zenoh leaves it so
+        """Drop the query, answered or not."""
+        self._query.drop()  # type: ignore[no-untyped-call]  # zenoh has no type here
 
 
 def _is_matching(declared: zenoh.Publisher | zenoh.Querier) -> bool:
-    status: Any = declared.matching_status  # zenoh's own types call it a bool
+    status: Any = declared.matching_status  # zenoh's types wrongly call it a bool
     return bool(status.matching)
 
 
 def stay_attached() -> None:
-    """Have the calling thread keep its Python thread state, from its first call on.
+    """Keep the calling thread's Python thread state from now on.
 
-    A thread of Zenoh that calls Python gets a thread state for the call and gives it up after it.
-    Making it anew costs 9 us and more for each message. Without this call a client takes 28 us for
-    a feedback message, with it 9 (CPython 3.11, two cores).
+    When one of Zenoh's threads calls Python, it gets a thread state for that call and gives it up
+    afterwards. Creating a new one costs 9 us or more per message. Without this function a client
+    takes 28 us for a feedback message, with it 9 us (CPython 3.11, two cores).
 
-    The interpreter counts how often a state was asked for. This asks once more than it is given up,
-    so the state stays until the thread and then Python end: for threads that live long.
+    The interpreter counts how often a state was requested. This function requests it once more than
+    it is released, so the state lives until the thread or Python ends. Use it only for threads that
+    live long.
 
     Source: CPython ``Doc/c-api/init.rst``, "Non-Python created threads".
     """
@@ -444,30 +446,30 @@ def stay_attached() -> None:
             ENSURE_STATE()
 
 
-#: What each thread of Zenoh keeps for itself.
+#: Per-thread data of Zenoh's threads.
 ATTACHED = threading.local()
 
-#: Of the public C API; None where there is no such thing.
+#: A function of the public C API; None on Pythons without it.
 ENSURE_STATE = getattr(ctypes.pythonapi, "PyGILState_Ensure", None)
 
 
 def _close(session: zenoh.Session) -> None:
     try:
-        session.close()  # type: ignore[no-untyped-call]  # zenoh leaves it so
+        session.close()  # type: ignore[no-untyped-call]  # zenoh has no type here
     except zenoh.ZError as error:
-        logger.error("%s; it is left behind", _error("close its session", error))
+        logger.error("%s; it is left open", _error("close its session", error))
 
 
 def _parts(sample: zenoh.Sample) -> tuple[bytes, bytes]:
-    """Payload and attachment, copied: a sample that is kept holds the whole batch it came in."""
+    """Copy payload and attachment; keeping the sample would keep the whole batch it came in."""
     attachment = sample.attachment
     return sample.payload.to_bytes(), b"" if attachment is None else attachment.to_bytes()
 
 
 def _direct(callback: Callable[[Any], object]) -> Any:  # noqa: ANN401  # of whatever is declared
-    """A handler that runs in the thread that receives: no thread and no queue of its own.
+    """Make a handler that runs in the receiving thread, without a thread and queue of its own.
 
-    That thread stays attached to Python.
+    That thread keeps its Python thread state; see `stay_attached`.
     """
 
     def take(value: object) -> None:
@@ -484,7 +486,7 @@ def _congestion(is_reliable: bool) -> zenoh.CongestionControl:
 
 @contextmanager
 def _mapped(what: str) -> Iterator[None]:
-    """Errors of Zenoh as ours. Takes 1 to 4 us, so what is done for each message does without."""
+    """Map Zenoh's errors to ours. Takes 1 to 4 us, so code that runs per message avoids it."""
     try:
         yield
     except zenoh.ZError as error:
@@ -495,7 +497,7 @@ def _error(what: str, error: zenoh.ZError) -> TurtleactError:
     return TurtleactError(f"Zenoh cannot {what}: {words(str(error))}")
 
 
-#: What Zenoh's own configuration has where it is not null.
+#: Zenoh's own configuration, where it is not null.
 _UNTOUCHED = {
     "transport/unicast/open_timeout": "10000",
     "transport/link/tx/queue/congestion_control/block/wait_before_close": "5000000",
@@ -508,17 +510,17 @@ def census(
     config: Mapping[str, object] | None = None,
     mode: Mode = "peer",
 ) -> Graph:
-    """Who is on a graph, asked once, unseen; blocks, some hundredths of a second as a rule.
+    """Ask a graph once who exists, without joining it; blocks, usually some hundredths of a second.
 
     Args:
-        connect: Endpoints of the graph; the router of this machine if None.
-        domain: Its ROS domain.
+        connect: Endpoints of the graph; None for the router of this machine.
+        domain: The ROS domain.
         config: Paths and values of Zenoh's configuration.
-        mode: As for `open_zenoh`.
+        mode: See `open_zenoh`.
 
     Raises:
-        InvalidOption: if one of them has a value that it cannot have.
-        TurtleactError: if there is no graph in reach.
+        InvalidOption: if the value of an option is not allowed.
+        TurtleactError: if no graph can be reached.
     """
     session = Session.open(session_config(connect, None, mode, domain, config or {}))
     try:

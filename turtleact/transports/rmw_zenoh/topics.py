@@ -1,9 +1,9 @@
-"""Both ends of a topic: objects within the process, bytes to and from other processes.
+"""Both ends of a topic: objects inside the process, bytes to and from other processes.
 
-A publication encodes a message only if another process reads the topic, or if it is latched. What
-it sends waits in a `Lane` for the thread that sends it. What a subscription receives waits in
-another lane for the event loop. The lane of a best-effort topic holds as many messages as its depth
-says. That of a reliable topic is bounded in bytes only; a publisher that must lose nothing waits
+A publication encodes a message only if another process reads the topic or the topic is latched.
+Messages to send wait in a `Lane` for the sending thread. Messages received wait in another lane for
+the event loop. The lane of a best-effort topic holds as many messages as the topic's depth. The
+lane of a reliable topic is limited only in bytes. A publisher that must not lose messages waits
 while `is_congested`.
 """
 
@@ -31,48 +31,48 @@ logger = logging.getLogger("turtleact.transport")
 T = TypeVar("T")
 
 
-#: How much a lane holds, before the oldest is dropped (bytes).
+#: How many bytes a lane holds before it drops the oldest message.
 CAPACITY = 32 * 1024 * 1024
 
-#: How much an entry weighs besides its bytes.
+#: The overhead of an entry, added to its bytes.
 ENTRY = 256
 
-#: From so many bytes on that wait to be sent, a publication is congested.
+#: A publication is congested once this many bytes wait to be sent.
 CONGESTED = 1024 * 1024
 
-#: From so many on, it is so no more.
+#: It is no longer congested when only this many are left.
 RELIEVED = CONGESTED // 2
 
-#: So much of a state is sent to who may come later (bytes/s); reading as much status takes Python a
+#: How fast a state is sent for late readers (bytes/s). Reading that much status costs Python a
 #: tenth of its time.
 STATE_RATE = 1e6
 
 
 class Lane(Generic[T]):
-    """What waits in order, put in by one thread and taken out by another.
+    """A queue that one thread fills and another empties.
 
     Args:
-        longest: How many entries it holds; any number if left out.
+        longest: The maximum number of entries; left out, there is no limit.
 
     Attributes:
-        dropped: How many entries were dropped, as it was full.
+        dropped: How many entries were dropped because the lane was full.
     """
 
     def __init__(self, longest: int | None = None) -> None:
         self.dropped = 0
         self._longest = longest
         self._entries: deque[tuple[T, int]] = deque()
-        self._put = 0  # each of the three is written by one thread only
+        self._put = 0  # each of these counters is written by only one thread
         self._taken = 0
         self._lost = 0
 
     @property
     def weight(self) -> int:
-        """How much waits (bytes)."""
+        """How many bytes wait."""
         return self._put - self._taken - self._lost
 
     def put(self, entry: T, size: int) -> bool:
-        """Put one in; answers whether there is one more to take than before."""
+        """Add an entry; return whether the number of waiting entries has grown."""
         weight = size + ENTRY
         put = self._put = self._put + weight
         entries = self._entries
@@ -81,7 +81,7 @@ class Lane(Generic[T]):
         return not (is_full and self._drop())
 
     def take(self) -> T | None:
-        """Take the oldest out; None if there is none."""
+        """Take the oldest entry; None if there is none."""
         try:
             entry, weight = self._entries.popleft()
         except IndexError:
@@ -92,7 +92,7 @@ class Lane(Generic[T]):
     def _drop(self) -> bool:
         try:
             _, weight = self._entries.popleft()
-        except IndexError:  # the other thread has taken it meanwhile
+        except IndexError:  # the other thread has just taken it
             return False
         self._lost += weight
         self.dropped += 1
@@ -103,17 +103,17 @@ class WirePublication:
     """The sending end of a topic.
 
     Args:
-        context: What carries the messages.
+        context: The transport's context.
         named: The endpoint.
-        format: How messages are written.
-        source: What makes the messages, if they are not given.
+        format: Encodes messages.
+        source: Makes the messages, unless they are published directly.
 
     Attributes:
-        is_read: Whether somebody elsewhere reads it, or may later, as it is latched.
+        is_read: Whether another process reads it, or may later (latched topics).
         is_latched: Whether its last messages are kept.
-        is_stale: Whether a state of the source is yet to be sent.
-        presence: What it is on the wire.
-        publisher: What it has declared; None before that.
+        is_stale: Whether a new state of the source has not been sent yet.
+        presence: The publisher as other processes see it.
+        publisher: The declared publisher; None before that.
     """
 
     def __init__(
@@ -130,16 +130,16 @@ class WirePublication:
         self._counter = Counter(endpoint.gid)
         self._is_open = True
         self.is_read = self.is_latched = endpoint.qos.durability == "transient_local"
-        self._is_expected = False  # that somebody reads
+        self._is_expected = False  # whether a reader is expected
         self.is_stale = False
-        self._is_watched = False  # by the courier below
-        self._is_awaited = False  # that it is relieved
+        self._is_watched = False  # whether the task below watches for changes
+        self._is_awaited = False  # whether somebody waits in `drained`
         self.publisher: Publisher | None = None
         self._unsent: Lane[tuple[bytes, bytes]] = _lane(endpoint.qos)
         self._sent = context.tasks.signal()
         self._told_readers = False
         self._has_near_readers = False
-        # What a latched topic has told is kept by what is declared, so that is done at once.
+        # Zenoh keeps the messages of a latched topic once it is declared, so declare it at once.
         wakes = "" if self.is_latched and source is None else named.on_demand
         self.presence = Presence(
             context,
@@ -158,17 +158,17 @@ class WirePublication:
 
     @property
     def has_readers(self) -> bool:
-        """Whether anybody would get a message published now, or may later, as it is latched."""
+        """Whether a message published now has a reader, or may get a late one (latched topics)."""
         return self._is_open and (self.is_read or self._near.has_readers)
 
     @property
     def has_near_readers(self) -> bool:
-        """Whether somebody in this process would get a message."""
+        """Whether a subscription in this process would get a message."""
         return self._near.has_readers if self._source is None else self._has_near_readers
 
     @property
     def is_congested(self) -> bool:
-        """Whether more waits to be sent than goes out."""
+        """Whether messages are published faster than they are sent."""
         return self._unsent.weight > CONGESTED
 
     def publish(self, message: object) -> None:
@@ -182,12 +182,12 @@ class WirePublication:
             self._grow_stale()
 
     def expect_readers(self) -> None:
-        """Send from now on, be a reader known here or not: news of one come by another way."""
+        """Send from now on, even if no reader is known here."""
         self._is_expected = self.is_read = True
         self._tell_source()
 
     def refresh(self) -> None:
-        """Publish what the source makes now: at once here, once for many calls elsewhere."""
+        """Publish the source's state: at once in this process, once for many calls elsewhere."""
         if self._is_open and self._source is not None:
             self._near.refresh()
             if self.is_latched:
@@ -199,13 +199,13 @@ class WirePublication:
         """Wait until it is not congested. Cancelling: safe."""
         if self.is_congested:
             while self._is_open:
-                self._is_awaited = True  # before the look, or nobody would tell of what is sent
+                self._is_awaited = True  # set before looking, or the wake-up could be missed
                 if self._unsent.weight <= RELIEVED:
                     return
                 await self._sent.wait()
 
     def close(self) -> None:
-        """Leave the topic, with the last state sent; a second time does nothing."""
+        """Leave the topic after sending the last state. A second call does nothing."""
         if not self._is_open:
             return
         if self.is_stale:
@@ -219,13 +219,13 @@ class WirePublication:
     # readers
 
     def _matching(self, is_matching: bool) -> None:
-        """Called in a thread of the session."""
+        """Receive Zenoh's news about readers; a thread of the session calls this."""
         self._context.inbox.push(lambda: self._far_readers_changed(is_matching))
 
     def _far_readers_changed(self, has_readers: bool) -> None:
         self.is_read = has_readers or self._is_expected
         self._tell_source()
-        self._context.near.tell_change()  # its token told of the reader, not that it is reached
+        self._context.near.tell_change()  # its token announced the reader; now it can be reached
 
     def _near_readers_changed(self, has_readers: bool) -> None:
         self._has_near_readers = has_readers
@@ -240,17 +240,17 @@ class WirePublication:
     # sending
 
     def send(self, data: bytes) -> None:
-        """Send what is written already to the subscriptions in other processes."""
+        """Send encoded data to the subscriptions in other processes."""
         context = self._context
         if not self._is_open or not context.is_open or self.presence.is_asleep:
             return
         if self._unsent.put((data, self._counter.next()), len(data)):
-            context.outbox.post(self._put)  # one for each: what others send keeps its place
+            context.outbox.post(self._put)  # one job per message keeps the order among publishers
         else:
             _note_loss(self._topic, self._qos, self._unsent, "published than can be sent")
 
     def _send_current(self) -> int:
-        """Send the source's state, and answer how much that is (bytes)."""
+        """Send the source's state and return its size (bytes)."""
         self.is_stale = False
         payloads = () if self._source is None else self._source.written(self._format.encode)
         for payload in payloads:
@@ -259,7 +259,7 @@ class WirePublication:
 
     def _grow_stale(self) -> None:
         """Have the source's state sent, once for all changes until the loop's next turn."""
-        if self.presence.is_asleep:  # it is refreshed once it wakes
+        if self.presence.is_asleep:  # it is refreshed when it wakes
             return
         self.is_stale = True
         if not self._is_watched:
@@ -277,7 +277,7 @@ class WirePublication:
         finally:
             self._is_watched = False
 
-    # in the outbox
+    # called in the outbox
 
     def _declare(self) -> None:
         session, is_reliable = self._context.session, self._qos.reliability == "reliable"
@@ -313,8 +313,8 @@ class WireSubscription:
     Args:
         context: What carries the messages.
         named: The endpoint.
-        format: How messages are read.
-        deliver: Gets each message.
+        format: Decodes messages.
+        deliver: Called with each message.
     """
 
     def __init__(self, context: Context, named: Named, format: Format, deliver: Deliver) -> None:
@@ -334,16 +334,16 @@ class WireSubscription:
         self._opened = Opened(context, near, presence)
 
     def close(self) -> None:
-        """Leave the topic; a second time does nothing."""
+        """Leave the topic. A second call does nothing."""
         self._opened.close()
 
     def _take_latched(self, payload: bytes, attachment: bytes) -> None:
-        """Called in a thread of the session."""
-        if gid_in(attachment) not in self._context.latched:  # else it came as an object
+        """Receive a message of a latched topic; a thread of the session calls this."""
+        if gid_in(attachment) not in self._context.latched:  # otherwise it came as an object
             self._take(payload)
 
     def _take(self, payload: bytes) -> None:
-        """Called in a thread of the session."""
+        """Receive a message; a thread of the session calls this."""
         if self._unread.put(payload, len(payload)):
             self._context.inbox.push(self._read)
         else:
@@ -364,7 +364,7 @@ class WireSubscription:
         except Exception:
             logger.exception("a subscription of topic %s failed on a message", self._topic)
 
-    # in the outbox
+    # called in the outbox
 
     def _declare(self) -> None:
         session = self._context.session
@@ -381,7 +381,7 @@ class WireSubscription:
 
 
 class _Relay:
-    """The source that the local half knows: its readers are not all."""
+    """Stands for a source in the local transport, which does not know the remote readers."""
 
     def __init__(self, source: Source, readers_changed: Callable[[bool], None]) -> None:
         self._source = source
@@ -398,7 +398,7 @@ class _Relay:
 
 
 def _note_loss(topic: str, qos: QoS, lane: Lane[Any], what: str) -> None:
-    """Say once that a topic which is called reliable is not."""
+    """Warn once that a reliable topic loses messages."""
     if qos.reliability == "reliable" and lane.dropped == 1:
         logger.warning("topic %s: more is %s; the oldest messages are dropped", topic, what)
 

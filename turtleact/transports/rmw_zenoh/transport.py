@@ -1,12 +1,12 @@
-"""A graph of processes, the nodes of ROS 2 among them, on Zenoh as rmw_zenoh uses it.
+"""A graph of processes, including ROS 2 nodes, over Zenoh as rmw_zenoh uses it.
 
-Nodes of one process that share a transport hand each other objects, as on a `MemoryTransport`.
-Zenoh carries everything else, as bytes that ROS 2 can read.
+Nodes in one process that share a transport exchange objects, as on a `MemoryTransport`. Everything
+else travels over Zenoh, as bytes that ROS 2 can read.
 
 - Calls into Zenoh may block. One thread makes them all, in order.
-- Zenoh calls back in its own threads. What they bring is handled in the event loop.
-- A reader that stops reading delays its reliable topics once, for a second at most. Then Zenoh
-  disconnects it; it reconnects by itself when it reads again.
+- Zenoh calls back in its own threads. The event loop handles what they bring.
+- A reader that stops reading delays its reliable topics once, by a second at most. Then Zenoh
+  disconnects it. It reconnects by itself when it reads again.
 
 Source: rmw_zenoh_cpp, ``docs/design.md``.
 """
@@ -59,15 +59,15 @@ __all__ = ["ZenohTransport", "open_zenoh"]
 
 
 class ZenohTransport:
-    """A graph of processes; opened by `open_zenoh`, which closes it.
+    """A graph of processes; `open_zenoh` opens and closes it.
 
     Attributes:
-        clock: The time of all nodes on it in this process.
-        round_trip: How long others took to say who is there (s), when `explore` asked them.
-        context: What its endpoints share; for them alone.
-        graph: What the other sessions have.
-        discovery_ends: Until when clients wait for a server that is not seen yet (in the event
-            loop's time).
+        clock: The time of all nodes on the graph in this process.
+        round_trip: How long other processes took to answer `explore` (s).
+        context: Shared by its endpoints; only for them.
+        graph: The nodes and endpoints of other sessions.
+        discovery_ends: Until then, clients wait for a server that has not been seen yet (event loop
+            time).
     """
 
     def __init__(
@@ -86,17 +86,16 @@ class ZenohTransport:
         )
         self._count = 0
         self._gone_since: dict[anyio.Event, set[str]] = {}
-        self._awaited: set[anyio.Event] = set()  # what waits for the outbox, and for the close
+        self._awaited: set[anyio.Event] = set()  # set by the outbox, or when the transport closes
         self.context.outbox.post(partial(self._watch, session))
 
     def advertise(
         self, endpoint: Endpoint, format: Format, source: Source | None = None
     ) -> Publication:
-        """Open the sending end of a topic; with a source, nothing is latched but what it makes.
+        """Open the sending end of a topic; with a source, only its messages are latched.
 
-        A thread sends what is published to readers in other processes; see
-        `Publication.is_congested`. Messages are encoded only while another process reads the topic,
-        or if it is latched.
+        A thread sends messages to readers in other processes; see `Publication.is_congested`.
+        Messages are encoded only while another process reads the topic, or if it is latched.
 
         Raises:
             InvalidInterface: if the message class has no type name.
@@ -105,14 +104,14 @@ class ZenohTransport:
         return WirePublication(self.context, self._name(endpoint, format), format, source)
 
     def subscribe(self, endpoint: Endpoint, format: Format, deliver: Deliver) -> Closeable:
-        """Open the receiving end of a topic; raises as `advertise` does."""
+        """Open the receiving end of a topic; raises like `advertise`."""
         return WireSubscription(self.context, self._name(endpoint, format), format, deliver)
 
     def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
-        """Offer ``handler`` as the server of a service; raises as `advertise` does.
+        """Offer ``handler`` as the server of a service; raises like `advertise`.
 
-        A request with the gid and sequence number of one that is under way is refused. An exception
-        of a handler is sent to its caller; clients of ROS 2 log it.
+        A request is refused if one with the same gid and sequence number is under way. A handler's
+        exception is sent to its caller; clients of ROS 2 log it.
         """
         self._check_open()
         is_for_others = isinstance(handler, AsyncHandler)
@@ -126,11 +125,11 @@ class ZenohTransport:
         return service.add(handler)
 
     def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
-        """Appear in the graph as a client of a service, and be able to call it.
+        """Show a client of a service on the graph, and return the object to call it with.
 
         A server in this process is preferred. A cancelled call ends here at once, but a server in
-        another process is told only when the caller is closed. If a server hangs without dying, the
-        call raises `ServiceTimeout` after ten minutes. Raises as `advertise` does.
+        another process learns of it only when the caller is closed. If a server hangs without
+        dying, the call raises `ServiceTimeout` after ten minutes. Raises like `advertise`.
         """
         return WireCaller(self.context, self._name(endpoint, format), format, target, self._servers)
 
@@ -139,26 +138,26 @@ class ZenohTransport:
         return self._near.all_local(name, type_name)
 
     def local(self, name: str, type_name: str) -> object | None:
-        """The handler that serves a service in this process, if there is one."""
+        """The oldest handler that serves a service in this process, or None."""
         return self._near.local(name, type_name)
 
     def enter(self, node: str) -> Closeable:
-        """Appear in the graph as a node of this fully qualified name."""
+        """Show a node with this fully qualified name on the graph."""
         self._check_open()
         number = self._numbers[node] = self._next_number()
         token = node_token(self.context.domain, self.context.session.zid, number, node)
         return Opened(self.context, self._near.enter(node), Presence(self.context, token))
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints of the graph, or those of a name: our own, then those of others."""
+        """All endpoints on the graph, or those with a name: our own first, then others."""
         return (*self._near.endpoints(name), *self.graph.endpoints(name))
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """Those of them that were opened on this transport."""
+        """The endpoints opened on this transport, or those with a name."""
         return self._near.endpoints(name)
 
     def nodes(self) -> tuple[str, ...]:
-        """The names of all nodes, in the same order; a name may be there twice."""
+        """The names of all nodes, our own first. A name may occur twice."""
         return (*self._near.nodes(), *self.graph.nodes())
 
     @property
@@ -171,7 +170,7 @@ class ZenohTransport:
         await self._near.wait_for_change()
 
     async def flush(self) -> None:
-        """Wait until everything asked for so far has been handed to Zenoh. Cancelling: safe.
+        """Wait until every earlier request has been handed to Zenoh. Cancelling: safe.
 
         Raises:
             TurtleactError: if the transport is closed, now or while this waits.
@@ -182,7 +181,7 @@ class ZenohTransport:
         await self._wait_unless_closed(passed)
 
     async def explore(self) -> None:
-        """Ask the graph who is there, and wait for the answer. Cancelling: safe.
+        """Ask the graph who exists, and wait for the answer. Cancelling: safe.
 
         Raises:
             TurtleactError: if the transport is closed, now or while this waits.
@@ -201,7 +200,7 @@ class ZenohTransport:
 
         def add(tokens: list[str]) -> None:
             for token in tokens:
-                if token not in gone:  # or it died after it was told of, and would stay for ever
+                if token not in gone:  # a node that died meanwhile would otherwise stay for ever
                     self.token_appeared(token)
             found.set()
 
@@ -213,9 +212,9 @@ class ZenohTransport:
             del self._gone_since[found]
 
     async def aclose(self) -> None:
-        """End the session: calls under way end, requests being handled are canceled.
+        """Close the session: calls under way end, and handlers are cancelled.
 
-        What was published before is sent first. A second time does nothing.
+        Earlier messages are sent first. A second call does nothing.
         """
         context = self.context
         if not context.is_open:
@@ -233,7 +232,7 @@ class ZenohTransport:
             await anyio.to_thread.run_sync(context.session.close)
         context.inbox.close()
         self._near.tell_change()
-        for event in self._awaited:  # the outbox may have left them unset
+        for event in self._awaited:  # the outbox may have ended without setting them
             event.set()
 
     async def _wait_unless_closed(self, event: anyio.Event) -> None:
@@ -247,7 +246,7 @@ class ZenohTransport:
     # names
 
     def _name(self, endpoint: Endpoint, format: Format) -> Named:
-        """Give an endpoint its names; numbers are unique in the session."""
+        """Give an endpoint its names; the numbers are unique in the session."""
         self._check_open()
         if (node_id := self._numbers.get(endpoint.node)) is None:
             node_id = self._numbers[endpoint.node] = self._next_number()
@@ -265,14 +264,14 @@ class ZenohTransport:
         if not self.context.is_open:
             raise TurtleactError("the Zenoh transport is closed: open another")
 
-    # others
+    # other sessions
 
     def _servers(self, name: str) -> list[Endpoint]:
-        """What serves a service of that name elsewhere."""
+        """The servers of a service with that name in other sessions."""
         return [each for each in self.graph.endpoints(name) if each.kind == "service"]
 
     def _watch(self, session: Session) -> None:
-        """In the outbox: be told of the tokens of others."""
+        """Watch the tokens of other sessions; called in the outbox."""
         inbox = self.context.inbox
         session.watch_tokens(
             all_tokens(self.context.domain),
@@ -281,7 +280,7 @@ class ZenohTransport:
         )
 
     def token_appeared(self, key: str) -> None:
-        """Note a token of another session."""
+        """Handle a new token of another session."""
         token = self.graph.add(key)
         if token is None:
             return
@@ -290,7 +289,7 @@ class ZenohTransport:
         self._near.tell_change()
 
     def token_gone(self, key: str) -> None:
-        """Note that a token of another session has gone."""
+        """Handle the loss of another session's token."""
         for gone in self._gone_since.values():
             gone.add(key)
         token = self.graph.remove(key)
@@ -320,35 +319,35 @@ async def open_zenoh(
     clock: Clock | None = None,
     discovery: float = 1.0,
 ) -> AsyncIterator[ZenohTransport]:
-    """A graph of processes for the length of a block.
+    """Open a graph of processes for the length of a block.
 
-    Raises within a few seconds if an endpoint cannot be reached or is in use already. Later, a lost
-    connection is restored without notice, also to a router that was restarted.
+    Raises within a few seconds if an endpoint cannot be reached or is already in use. Later, lost
+    connections are restored silently, also to a router that was restarted.
 
     Args:
-        connect: Where routers or peers are. By default ``tcp/localhost:7447``, except for a router.
-            Each must be reached.
+        connect: The endpoints of routers or peers; all of them must be reachable. By default
+            ``tcp/localhost:7447``, and none for a router.
         listen: Where others can connect to this session. By default a free port of this machine for
             a peer, ``tcp/127.0.0.1:7447`` for a router, and nowhere for a client.
-        mode: ``"peer"`` joins as a node of ROS 2 does. ``"client"`` talks through its router only.
-            ``"router"`` is what the nodes of ROS 2 on this machine look for.
+        mode: ``"peer"`` joins like a ROS 2 node. ``"client"`` talks only through its router.
+            ``"router"`` is what the ROS 2 nodes of this machine look for.
         domain: The ROS domain, 0 to 232. By default that of ``ROS_DOMAIN_ID``, or 0.
         config: More of Zenoh's configuration: a mapping from paths (``"transport/link/tx/lease"``)
-            to values, or a whole file as JSON5, such as those that configure ROS 2. The other
+            to values, or the text of a JSON5 file, such as those that configure ROS 2. The other
             options take precedence over the file.
         clock: The time of the nodes in this process; wall time by default.
-        discovery: For how long after the opening a goal or a call waits for a server that is not
-            seen yet (s, of the event loop's time). After that it fails at once if there is none.
+        discovery: How long after opening a goal or call waits for a server that has not been seen
+            yet (s, event loop time). After that it fails at once if there is none.
 
     Raises:
-        InvalidOption: if an option has a value that it cannot have.
-        TurtleactError: if the graph cannot be reached, or not be listened at.
+        InvalidOption: if the value of an option is not allowed.
+        TurtleactError: if the session cannot connect to the graph, or cannot listen.
     """
     check_timeout(discovery, "discovery", may_be_none=False)
     if domain is None:
         domain = domain_of(os.environ)
     settings = session_config(connect, listen, mode, domain, config)
-    with anyio.CancelScope(shield=True):  # bounded, and nobody else would close it
+    with anyio.CancelScope(shield=True):  # bounded; without it nobody would close the session
         session = await anyio.to_thread.run_sync(Session.open, settings)
     transport = ZenohTransport(session, domain, clock, discovery)
     try:
