@@ -1,10 +1,10 @@
-"""What does a message cost as CDR, against msgpack and another CDR in Python?
+"""What does a message cost as CDR, compared with msgpack and another CDR codec in Python?
 
-msgspec's msgpack is compiled C and checks less: the floor of what a message in bytes costs. rosbags
-reads and writes CDR in Python, as this does, and has numpy arrays for sequences of numbers; it is
-measured where it is installed.
+msgspec's msgpack is compiled C and checks less, so it is the minimum cost of a message in bytes.
+rosbags also reads and writes CDR in Python, with numpy arrays for sequences of numbers. It is
+measured if it is installed.
 
-Rounds are interleaved; a ratio is the median of the ratios of the rounds, and a time the median.
+Rounds are interleaved. A ratio is the median of the rounds' ratios, and a time is the median.
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
-"""What does a goal cost, against bare asyncio and against an idiomatic anyio version?
+"""What does a goal cost, compared with bare asyncio and with an idiomatic anyio version?
 
-The floor does the same work with nothing but tasks (eager ones from Python 3.12 on) and queues. It
-makes the same messages and checks none of them. turtleact checks and copies each, since a bad value
-raises where it is sent and a body may go on changing what it has published; the rows "of that,
-snapshots" say how much of the row above them this is. The anyio version is written by the book: one
-task group, and for each goal an event, a cancel scope and a memory object stream. It checks nothing
-either.
+The minimum ("floor") does the same work with only tasks (eager ones from Python 3.12 on) and
+queues. It creates the same messages but checks none of them. turtleact checks and copies each
+message, because a bad value must raise where it is sent and a body may change what it has
+published. The rows "of that, snapshots" show how much of the row above is due to this. The anyio
+version follows the documentation: one task group, and for each goal an event, a cancel scope and a
+memory object stream. It checks nothing either.
 
-Rounds are interleaved; a ratio is the median of the ratios of the rounds, and a time the median.
-The garbage collector is off while the time is taken. A goal has one public reader, its sender: the
-other watchers of the fan-out are handles, made by hand, of the goal that the first one holds. "One
-by one" means that each message is read before the next is published.
+Rounds are interleaved. A ratio is the median of the rounds' ratios, and a time is the median. The
+garbage collector is off during measurements. A goal has one public reader, its sender. The other
+readers of the fan-out are handles made by hand for the first one's goal. "One by one" means that
+each message is read before the next is published.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""What a goal costs by each way in: in the process, by Zenoh, by rosbridge; in one run.
+"""What does a goal cost inside the process, over Zenoh and over rosbridge, in one run?
 
-A goal is sent, gives three feedback messages and succeeds; from sending it to having the result.
-Both ends are in this process, so that what differs is the way between them. The figures are those
-of a machine with other work: compare the ratios.
+A goal is sent, publishes three feedback messages and succeeds. The time runs from sending it to
+having the result. Both ends are in this process, so only the way between them differs. The machine
+may have other work: compare ratios, not figures.
 
 Run ``python -m benchmarks.bench_doors``.
 """

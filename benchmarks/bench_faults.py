@@ -1,11 +1,11 @@
-"""What becomes of goals when the network between two hosts is slow, loses packets, or is cut?
+"""What happens to goals when the network between two hosts is slow, loses packets, or is cut?
 
-Each host is a network namespace, and the cable is this process: it hands packets on, late or not at
-all, so that both ends have the TCP of a real machine. ``turtleact serve`` runs on one host,
-``send-goal`` on the other; its goal gives ten feedback messages a second. Faults last from the
-third second on: slow and lossy lines to the end, cuts for 5 or 60 s, by losing all packets or by
-taking the interface down. Once the line is whole again, ``goals`` looks whether the goal is there,
-``watch`` gets back to it where its sender has given up, and ``cancel`` ends it or another one.
+Each host is a network namespace, and this process is the cable: it forwards packets, late or not at
+all, so both ends use the TCP of a real machine. ``turtleact serve`` runs on one host and
+``send-goal`` on the other. The goal publishes ten feedback messages a second. Faults begin in the
+third second. Slow and lossy connections last to the end. Cuts last 5 or 60 s, by losing all packets
+or by taking the interface down. When the connection works again, ``goals`` checks whether the goal
+exists, ``watch`` attaches to it if its sender has given up, and ``cancel`` cancels it or another.
 
 Needs Linux, root and ``ip``. Takes five minutes, most of them waiting.
 Run it as ``sudo .venv/bin/python -m benchmarks.bench_faults``.

@@ -1,16 +1,16 @@
-"""What does a fleet cost on one router, and what of it grows faster than the fleet?
+"""What does a fleet cost on one router, and which costs grow faster than the fleet?
 
-Robots are nodes with an action server each, in ten processes at most, as a process costs more
-memory than a node; their clients are nodes in ten others. There is a client for each server, or
-one server for all clients. Peers talk with each other directly, once the router has made them
-acquainted; clients talk through it alone. A goal gives ten feedback messages of ten ints;
-it is entered, so that its client follows the status topic too.
+Robots are nodes with one action server each, in at most ten processes, because a process costs more
+memory than a node. Their clients are nodes in ten other processes. There is one client per server,
+or one server for all clients. Peers talk to each other directly after the router has introduced
+them; clients talk only through the router. A goal publishes ten feedback messages of ten ints. It
+is sent with ``async with``, so its client also follows the status topic.
 
-In each row all declare what they have at once, and it is timed until each client can reach its
-server (met); another process joins, and it is timed until it knows all (joined). Then 100 goals are
-sent one after another, by the clients in turn, and 1,000 at once. CPU and bytes are of the latter:
-all processes together, per goal. The bytes are those of the loopback device of a network of our
-own, all headers included, once for each hop.
+In each row, all nodes declare their endpoints at once. "Met" is the time until each client can
+reach its server. Then another process joins; "joined" is the time until it knows everybody. Then
+100 goals are sent one after another, by the clients in turn, and 1,000 at once. CPU and bytes are
+those of the 1,000: of all processes together, per goal. Bytes are counted on the loopback device of
+a separate network, with all headers, once for each hop.
 
 Needs Linux, and root or user namespaces for that network. Run ``python -m benchmarks.bench_fleet``.
 """

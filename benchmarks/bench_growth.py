@@ -1,11 +1,12 @@
-"""Does a goal cost more, in time or memory, the more goals there are?
+"""Does a goal cost more time or memory when there are more goals?
 
-All goals are started, live at once, and end; beside them others run one after another. A task that
-waits is the floor, and for the memory an anyio version by the book is the peer: a task in a task
-group, and for each goal an event, a cancel scope and a memory object stream.
+All goals start, are active at the same time, and end. Meanwhile other goals run one after another.
+The minimum is a waiting task. For memory, the peer is an anyio version that follows the
+documentation: a task in a task group, and for each goal an event, a cancel scope and a memory
+object stream.
 
-Rounds are interleaved; a ratio is the median of the ratios of the rounds, and a time the median.
-The garbage collector is off while the time is taken.
+Rounds are interleaved. A ratio is the median of the rounds' ratios, and a time is the median. The
+garbage collector is off during measurements.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""How near do patrols come to the shortest time that is possible, and what do others make of it?
+"""How close do patrols come to the shortest possible time, compared with a simple controller?
 
-Every patrol has a start, a heading and four targets of its own, drawn from its number. The turtle
-is sent through them by a goal to ``/patrol``, in virtual time, once in each style; eight turtles
-patrol side by side. The bound is that of the style (`turtleact.actions.steering.shortest_time`):
-nobody who keeps to the speeds can do it faster. A hit is a tick in which a wall stopped a turtle.
+Every patrol has its own start, heading and four targets, drawn from its number. A goal to
+``/patrol`` sends the turtle through them in virtual time, once in each style. Eight turtles patrol
+side by side. The bound depends on the style (`turtleact.actions.steering.shortest_time`): within
+the speed limits, nothing can be faster. A hit is a tick in which a wall stopped a turtle.
 
-The peer is what a student writes: turn and drive in proportion to the error, without wrapping any
-limits but those of the speeds. Its bound is that of ``arc``.
+The peer is what a student would write: turn and drive in proportion to the error, with no limits
+except the speeds. Its bound is that of ``arc``.
 
 Run with ``--patrols 1000`` for the figures in ``docs/actions.md``.
 """

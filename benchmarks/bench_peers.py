@@ -1,11 +1,11 @@
-"""What does a goal cost, against what else runs a job for an asyncio program?
+"""What does a goal cost, compared with other ways to run a job from an asyncio program?
 
-Each contender gives a job away and waits for its result: an action's goal; a job of aiojobs; a task
-of taskiq with its in-memory broker; a function in a thread pool. None of the peers has feedback,
-cancel and checked messages as a goal has them; so the second table gives aiojobs and the threads
-a queue for ten messages, by hand.
+Each contender hands over a job and waits for its result: a goal of an action, a job of aiojobs, a
+task of taskiq with its in-memory broker, or a function in a thread pool. None of the peers has a
+goal's feedback, cancel and checked messages. In the second table, aiojobs and the threads therefore
+get a queue for ten messages, written by hand.
 
-Rounds are interleaved; a ratio is the median of the ratios of the rounds, and a time the median.
+Rounds are interleaved. A ratio is the median of the rounds' ratios, and a time is the median.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""What others notice of clients of the web that do not read, and of those that talk nonsense.
+"""What do other web clients notice when some clients do not read, or send nonsense?
 
-A world and its web server are a process of their own. 40 clients read a turtle's pose at 62.5 Hz;
-10 more ask for it, and for 100 kB at the same rate, and never read. Then one client sends 100,000
-frames that do not fit their topic, as fast as they are taken, from a process of its own, too.
+A world and its web server run in one process. 40 clients read a turtle's pose at 62.5 Hz. Ten more
+subscribe to the pose, and to 100 kB at the same rate, and never read. Then one client in another
+process sends 100,000 frames that do not fit their topic, as fast as the server takes them.
 
-Gap is the longest time between two poses at any of the 40; late is by how much a pose comes after
-its place in the schedule of 16 ms, inside the server.
+"Gap" is the longest time between two poses at any of the 40 clients. "Late" is how much a pose is
+behind its place in the 16 ms schedule, measured inside the server.
 
 Run ``python -m benchmarks.bench_readers``.
 """

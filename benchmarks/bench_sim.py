@@ -1,12 +1,11 @@
-"""How many steps a second does the world make, against naive numpy and ir-sim?
+"""How many steps per second does the world run, compared with naive numpy and ir-sim?
 
-Each makes the same motion: every turtle has a speed and a turning rate of its own, which it is
-told anew every 50 steps, and each step turns, moves, stops at the walls and forgets old commands.
-Naive numpy is what a student writes: sines and cosines in each step, a fresh array for each
-intermediate value. ir-sim also keeps shapes and goals, so it does more; it is told to look for no
-collisions.
+All run the same motion. Every turtle has its own speed and turning rate, which change every 50
+steps. Each step turns, moves, stops at walls and forgets old commands. "Naive numpy" is what a
+student would write: sines and cosines in each step, and a new array for each intermediate value.
+ir-sim also handles shapes and goals, so it does more; its collision checks are switched off.
 
-Rounds are interleaved; a ratio is the median of the ratios of the rounds.
+Rounds are interleaved. A ratio is the median of the rounds' ratios.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """Is anything lost, and does anything grow, over very many goals?
 
-Goals are run one after another, then very many at once. Each gives feedback, which its sender
-reads; every fifth is canceled in the middle. All answers and all feedback are counted.
+Goals run one after another, then very many at once. Each publishes feedback, which its sender
+reads. Every fifth goal is canceled midway. All answers and all feedback are counted.
 
-The cost of a goal among those in a row is that in the first tenth of them and in the last; at once,
-that with a tenth of them and with all. It is CPU time, as nothing waits for anything else. Memory
-is taken in runs of its own: tracemalloc, which says what Python holds, slows all down. The garbage
-collector is on.
+For goals in a row, the cost of a goal is compared between the first and the last tenth. For goals
+at once, it is compared between a tenth of them and all. Costs are CPU time, because nothing waits
+for anything else. Memory is measured in separate runs, because tracemalloc, which reports what
+Python holds, slows everything down. The garbage collector is on.
 """
 
 from __future__ import annotations

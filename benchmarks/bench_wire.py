@@ -1,16 +1,16 @@
-"""What does a goal cost between two processes, against a bare socket and other ways to call?
+"""What does a goal cost between two processes, compared with a bare socket and other RPC?
 
-The floor is msgpack over a unix socket: two calls a goal, a message for each feedback, nothing
-checked, no discovery, no status. grpc.aio and websockets with JSON, over TCP, do the same where
-they are installed. turtleact is a node in each process and Zenoh over TCP between them: "awaited"
-is ``await client.send_goal``, "entered" is ``async with``, which follows the status of all goals.
-A goal is two calls everywhere: one that takes it, one that waits for its result. A cancel is the
-time from asking for it to the end of the goal.
+The minimum is msgpack over a unix socket: two calls per goal, one message per feedback, no checks,
+no discovery, no status. grpc.aio and websockets with JSON do the same over TCP, if installed.
+turtleact is a node in each process, with Zenoh over TCP between them. "Awaited" is
+``await client.send_goal``. "Entered" is ``async with``, which also follows the status of all goals.
+Everywhere a goal is two calls: one sends it, one waits for its result. A cancel is the time from
+the request to the end of the goal.
 
-Rounds are interleaved; a ratio is the median of the ratios of the rounds, and a time the median.
-Each loss of a feedback message, and each that comes after its result, is an error.
+Rounds are interleaved. A ratio is the median of the rounds' ratios, and a time is the median. A
+feedback message that is lost, or arrives after its result, is an error.
 
-With ``--soak``, goals one after another and many at once instead, and what is left of them.
+With ``--soak``, goals run one after another and many at once, and leftovers are counted.
 Run it as ``python -m benchmarks.bench_wire``.
 """
 

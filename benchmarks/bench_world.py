@@ -1,11 +1,11 @@
 """What does a running world cost, and does it keep time?
 
-Everything in one process and one event loop, in the order of the table: how late its ticks come and
-whether they drift; a fleet in which each turtle is driven by a goal of its own, which somebody
-follows; patrols in virtual time; and what a turtle costs in fleets of different sizes. The floor of
-a tick is a loop that only sleeps.
+Everything runs in one process and one event loop. In the order of the table: how late ticks come
+and whether they drift; a fleet in which each turtle is driven by its own goal, which somebody
+follows; patrols in virtual time; and the cost of a turtle in fleets of different sizes. The minimum
+of a tick is a loop that only sleeps.
 
-Takes one option: how many seconds the ticks are watched, 60 unless given.
+Takes one option: how many seconds to watch the ticks, 60 by default.
 """
 
 from __future__ import annotations

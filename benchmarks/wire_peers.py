@@ -1,7 +1,7 @@
-"""Other ways to have a job done in another process, for `bench_wire`: what turtleact stands beside.
+"""Other ways to have a job done in another process, to compare turtleact with in `bench_wire`.
 
-Each does what a goal does by two calls, and shows feedback as messages of its own; none checks
-anything, knows who is there, or tells others how it stands.
+Each does what a goal does with two calls, and sends feedback as separate messages. None checks
+anything, knows who exists, or tells others about its state.
 """
 
 from __future__ import annotations

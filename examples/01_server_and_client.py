@@ -1,5 +1,5 @@
 # In a checkout: pip install .
-"""A server and a client in one process: the goal goes out, feedback comes back, then the result.
+"""A server and a client in one process: send a goal, read its feedback, then its result.
 
 Prints:
 

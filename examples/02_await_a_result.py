@@ -1,5 +1,5 @@
 # In a checkout: pip install .
-"""Who only wants the result awaits the goal; many goals run side by side.
+"""If you only need the result, await the goal. Many goals can run side by side.
 
 Prints:
 

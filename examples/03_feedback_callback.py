@@ -1,5 +1,5 @@
 # In a checkout: pip install .
-"""A callback hears each feedback message while the result is awaited.
+"""A callback receives each feedback message while you await the result.
 
 Prints:
 

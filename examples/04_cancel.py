@@ -1,5 +1,5 @@
 # In a checkout: pip install .
-"""A cancel reaches the body as Python's own cancellation: ``finally`` runs, and is waited for.
+"""A cancel reaches the body as Python's own cancellation: its ``finally`` runs and is awaited.
 
 Prints:
 

@@ -1,5 +1,5 @@
 # In a checkout: pip install .
-"""A server looks at a goal before it takes it, and says why it does not.
+"""A server looks at a goal before it accepts it. If it rejects the goal, it says why.
 
 Prints:
 

@@ -1,5 +1,5 @@
 # In a checkout: pip install .
-"""The other style of body: a coroutine that publishes feedback with a plain call, and returns.
+"""The other style of body: a coroutine function that calls ``publish_feedback`` and returns.
 
 Prints:
 
@@ -23,7 +23,7 @@ async def fibonacci(goal: Fibonacci.Goal, handle: Handle) -> Fibonacci.Result:
     feedback = Fibonacci.Feedback(partial_sequence=[0, 1])
     for _ in range(1, goal.order):
         feedback.partial_sequence.append(sum(feedback.partial_sequence[-2:]))
-        handle.publish_feedback(feedback)  # a snapshot: the message may be used again
+        handle.publish_feedback(feedback)  # sends a copy, so the message may be used again
         await asyncio.sleep(0.01)
     return Fibonacci.Result(sequence=feedback.partial_sequence)
 

@@ -1,5 +1,5 @@
 # In a checkout: pip install .
-"""A body gives up, says why, and hands over what it has reached.
+"""A body gives up, says why, and returns what it has achieved so far.
 
 Prints:
 
@@ -29,7 +29,7 @@ async def main() -> None:
         node.serve(fibonacci)
         client = node.action_client(Fibonacci, "fibonacci")
         async with client.send_goal(Fibonacci.Goal(order=5)) as goal:
-            outcome = await goal.outcome()  # never raises
+            outcome = await goal.outcome()  # does not raise if the goal fails
             print(f"{outcome.status.name}, {outcome.reason}: {outcome.result.sequence}")
         try:
             await client.send_goal(Fibonacci.Goal(order=5))

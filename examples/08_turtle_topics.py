@@ -1,5 +1,5 @@
 # In a checkout: pip install .
-"""A turtle is two topics: a pose comes in, a twist goes out. One twist lasts about a second.
+"""A turtle has two topics: read its pose, send it a twist. One twist lasts about a second.
 
 Prints:
 
@@ -18,7 +18,7 @@ def show(pose: TurtlePose) -> None:
 
 
 async def main() -> None:
-    async with open_world(speed="max") as node:  # virtual time: as fast as it computes
+    async with open_world(speed="max") as node:  # virtual time: as fast as the computer can
         poses = node.subscription(TurtlePose, "turtle1/pose")
         twists = node.publisher(Twist, "turtle1/cmd_vel")
         show(await anext(poses))

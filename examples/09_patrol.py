@@ -1,5 +1,5 @@
 # In a checkout: pip install .
-"""A patrol of ten seconds, in virtual time: it takes a fraction of one, and is the same each time.
+"""A patrol of ten seconds in virtual time: it takes a fraction of that, and always runs the same.
 
 Prints:
 

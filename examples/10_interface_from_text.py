@@ -1,5 +1,5 @@
 # In a checkout: pip install .
-"""An interface of one's own, from the text of its .action file; a path to the file will do too.
+"""Your own interface, from the text of a .action file. You can also pass the path of the file.
 
 Prints:
 

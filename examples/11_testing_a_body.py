@@ -1,5 +1,5 @@
 # In a checkout: pip install .
-"""A declared body is still the plain function that it was: test it without a server.
+"""A declared body is still a plain function, so you can test it without a server.
 
 Prints:
 

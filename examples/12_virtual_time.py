@@ -1,5 +1,5 @@
 # In a checkout: pip install . trio
-"""A test in virtual time: an hour of sleeping takes a few milliseconds, on asyncio and on trio.
+"""A test in virtual time: an hour of sleep takes a few milliseconds, on asyncio and on trio.
 
 Prints:
 

@@ -1,5 +1,5 @@
 # In a checkout: pip install .
-"""A service: one request, one response. Requests are handled side by side.
+"""A service: one response for each request. Requests are handled side by side.
 
 Prints:
 
@@ -36,16 +36,16 @@ class Divide(Service, type_name="lab_interfaces/srv/Divide"):
 
 
 async def add(request: AddTwoInts.Request) -> AddTwoInts.Response:
-    await asyncio.sleep(0.1)  # holds no other request up
+    await asyncio.sleep(0.1)  # does not hold up other requests
     return AddTwoInts.Response(sum=request.a + request.b)
 
 
-def divide(request: Divide.Request) -> Divide.Response:  # what never waits needs no async
+def divide(request: Divide.Request) -> Divide.Response:  # a handler that never waits may be plain
     return Divide.Response(quotient=request.dividend / request.divisor)
 
 
 async def main() -> None:
-    logging.disable()  # the server logs the traceback of a handler that fails
+    logging.disable()  # the server would log the traceback of a failing handler
     async with turtleact.open_node("lab") as node:
         node.service(AddTwoInts, "add_two_ints", add)
         node.service(Divide, "divide", divide)
@@ -63,7 +63,7 @@ async def main() -> None:
         except ServiceError as error:
             print(error)
 
-        try:  # a handler whose caller waits no longer is canceled
+        try:  # when the caller stops waiting, its handler is cancelled
             await adder.call(AddTwoInts.Request(a=2, b=3), timeout=0.01)
         except ServiceTimeout as error:
             print(error)

@@ -1,5 +1,5 @@
 # In a checkout: pip install .
-"""A square: ahead by its topics, around each corner by its action. turtlesim's draw_square.
+"""Draws a square: drives each side by topics and turns each corner by an action. From turtlesim.
 
 Prints:
 

@@ -1,7 +1,7 @@
 # In a checkout: pip install .
-"""One turtle does what another does: a second one is spawned, and told the first one's speeds.
+"""One turtle copies another: a second turtle is spawned and gets the first one's speeds.
 
-turtlesim's mimic.
+From turtlesim's mimic.
 
 Prints:
 

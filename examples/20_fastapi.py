@@ -1,10 +1,10 @@
 # In a checkout: pip install . fastapi httpx
 """A web app: a goal outlives the request that started it, and later requests find it by its id.
 
-The app keeps no list of goals: one that is detached belongs to its server alone. ``visit`` plays
-the browser, without a port and in virtual time; ``uvicorn --app-dir examples 20_fastapi:app``
-serves the same app in real time. Only there does the stream arrive bit by bit: what ``visit`` has,
-httpx's ``ASGITransport``, hands a response over when it is complete.
+The app keeps no list of goals: a detached goal belongs to its server alone. ``visit`` plays the
+browser, without a port and in virtual time. ``uvicorn --app-dir examples 20_fastapi:app`` serves
+the same app in real time. Only there does the feedback stream arrive piece by piece, because the
+client in ``visit`` (httpx's ``ASGITransport``) delivers a response when it is complete.
 
 Prints:
 
@@ -68,7 +68,7 @@ app = FastAPI(
 )
 
 
-# FastAPI would run plain functions in threads, and a handle must stay in its event loop's.
+# FastAPI runs plain functions in threads, but a handle must stay in its event loop's thread.
 async def find(request: Request, goal_id: uuid.UUID) -> Handle:
     handle: Handle = await request.app.state.patrol.attach(goal_id)
     return handle
@@ -108,7 +108,7 @@ async def cancel(goal: Found) -> None:
 
 async def visit() -> None:
     places = {"targets": [{"x": 9.0, "y": 7.0}, {"x": 9.0, "y": 10.0}]}
-    transport = httpx.ASGITransport(app)  # runs no lifespan
+    transport = httpx.ASGITransport(app)  # does not run the app's lifespan
     async with (
         app.router.lifespan_context(app),
         httpx.AsyncClient(transport=transport, base_url="http://turtle") as http,

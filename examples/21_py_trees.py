@@ -1,8 +1,8 @@
 # In a checkout: pip install . py-trees
-"""A tick of a behaviour tree may not wait: a leaf starts a goal, looks at it, and lets it go.
+"""A behaviour tree whose ticks never wait: a leaf starts a goal, checks on it, and lets it go.
 
-The turtle patrols until its battery is low. Then the tree turns elsewhere, which cancels the
-patrol, and the turtle goes home: as soon as the patrol has let go of it, for they share a lock.
+The turtle patrols until its battery is low. Then the tree switches to another branch, which cancels
+the patrol. The turtle goes home as soon as the patrol has released it, because they share a lock.
 
 Prints:
 
@@ -87,7 +87,7 @@ class GoalLeaf(Behaviour):
             self.feedback_message = f"{feedback.distance_remaining:.1f} m to go"
         return Status.RUNNING
 
-    def terminate(self, new_status: Status) -> None:  # noqa: ARG002  # it is py_trees that calls
+    def terminate(self, new_status: Status) -> None:  # noqa: ARG002  # py_trees passes it
         """Let the goal go, sent or not; nothing happens to one that has ended."""
         if self.handle is None:
             self.scope.cancel()

@@ -1,10 +1,10 @@
 # In a checkout: pip install .
-"""A notebook has no block to stay in: a world is opened in one cell, used in others, and closed.
+"""A notebook has no block to stay in: one cell opens a world, others use it, and one closes it.
 
-The cells (``# %%``) run as plain Python too. There ``run`` lets the event loop go on until
-something is done, and time stands still between the cells. In a notebook the event loop runs
-already: leave out the two cells that say so, write ``await …`` for ``run(…)``, and open the world
-with ``speed=1``. Time goes on between the cells there, and ``"max"`` would race through hours.
+The cells (``# %%``) also run as plain Python. There, ``run`` runs the event loop until something is
+done, and time stands still between the cells. In a notebook, the event loop is already running.
+Leave out the two cells that say so, write ``await …`` instead of ``run(…)``, and open the world
+with ``speed=1``, because time continues between the cells and ``"max"`` would race through hours.
 
 Prints:
 
@@ -36,7 +36,7 @@ there = Patrol.Goal(targets=[Point(x=9.0, y=7.0)])
 goal = run(stack.enter_async_context(patrol.send_goal(there)))
 print(goal.status.name)
 
-# %% Hear from it
+# %% Read its feedback
 feedback = run(anext(goal))
 print(f"{feedback.distance_remaining:.1f} m to go")
 

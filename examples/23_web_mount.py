@@ -1,9 +1,9 @@
 # In a checkout: pip install . fastapi httpx
-"""A web app with a bridge in it: its own routes beside rosbridge and the page, over one node.
+"""A web app that contains the bridge: its own routes beside rosbridge and the page, on one node.
 
-``main`` serves it on any free port and visits it; ``uvicorn --app-dir examples 23_web_mount:app``
+``main`` serves it on any free port and visits it. ``uvicorn --app-dir examples 23_web_mount:app``
 serves the same app, with the page at http://127.0.0.1:8000/robot/ and rosbridge at
-ws://127.0.0.1:8000/robot/. Mind the slash at the end.
+ws://127.0.0.1:8000/robot/. Do not leave out the slash at the end.
 
 Prints:
 

@@ -1,4 +1,4 @@
-"""A laboratory for actions: one small action, a node that serves it, and ways to let time pass."""
+"""A laboratory for tests of actions: a small action, a node that serves it, and tools for time."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ ON_A_LOOP_THAT_TELLS = pytest.mark.parametrize(
         pytest.param(("trio", {}), id="trio"),
     ],
 )
-"""Loops that tell exactly when they are idle: uvloop does not."""
+"""Loops that know exactly when they are idle; uvloop does not."""
 ON_TRIO = pytest.mark.parametrize("anyio_backend", [pytest.param(("trio", {}), id="trio")])
 
 TURNS = 30
-"""More turns of a loop than any chain of wake-ups in these tests takes."""
+"""More turns of the loop than any chain of wake-ups in these tests needs."""
 
 
 class Count(Action, type_name="lab_interfaces/action/Count"):
-    """Counts up to a number; says every number on its way."""
+    """Counts up to a number and reports every number on the way."""
 
     class Goal(Message):
         upto: int32 = 0
@@ -66,14 +66,14 @@ def result(*numbers: int) -> Count.Result:
 
 
 async def take_turns() -> None:
-    """Let all others run for a while; some of them may never wait."""
+    """Let all other tasks run for a while, even if some never wait."""
     tasks = current_tasks()
     for _ in range(TURNS):
         await tasks.checkpoint()
 
 
 async def settle() -> None:
-    """Let all others run until they wait for something that none of them brings about."""
+    """Let all other tasks run until none of them can continue by itself."""
     if anyio.get_cancelled_exc_class() is asyncio.CancelledError:
         await take_turns()
     else:
@@ -81,18 +81,18 @@ async def settle() -> None:
 
 
 def other_tasks() -> set[asyncio.Task[Any]]:
-    """What runs on an asyncio loop besides the test itself."""
+    """The tasks of an asyncio loop, without the test's own."""
     return {task for task in asyncio.all_tasks() if task is not asyncio.current_task()}
 
 
 class Running(Generic[T]):
-    """A coroutine that runs in a task of its own, and what came of it.
+    """A coroutine that runs in its own task, and its outcome.
 
     Attributes:
-        scope: Canceling it cancels the coroutine.
-        value: What it returned.
-        error: What it raised; a cancellation too.
-        done: Set at its end.
+        scope: Cancel it to cancel the coroutine.
+        value: The return value.
+        error: The exception it raised, which may be a cancellation.
+        done: Set when it has ended.
     """
 
     def __init__(self, call: Callable[[], Any]) -> None:
@@ -114,7 +114,7 @@ class Running(Generic[T]):
 
 @asynccontextmanager
 async def running(call: Callable[[], Any]) -> AsyncIterator[Running[Any]]:
-    """Run ``call()`` beside the block: well under way before it begins, awaited at its end."""
+    """Run ``call()`` beside the block; under way at its start, awaited at its end."""
     beside: Running[Any] = Running(call)
     async with anyio.create_task_group() as group:
         group.start_soon(beside.run)
@@ -123,7 +123,7 @@ async def running(call: Callable[[], Any]) -> AsyncIterator[Running[Any]]:
 
 
 class Lab(NamedTuple):
-    """What a test works with."""
+    """The things that a test works with."""
 
     node: turtleact.Node
     server: turtleact.ActionServer[Any, Any, Any]
@@ -132,12 +132,12 @@ class Lab(NamedTuple):
 
     @property
     def active(self) -> list[Any]:
-        """The goals that the server takes for unended."""
+        """The goals that the server considers active."""
         return [goal for goal in self.local.held() if goal.status.is_active]
 
 
 def local_server(server: turtleact.ActionServer[Any, Any, Any]) -> LocalActionServer:
-    """What clients in the same process are handed of a server that is open."""
+    """The server object that clients in the same process use."""
     name, type_name = f"{server.name}/_action/send_goal", f"{server.action_type.type_name}_SendGoal"
     offered: Any = server.node.transport.local(name, type_name)
     return cast("LocalActionServer", offered.goal_server)
@@ -147,14 +147,14 @@ def local_server(server: turtleact.ActionServer[Any, Any, Any]) -> LocalActionSe
 async def lab(
     execute: Any, *, transport: MemoryTransport | None = None, **options: Any
 ) -> AsyncIterator[Lab]:
-    """A node that serves `Count` with this body, and a client of it."""
+    """Open a node that serves `Count` with this body, and a client of it."""
     async with turtleact.open_node("lab", transport=transport) as node:
         server = node.action_server(Count, "count", execute, **options)
         yield Lab(node, server, node.action_client(Count, "count"), local_server(server))
 
 
 async def count(goal: Count.Goal) -> AsyncIterator[Count.Feedback | Count.Result]:
-    """The plain body: a generator that never waits."""
+    """A plain body: a generator that never waits."""
     numbers: list[int] = []
     for number in range(goal.upto):
         numbers.append(number)
@@ -163,11 +163,11 @@ async def count(goal: Count.Goal) -> AsyncIterator[Count.Feedback | Count.Result
 
 
 class Gate:
-    """A body that waits until it is let go on, and notes what happens to it.
+    """A body that waits until the test lets it continue, and records what happens to it.
 
     Attributes:
         started: Set when a body has begun.
-        opened: Set it to let the bodies go on.
+        opened: Set it to let the bodies continue.
         log: What has happened, in order.
     """
 
@@ -212,6 +212,6 @@ class HandClock(VirtualClock):
 
 
 def hand_lab(execute: Callable[..., object], **options: Any) -> tuple[HandClock, Any]:
-    """A laboratory whose time the test sets by hand."""
+    """A laboratory whose clock the test sets by hand."""
     clock = HandClock()
     return clock, lab(execute, transport=MemoryTransport(clock), **options)

@@ -78,7 +78,7 @@ def test_a_backend_without_virtual_time_is_refused(backend):
 
 @pytest.mark.parametrize("patience", [-1, -0.001, math.nan])
 def test_a_patience_below_zero_is_refused(patience):
-    with pytest.raises(SimError, match="patience is 0 or more seconds, not"):
+    with pytest.raises(SimError, match="patience must be 0 or more seconds, not"):
         virtual_backend(patience=patience)
 
 
@@ -794,11 +794,13 @@ async def test_the_graph_is_that_of_the_wrapped_transport():
 @pytest.mark.parametrize("name", ["drop", "repeat"])
 @pytest.mark.parametrize("share", [-0.1, 1.1, math.nan])
 def test_a_share_that_is_none_is_refused(name, share):
-    with pytest.raises(SimError, match=f"{name} is a share of messages, from 0 to 1, not {share}"):
+    with pytest.raises(
+        SimError, match=f"{name} must be a share of messages, from 0 to 1, not {share}"
+    ):
         FaultyTransport(MemoryTransport(), **{name: share})
 
 
 @pytest.mark.parametrize("delay", [-1, math.nan, math.inf, (2, 1), (-1, 1), (0, math.inf)])
 def test_a_delay_that_is_none_is_refused(delay):
-    with pytest.raises(SimError, match="delay is 0 or more seconds, or a pair of such in order"):
+    with pytest.raises(SimError, match="delay must be 0 or more seconds, or an ordered pair"):
         FaultyTransport(MemoryTransport(), delay=delay)

@@ -144,4 +144,4 @@ def test_a_message_that_is_derived_from_another_is_told_with_its_line(folder):
     file.write_text(f"{imports}\nclass Mine(Fibonacci.Feedback): pass\n")
     with pytest.raises(TurtleactError) as caught:
         find_actions("derived")
-    assert str(caught.value) == f"{file}, line 3: Mine: derive a message from Message alone"
+    assert str(caught.value) == f"{file}, line 3: Mine: derive a message only from Message"

@@ -71,10 +71,10 @@ class Nameless(Message):
 @pytest.mark.parametrize(
     ("annotation", "problem"),
     [
-        (int, "int is no ROS type: say which, from int8 to uint64"),
-        (list, r"list is no ROS type: say of what, as in list\[int32\]"),
-        (dict[str, int], r"dict\[str, int\] is no ROS type"),
-        (int | None, "is no ROS type"),
+        (int, "int is not a ROS type: say which, from int8 to uint64"),
+        (list, r"list is not a ROS type: say of what, as in list\[int32\]"),
+        (dict[str, int], r"dict\[str, int\] is not a ROS type"),
+        (int | None, "is not a ROS type"),
         (list[list[int32]], r"no lists of lists: put the int32\[\] into a message"),
         (bounded[int32, 5], r"bounded\[…\] is for a list, as in bounded\[list\[int32\], 5\]"),
         (bounded[float, 5], r"bounded\[list\[float64\], 5\]"),
@@ -127,7 +127,7 @@ def test_the_names_of_the_class_itself_come_last():
 
 @pytest.mark.parametrize("item", [list[int32], (list[int32], 0), (list[int32], "5")])
 def test_a_length_is_a_number_above_zero(item):
-    with pytest.raises(InvalidInterface, match=r"array: say array\[list\[int32\], 5\]"):
+    with pytest.raises(InvalidInterface, match=r"array: write array\[list\[int32\], 5\]"):
         array[item]
 
 

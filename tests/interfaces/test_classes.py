@@ -370,7 +370,7 @@ def test_an_event_holds_at_most_one_request():
 
 
 def test_the_base_of_all_services_implies_nothing():
-    with pytest.raises(InvalidInterface, match="'' is no full interface name"):
+    with pytest.raises(InvalidInterface, match="'' is not a full interface name"):
         event_message(Service)
 
 
@@ -464,7 +464,7 @@ def test_known_interfaces_leaves_out_implied_types_alone():
 
 
 def test_the_base_of_all_actions_implies_nothing():
-    with pytest.raises(InvalidInterface, match="'' is no full interface name"):
+    with pytest.raises(InvalidInterface, match="'' is not a full interface name"):
         implied(Action)
 
 
@@ -522,5 +522,5 @@ def test_an_unknown_message_inside_is_told():
 
 def test_what_is_inside_must_be_a_message():
     said = message("Other x")
-    with pytest.raises(InvalidInterface, match="x: example_msgs/msg/Other is no message"):
+    with pytest.raises(InvalidInterface, match="x: example_msgs/msg/Other is not a message"):
         make_message(said, lambda _: CancelGoal)

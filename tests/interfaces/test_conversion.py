@@ -326,7 +326,7 @@ def test_bytes_are_made_of_bytes_or_numbers(uuid):
         (Sample, {"at": {"q": 1}}, "message.at: unknown field 'q': the fields are x, y, z"),
         (Point, {1: 1}, "message: unknown field 1: the fields are x, y, z"),
         (Empty, {"x": 1}, "message: unknown field 'x': there are no fields"),
-        (Empty, 5, "message: expected {}, for it has no fields, got 5"),
+        (Empty, 5, "message: expected {}, because it has no fields, got 5"),
         (Sample, 5, 'message: expected fields such as {flag: false, name: "", at: {}}, got 5'),
         (Point, None, "message: expected fields such as {x: 0.0, y: 0.0, z: 0.0}, got None"),
         (GoalInfo, [], "message: expected fields such as {goal_id: {}, stamp: {}}, got []"),

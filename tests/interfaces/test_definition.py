@@ -66,13 +66,13 @@ def test_minus_zero_is_a_default():
 
 @pytest.mark.parametrize("name", ["X", "_x", "x_", "x__y", "1x", "é", ""])
 def test_a_field_name_must_be_lower_case(name):
-    with pytest.raises(InvalidInterface, match="is no field name"):
+    with pytest.raises(InvalidInterface, match="is not a valid field name"):
         Field(name, INT32)
 
 
 @pytest.mark.parametrize("name", ["x", "_X", "X_", "X__Y", "1X"])
 def test_a_constant_name_must_be_in_capitals(name):
-    with pytest.raises(InvalidInterface, match="is no constant name"):
+    with pytest.raises(InvalidInterface, match="is not a valid constant name"):
         Constant(name, INT32, 1)
 
 
@@ -91,7 +91,7 @@ def test_a_keyword_gets_an_underscore_in_python_only():
     "name", ["Point", "a/B", "a/msg/b", "A/msg/B", "a/idl/B", "a__b/msg/C", "a/msg/B/C"]
 )
 def test_a_full_name_is_package_kind_and_name(name):
-    with pytest.raises(InvalidInterface, match="is no full interface name"):
+    with pytest.raises(InvalidInterface, match="is not a full interface name"):
         MessageDefinition(name)
 
 
@@ -109,7 +109,7 @@ def test_a_part_bears_the_name_of_the_whole():
 
 
 def test_a_name_is_given_once():
-    with pytest.raises(InvalidInterface, match="'x' is given twice"):
+    with pytest.raises(InvalidInterface, match="'x' is declared twice"):
         message(Field("x", INT32), Field("x", INT32))
 
 
@@ -123,7 +123,7 @@ def test_nothing_alike_gives_no_hint():
 
 @pytest.mark.parametrize("value", ["a\nb", "a\rb", "ends in \\", "\"'\\"])
 def test_a_default_that_no_text_can_say_is_refused(value):
-    with pytest.raises(InvalidInterface, match="cannot be said in the text"):
+    with pytest.raises(InvalidInterface, match="cannot be written in the text"):
         definition_text(message(Field("x", FieldType("string"), value)))
 
 

@@ -193,14 +193,14 @@ def test_a_file_in_its_place_names_itself(tmp_path, as_type):
 def test_a_file_anywhere_needs_a_name(tmp_path):
     path = tmp_path / "order.msg"
     path.write_text("int32 count")
-    with pytest.raises(InvalidInterface, match=r'order.msg: say its full name: type_name="'):
+    with pytest.raises(InvalidInterface, match=r'order.msg: give its full name: type_name="'):
         load_interface(path)
     order: Any = load_interface(path, type_name="example_msgs/msg/Order")
     assert order().count == 0
 
 
 def test_a_text_needs_a_name():
-    with pytest.raises(InvalidInterface, match=r"^text: say its full name"):
+    with pytest.raises(InvalidInterface, match=r"^text: give its full name"):
         load_interface("int32 x")
 
 
@@ -257,7 +257,7 @@ def test_a_folder_must_be_there(tmp_path):
 
 def test_a_file_with_a_name_of_no_interface_is_told(tmp_path):
     write(tmp_path, "example_msgs/msg/order", "int32 x")
-    with pytest.raises(InvalidInterface, match=r"order.msg: say its full name"):
+    with pytest.raises(InvalidInterface, match=r"order.msg: give its full name"):
         load_interfaces(tmp_path)
 
 

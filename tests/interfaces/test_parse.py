@@ -139,11 +139,11 @@ def test_an_error_shows_the_line_and_a_caret():
     [
         ("int32", 6, "expected a type and a name"),
         ("int32  # x", 6, "expected a type and a name"),
-        ("int32 X", 7, "'X' is no field name"),
-        ("int32 x = 5", 7, "'x' is no constant name"),
+        ("int32 X", 7, "'X' is not a valid field name"),
+        ("int32 x = 5", 7, "'x' is not a valid constant name"),
         ("uint8 X =", 10, "expected a value after '='"),
         ("uint8 X=300", 9, r"300 is out of range for uint8 \(0 to 255\)"),
-        ("Point X=3", 9, "has no default"),
+        ("Point X=3", 9, "cannot have a default"),
         ("uint8[] X=[1]", 9, "a constant is a number, a bool or a string, not uint8"),
         ("int32 x y", 9, r"expected a whole number \(int32\), got 'y'"),
         ("bool x maybe", 8, r"expected true or false \(bool\), got 'maybe'"),
@@ -154,20 +154,20 @@ def test_an_error_shows_the_line_and_a_caret():
         ("string<=0 x", 1, "a bound or a length is at least 1"),
         ("int32[2000000] x", 1, "at most 1000000 elements"),
         ("int32<=5 x", 6, "only a string has a bound of its own"),
-        ("int32[ x", 1, r"'int32\[' is no type: say it as int32, int32\[5\]"),
-        ("Point p 3", 9, r"a message \(example_msgs/msg/Point\) has no default"),
-        ("int32[] x 1", 11, r"stands in brackets, as in \[1, 2\]"),
-        ("int32[] x [1,]", 11, "expected values with a comma between each two"),
+        ("int32[ x", 1, r"'int32\[' is not a type: write int32, int32\[5\]"),
+        ("Point p 3", 9, r"a message \(example_msgs/msg/Point\) cannot have a default"),
+        ("int32[] x 1", 11, r"must be in brackets, as in \[1, 2\]"),
+        ("int32[] x [1,]", 11, "expected values separated by commas"),
         ("int32[] x [a]", 11, r"element \[0\]: expected a whole number"),
-        ("string[] x ['a' 'b']", 12, "expected values with a comma between each two"),
+        ("string[] x ['a' 'b']", 12, "expected values separated by commas"),
         ("int32[2] x [1]", 12, "exactly 2 elements, got 1"),
         ("string<=2 x abc", 13, "at most 2 characters, got 3"),
-        ("string x 'a", 10, "a quote is opened and not closed"),
+        ("string x 'a", 10, "a quote is opened but not closed"),
         ("float64 x inf", 11, "inf is not finite"),
         ("float64 x 1,5", 11, r"expected a number \(float64\), got '1,5'"),
-        ('@verbatim(language="comment", text="x")', 1, "is no type"),
+        ('@verbatim(language="comment", text="x")', 1, "is not a type"),
         ("float64 x 1e999", 11, "1e999 is not finite"),
-        ("int32 x\nint32 x", 7, "'x' is given twice"),
+        ("int32 x\nint32 x", 7, "'x' is declared twice"),
         ("double x", 1, "unknown type 'double', did you mean 'float64'"),
         ("time x", 1, "did you mean 'builtin_interfaces/Time'"),
         ("zebra x", 1, "unknown type 'zebra'$"),
@@ -196,7 +196,7 @@ def test_an_action_has_two_separators(text, problem):
 
 
 def test_the_name_is_checked_first():
-    with pytest.raises(InvalidInterface, match="is no full interface name"):
+    with pytest.raises(InvalidInterface, match="is not a full interface name"):
         parse("", "Sample")
 
 

@@ -182,7 +182,7 @@ def test_a_changed_interface_has_a_hash_of_its_own():
 
 @pytest.mark.parametrize("cls", [Message, Service, Action])
 def test_a_class_without_a_name_has_no_hash(cls):
-    with pytest.raises(InvalidInterface, match="'' is no full interface name"):
+    with pytest.raises(InvalidInterface, match="'' is not a full interface name"):
         type_hash(cls)
 
 
@@ -190,7 +190,7 @@ def test_a_part_that_no_action_has_named_yet_has_no_hash_then():
     class Part(Message):
         x: int32
 
-    with pytest.raises(InvalidInterface, match="'' is no full interface name"):
+    with pytest.raises(InvalidInterface, match="'' is not a full interface name"):
         type_hash(Part)
 
 

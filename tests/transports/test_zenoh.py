@@ -356,7 +356,7 @@ async def test_a_message_that_cannot_be_read_is_logged_and_the_next_is_read(addr
         while not inbox.numbers:
             await anyio.sleep(0)
     (logged,) = caplog.messages
-    assert logged.startswith("topic /chatter: a message cannot be read: message: no plain CDR")
+    assert logged.startswith("topic /chatter: a message cannot be read: message: not plain CDR")
 
 
 async def test_a_request_of_ros_is_answered_with_its_own_number_and_gid(address):
@@ -376,7 +376,7 @@ async def test_a_request_of_ros_is_answered_with_its_own_number_and_gid(address)
     ("payload", "attachment", "said"),
     [
         (REQUEST, b"", "attachment: expected 33 bytes, got 0"),
-        (b"", write_attachment(1, 0, GID), "message: no plain CDR"),
+        (b"", write_attachment(1, 0, GID), "message: not plain CDR"),
         (REQUEST[:6], write_attachment(1, 0, GID), "numbers"),
     ],
     ids=["attachment", "nothing", "cut"],

@@ -1,6 +1,6 @@
-"""What is said: messages, services and actions as Python classes, and as text.
+"""Interfaces: messages, services and actions as Python classes, and as text.
 
-Pure: nothing here does I/O but the reading of interface files, and nothing knows an event loop.
+Pure: this package only reads interface files and does no other I/O. It knows no event loop.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    """Imports ``cdr``, or ``text`` and PyYAML, when one of its functions is first asked for."""
+    """Import ``cdr``, or ``text`` with PyYAML, when one of its functions is first used."""
     if name in ("decode", "encode"):
         from turtleact.interfaces import cdr
 

@@ -1,8 +1,8 @@
-"""Python annotations that say a ROS type, and how one is read.
+"""Python annotations for ROS types, and how to read one.
 
-``int32`` is ``Annotated[int, …]``: a type checker sees ``int``, a message class reads the range.
-``bounded[list[int32], 5]`` and ``array[list[float64], 9]`` are ``Annotated`` by another name, so
-that every type checker takes them for the list. Knows no message class beyond its name.
+``int32`` is ``Annotated[int, …]``: a type checker sees ``int``, and a message class sees the range.
+``bounded[list[int32], 5]`` and ``array[list[float64], 9]`` are other spellings of ``Annotated``, so
+that every type checker sees the list. This module knows a message class only by its name.
 """
 
 from __future__ import annotations
@@ -109,30 +109,30 @@ SCALARS: Mapping[str, object] = {
     "wstring": wstring,
 }
 
-#: Python's own types, where they leave no doubt. ``int`` does.
+#: Python's own types with only one ROS type; ``int`` has several.
 PLAIN = {bool: "bool", float: "float64", str: "string"}
 
-if not TYPE_CHECKING:  # pragma: no branch  it is always so when it runs
+if not TYPE_CHECKING:  # pragma: no branch  always true at run time
 
     class bounded:
-        """At most so many: ``bounded[list[int32], 5]``, ``bounded[string, 10]``."""
+        """A maximum length: ``bounded[list[int32], 5]``, ``bounded[string, 10]``."""
 
         def __class_getitem__(cls, item: object) -> object:
             return limited(item, ArrayForm.BOUNDED)
 
     class array:
-        """Exactly so many: ``array[list[float64], 9]``; ``array[bytes, 16]`` is of uint8."""
+        """An exact length: ``array[list[float64], 9]``; ``array[bytes, 16]`` has uint8 elements."""
 
         def __class_getitem__(cls, item: object) -> object:
             return limited(item, ArrayForm.FIXED)
 
 
-#: Where the names in an annotation are looked up.
+#: The namespace in which the names of an annotation are looked up.
 Scope: TypeAlias = "Mapping[str, object]"
 
 
 class Reading(NamedTuple):
-    """What an annotation says."""
+    """The meaning of an annotation."""
 
     field_type: FieldType
     nested: type | None = None
@@ -140,10 +140,10 @@ class Reading(NamedTuple):
 
 
 def read(annotation: object, scope: Scope) -> Reading:
-    """What a field's annotation says.
+    """Return the meaning of a field's annotation.
 
     Raises:
-        InvalidInterface: if it says no ROS type; the source is left to the caller.
+        InvalidInterface: if it is not a ROS type; the caller fills in the source.
     """
     annotation = resolve(annotation, scope)
     marks: tuple[object, ...] = ()
@@ -167,7 +167,7 @@ def read(annotation: object, scope: Scope) -> Reading:
 
 
 def annotation_of(field_type: FieldType, nested: type | None) -> object:
-    """The annotation that says this type."""
+    """Return the annotation for this type."""
     if is_bytes(field_type):
         return marked(bytes, Limit(field_type.form, field_type.size))
     annotation = SCALARS[field_type.name] if nested is None else nested
@@ -181,10 +181,11 @@ def annotation_of(field_type: FieldType, nested: type | None) -> object:
 
 
 def scope_of(frame: FrameType, namespace: Mapping[str, object]) -> Scope:
-    """Where a class statement looks names up, for annotations that are text.
+    """Return the names that a class statement sees, for annotations that are text.
 
-    The enclosing class bodies and the function around them; a name of a still wider function is
-    seen only if it is a global. The class's own body comes last: ``byte: byte = 0`` means the type.
+    These are the names of the enclosing class bodies and of the function around them. Names of
+    functions further out are seen only if they are global. The class's own body comes last, so that
+    in ``byte: byte = 0`` the second word means the type.
     """
     maps = [dict(frame.f_locals)]
     while frame.f_back is not None and not frame.f_code.co_flags & FUNCTION:
@@ -195,18 +196,18 @@ def scope_of(frame: FrameType, namespace: Mapping[str, object]) -> Scope:
     return ChainMap(*maps, frame.f_globals, dict(namespace))
 
 
-#: The code flag (CO_OPTIMIZED) that a function has, and a class body or a module has not.
+#: The code flag (CO_OPTIMIZED) that functions have and class bodies and modules do not.
 FUNCTION = 0x1
 
 
 def resolve(annotation: object, scope: Scope) -> object:
-    """The object that an annotation means, where it is text."""
+    """Evaluate an annotation if it is text."""
     if isinstance(annotation, ForwardRef):
         annotation = annotation.__forward_arg__
     if not isinstance(annotation, str):
         return annotation
     try:
-        # The text is the annotation in the caller's own source, which Python would have run.
+        # The text is an annotation in the caller's own source, so Python would have run it anyway.
         return eval(annotation, {}, scope)  # noqa: S307
     except InvalidInterface:
         raise
@@ -219,22 +220,22 @@ def resolve(annotation: object, scope: Scope) -> object:
 
 
 def limited(item: object, form: ArrayForm) -> object:
-    """What ``bounded[…]`` and ``array[…]`` give."""
+    """Return the annotation for ``bounded[…]`` or ``array[…]``."""
     match item:
         case (annotation, int(size)) if size > 0:
             return marked(annotation, Limit(form, size))
     word = "array" if form is ArrayForm.FIXED else "bounded"
-    problem = f"say {word}[list[int32], 5]: a type, then a number above zero"
+    problem = f"write {word}[list[int32], 5]: a type, then a number above zero"
     raise InvalidInterface(problem, source=word)
 
 
 def marked(annotation: object, mark: Limit) -> object:
-    """An annotation with a mark more."""
+    """Add a mark to an annotation."""
     return getitem(cast("dict[object, object]", Annotated), (annotation, mark))
 
 
 def with_form(element: FieldType, limit: Limit | None) -> FieldType:
-    """The type of a sequence of such elements."""
+    """Return the type of a sequence of such elements."""
     if element.is_sequence:
         problem = f"ROS has no lists of lists: put the {element} into a message of its own"
         raise InvalidInterface(problem, source="")
@@ -243,7 +244,7 @@ def with_form(element: FieldType, limit: Limit | None) -> FieldType:
 
 
 def with_limit(single: FieldType, limit: Limit | None) -> FieldType:
-    """The type of one element, with the bound that a string may have."""
+    """Return the type of one element, with the bound that a string may have."""
     if limit is None:
         return single
     if limit.form is ArrayForm.FIXED or not single.is_string:
@@ -254,15 +255,15 @@ def with_limit(single: FieldType, limit: Limit | None) -> FieldType:
 
 
 def message_class(annotation: object) -> tuple[type, str]:
-    """The annotation, if it is a message class that has a name, and that name."""
+    """Return the annotation and its name, if it is a message class with a name."""
     if not is_message_class(annotation):
-        raise InvalidInterface(f"{said(annotation)} is no ROS type{hint(annotation)}", source="")
+        raise InvalidInterface(f"{said(annotation)} is not a ROS type{hint(annotation)}", source="")
     message = cast("type", annotation)
     type_name: str = message.type_name  # type: ignore[attr-defined]  # a message class has one
     if not type_name:
         name = message.__name__
         problem = (
-            f"{name} has no type name: say it, as in "
+            f"{name} has no type name: add one, as in "
             f'class {name}(Message, type_name="package_name/msg/{name}")'
         )
         raise InvalidInterface(problem, source="")
@@ -270,18 +271,18 @@ def message_class(annotation: object) -> tuple[type, str]:
 
 
 def is_message_class(annotation: object) -> bool:
-    """Whether this is a message class: a Struct with a type name, which may be empty."""
+    """Whether this is a message class: a Struct with a type name, perhaps an empty one."""
     is_struct = isinstance(annotation, type) and issubclass(annotation, msgspec.Struct)
     return is_struct and isinstance(getattr(annotation, "type_name", None), str)
 
 
 def said(annotation: object) -> str:
-    """An annotation as its author wrote it, nearly."""
+    """Return an annotation almost as its author wrote it."""
     return annotation.__name__ if isinstance(annotation, type) else str(annotation)
 
 
 def hint(annotation: object) -> str:
-    """What to say in place of an annotation that is no ROS type."""
+    """Suggest what to write instead of an annotation that is not a ROS type."""
     if annotation is int:
         return ": say which, from int8 to uint64"
     if annotation is list:

@@ -1,12 +1,12 @@
-"""Classes made of definitions, and the types that a service or an action implies.
+"""Makes classes from definitions, and the types that a service or action implies.
 
-``make_message`` and its siblings do what a class statement would do. They know neither files nor
-what is known already: the caller gives them ``find``, which returns the class of an interface or
-raises ``UnknownInterface``.
+``make_message`` and its siblings do the same as a class statement. They know neither files nor
+known interfaces. The caller passes ``find``, which returns the class of an interface or raises
+``UnknownInterface``.
 
-ROS 2 sends no goal, result or feedback bare: each travels in a message or service made for its
-action. ``NAME_Event`` is what the introspection of a service sends. ``implied`` and
-``event_message`` build these types on the action's or service's own classes, once, on first use.
+ROS 2 never sends a goal, result or feedback alone: each travels in a message or service generated
+for its action. A service's introspection sends ``NAME_Event``. ``implied`` and ``event_message``
+build these types from the action's or service's own classes, once, on first use.
 
 Source: ``rosidl_parser/definition.py``, classes ``Action`` and ``Service``.
 """
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     Find = Callable[[str], Interface]
 
     class SendGoal(Service):
-        """What a type checker sees of ``NAME_SendGoal``."""
+        """``NAME_SendGoal`` as type checkers see it."""
 
         class Request(Message):
             goal_id: UUID = field(default_factory=UUID)
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
             stamp: Time = field(default_factory=Time)
 
     class GetResult(Service):
-        """What a type checker sees of ``NAME_GetResult``."""
+        """``NAME_GetResult`` as type checkers see it."""
 
         class Request(Message):
             goal_id: UUID = field(default_factory=UUID)
@@ -66,7 +66,7 @@ if TYPE_CHECKING:
             result: Message = field(default_factory=Message)
 
     class FeedbackMessage(Message):
-        """What a type checker sees of ``NAME_FeedbackMessage``."""
+        """``NAME_FeedbackMessage`` as type checkers see it."""
 
         goal_id: UUID = field(default_factory=UUID)
         feedback: Message = field(default_factory=Message)
@@ -87,7 +87,7 @@ __all__ = [
 def make_message(
     definition: MessageDefinition, find: Find, *, part: str = "", whole: str = ""
 ) -> type[Message]:
-    """A message class; as a part of a service or action it is named by that."""
+    """Make a message class; a part of a service or action is named after the whole."""
     package, kind, name = definition.type_name.split("/")
     annotations: dict[str, object] = {}
     body: dict[str, object] = {
@@ -108,19 +108,19 @@ def make_message(
 
 
 def make_service(definition: ServiceDefinition, find: Find) -> type[Service]:
-    """A service class."""
+    """Make a service class."""
     return cast("type[Service]", whole_class(definition, Service, ("Request", "Response"), find))
 
 
 def make_action(definition: ActionDefinition, find: Find) -> type[Action]:
-    """An action class."""
+    """Make an action class."""
     return cast(
         "type[Action]", whole_class(definition, Action, ("Goal", "Result", "Feedback"), find)
     )
 
 
 def nested(definition: MessageDefinition, field: Field, find: Find) -> type[Message] | None:
-    """The class of the messages in a field; None where it holds primitives."""
+    """Return the class of the messages in a field; None if it holds primitives."""
     if not field.type.is_nested:
         return None
     try:
@@ -129,7 +129,7 @@ def nested(definition: MessageDefinition, field: Field, find: Find) -> type[Mess
         problem = f"{field.name}: {error}"
         raise InvalidInterface(problem, source=definition.type_name) from error
     if not issubclass(found, Message):
-        problem = f"{field.name}: {field.type.name} is no message"
+        problem = f"{field.name}: {field.type.name} is not a message"
         raise InvalidInterface(problem, source=definition.type_name)
     return found
 
@@ -137,7 +137,7 @@ def nested(definition: MessageDefinition, field: Field, find: Find) -> type[Mess
 def whole_class(
     definition: ServiceDefinition | ActionDefinition, base: type, names: tuple[str, ...], find: Find
 ) -> type:
-    """A class with its parts inside."""
+    """Make a class with its parts inside."""
     package, kind, name = definition.type_name.split("/")
     body: dict[str, object] = {"__module__": f"{package}.{kind}"}
     for part, content in zip(names, parts_of(definition), strict=True):
@@ -147,12 +147,13 @@ def whole_class(
 
 
 class Implied(msgspec.Struct, frozen=True):
-    """The services and the message that an action is sent in.
+    """The services and the message in which an action travels.
 
     Attributes:
-        send_goal: Service: goal id and goal, answered by whether and when it was accepted.
-        get_result: Service: goal id, answered by status and result.
-        feedback_message: Message: goal id and feedback.
+        send_goal: The service that sends a goal id and goal, and answers whether and when the goal
+            was accepted.
+        get_result: The service that sends a goal id, and answers with status and result.
+        feedback_message: The message with goal id and feedback.
     """
 
     send_goal: type[SendGoal]
@@ -160,7 +161,7 @@ class Implied(msgspec.Struct, frozen=True):
     feedback_message: type[FeedbackMessage]
 
 
-#: What stands behind an action's name, and the attribute of ``Implied`` that it names.
+#: The suffixes after an action's name, and the attributes of ``Implied`` they stand for.
 WRAPPERS = {
     "SendGoal": "send_goal",
     "GetResult": "get_result",
@@ -170,7 +171,7 @@ SUFFIXES = frozenset({*PARTS["srv"], *PARTS["action"], *WRAPPERS, "Event"})
 
 
 def implied(action_type: type[Action]) -> Implied:
-    """What this action is sent in, as classes: the same ones every time.
+    """Return the classes in which an action travels, always the same ones.
 
     Raises:
         InvalidInterface: if the class has no type name.
@@ -179,22 +180,22 @@ def implied(action_type: type[Action]) -> Implied:
     >>> implied(Fibonacci).send_goal.Request(goal=Fibonacci.Goal(order=5)).goal
     Goal(order=5)
     """
-    # mypy asks the class's instances for a hash, but it is the class that is looked up.
+    # mypy wants the class's instances to be hashable, but the class itself is looked up.
     return made_implied(action_type)  # type: ignore[arg-type]
 
 
 def event_message(service: type[Service]) -> type[Message]:
-    """What the introspection of this service sends: ``NAME_Event``, the same class every time.
+    """Return ``NAME_Event``, the message of a service's introspection, always the same class.
 
     Raises:
         InvalidInterface: if the class has no type name.
     """
-    # mypy asks the class's instances for a hash, but it is the class that is looked up.
+    # mypy wants the class's instances to be hashable, but the class itself is looked up.
     return made_event(service)  # type: ignore[arg-type]
 
 
 def owner_and_part(type_name: str) -> tuple[str, str]:
-    """The service or action that a name says implies it, and as what; two empty strings if none.
+    """Split the name of an implied type into its owner and its part; two empty strings otherwise.
 
     >>> owner_and_part("example_interfaces/action/Fibonacci_SendGoal_Request")
     ('example_interfaces/action/Fibonacci_SendGoal', 'Request')
@@ -204,7 +205,7 @@ def owner_and_part(type_name: str) -> tuple[str, str]:
 
 
 def part_of(owner: Interface | None, part: str) -> Interface | None:
-    """The type that goes by the name of ``owner`` and ``_PART``, or None."""
+    """Return the type named after ``owner`` with ``_PART`` added, or None."""
     if owner is None or issubclass(owner, Message):
         return None
     if issubclass(owner, Service) and part == "Event":
@@ -217,7 +218,7 @@ def part_of(owner: Interface | None, part: str) -> Interface | None:
 
 @functools.cache
 def made_implied(action: type[Action]) -> Implied:
-    """Makes the types; fields and their order are ROS's."""
+    """Make the types; the fields and their order are ROS's."""
     check_type_name(action.type_name, kinds=("action",))
     send_goal = service(
         f"{action.type_name}_SendGoal",
@@ -242,7 +243,7 @@ def made_implied(action: type[Action]) -> Implied:
 
 @functools.cache
 def made_event(service: type[Service]) -> type[Message]:
-    """Makes the type; fields and their order are ROS's."""
+    """Make the type; the fields and their order are ROS's."""
     check_type_name(service.type_name)
     return message(
         f"{service.type_name}_Event",
@@ -257,7 +258,7 @@ def made_event(service: type[Service]) -> type[Message]:
 def service(
     type_name: str, request: Mapping[str, object], response: Mapping[str, object]
 ) -> type[Service]:
-    """A service whose parts have these fields."""
+    """Make a service whose parts have these fields."""
     name, body = naming(type_name)
     body["Request"] = message(f"{type_name}_Request", request)
     body["Response"] = message(f"{type_name}_Response", response)
@@ -266,18 +267,18 @@ def service(
 
 
 def message(type_name: str, annotations: Mapping[str, object]) -> type[Message]:
-    """A message with these fields."""
+    """Make a message with these fields."""
     name, body = naming(type_name)
     body["__annotations__"] = annotations
     return cast("type[Message]", MessageMeta(name, (Message,), body, type_name=type_name))
 
 
 def at_most_one(part: type[Message]) -> object:
-    """The annotation of a list that holds one such message, or none."""
+    """Return the annotation of a list with at most one such message."""
     return annotation_of(FieldType(part.type_name, None, ArrayForm.BOUNDED, 1), part)
 
 
 def naming(type_name: str) -> tuple[str, dict[str, object]]:
-    """The name of a class as rosidl gives it, and a class body that says its place."""
+    """Return the name of a class as in rosidl, and a class body that says where it belongs."""
     package, kind, name = type_name.split("/")
     return name, {"__module__": f"{package}.{kind}", "__qualname__": name}

@@ -1,8 +1,8 @@
 """Messages to and from plain Python: checked copies, dicts, and times in nanoseconds.
 
-``snapshot`` stands in the way of every goal, feedback and result. So its function for a class is
-generated source: a few comparisons a field, and nothing is allocated but the copy. It takes values
-of exactly the expected Python type; ``values`` converts all others, or says what is wrong.
+``snapshot`` runs for every goal, feedback and result. Its function for a class is therefore
+generated source code: a few comparisons per field, and only the copy is allocated. It accepts
+values of exactly the expected Python type. ``values`` converts all others, or says what is wrong.
 
 Source: builtin_interfaces/msg/Time, for the times.
 """
@@ -50,10 +50,10 @@ SECOND: Final = 1_000_000_000
 
 
 def snapshot(message: M) -> M:
-    """A deep copy of a message, each value checked against its type.
+    """Return a deep copy of a message, with each value checked against its type.
 
-    What the copy holds is exactly what its types say: plain ints, floats, lists. A ``bytes`` in a
-    sequence of bytes stays; every other sequence becomes a list. Floats may be infinite or nan.
+    The copy holds exactly what its types say: plain ints, floats and lists. ``bytes`` in a sequence
+    of bytes stay; every other sequence becomes a list. Floats may be infinite or nan.
 
     Raises:
         InvalidMessage: with the path of the first value that does not fit.
@@ -68,19 +68,19 @@ def snapshot(message: M) -> M:
 
 
 def snapshotter(cls: type[M], *, root: str = "message") -> Callable[[M], M]:
-    """The function that ``snapshot`` applies to messages of this class, to keep and call often.
+    """Return the function that ``snapshot`` uses for this class, to keep and call often.
 
-    It also takes a message of another class of the same name and fields, and converts it.
+    It also accepts a message of another class with the same name and fields, and converts it.
 
     Args:
-        cls: The class that the copies have.
+        cls: The class of the copies.
         root: The first word of the path in errors; ``goal`` makes them ``InvalidGoal``.
     """
     return compiled(cls, root)
 
 
 def to_dict(message: Message) -> dict[str, object]:
-    """A message as a dict of plain values, nested messages too; ``bytes`` stay ``bytes``.
+    """Convert a message to a dict of plain values, nested messages too; ``bytes`` stay ``bytes``.
 
     Raises:
         InvalidMessage: if a value in the message does not fit its type.
@@ -89,9 +89,9 @@ def to_dict(message: Message) -> dict[str, object]:
 
 
 def from_dict(cls: type[M], mapping: Mapping[str, object], *, root: str = "message") -> M:
-    """A message of this class, its fields taken by name from a mapping.
+    """Make a message of this class from a mapping of field names to values.
 
-    What is left out keeps its default. A nested message may be a mapping or a message.
+    Missing fields keep their defaults. A nested message may be a mapping or a message.
 
     Args:
         cls: The class.
@@ -108,7 +108,7 @@ def from_dict(cls: type[M], mapping: Mapping[str, object], *, root: str = "messa
 
 
 def nanoseconds(stamp: Time) -> int:
-    """A time in ns since the epoch.
+    """Return a time in ns since the epoch.
 
     >>> nanoseconds(Time(sec=1, nanosec=2))
     1000000002
@@ -117,7 +117,7 @@ def nanoseconds(stamp: Time) -> int:
 
 
 def stamp_of(time: int) -> Time:
-    """What is sent for a time in ns since the epoch.
+    """Return the message for a time in ns since the epoch.
 
     >>> stamp_of(1_000_000_002)
     Time(sec=1, nanosec=2)
@@ -126,13 +126,13 @@ def stamp_of(time: int) -> Time:
 
 
 def error_class(root: str) -> type[InvalidMessage]:
-    """What is raised for a misfit below this root."""
+    """Return the error class for a value below this root."""
     return InvalidGoal if root == "goal" else InvalidMessage
 
 
 @functools.cache
 def compiled(cls: type[M], root: str) -> Callable[[M], M]:
-    """The generated function; without a root, the one for messages inside others."""
+    """Return the generated function; without a root, the one for nested messages."""
     error = error_class(root)
 
     def fail(inner: InvalidMessage) -> InvalidMessage:
@@ -148,13 +148,13 @@ def compiled(cls: type[M], root: str) -> Callable[[M], M]:
     for index, (field, nested) in enumerate(pairs):
         names[f"copy{index}"] = copy = None if nested is None else compiled(nested, "")
         names[f"slow{index}"] = functools.partial(placed, field, converter(field.type, copy))
-    # The text is built from field names, which are identifiers, and from numbers.
+    # The text consists only of field names, which are identifiers, and of numbers.
     exec(source([field for field, _ in pairs]), names)  # noqa: S102
     return names["copy"]  # type: ignore[return-value]  # the text defines it
 
 
 def adapted(cls: type[M], value: object) -> M:
-    """A message of another class that says the same, as one of this class."""
+    """Convert an equal message of another class to this class."""
     if not isinstance(value, Message):
         raise InvalidMessage("", f"expected a message ({name_of(cls)}), got {describe(value)}")
     given = type(value)
@@ -167,12 +167,12 @@ def adapted(cls: type[M], value: object) -> M:
 
 
 def name_of(cls: type[Message]) -> str:
-    """What errors call a class: its ROS name, or its Python name if it has none."""
+    """Return a class's ROS name for errors, or its Python name if it has none."""
     return cls.type_name or cls.__qualname__
 
 
 def placed(field: Field, convert: Callable[[object], object], value: object) -> object:
-    """The slow way for one field; what does not fit is said with the field's name."""
+    """Convert one field the slow way; errors name the field."""
     try:
         return convert(value)
     except InvalidMessage as inner:
@@ -180,7 +180,7 @@ def placed(field: Field, convert: Callable[[object], object], value: object) -> 
 
 
 def source(members: list[Field]) -> str:
-    """The text of a class's function."""
+    """Return the source code of a class's function."""
     lines = ["def copy(m):", " try:", "  if type(m) is not cls: m = adapt(m)"]
     for index, field in enumerate(members):
         lines.append(f"  v{index} = m.{field.attribute}")
@@ -192,7 +192,7 @@ def source(members: list[Field]) -> str:
 
 
 def statements(field_type: FieldType, index: int) -> list[str]:
-    """What is done with the value of one field, which stands in ``v0``, ``v1`` and so on."""
+    """Return the code for the value of one field, in ``v0``, ``v1`` and so on."""
     value, slow = f"v{index}", f"v{index} = slow{index}(v{index})"
     if field_type.is_sequence:
         return sequence(field_type, index, slow)
@@ -202,7 +202,7 @@ def statements(field_type: FieldType, index: int) -> list[str]:
 
 
 def sequence(field_type: FieldType, index: int, slow: str) -> list[str]:
-    """What is done with a list: its elements are looked at where they stand, then copied."""
+    """Return the code for a list: check its elements in place, then copy it."""
     value = f"v{index}"
     word, length = "if", wrong_length(field_type, value)
     lines = []
@@ -222,12 +222,12 @@ def sequence(field_type: FieldType, index: int, slow: str) -> list[str]:
 
 
 def guarded(fast: str, slow: str) -> list[str]:
-    """A fast way that knows of a misfit but not where it is, and the slow way that finds it."""
+    """Return code that tries a fast way, and on a misfit the slow way that finds its place."""
     return ["try:", f" {fast}", f"except InvalidMessage: {slow}"]
 
 
 def misses(field_type: FieldType, value: str) -> str:
-    """The condition that a primitive value is not exactly of its Python type, and in range."""
+    """Return the condition that a value is not exactly of its Python type and in range."""
     name = field_type.name
     if name == "bool":
         return f"{value} is not True and {value} is not False"
@@ -244,7 +244,7 @@ def misses(field_type: FieldType, value: str) -> str:
 
 
 def wrong_length(field_type: FieldType, value: str) -> str:
-    """The condition that a sequence is too long, or not as long as it is fixed to be."""
+    """Return the condition that a sequence is too long, or not of its fixed length."""
     if field_type.form is ArrayForm.UNBOUNDED:
         return "False"
     sign = "!=" if field_type.form is ArrayForm.FIXED else ">"
@@ -252,12 +252,12 @@ def wrong_length(field_type: FieldType, value: str) -> str:
 
 
 class Slot(NamedTuple):
-    """How one field is filled.
+    """How to fill one field.
 
     Attributes:
-        attribute: Its name in Python.
-        convert: What makes its value of what the mapping holds.
-        is_bytes: Whether it is declared as ``bytes``.
+        attribute: The field's name in Python.
+        convert: Converts the value from the mapping.
+        is_bytes: Whether the field is declared as ``bytes``.
     """
 
     attribute: str
@@ -266,7 +266,7 @@ class Slot(NamedTuple):
 
 
 def plain(message: Message) -> dict[str, object]:
-    """A checked message as a dict."""
+    """Convert a checked message to a dict."""
     result: dict[str, object] = {}
     for field in fields(type(message)):
         value = getattr(message, field.attribute)
@@ -280,7 +280,7 @@ def plain(message: Message) -> dict[str, object]:
 
 
 def filled(cls: type[M], value: object) -> M:
-    """A message made of a mapping, or of a message that says the same."""
+    """Make a message from a mapping, or from an equal message."""
     if isinstance(value, Message):
         copy: Callable[[Message], M] = compiled(cls, "")
         return copy(value)
@@ -302,7 +302,7 @@ def filled(cls: type[M], value: object) -> M:
 
 @functools.cache
 def slots(cls: type[Message]) -> dict[str, Slot]:
-    """How each field of a class is filled, by its ROS name."""
+    """Return how to fill each field of a class, by its ROS name."""
     return {
         field.name: Slot(
             field.attribute,
@@ -314,15 +314,15 @@ def slots(cls: type[Message]) -> dict[str, Slot]:
 
 
 def example(cls: type[Message]) -> str:
-    """What a mapping for this class looks like, in words."""
+    """Describe a mapping for this class in words."""
     if not fields(cls):
-        return "{}, for it has no fields"
+        return "{}, because it has no fields"
     shown = ", ".join(f"{field.name}: {sample(field)}" for field in fields(cls)[:3])
     return f"fields such as {{{shown}}}"
 
 
 def sample(field: Field) -> str:
-    """What may stand for a field in an example."""
+    """Return an example value for a field."""
     if field.type.is_sequence:
         return "[]"
     if field.type.is_nested:
@@ -332,7 +332,7 @@ def sample(field: Field) -> str:
 
 
 def instead(cls: type[Message], name: object) -> str:
-    """What is known in place of an unknown field."""
+    """Suggest something instead of an unknown field."""
     names = [field.name for field in fields(cls)]
     if not names:
         return ": there are no fields"

@@ -1,7 +1,7 @@
-"""The parsed form of a .msg, .srv or .action: what an interface is, before it is a class.
+"""The parsed form of a .msg, .srv or .action, before it becomes a class.
 
-Frozen values that compare by what they say, so that two declarations of one interface are equal
-however they were written. Knows neither text nor Python classes.
+Definitions are frozen and compared by value. Two declarations of one interface are equal, however
+they were written. This module knows neither text nor Python classes.
 
 Source: the ROS 2 article "Interface definition", and ``rosidl_adapter/parser.py``.
 """
@@ -51,7 +51,7 @@ type_name_pattern = re.compile(
 field_name_pattern = re.compile(r"[a-z](?:_?[a-z0-9])*")
 constant_name_pattern = re.compile(r"[A-Z](?:_?[A-Z0-9])*")
 
-#: Smallest and largest value of each type that holds a whole number; ``char`` is a uint8 in ROS 2.
+#: The smallest and largest value of each integer type; ``char`` is a uint8 in ROS 2.
 INTEGER_RANGES = {
     "byte": (0, 2**8 - 1),
     "char": (0, 2**8 - 1),
@@ -65,12 +65,12 @@ INTEGER_RANGES = {
     "uint64": (0, 2**64 - 1),
 }
 
-#: The types whose sequences Python also holds as ``bytes``.
+#: Element types whose sequences may also be ``bytes`` in Python.
 BYTE_TYPES = frozenset({"byte", "char", "uint8"})
 
 Primitive: TypeAlias = bool | int | float | str
 
-#: Every primitive type and its zero.
+#: Every primitive type and its zero value.
 PRIMITIVES: dict[str, Primitive] = {
     "bool": False,
     **dict.fromkeys(INTEGER_RANGES, 0),
@@ -82,7 +82,7 @@ PRIMITIVES: dict[str, Primitive] = {
 
 
 class ArrayForm(enum.Enum):
-    """How often a field holds its element; the value is how the form is written."""
+    """Whether a field holds one element or a sequence; the value shows how it is written."""
 
     SINGLE = ""
     FIXED = "[{size}]"
@@ -91,13 +91,13 @@ class ArrayForm(enum.Enum):
 
 
 class FieldType(msgspec.Struct, frozen=True):
-    """The type of a field or constant, printed as in a .msg.
+    """The type of a field or constant, written as in a .msg.
 
     Attributes:
         name: A primitive (``int32``) or the full name of a message (``geometry_msgs/msg/Point``).
-        string_bound: Most characters of a bounded string, or None.
-        form: One element, or which sort of sequence.
-        size: Length of a fixed array, most elements of a bounded one, else 0.
+        string_bound: The maximum length of a bounded string, or None.
+        form: A single element, or the kind of sequence.
+        size: The length of a fixed array, or the maximum length of a bounded one; otherwise 0.
     """
 
     name: str
@@ -126,12 +126,12 @@ class FieldType(msgspec.Struct, frozen=True):
 
     @property
     def element(self) -> FieldType:
-        """The type of one element of a sequence; of a single one, itself."""
+        """The type of one element; for a single element, the type itself."""
         return FieldType(self.name, self.string_bound)
 
 
 def zero(field_type: FieldType) -> Primitive | tuple[Primitive, ...] | None:
-    """What a field holds that was given no value; None for messages, which make their own."""
+    """Return a field's value without a default; None for messages, which make their own."""
     if field_type.is_nested:
         return None
     element = PRIMITIVES[field_type.name]
@@ -141,7 +141,7 @@ def zero(field_type: FieldType) -> Primitive | tuple[Primitive, ...] | None:
 
 
 def is_bytes(field_type: FieldType) -> bool:
-    """Whether a class made of a text holds such a field as ``bytes``: a uint8 array, as a UUID."""
+    """Whether a class made from text holds such a field as ``bytes``: a uint8 array, as in UUID."""
     return field_type.name == "uint8" and field_type.form is ArrayForm.FIXED
 
 
@@ -149,9 +149,9 @@ class Field(msgspec.Struct, frozen=True):
     """One field of a message.
 
     Attributes:
-        name: As in ROS, on the wire and in text.
+        name: The name in ROS, on the wire and in text.
         type: Its type.
-        default: What the interface declares; None where that is the zero of the type.
+        default: The default in the interface; None if it is the zero of the type.
     """
 
     name: str
@@ -161,22 +161,22 @@ class Field(msgspec.Struct, frozen=True):
     def __post_init__(self) -> None:
         if not field_name_pattern.fullmatch(self.name):
             problem = (
-                f"'{self.name}' is no field name: say it in lower case, digits and single "
+                f"'{self.name}' is not a valid field name: use lower case, digits and single "
                 "underscores, from a letter to a letter or digit"
             )
             raise InvalidInterface(problem, source=self.name)
-        # repr tells 0.0 from -0.0 and 0 from False, which == does not.
+        # Compare by repr, because == does not tell 0.0 from -0.0, or 0 from False.
         if self.default is not None and repr(self.default) == repr(zero(self.type)):
             msgspec.structs.force_setattr(self, "default", None)
 
     @property
     def attribute(self) -> str:
-        """The name in Python: a keyword gets an underscore at its end (``from_``)."""
+        """The name in Python; a keyword gets an underscore at its end (``from_``)."""
         return f"{self.name}_" if keyword.iskeyword(self.name) else self.name
 
 
 class Constant(msgspec.Struct, frozen=True):
-    """A named value of an interface, which is never sent."""
+    """A named value of an interface; it is never sent."""
 
     name: str
     type: FieldType
@@ -185,7 +185,7 @@ class Constant(msgspec.Struct, frozen=True):
     def __post_init__(self) -> None:
         if not constant_name_pattern.fullmatch(self.name):
             problem = (
-                f"'{self.name}' is no constant name: say it in capitals, digits and single "
+                f"'{self.name}' is not a valid constant name: use capitals, digits and single "
                 "underscores, from a letter to a letter or digit"
             )
             raise InvalidInterface(problem, source=self.name)
@@ -207,7 +207,7 @@ class MessageDefinition(msgspec.Struct, frozen=True):
         members: tuple[Field | Constant, ...] = (*self.fields, *self.constants)
         for member in members:
             if member.name in seen:
-                raise InvalidInterface(f"'{member.name}' is given twice", source=self.type_name)
+                raise InvalidInterface(f"'{member.name}' is declared twice", source=self.type_name)
             seen.add(member.name)
 
 
@@ -243,10 +243,10 @@ Definition: TypeAlias = MessageDefinition | ServiceDefinition | ActionDefinition
 
 
 def definition_text(definition: Definition) -> str:
-    """A definition as the text of a .msg, .srv or .action, without a line break at its end.
+    """Return a definition as the text of a .msg, .srv or .action, without a final line break.
 
     Raises:
-        InvalidInterface: for a default that such a text cannot say, as one with a line break.
+        InvalidInterface: if a default cannot be written in such a text, such as a line break.
     """
     first, *rest = parts_of(definition)
     lines = part_lines(first)
@@ -256,7 +256,7 @@ def definition_text(definition: Definition) -> str:
 
 
 def parts_of(definition: Definition) -> tuple[MessageDefinition, ...]:
-    """The messages that an interface consists of, as they stand in its text."""
+    """Return the messages that make up an interface, in the order of its text."""
     match definition:
         case ServiceDefinition():
             return definition.request, definition.response
@@ -266,27 +266,27 @@ def parts_of(definition: Definition) -> tuple[MessageDefinition, ...]:
 
 
 def check_type_name(type_name: str, *, kinds: tuple[str, ...] = ("msg", "srv", "action")) -> None:
-    """Refuses what is no full name of an interface of one of these kinds.
+    """Check that a text is the full name of an interface of one of these kinds.
 
     Raises:
-        InvalidInterface: says what the name should look like.
+        InvalidInterface: with an example of a full name.
     """
     match = type_name_pattern.fullmatch(type_name)
     if match is None or match["kind"] not in kinds:
         example = f"package_name/{kinds[-1]}/InterfaceName"
-        problem = f"'{type_name}' is no full interface name: say it as {example}"
+        problem = f"'{type_name}' is not a full interface name: write it as {example}"
         raise InvalidInterface(problem, source=type_name)
 
 
 def check_part(type_name: str, part: MessageDefinition, suffix: str) -> None:
-    """Refuses a part of a service or action that bears another's name."""
+    """Check that a part of a service or action has the right name."""
     if part.type_name != f"{type_name}_{suffix}":
         problem = f"its {suffix} is named '{part.type_name}', not '{type_name}_{suffix}'"
         raise InvalidInterface(problem, source=type_name)
 
 
 def part_lines(part: MessageDefinition) -> list[str]:
-    """The lines of one part of an interface."""
+    """Return the lines of one part of an interface."""
     package = part.type_name.partition("/")[0]
     lines = [f"{c.type} {c.name}={literal(c.value)}" for c in part.constants]
     for field in part.fields:
@@ -297,7 +297,7 @@ def part_lines(part: MessageDefinition) -> list[str]:
 
 
 def literal(value: Primitive | tuple[Primitive, ...]) -> str:
-    """A value as the text of an interface says it."""
+    """Return a value as it is written in the text of an interface."""
     if isinstance(value, tuple):
         return f"[{', '.join(literal(item) for item in value)}]"
     if isinstance(value, bool):
@@ -306,14 +306,14 @@ def literal(value: Primitive | tuple[Primitive, ...]) -> str:
         return repr(value)
     quote = "'" if '"' in value else '"'
     if set(value) & {"\n", "\r"} or (quote in value and "\\" in value) or value.endswith("\\"):
-        problem = f"the default {value!r} cannot be said in the text of an interface"
+        problem = f"the default {value!r} cannot be written in the text of an interface"
         raise InvalidInterface(problem, source="text")
     shielded = value.replace(quote, f"\\{quote}")
     return f"{quote}{shielded}{quote}"
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """The known word that looks most like this one, or an empty string."""
+    """Return the known word that is most similar, or an empty string."""
     import difflib  # only errors need it
 
     words = list(known)
@@ -323,7 +323,7 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """The hint at the end of an error's text; empty where nothing known looks alike.
+    """Return a hint for the end of an error; empty if no known word is similar.
 
     >>> did_you_mean("float46", PRIMITIVES)
     ", did you mean 'float64'?"

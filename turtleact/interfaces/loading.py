@@ -1,9 +1,9 @@
-"""Interfaces found by their name, or loaded from a file or text.
+"""Finds interfaces by name, or loads them from a file or text.
 
-``get_interface`` takes the first of these that knows the name: the classes declared in Python, the
-folders given to ``load_interfaces``, the classes that ship in ``standard``, and the ROS packages of
-``load_workspace``. A class is imported, or made from its text, when it is first asked for. The one
-module of its row that opens files.
+``get_interface`` searches these places in order: classes declared in Python, folders given to
+``load_interfaces``, the built-in classes in ``standard``, and the ROS packages of
+``load_workspace``. A class is imported, or made from its text, on first use. In this package, only
+this module opens files.
 """
 
 from __future__ import annotations
@@ -40,20 +40,20 @@ if TYPE_CHECKING:
     from turtleact.interfaces.types import Interface
 
     class DynamicMessage(Message):
-        """What a type checker sees of a message that is loaded at run time: any fields."""
+        """A message loaded at run time, as type checkers see it: any fields."""
 
         def __init__(self, *args: object, **kwargs: object) -> None: ...
         def __getattr__(self, name: str) -> Any: ...  # noqa: ANN401  # any field
         def __setattr__(self, name: str, value: object) -> None: ...
 
     class DynamicService(Service):
-        """What a type checker sees of a service that is loaded at run time."""
+        """A service loaded at run time, as type checkers see it."""
 
         Request: ClassVar[type[DynamicMessage]]
         Response: ClassVar[type[DynamicMessage]]
 
     class DynamicAction(Action):
-        """What a type checker sees of an action that is loaded at run time."""
+        """An action loaded at run time, as type checkers see it."""
 
         Goal: ClassVar[type[DynamicMessage]]
         Result: ClassVar[type[DynamicMessage]]
@@ -80,19 +80,19 @@ __all__ = [
 
 KINDS = ("msg", "srv", "action")
 
-#: Where packages lie in a folder: side by side, in a ROS prefix, or in one of several prefixes.
+#: Where a folder has packages: directly inside, in a ROS prefix, or in one of several prefixes.
 LAYOUTS = ("*", "share/*", "*/share/*")
 
 
 def get_interface(type_name: str) -> Interface:
-    """The class of an interface, by its full name or by ``package/Name``.
+    """Return the class of an interface, by its full name or by ``package/Name``.
 
-    Types that an action or service implies are found too (``NAME_SendGoal_Request``). The same
-    class is given every time, unless another definition takes the name over.
+    Types that an action or service implies are found too (``NAME_SendGoal_Request``). The result is
+    always the same class, unless another definition takes over the name.
 
     Raises:
         UnknownInterface: with the nearest known name.
-        InvalidInterface: if the file that holds it is malformed.
+        InvalidInterface: if its file is malformed.
 
     >>> get_interface("geometry_msgs/msg/Point")(x=1.0)
     Point(x=1.0, y=0.0, z=0.0)
@@ -101,29 +101,29 @@ def get_interface(type_name: str) -> Interface:
 
 
 def get_action(type_name: str) -> type[DynamicAction]:
-    """The class of an action, by its full name or by ``package/Name``; as `get_interface`.
+    """Return the class of an action, by its full name or by ``package/Name``; see `get_interface`.
 
-    Type checkers let its messages have any fields, so that no cast is needed.
+    Type checkers allow any fields in its messages, so no cast is needed.
 
     Raises:
         UnknownInterface: with the nearest known name.
-        InvalidInterface: if it is a message or a service, or the file that holds it is malformed.
+        InvalidInterface: if it is a message or a service, or its file is malformed.
     """
     return of_kind(first_found(type_name, ("action", "msg", "srv")), Action)  # type: ignore[return-value]  # DynamicAction is no more than Action
 
 
 def get_message(type_name: str) -> type[DynamicMessage]:
-    """The class of a message; as `get_action`."""
+    """Return the class of a message; see `get_action`."""
     return of_kind(first_found(type_name, ("msg", "srv", "action")), Message)  # type: ignore[return-value]  # as above
 
 
 def get_service(type_name: str) -> type[DynamicService]:
-    """The class of a service; as `get_action`."""
+    """Return the class of a service; see `get_action`."""
     return of_kind(first_found(type_name, ("srv", "msg", "action")), Service)  # type: ignore[return-value]  # as above
 
 
 def load_interface(source: str | Path, *, type_name: str = "") -> Interface:
-    """The class of an interface that stands in a file or in a text.
+    """Return the class of an interface in a file or text.
 
     Args:
         source: The path of a .msg, .srv or .action, or the text itself.
@@ -145,9 +145,9 @@ def load_interface(source: str | Path, *, type_name: str = "") -> Interface:
 
 
 def load_action(source: str | Path, *, type_name: str = "") -> type[DynamicAction]:
-    r"""The class of an action that stands in a file or in a text; as `load_interface`.
+    r"""Return the class of an action in a file or text; see `load_interface`.
 
-    Type checkers let its messages have any fields, so that no cast is needed.
+    Type checkers allow any fields in its messages, so no cast is needed.
 
     Raises:
         InvalidInterface: if it is a message or a service, or malformed: with file, line and column.
@@ -160,32 +160,33 @@ def load_action(source: str | Path, *, type_name: str = "") -> type[DynamicActio
 
 
 def load_message(source: str | Path, *, type_name: str = "") -> type[DynamicMessage]:
-    """The class of a message that stands in a file or in a text; as `load_action`."""
+    """Return the class of a message in a file or text; see `load_action`."""
     return of_kind(load_interface(source, type_name=type_name), Message)  # type: ignore[return-value]  # as above
 
 
 def load_service(source: str | Path, *, type_name: str = "") -> type[DynamicService]:
-    """The class of a service that stands in a file or in a text; as `load_action`."""
+    """Return the class of a service in a file or text; see `load_action`."""
     return of_kind(load_interface(source, type_name=type_name), Service)  # type: ignore[return-value]  # as above
 
 
 def load_interfaces(folder: str | Path) -> tuple[str, ...]:
-    """Makes every ``PACKAGE/KIND/NAME.EXT`` in a folder known, and gives their names.
+    """Make every ``PACKAGE/KIND/NAME.EXT`` in a folder known, and return their names.
 
-    The folder holds packages, as ``src`` of a workspace may, or is where ROS packages were
-    installed: a prefix such as ``/opt/ros/jazzy``, with the packages in ``share``, or a folder of
-    prefixes, as colcon's ``install``. A file is read when its interface is first asked for; it
-    goes before one that ships. A class already known under a name stays, if the file says the same.
+    The folder may contain packages, as ``src`` of a workspace. It may also be a place where ROS
+    packages were installed: a prefix such as ``/opt/ros/jazzy``, with the packages in ``share``, or
+    a folder of prefixes such as colcon's ``install``. A file is read when its interface is first
+    used, and takes precedence over a built-in one. A class that is already known stays if the file
+    has the same definition.
 
     Raises:
-        InvalidInterface: if there is no such folder, or a file's name is no interface's name.
+        InvalidInterface: if the folder does not exist, or a file's name is not an interface name.
     """
     root = Path(folder)
     if not root.is_dir():
         raise InvalidInterface("no such folder", source=str(folder))
     found = {named(name_of(path), str(path)): path for path in files_in(root, *LAYOUTS)}
     for name, path in found.items():
-        # A class that ships is imported now, as it would not be compared with the file later.
+        # A built-in class is imported now; later it would not be compared with the file.
         held = REGISTRY.get(name) or shipped_class(name)
         if held is not None and parse(read(path), name, source=str(path)) != definition(held):
             REGISTRY.forget(name)
@@ -194,27 +195,27 @@ def load_interfaces(folder: str | Path) -> tuple[str, ...]:
 
 
 def load_workspace(*prefixes: str | Path) -> None:
-    """Makes the interfaces of installed ROS packages known, after those that ship.
+    """Make the interfaces of installed ROS packages known, after the built-in ones.
 
-    Looks for ``share/PACKAGE/KIND/NAME.EXT`` when an interface is first asked for, not before.
-    A prefix that does not exist is passed over, as ROS does.
+    Looks for ``share/PACKAGE/KIND/NAME.EXT`` when an interface is first used. A prefix that does
+    not exist is ignored, as in ROS.
 
     Args:
-        prefixes: What ``AMENT_PREFIX_PATH`` lists; of two with the same interface, the first gives
-            it. An empty text is none.
+        prefixes: The folders in ``AMENT_PREFIX_PATH``. If two have the same interface, the first
+            wins. Empty texts are ignored.
     """
     added = [str(prefix) for prefix in prefixes if prefix]
     REGISTRY.prefixes = tuple(dict.fromkeys((*REGISTRY.prefixes, *added)))
 
 
 def known_interfaces() -> tuple[str, ...]:
-    """The names of all interfaces that can be had, without the types that others imply."""
+    """Return the names of all available interfaces, without the types that others imply."""
     names = {*REGISTRY.names(), *REGISTRY.files, *shipped_names(), *installed_names()}
     return tuple(sorted(name for name in names if owner_and_part(name)[0] not in names))
 
 
 def interface_text(cls: Interface) -> str:
-    """An interface class as the text of a .msg, .srv or .action.
+    """Return an interface class as the text of a .msg, .srv or .action.
 
     >>> from turtleact.interfaces.standard import Fibonacci
     >>> print(interface_text(Fibonacci))
@@ -228,14 +229,14 @@ def interface_text(cls: Interface) -> str:
 
 
 def interface_source(type_name: str) -> str:
-    """The text of an interface as its author wrote it, where there is a file, else as is implied.
+    """Return the text of an interface as its author wrote it; without a file, a generated text.
 
-    A file in an installed ROS package goes before the one that ships, if both say the same: it has
-    comments.
+    A file in an installed ROS package is preferred to the built-in one if both have the same
+    definition, because it has comments.
 
     Raises:
         UnknownInterface: with the nearest known name.
-        InvalidInterface: if a file that holds it is malformed.
+        InvalidInterface: if its file is malformed.
     """
     cls = get_interface(type_name)
     said, name = definition(cls), cls.type_name
@@ -247,12 +248,12 @@ def interface_source(type_name: str) -> str:
 
 
 def package_texts(*packages: str) -> dict[str, str]:
-    """The texts of all interfaces of these packages, and of the packages that they use, by name.
+    """Return the texts of all interfaces of these packages and of the packages they use, by name.
 
-    A package that is only used is left out if it ships and says the same.
+    A package that is only used is left out if it is built in with the same definitions.
 
     Raises:
-        UnknownInterface: if nothing of a package is known; with the nearest package.
+        UnknownInterface: if a package is not known, with the nearest package name.
         InvalidInterface: if a file is malformed.
     """
     known = known_interfaces()
@@ -272,14 +273,14 @@ def package_texts(*packages: str) -> dict[str, str]:
 
 
 def used_packages(type_name: str) -> set[str]:
-    """The packages of the messages in an interface."""
+    """Return the packages of the messages in an interface."""
     parts = parts_of(definition(get_interface(type_name)))
     types = [field.type for part in parts for field in part.fields]
     return {each.name.partition("/")[0] for each in types if each.is_nested}
 
 
 def ships(package: str, known: tuple[str, ...]) -> bool:
-    """Whether all that is known of a package ships, and says the same."""
+    """Whether a package is built in, with the same definitions as those known."""
     for name in (name for name in known if name.startswith(f"{package}/")):
         file = shipped(name)
         if file is None or parse(read(file), name) != definition(get_interface(name)):
@@ -288,7 +289,7 @@ def ships(package: str, known: tuple[str, ...]) -> bool:
 
 
 def class_of(definition: Definition) -> Interface:
-    """The class that a definition describes; the one known already, if it says the same.
+    """Return the class for a definition; a known class if it has the same definition.
 
     Raises:
         InvalidInterface: if a message in it is unknown, or contains itself.
@@ -297,11 +298,11 @@ def class_of(definition: Definition) -> Interface:
 
 
 def build(definition: Definition, making: tuple[str, ...]) -> Interface:
-    """Makes a class, and the messages in it.
+    """Make a class and the messages in it.
 
     Args:
-        definition: What to make.
-        making: The interfaces that are being made around it.
+        definition: The definition.
+        making: The interfaces around it that are being made.
     """
 
     def find(type_name: str) -> Interface:
@@ -318,7 +319,7 @@ def build(definition: Definition, making: tuple[str, ...]) -> Interface:
 
 
 def look_up(type_name: str, making: tuple[str, ...]) -> Interface | None:
-    """The class of that full name, known, read from its file, or None."""
+    """Return the class with that full name, known or read from its file, or None."""
     if type_name in making:
         circle = " in ".join([type_name, *reversed(making[making.index(type_name) :])])
         raise InvalidInterface(f"a message contains itself: {circle}", source=making[0])
@@ -337,7 +338,7 @@ def look_up(type_name: str, making: tuple[str, ...]) -> Interface | None:
 
 
 def shipped_class(type_name: str) -> Interface | None:
-    """The class of that full name that ships, or None."""
+    """Return the built-in class with that full name, or None."""
     package, kind, name = type_name.split("/")
     try:
         module = import_module(f"{standard.__name__}.{package}.{kind}")
@@ -350,7 +351,7 @@ def shipped_class(type_name: str) -> Interface | None:
 
 
 def first_found(type_name: str, kinds: tuple[str, ...]) -> Interface:
-    """The class of that name; where it is ``package/Name``, of the first of these kinds."""
+    """Return the class with that name; ``package/Name`` finds the first of these kinds."""
     for name in full_names(type_name, kinds):
         found = look_up(name, ())
         if found is not None:
@@ -363,7 +364,7 @@ NOUNS = {Message: "message", Service: "service", Action: "action"}
 
 
 def of_kind(interface: Interface, base: type[B]) -> type[B]:
-    """The interface, if it is of this kind."""
+    """Return the interface if it is of this kind, otherwise raise."""
     if issubclass(interface, base):
         return interface
     [kind] = [each for each in NOUNS if issubclass(interface, each)]
@@ -373,28 +374,28 @@ def of_kind(interface: Interface, base: type[B]) -> type[B]:
 
 
 def full_names(type_name: str, kinds: tuple[str, ...]) -> list[str]:
-    """The full names that a name may stand for."""
+    """Return the full names that a name may mean."""
     package, _, name = type_name.partition("/")
     candidates = [type_name] if "/" in name else [f"{package}/{kind}/{name}" for kind in kinds]
     return [name for name in candidates if type_name_pattern.fullmatch(name)]
 
 
 def needed(found: Interface | None, type_name: str) -> Interface:
-    """What was found under a name, if anything was."""
+    """Return what was found under a name, or raise if nothing was."""
     if found is None:
         raise UnknownInterface(type_name, suggestion(type_name))
     return found
 
 
 def suggestion(type_name: str) -> str:
-    """The known interface that was most likely meant."""
+    """Return the known interface that was most likely meant."""
     known = known_interfaces()
     ending = f"/{type_name.rpartition('/')[2]}"
     return next((name for name in known if name.endswith(ending)), "") or nearest(type_name, known)
 
 
 def as_path(source: str | Path) -> Path | None:
-    """The path that is meant, or None for a text."""
+    """Return the path if the source is one, or None for a text."""
     if isinstance(source, Path):
         return source
     is_path = "\n" not in source and source.endswith(tuple(f".{kind}" for kind in KINDS))
@@ -402,23 +403,23 @@ def as_path(source: str | Path) -> Path | None:
 
 
 def files_in(root: Path, *layouts: str) -> list[Path]:
-    """The interface files under a folder, where packages lie as these patterns say."""
+    """Return the interface files under a folder, with packages where these patterns say."""
     patterns = [f"{packages}/{kind}/*.{kind}" for packages in layouts for kind in KINDS]
     return [path for pattern in patterns for path in sorted(root.glob(pattern))]
 
 
 def name_of(path: Path) -> str:
-    """The full name that a file's place says, or an empty string."""
+    """Return the full name that follows from a file's place, or an empty string."""
     package, kind, _ = ("", "", "", *path.absolute().parts)[-3:]
     name = f"{package}/{kind}/{path.stem}"
     return name if type_name_pattern.fullmatch(name) and path.suffix == f".{kind}" else ""
 
 
 def named(type_name: str, source: str) -> str:
-    """The name, if there is one."""
+    """Return the name if there is one, otherwise raise."""
     if not type_name:
         problem = (
-            'say its full name: type_name="package_name/action/InterfaceName" '
+            'give its full name: type_name="package_name/action/InterfaceName" '
             "(or keep the file at PACKAGE/KIND/NAME.EXT)"
         )
         raise InvalidInterface(problem, source=source)
@@ -426,7 +427,7 @@ def named(type_name: str, source: str) -> str:
 
 
 def read(file: Traversable) -> str:
-    """The text of a file."""
+    """Read the text of a file."""
     try:
         return file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -434,27 +435,27 @@ def read(file: Traversable) -> str:
 
 
 def given(type_name: str) -> Traversable | None:
-    """The file that `load_interfaces` has found for an interface, or None."""
+    """Return the file that `load_interfaces` found for an interface, or None."""
     path = REGISTRY.files.get(type_name)
     return None if path is None else Path(path)
 
 
 def shipped(type_name: str) -> Traversable | None:
-    """The file that ships for an interface, or None."""
+    """Return the built-in file of an interface, or None."""
     package, kind, name = type_name.split("/")
     file = shipped_files().joinpath(package, kind, f"{name}.{kind}")
     return file if is_there(file) else None
 
 
 def shipped_files() -> Traversable:
-    """The folder of the files that ship."""
-    from importlib import resources  # costs a fifth of the package's start
+    """Return the folder of the built-in files."""
+    from importlib import resources  # slow to import
 
     return resources.files(standard)
 
 
 def shipped_names() -> set[str]:
-    """The names of the interfaces that ship."""
+    """Return the names of the built-in interfaces."""
     root = shipped_files()
     kinds = [
         (package.name, kind)
@@ -471,7 +472,7 @@ def shipped_names() -> set[str]:
 
 
 def installed(type_name: str) -> Traversable | None:
-    """The file of an interface in an installed ROS package, or None."""
+    """Return the file of an interface in an installed ROS package, or None."""
     package, kind, name = type_name.split("/")
     places = [Path(prefix, "share", package, kind) for prefix in REGISTRY.prefixes]
     files = (place / f"{name}.{kind}" for place in places)
@@ -479,7 +480,7 @@ def installed(type_name: str) -> Traversable | None:
 
 
 def is_there(file: Traversable) -> bool:
-    """Whether a file exists; one whose name is too long for the system does not."""
+    """Whether a file exists; false if its name is too long for the system."""
     try:
         return file.is_file()
     except OSError:
@@ -487,6 +488,6 @@ def is_there(file: Traversable) -> bool:
 
 
 def installed_names() -> set[str]:
-    """The names of the interfaces of installed ROS packages."""
+    """Return the names of the interfaces of installed ROS packages."""
     files = [path for prefix in REGISTRY.prefixes for path in files_in(Path(prefix), "share/*")]
     return {name_of(path) for path in files} - {""}

@@ -1,8 +1,8 @@
-"""The text of a .msg, .srv or .action, read into its definition.
+"""Parses the text of a .msg, .srv or .action into a definition.
 
-Line by line: a type, a name, and a default or a constant's value; ``#`` starts a comment, which is
-dropped; ``---`` separates the parts. Each mistake is told with file, line, column and a caret.
-Reads text alone: whether the messages it names exist is for ``classes`` to find out.
+Each line has a type, a name, and a default or a constant's value. ``#`` starts a comment, which is
+dropped. ``---`` separates the parts. Every error has file, line, column and a caret. This module
+only reads text; ``classes`` checks whether the messages it names exist.
 
 Source: the ROS 2 article "Interface definition", and ``rosidl_adapter/parser.py``.
 """
@@ -40,14 +40,14 @@ if TYPE_CHECKING:
 
 __all__ = ["Comments", "parse", "read_comments"]
 
-#: The parts of each kind of interface, as their names end.
+#: The name suffixes of each kind's parts.
 PARTS = {
     "msg": ("",),
     "srv": ("_Request", "_Response"),
     "action": ("_Goal", "_Result", "_Feedback"),
 }
 
-#: What other notations call a type that ROS 2 calls otherwise.
+#: Type names from other notations, and their names in ROS 2.
 FOREIGN = {
     "int": "int32",
     "float": "float32",
@@ -58,7 +58,7 @@ FOREIGN = {
     "duration": "builtin_interfaces/Duration",
 }
 
-#: A message is born with its fixed arrays, so one line of text must not ask for gigabytes.
+#: A new message contains its fixed arrays, so one line of text must not demand gigabytes.
 LONGEST_ARRAY = 1_000_000
 
 member_pattern = re.compile(
@@ -77,26 +77,26 @@ comment_pattern = re.compile(rf"(?:(?<=[\s=\[,]){quoted}|[^#])*")
 
 
 class Line(msgspec.Struct, frozen=True):
-    """One line of the text, and where it stands."""
+    """One line of the text, with its position."""
 
     source: str
     number: int
     text: str
 
     def refuse(self, problem: str, column: int = 0) -> NoReturn:
-        """Raises for a mistake that begins at this column, counted from 0."""
+        """Raise an error at this column, counted from 0."""
         raise InvalidInterface(
             problem, source=self.source, line=self.number, column=column + 1, text=self.text
         )
 
 
 def parse(text: str, type_name: str, *, source: str = "") -> Definition:
-    """The definition in the text of an interface; its kind is in its name.
+    """Parse the text of an interface; its kind follows from its name.
 
     Args:
-        text: As it stands in a .msg, .srv or .action.
+        text: The text of a .msg, .srv or .action.
         type_name: The full name, ``package/kind/Name``.
-        source: The file, for errors; the type name if left out.
+        source: The file to show in errors; the type name if left out.
 
     Raises:
         InvalidInterface: with line, column and caret.
@@ -125,10 +125,10 @@ class Comments(msgspec.Struct, frozen=True):
     """The comments on one part of an interface, without their ``#``.
 
     Attributes:
-        about: The lines at the top, where a blank line sets them off from the first member.
-        first: The lines at the top that stand on the first member, if nothing stands above them:
-            in a .msg of one field they are about the message.
-        members: The lines above and behind each field and constant.
+        about: The lines at the top that a blank line separates from the first member.
+        first: The lines directly above the first member, if nothing is above them. In a .msg with
+            one field, they describe the message.
+        members: The lines above and after each field and constant.
     """
 
     about: tuple[str, ...] = ()
@@ -136,15 +136,15 @@ class Comments(msgspec.Struct, frozen=True):
     members: dict[str, tuple[str, ...]] = {}
 
     def of(self, name: str) -> tuple[str, ...]:
-        """The comments on a field or constant."""
+        """Return the comments on a field or constant."""
         return self.members.get(name, ())
 
 
 def read_comments(text: str, type_name: str) -> tuple[Comments, ...]:
-    r"""The comments in the text of an interface, one entry a part.
+    r"""Return the comments in the text of an interface, one entry per part.
 
     Args:
-        text: A text that `parse` has taken.
+        text: A text that `parse` accepts.
         type_name: The full name.
 
     >>> text = "# A place.\nfloat64 x  # in metres"
@@ -158,7 +158,7 @@ def read_comments(text: str, type_name: str) -> tuple[Comments, ...]:
 
 
 class Commented(NamedTuple):
-    """A member, with the comment lines above it and behind it."""
+    """A member, with the comment lines above it and after it."""
 
     name: str
     above: list[str]
@@ -166,7 +166,7 @@ class Commented(NamedTuple):
 
 
 def part_comments(lines: list[Line]) -> Comments:
-    """The comments on one part."""
+    """Return the comments on one part."""
     entries, left = commented(lines)
     about, top = set_off(entries[0].above) if entries else ([], [])
     is_lone = bool(top) and not about and not any(any(entry.above) for entry in entries[1:])
@@ -178,9 +178,9 @@ def part_comments(lines: list[Line]) -> Comments:
 
 
 def commented(lines: list[Line]) -> tuple[list[Commented], list[str]]:
-    """The members of a part with their comments, and the comment below the last one.
+    """Return the members of a part with their comments, and the comment below the last one.
 
-    A comment belongs to the member below it. An indented one goes on with that behind a member.
+    A comment belongs to the member below it. An indented comment continues the one after a member.
     """
     entries: list[Commented] = []
     above: list[str] = []
@@ -201,7 +201,7 @@ def commented(lines: list[Line]) -> tuple[list[Commented], list[str]]:
 
 
 def set_off(above: list[str]) -> tuple[list[str], list[str]]:
-    """The lines about the whole part, which a blank line sets off, and those on a member."""
+    """Split the lines above a member: those about the whole part, and those about the member."""
     blank = max((index for index, line in enumerate(above) if not line), default=-1)
     return (
         (above[:blank], above[blank + 1 :])
@@ -211,19 +211,19 @@ def set_off(above: list[str]) -> tuple[list[str], list[str]]:
 
 
 def trimmed(lines: list[str]) -> tuple[str, ...]:
-    """The lines without blank ones at both ends."""
+    """Return the lines without blank ones at either end."""
     text = "\n".join(lines).strip("\n")
     return tuple(text.split("\n")) if text else ()
 
 
 def uncommented(text: str) -> str:
-    """A comment without its marks; a rule of marks alone is a blank line."""
+    """Remove the marks of a comment; a line of marks alone becomes a blank line."""
     said = text.lstrip("#").expandtabs().rstrip()
     return "".join(c for c in said.removeprefix(" ") if c.isprintable())
 
 
 def split(lines: list[Line], count: int) -> list[list[Line]]:
-    """The lines of each part."""
+    """Split the lines into parts."""
     sections: list[list[Line]] = [[]]
     for line in lines:
         if without_comment(line.text).rstrip() != "---":
@@ -239,7 +239,7 @@ def split(lines: list[Line], count: int) -> list[list[Line]]:
 
 
 def parse_part(lines: list[Line], type_name: str, package: str) -> MessageDefinition:
-    """The fields and constants of one part."""
+    """Parse the fields and constants of one part."""
     members: dict[str, Field | Constant] = {}
     for line in lines:
         text = without_comment(line.text)
@@ -247,7 +247,7 @@ def parse_part(lines: list[Line], type_name: str, package: str) -> MessageDefini
             continue
         member, column = parse_member(line, text, package)
         if member.name in members:
-            line.refuse(f"'{member.name}' is given twice", column)
+            line.refuse(f"'{member.name}' is declared twice", column)
         members[member.name] = member
     return MessageDefinition(
         type_name,
@@ -257,7 +257,7 @@ def parse_part(lines: list[Line], type_name: str, package: str) -> MessageDefini
 
 
 def parse_member(line: Line, text: str, package: str) -> tuple[Field | Constant, int]:
-    """The field or constant in a line, and the column of its name."""
+    """Parse a line into a field or constant, and the column of its name."""
     match = member_pattern.fullmatch(text)
     if match is None or match["name"] is None:
         line.refuse("expected a type and a name", len(text.rstrip()))
@@ -276,12 +276,10 @@ def parse_member(line: Line, text: str, package: str) -> tuple[Field | Constant,
 
 
 def parse_type(line: Line, text: str, column: int, package: str) -> FieldType:
-    """The type that begins a line."""
+    """Parse the type at the beginning of a line."""
     match = type_pattern.fullmatch(text)
     if match is None:
-        line.refuse(
-            f"'{text}' is no type: say it as int32, int32[5], int32[<=5] or int32[]", column
-        )
+        line.refuse(f"'{text}' is not a type: write int32, int32[5], int32[<=5] or int32[]", column)
     name = full_name(line, match["name"], column, package)
     bound = int(match["string"]) if match["string"] else None
     if bound is not None and name not in ("string", "wstring"):
@@ -300,7 +298,7 @@ def parse_type(line: Line, text: str, column: int, package: str) -> FieldType:
 
 
 def full_name(line: Line, name: str, column: int, package: str) -> str:
-    """A primitive's name as it is, a message's in full."""
+    """Return a primitive's name unchanged, or a message's full name."""
     if name in PRIMITIVES:
         return name
     match = nested_pattern.fullmatch(name)
@@ -313,13 +311,13 @@ def full_name(line: Line, name: str, column: int, package: str) -> str:
 def parse_value(
     line: Line, field_type: FieldType, text: str, column: int
 ) -> Primitive | tuple[Primitive, ...]:
-    """A default or a constant's value."""
+    """Parse a default or a constant's value."""
     if field_type.is_nested:
-        line.refuse(f"a message ({field_type}) has no default", column)
+        line.refuse(f"a message ({field_type}) cannot have a default", column)
     if not text and not field_type.is_string:
         line.refuse("expected a value after '='", column)
     if field_type.is_string and text[:1] in ("'", '"') and not re.fullmatch(quoted, text):
-        line.refuse("a quote is opened and not closed", column)
+        line.refuse("a quote is opened but not closed", column)
     value = (
         parse_list(line, text, field_type.element, column=column)
         if field_type.is_sequence
@@ -337,9 +335,9 @@ def parse_value(
 
 
 def parse_list(line: Line, text: str, element: FieldType, *, column: int) -> list[object]:
-    """The elements of a default in brackets."""
+    """Parse the elements of a default in brackets."""
     if not (text.startswith("[") and text.endswith("]")):
-        line.refuse("the default of a list stands in brackets, as in [1, 2]", column)
+        line.refuse("the default of a list must be in brackets, as in [1, 2]", column)
     inner = text[1:-1].strip()
     if not inner:
         return []
@@ -348,14 +346,14 @@ def parse_list(line: Line, text: str, element: FieldType, *, column: int) -> lis
     while position <= len(inner):
         match = item_pattern.match(inner, position)
         if match is None:
-            line.refuse("expected values with a comma between each two", column)
+            line.refuse("expected values separated by commas", column)
         items.append(literal(match[1], element))
         position = match.end() if match[0].endswith(",") else len(inner) + 1
     return items
 
 
 def literal(text: str, field_type: FieldType) -> object:
-    """The value that a word stands for; the word itself where it fits no type but text."""
+    """Return the value of a word; the word itself if it can only be text."""
     name = field_type.name
     if field_type.is_string:
         return unquoted(text)
@@ -367,7 +365,7 @@ def literal(text: str, field_type: FieldType) -> object:
     return text
 
 
-#: How the word for a number is read, as ``rosidl_adapter`` does: ``007`` is 7, ``0x10`` is 16.
+#: How a number is parsed, as in ``rosidl_adapter``: ``007`` is 7 and ``0x10`` is 16.
 NUMBERS: dict[str, tuple[Callable[[str], object], ...]] = {
     **dict.fromkeys(INTEGER_RANGES, (int, functools.partial(int, base=0))),
     "float32": (float,),
@@ -376,7 +374,7 @@ NUMBERS: dict[str, tuple[Callable[[str], object], ...]] = {
 
 
 def unquoted(text: str) -> str:
-    """Text without the quotes around it; inside, a backslash only shields the quote."""
+    """Remove the quotes around a text; inside, a backslash only escapes the quote."""
     if not re.fullmatch(quoted, text):
         return text
     quote = text[0]
@@ -384,6 +382,6 @@ def unquoted(text: str) -> str:
 
 
 def without_comment(text: str) -> str:
-    """A line up to its comment; a # in quotes begins none."""
+    """Remove the comment from a line; a # in quotes does not begin one."""
     match = comment_pattern.match(text) if "#" in text else None
     return text if match is None else match[0]

@@ -1,9 +1,10 @@
-"""Messages as YAML or JSON, and back, with every mistake told by its place.
+"""Messages as YAML or JSON, and back; every error tells its place.
 
-YAML 1.1 reads ``no`` as false, ``y`` as true, ``1:30`` as ninety and ``017`` as fifteen; a goal
-that means a turtle's name or a coordinate must not. So only its syntax is used: a bare word is
-true, false, null or a number as JSON and YAML 1.2 say (and ``.5``, ``5.``, ``0x1F``), and text in
-every other case, dates included. JSON is read as JSON, which is faster. The one door to PyYAML.
+YAML 1.1 reads ``no`` as false, ``y`` as true, ``1:30`` as ninety and ``017`` as fifteen. A goal
+with a turtle's name or a coordinate must not be misread like that. Therefore only YAML's syntax is
+used. A bare word is true, false, null or a number if it is one in JSON and YAML 1.2 (or ``.5``,
+``5.``, ``0x1F``). Everything else is text, dates included. JSON is read as JSON, which is faster.
+Only this module uses PyYAML.
 
 Source: YAML 1.2.2, section 10.3, the core schema; PyYAML's scanner, parser and composer.
 """
@@ -38,10 +39,10 @@ __all__ = ["from_text", "to_json", "to_yaml"]
 
 M = TypeVar("M", bound=Message)
 
-#: Longest text taken. PyYAML reads some 200 kB a second, and nobody shall wait longer than that.
+#: The longest text accepted. PyYAML reads about 200 kB a second, and nobody should wait longer.
 MOST_JSON = 2**20
 MOST_YAML = 2**17
-#: Most values after aliases are followed, and deepest nesting.
+#: The maximum number of values after following aliases, and the maximum depth.
 MOST_NODES = 100_000
 DEEPEST = 100
 TOO_DEEP = f"nested more than {DEEPEST} levels deep"
@@ -52,7 +53,7 @@ WORDS = {
 }
 NULLS = frozenset({"", "~", "null", "Null", "NULL"})
 integer_pattern = re.compile(r"[-+]?(?:0|[1-9][0-9]*)|0x[0-9a-fA-F]+")
-#: Python takes long to read longer ones, or refuses them.
+#: Python is slow to read longer ones, or refuses them.
 LONGEST_INTEGER = 1000
 float_pattern = re.compile(
     r"[-+]?(?:(?:0|[1-9][0-9]*)(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
@@ -60,7 +61,7 @@ float_pattern = re.compile(
 )
 FLOATS = frozenset({"float32", "float64"})
 NUMBERS = FLOATS | set(INTEGER_RANGES)
-#: Text that needs no quotes in any YAML, but for the words that YAML 1.1 takes for others.
+#: Text that needs no quotes in any YAML, except for the special words of YAML 1.1.
 plain_pattern = re.compile(r"[A-Za-z_](?:[A-Za-z0-9_ ./()%!?+=;,-]*[A-Za-z0-9_./()%!?+=;,-])?")
 misread_pattern = re.compile(r"y|n|yes|no|on|off|true|false|null", re.IGNORECASE)
 
@@ -73,21 +74,21 @@ def from_text(
     source: str = "goal",
     allow_nonfinite: bool = False,
 ) -> M:
-    """The message that a YAML or JSON text says; no text says the default message.
+    """Parse a message from YAML or JSON; an empty text gives the default message.
 
-    Nothing is bent to fit: a number in quotes is text, ``3.7`` is no integer, ``no`` is no bool.
-    Tags, merge keys and further documents are refused, and so are texts that are overlong, too
-    deeply nested, or blow up by their aliases.
+    Values are not converted: a number in quotes is text, ``3.7`` is not an integer, and ``no`` is
+    not a bool. Tags, merge keys and further documents are refused. So are texts that are too long,
+    too deeply nested, or grow too large through aliases.
 
     Args:
         cls: The class.
         text: Up to 1 MiB of JSON or 128 KiB of YAML.
         root: The first word of the path in errors; ``goal`` makes them ``InvalidGoal``.
-        source: What is named before line and column of malformed text.
+        source: The name shown before line and column of malformed text.
         allow_nonfinite: Whether ``.nan`` and ``.inf`` are numbers.
 
     Raises:
-        InvalidMessage: for the first mistake.
+        InvalidMessage: for the first error.
 
     >>> from turtleact.interfaces.standard import Point
     >>> from_text(Point, "{x: 1, y: 1e3}")
@@ -98,7 +99,7 @@ def from_text(
 
 
 def to_yaml(message: Message) -> str:
-    """A message as block YAML, as ``ros2`` prints it, with a line break at its end.
+    """Convert a message to block YAML, as ``ros2`` prints it, with a final line break.
 
     >>> from turtleact.interfaces.standard import PatrolCommandInterface, Point
     >>> print(to_yaml(PatrolCommandInterface.Goal(targets=[Point(x=9.0, y=7.0)])), end="")
@@ -111,12 +112,12 @@ def to_yaml(message: Message) -> str:
 
 
 def to_json(message: Message) -> str:
-    """A message as one line of JSON; nan and infinity, which JSON cannot say, become null."""
+    """Convert a message to one line of JSON; nan and infinity become null."""
     return json.dumps(sayable(to_dict(message)), ensure_ascii=False)
 
 
 class Document(msgspec.Struct, frozen=True):
-    """A text, and how to speak of it."""
+    """A text, with the options for reading it."""
 
     text: str
     root: str
@@ -124,13 +125,13 @@ class Document(msgspec.Struct, frozen=True):
     allow_nonfinite: bool
 
     def refuse(self, problem: str, place: tuple[int, int] | None = None) -> NoReturn:
-        """Raises for a mistake in the text itself; its place is line and column from 0."""
+        """Raise an error in the text; its place is line and column, counted from 0."""
         error = error_class(self.root)
         if place is None:
             raise error(self.source, problem)
         number, column = place
         lines = self.text.splitlines() or [""]
-        if not "".join(lines[number:])[column:]:  # the end: shown where the last word ends
+        if not "".join(lines[number:])[column:]:  # at the end: show the end of the last word
             written = self.text.rstrip().splitlines() or [""]
             number, column = len(written) - 1, len(written[-1])
         line = lines[number]
@@ -142,7 +143,7 @@ class Document(msgspec.Struct, frozen=True):
 
 
 class Loader(Reader, Scanner, Parser, Composer, BaseResolver):
-    """PyYAML up to its nodes: it makes no objects, so there is nothing to be safe from."""
+    """PyYAML up to its nodes; it creates no Python objects, so it cannot run any code."""
 
     def __init__(self, document: Document) -> None:
         Reader.__init__(self, document.text)
@@ -154,10 +155,12 @@ class Loader(Reader, Scanner, Parser, Composer, BaseResolver):
         self.depth = 0
 
     def compose_node(self, parent: Node | None, index: int) -> Node | None:
-        """One node; refuses tags and deep nesting before Python's stack runs out."""
-        event = self.peek_event()  # type: ignore[no-untyped-call]  # as the stubs leave it
+        """Compose one node; refuse tags, and deep nesting before Python's stack overflows."""
+        event = self.peek_event()  # type: ignore[no-untyped-call]  # the stubs have no type here
         if getattr(event, "tag", None) is not None:
-            self.document.refuse(f"a tag ({event.tag}) is not taken", place_of(event.start_mark))
+            self.document.refuse(
+                f"tags ({event.tag}) are not supported", place_of(event.start_mark)
+            )
         if self.depth > DEEPEST:
             self.document.refuse(TOO_DEEP, place_of(event.start_mark))
         self.depth += 1
@@ -167,7 +170,7 @@ class Loader(Reader, Scanner, Parser, Composer, BaseResolver):
 
 
 def tree_of(document: Document) -> object:
-    """The plain values that a text says."""
+    """Parse a text into plain values."""
     text = document.text
     if len(text) > MOST_JSON:
         document.refuse(f"{len(text)} characters are too many: at most {MOST_JSON}")
@@ -175,7 +178,7 @@ def tree_of(document: Document) -> object:
         try:
             return json_tree(document)
         except (ValueError, RecursionError) as error:
-            # YAML takes most of it, and knows the place of the mistake.
+            # YAML accepts most JSON, and its parser knows the place of an error.
             if len(text) > MOST_YAML:
                 refuse_json(document, error)
     if len(text) > MOST_YAML:
@@ -186,7 +189,7 @@ def tree_of(document: Document) -> object:
 
 
 def json_tree(document: Document) -> object:
-    """The plain values that a JSON text says; raises what `json.loads` does."""
+    """Parse a JSON text into plain values; raises like `json.loads`."""
 
     def number(word: str) -> object:
         return scalar(word, document.allow_nonfinite)
@@ -205,7 +208,7 @@ def json_tree(document: Document) -> object:
 
 
 def refuse_json(document: Document, error: ValueError | RecursionError) -> NoReturn:
-    """Raises for what is wrong with a JSON text that is too long to be read as YAML."""
+    """Raise for an error in a JSON text that is too long to be read as YAML."""
     if isinstance(error, json.JSONDecodeError):
         place = error.lineno - 1, error.colno - 1
         document.refuse(f"{error.msg}; it is too long to be YAML", place)
@@ -213,15 +216,15 @@ def refuse_json(document: Document, error: ValueError | RecursionError) -> NoRet
 
 
 def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """A JSON object, if no name in it is given twice."""
+    """Return a JSON object, unless it has a name twice."""
     result = dict(pairs)
     if len(result) < len(pairs):
-        raise ValueError("a name is given twice")
+        raise ValueError("a name appears twice")
     return result
 
 
 def sounded(document: Document, value: object, depth: int) -> object:
-    """A JSON value, its depth measured, and null spelled as in the text."""
+    """Return a JSON value after checking its depth; null keeps its spelling."""
     if depth > DEEPEST:
         document.refuse(TOO_DEEP)
     if isinstance(value, dict):
@@ -232,7 +235,7 @@ def sounded(document: Document, value: object, depth: int) -> object:
 
 
 def compose(document: Document) -> Node | None:
-    """The node of the one YAML document in a text; None where it is empty."""
+    """Return the node of the only YAML document in a text; None if the text is empty."""
     try:
         loader = Loader(document)
     except ReaderError as error:
@@ -244,37 +247,37 @@ def compose(document: Document) -> Node | None:
     except yaml.MarkedYAMLError as error:
         document.refuse(said(error), place_of(error.problem_mark or loader.get_mark()))
     except (ValueError, OverflowError):
-        # PyYAML lets these out of an escape or directive whose number is too large.
+        # PyYAML does not catch these if the number in an escape or directive is too large.
         document.refuse("a number here is too large", place_of(loader.get_mark()))
 
 
 def said(error: yaml.MarkedYAMLError) -> str:
-    """What PyYAML found wrong, in a few words."""
+    """Describe PyYAML's error in a few words."""
     if error.context == "expected a single document in the stream":
         return "more than one document"
     if error.problem == "mapping values are not allowed here":
-        return "a colon too many: fields stand in braces, {x: 1, y: 2}, or below each other"
+        return "a colon too many: write fields in braces, {x: 1, y: 2}, or one per line"
     problem = (error.problem or "malformed").replace(", but got", ", got")
     return problem.replace("'<stream end>'", "the end")
 
 
 def place_of(mark: Mark) -> tuple[int, int]:
-    """Line and column, from 0."""
+    """Return line and column, counted from 0."""
     return mark.line, mark.column
 
 
 class Expansion:
-    """Turns nodes into plain values, aliases followed, and counts them."""
+    """Converts nodes to plain values, following aliases, and counts them."""
 
     def __init__(self, document: Document) -> None:
         self.document = document
         self.left = MOST_NODES
 
     def value(self, node: Node, depth: int) -> object:
-        """What a node says."""
+        """Convert a node."""
         self.left -= 1
         if self.left < 0:
-            self.document.refuse(f"too much: more than {MOST_NODES} values, aliases followed")
+            self.document.refuse(f"too large: more than {MOST_NODES} values, with aliases followed")
         if depth > DEEPEST:
             self.document.refuse(TOO_DEEP, place_of(node.start_mark))
         if isinstance(node, yaml.MappingNode):
@@ -286,22 +289,22 @@ class Expansion:
         return node.value
 
     def mapping(self, node: yaml.MappingNode, depth: int) -> dict[str, object]:
-        """What a mapping says; its keys are the words as they are written."""
+        """Convert a mapping; the keys are the words as written."""
         result: dict[str, object] = {}
         for key, item in node.value:
             place = place_of(key.start_mark)
             if not isinstance(key, yaml.ScalarNode):
-                self.document.refuse("a field's name is one word", place)
+                self.document.refuse("a field's name must be a single word", place)
             if key.value == "<<" and not key.style:
-                self.document.refuse("a merge key (<<) is not taken", place)
+                self.document.refuse("merge keys (<<) are not supported", place)
             if key.value in result:
-                self.document.refuse(f"{describe(key.value)} is given twice", place)
+                self.document.refuse(f"{describe(key.value)} appears twice", place)
             result[key.value] = self.value(item, depth)
         return result
 
 
 def scalar(word: str, allow_nonfinite: bool) -> object:
-    """What a bare word says."""
+    """Return the value of a bare word."""
     if word in NULLS:
         return Spelled("null")
     if word in WORDS:
@@ -319,7 +322,7 @@ def scalar(word: str, allow_nonfinite: bool) -> object:
 
 
 def block(mapping: dict[str, object]) -> list[str]:
-    """The lines of a message."""
+    """Return the lines of a message."""
     lines: list[str] = []
     for name, value in mapping.items():
         if isinstance(value, dict) and value:
@@ -332,14 +335,14 @@ def block(mapping: dict[str, object]) -> list[str]:
 
 
 def listed(item: object) -> Iterator[str]:
-    """The lines of an element of a list."""
+    """Return the lines of an element of a list."""
     lines = block(item) if isinstance(item, dict) else [inline(item)]
     for index, line in enumerate(lines):
         yield f"  {line}" if index else f"- {line}"
 
 
 def flow(value: object) -> str:
-    """A plain value as flow YAML, on one line.
+    """Convert a plain value to flow YAML, on one line.
 
     >>> flow({"at": {"x": 1.0}, "names": ["a", "b, c"]})
     "{at: {x: 1.0}, names: [a, 'b, c']}"
@@ -353,7 +356,7 @@ def flow(value: object) -> str:
 
 
 def inline(value: object) -> str:
-    """A value on one line."""
+    """Write a value on one line."""
     if isinstance(value, dict):
         return "{}"
     if isinstance(value, list | bytes):
@@ -368,12 +371,12 @@ def inline(value: object) -> str:
         return ".nan"
     if math.isinf(value):
         return ".inf" if value > 0 else "-.inf"
-    # YAML 1.1 takes 1e+16 for text.
+    # YAML 1.1 reads 1e+16 as text.
     return repr(value) if "." in repr(value) else repr(value).replace("e", ".0e")
 
 
 def quoted(text: str) -> str:
-    """Text in the quotes it needs, if it needs any."""
+    """Return the text, in quotes if it needs any."""
     if plain_pattern.fullmatch(text) and not misread_pattern.fullmatch(text):
         return text
     style = "'" if text.isprintable() else '"'
@@ -382,7 +385,7 @@ def quoted(text: str) -> str:
 
 
 def sayable(value: object) -> object:
-    """A plain value as JSON can say it."""
+    """Convert a plain value to one that JSON supports."""
     if isinstance(value, dict):
         return {name: sayable(item) for name, item in value.items()}
     if isinstance(value, list | bytes):

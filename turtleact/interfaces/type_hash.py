@@ -1,8 +1,8 @@
-"""The type hash (RIHS01), by which ROS 2 nodes tell whether they mean the same by a type's name.
+"""The type hash (RIHS01), which shows ROS 2 nodes whether they use the same definition of a type.
 
-It is the SHA-256 of a description of the type and of all types in it: names, fields, their types
-and order. Defaults, constants and comments do not count. The text that is hashed is JSON, to the
-blank: ``", "`` and ``": "`` between things, ASCII only, no line break.
+It is the SHA-256 of a description of the type and of all types in it: names, fields, field types
+and their order. Defaults, constants and comments do not count. The hashed text is JSON with exact
+spacing: ``", "`` and ``": "`` as separators, ASCII only, no line break.
 
 Source: REP 2016 (rosidl calls it 2011), ``rosidl_generator_type_description/__init__.py``, and the
 numbers of ``type_description_interfaces/msg/FieldType.msg``.
@@ -42,10 +42,10 @@ TYPE_IDS = {
 }
 NESTED_ID = 1
 
-#: What is added to the number of a string that has a bound.
+#: Added to the number of a string that has a bound.
 BOUNDED_STRING = 4
 
-#: What is added to the number of the element.
+#: Added to the number of the element.
 FORM_IDS = {
     ArrayForm.SINGLE: 0,
     ArrayForm.FIXED: 48,
@@ -62,15 +62,15 @@ class Member(NamedTuple):
     nested: Interface | None = None
 
 
-#: C knows no empty struct, so rosidl puts this into one.
+#: C has no empty structs, so rosidl puts this field into them.
 PLACEHOLDER = Member("structure_needs_at_least_one_member", FieldType("uint8"))
 
 
 def type_hash(cls: Interface) -> str:
-    """The type hash of a message, service or action, as ROS 2 gives it from Iron on.
+    """Return the type hash of a message, service or action, as in ROS 2 from Iron on.
 
-    Made once a class, when first asked for. On the wire go those of messages and services, also
-    of the services that an action implies; that of an action itself does not.
+    It is computed once per class, on first use. The hashes of messages and services are sent,
+    including those of the services that an action implies. An action's own hash is not.
 
     Raises:
         InvalidInterface: if the class has no type name.
@@ -79,14 +79,14 @@ def type_hash(cls: Interface) -> str:
     >>> type_hash(Point)
     'RIHS01_6963084842a9b04494d6b2941d11444708d892da2f4b09843b9c43f42a7f6881'
     """
-    # mypy asks the class's instances for a hash, but it is the class that is looked up.
+    # mypy wants the class's instances to be hashable, but the class itself is looked up.
     return hashed(cls)  # type: ignore[arg-type]
 
 
 @functools.cache
 def hashed(cls: Interface) -> str:
-    """The hash itself."""
-    import json  # nothing else here needs these two, which are slow to import
+    """Compute the hash."""
+    import json  # only this function needs these two, which are slow to import
     from hashlib import sha256
 
     check_type_name(cls.type_name)
@@ -99,7 +99,7 @@ def hashed(cls: Interface) -> str:
 
 
 def referenced(cls: Interface) -> dict[str, Interface]:
-    """The types inside this one, down to the last, by name."""
+    """Return all types inside this one, at any depth, by name."""
     found: dict[str, Interface] = {}
     waiting = [cls]
     while waiting:
@@ -111,16 +111,16 @@ def referenced(cls: Interface) -> dict[str, Interface]:
 
 
 def description(cls: Interface) -> dict[str, object]:
-    """What is said of one type; the order of the keys counts."""
+    """Return the description of one type; the order of the keys matters."""
     rows = [{"name": member.name, "type": field_type(member.type)} for member in members(cls)]
     return {"type_name": cls.type_name, "fields": rows}
 
 
 def field_type(kind: FieldType) -> dict[str, object]:
-    """What is said of a field's type; the order of the keys counts."""
+    """Return the description of a field's type; the order of the keys matters."""
     bound = kind.string_bound or 0
     if kind.name == "wstring" and bound and kind.form is ArrayForm.UNBOUNDED:
-        # rosidl_parser takes the bound of the wstring for the bound of the list, too.
+        # rosidl_parser mistakes the bound of the wstring for the bound of the list.
         kind = FieldType(kind.name, bound, ArrayForm.BOUNDED, bound)
     element = NESTED_ID if kind.is_nested else TYPE_IDS[kind.name] + BOUNDED_STRING * bool(bound)
     return {
@@ -132,7 +132,7 @@ def field_type(kind: FieldType) -> dict[str, object]:
 
 
 def members(cls: Interface) -> list[Member]:
-    """The fields of a message, or the types that make up a service or an action."""
+    """Return the fields of a message, or the types that make up a service or action."""
     if issubclass(cls, Action):
         types = implied(cls)
         inside: dict[str, Interface] = {

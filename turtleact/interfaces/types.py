@@ -1,8 +1,8 @@
 """Message, Service and Action: interfaces as Python classes.
 
-A class statement declares an interface: its annotations are the fields, its ``ClassVar`` values in
-capitals the constants. A field without a default gets the zero of its type. Generated modules
-import from here. Knows no text, no wire format and no file.
+A class statement declares an interface. Its annotations are the fields, and its ``ClassVar`` values
+in capitals are the constants. A field without a default gets the zero of its type. Generated
+modules import from here. This module knows no text, wire format or file.
 
 >>> class Goal(Message, type_name="example_msgs/msg/Goal"):
 ...     order: int32
@@ -116,14 +116,14 @@ __all__ = [
 
 
 class Shape(msgspec.Struct, frozen=True):
-    """What a message class declares.
+    """The declaration of a message class.
 
     Attributes:
-        type_name: Its full name, empty as long as it has none.
+        type_name: Its full name; empty until it has one.
         fields: Its fields, in order.
         constants: Its constants, in order.
-        nested: For each field the class of its messages, or None.
-        bytes_fields: Names of the fields declared as ``bytes``.
+        nested: For each field, the class of the messages in it, or None.
+        bytes_fields: The names of fields declared as ``bytes``.
     """
 
     type_name: str = ""
@@ -134,15 +134,15 @@ class Shape(msgspec.Struct, frozen=True):
 
 
 class Registry:
-    """Interface classes by type name, and where to look for more of them.
+    """Interface classes by type name, and places to look for more.
 
-    A class statement with a type name announces its class here. Of equal classes the first one
-    stays, so that ``get_interface`` gives the same class every time. A class with other fields
-    replaces it for later look-ups, unless it is one that ships: those never replace a user's.
+    A class statement with a type name registers its class here. If an equal class is already known,
+    that one stays, so that ``get_interface`` always returns the same class. A class with other
+    fields replaces it for later look-ups. Built-in classes never replace a user's class.
 
     Attributes:
-        files: The paths of interface files that `load_interfaces` has found, by type name.
-        prefixes: The folders where ROS packages are installed; the first one wins.
+        files: The interface files that `load_interfaces` has found, by type name.
+        prefixes: The folders where ROS packages are installed, in order of precedence.
     """
 
     def __init__(self) -> None:
@@ -151,7 +151,7 @@ class Registry:
         self.prefixes: tuple[str, ...] = ()
 
     def add(self, interface: Interface, definition: Definition) -> None:
-        """Make a class known."""
+        """Register a class."""
         name = definition.type_name
         held = self._known.get(name)
         if held is not None:
@@ -161,22 +161,22 @@ class Registry:
         self._known[name] = (interface, definition)
 
     def get(self, type_name: str) -> Interface | None:
-        """The class of that name, or None."""
+        """Return the class with that name, or None."""
         held = self._known.get(type_name)
         return None if held is None else held[0]
 
     def forget(self, type_name: str) -> None:
-        """Drop an interface and the types it implies (``NAME_Goal``, ``NAME_SendGoal`` …)."""
+        """Drop an interface and the types derived from it (``NAME_Goal``, ``NAME_SendGoal`` …)."""
         for name in [n for n in self._known if n == type_name or n.startswith(f"{type_name}_")]:
             del self._known[name]
 
     def names(self) -> list[str]:
-        """The names known so far."""
+        """All names known so far."""
         return list(self._known)
 
     @contextlib.contextmanager
     def isolated(self) -> Iterator[None]:
-        """Forget at the end of the block what was made known inside it. For tests."""
+        """Forget at the end of the block everything registered inside it. For tests."""
         kept = dict(self._known), dict(self.files), self.prefixes
         try:
             yield
@@ -184,18 +184,18 @@ class Registry:
             self._known, self.files, self.prefixes = kept
 
 
-#: Where the classes that ship are declared.
+#: The package with the built-in classes.
 SHIPPED = "turtleact.interfaces.standard."
 
-#: The one registry of the process. It is process-wide because a class statement can announce its
-#: class nowhere else, as a module announces itself in ``sys.modules``. It holds classes, files and
-#: folders only, never anything of a node or an event loop; `Registry.isolated` resets it.
+#: The only registry of the process. It is global because a class statement has no other place to
+#: register its class, just as modules register in ``sys.modules``. It holds only classes, files and
+#: folders, nothing that belongs to a node or event loop. `Registry.isolated` resets it.
 REGISTRY = Registry()
 
 
 @dataclass_transform(field_specifiers=(msgspec.field,))
 class MessageMeta(msgspec.StructMeta):
-    """Makes message classes; ``Message`` says how they behave."""
+    """The metaclass of messages; ``Message`` describes their behaviour."""
 
     _shape: Shape
 
@@ -207,15 +207,15 @@ class MessageMeta(msgspec.StructMeta):
         *,
         type_name: str = "",
     ) -> MessageMeta:
-        """Reads the class body before msgspec makes a class of it."""
+        """Read the class body before msgspec makes a class of it."""
         if bases == (msgspec.Struct,):
-            # A message is a tree: never part of a cycle, so the garbage collector leaves it out.
+            # A message is a tree and never part of a cycle, so the garbage collector can ignore it.
             base = super().__new__(mcls, name, bases, namespace, gc=False)
             base._shape = Shape()
             return base
         namespace.setdefault("__qualname__", name)
         if bases != (Message,):
-            problem = "derive a message from Message alone"
+            problem = "derive a message only from Message"
             raise InvalidInterface(problem, source=namespace["__qualname__"])
         shape = read_body(namespace, sys._getframe(1), type_name)
         cls = super().__new__(mcls, name, bases, namespace)
@@ -227,18 +227,17 @@ class MessageMeta(msgspec.StructMeta):
 
     @property
     def type_name(cls) -> str:
-        """The full name, ``package/kind/Name``; empty as long as the class has none."""
+        """The full name, ``package/kind/Name``; empty if the class has none."""
         return cls._shape.type_name
 
 
 class Message(msgspec.Struct, metaclass=MessageMeta):
-    """The base of all messages: mutable, compared by value, cheap to make and to keep.
+    """The base of all messages. They are mutable, compared by value, and cheap to create.
 
-    Making one checks nothing; ``snapshot`` does, whenever a message is sent. A field without a
-    default gets the zero of its type; type checkers ask for each argument that has no default in
-    the class, so say ``order: int32 = 0`` where it may be left out. Constants are
-    ``ClassVar[int8]`` and the like. A field whose ROS name is a Python keyword has an underscore at
-    its end (``from_``).
+    Creating a message checks nothing; ``snapshot`` checks it when it is sent. A field without a
+    default gets the zero of its type. But type checkers demand each argument without a default in
+    the class, so write ``order: int32 = 0`` if it may be left out. Constants are ``ClassVar[int8]``
+    and the like. If a field's ROS name is a Python keyword, add an underscore (``from_``).
 
     >>> class Pair(Message, type_name="example_msgs/msg/Pair"):
     ...     left: bounded[list[int32], 3]
@@ -251,7 +250,7 @@ class Message(msgspec.Struct, metaclass=MessageMeta):
 class Action:
     """The base of all actions: a class with Goal, Result and Feedback inside.
 
-    Each is a Message; one that is left out has no fields.
+    Each is a Message. A part that is left out has no fields.
 
     >>> class Count(Action, type_name="example_msgs/action/Count"):
     ...     class Goal(Message):
@@ -266,7 +265,7 @@ class Action:
     Feedback: ClassVar[type[Message]] = Message
 
     def __init_subclass__(cls, *, type_name: str = "") -> None:
-        """Names the parts after the action and makes all of it known."""
+        """Name the parts after the action and register them all."""
         super().__init_subclass__()
         declare(cls, type_name, base=Action, kind="action")
 
@@ -279,7 +278,7 @@ class Service:
     Response: ClassVar[type[Message]] = Message
 
     def __init_subclass__(cls, *, type_name: str = "") -> None:
-        """Names the parts after the service and makes all of it known."""
+        """Name the parts after the service and register them all."""
         super().__init_subclass__()
         declare(cls, type_name, base=Service, kind="srv")
 
@@ -288,17 +287,17 @@ Interface: TypeAlias = type[Message] | type[Service] | type[Action]
 
 
 def fields(cls: type[Message]) -> tuple[Field, ...]:
-    """The fields of a message class, in the order in which they are sent."""
+    """Return the fields of a message class, in the order they are sent."""
     return cls._shape.fields
 
 
 def constants(cls: type[Message]) -> tuple[Constant, ...]:
-    """The constants of a message class."""
+    """Return the constants of a message class."""
     return cls._shape.constants
 
 
 def nested_classes(cls: type[Message]) -> tuple[type[Message] | None, ...]:
-    """For each field the class of the messages in it, or None."""
+    """Return, for each field, the class of the messages in it, or None."""
     return cls._shape.nested
 
 
@@ -309,7 +308,7 @@ def definition(cls: type[Service]) -> ServiceDefinition: ...
 @overload
 def definition(cls: type[Action]) -> ActionDefinition: ...
 def definition(cls: type[Message] | type[Service] | type[Action]) -> Definition:
-    """What an interface class declares.
+    """Return the definition of an interface class.
 
     Raises:
         InvalidInterface: if the class has no type name.
@@ -328,13 +327,13 @@ PARTS = {"srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback"
 
 
 def declare(cls: type[Service] | type[Action], type_name: str, *, base: type, kind: str) -> None:
-    """Completes a service or action, names its parts and makes all of it known."""
+    """Complete a service or action, name its parts, and register them all."""
     source = cls.__qualname__
     if cls.__bases__ != (base,):
-        raise InvalidInterface(f"derive it from {base.__name__} alone", source=source)
+        raise InvalidInterface(f"derive it only from {base.__name__}", source=source)
     if not type_name:
         problem = (
-            f"say its name: class {cls.__name__}({base.__name__}, "
+            f"give it a name: class {cls.__name__}({base.__name__}, "
             f'type_name="package_name/{kind}/{cls.__name__}")'
         )
         raise InvalidInterface(problem, source=source)
@@ -342,14 +341,14 @@ def declare(cls: type[Service] | type[Action], type_name: str, *, base: type, ki
     cls.type_name = type_name
     check_strays(cls, PARTS[kind])
     parts = [named_part(cls, part) for part in PARTS[kind]]
-    # The whole comes first: a changed one drops all that went by its name.
+    # The whole comes first, because a changed definition drops everything under the old name.
     REGISTRY.add(cls, definition(cls))
     for part in parts:
         REGISTRY.add(part, definition(part))
 
 
 def named_part(cls: type[Service] | type[Action], part: str) -> type[Message]:
-    """One part of a service or action under its full name; an empty one where it is left out."""
+    """Return one part of a service or action under its full name; empty if it was left out."""
     type_name = f"{cls.type_name}_{part}"
     qualname = f"{cls.__qualname__}.{part}"
     message = vars(cls).get(part)
@@ -358,7 +357,7 @@ def named_part(cls: type[Service] | type[Action], part: str) -> type[Message]:
         message = cast("type[Message]", MessageMeta(part, (Message,), body))
         setattr(cls, part, message)
     if not is_message_class(message) or message is Message:
-        raise InvalidInterface(f"is no message: write class {part}(Message)", source=qualname)
+        raise InvalidInterface(f"not a message: write class {part}(Message)", source=qualname)
     message = cast("type[Message]", message)
     if message.type_name not in ("", type_name):
         problem = (
@@ -370,7 +369,7 @@ def named_part(cls: type[Service] | type[Action], part: str) -> type[Message]:
 
 
 def check_strays(cls: type, parts: tuple[str, ...]) -> None:
-    """Refuses a message class inside that is no part, such as a misspelled one."""
+    """Refuse a message class inside that is not a part, for example because it is misspelled."""
     for name, member in vars(cls).items():
         if is_message_class(member) and name not in parts and member.__name__ == name:
             problem = f"the parts are {', '.join(parts)}{did_you_mean(name, parts)}"
@@ -378,15 +377,15 @@ def check_strays(cls: type, parts: tuple[str, ...]) -> None:
 
 
 def read_body(namespace: dict[str, object], frame: FrameType, type_name: str) -> Shape:
-    """The shape that a class body declares; gives each field in it a default of its own.
+    """Return the declaration in a class body, and give each field in the body a default.
 
     Args:
-        namespace: The body; a default is put in for every field.
+        namespace: The body; this adds a default for every field.
         frame: Where the class statement stands.
         type_name: The full name of the class, or an empty string.
 
     Raises:
-        InvalidInterface: names the class and the member that is wrong.
+        InvalidInterface: with the class and the member that is wrong.
     """
     source = str(namespace["__qualname__"])
     scope = scope_of(frame, namespace)
@@ -401,7 +400,7 @@ def read_body(namespace: dict[str, object], frame: FrameType, type_name: str) ->
             else:
                 reading = read(meaning, scope)
                 members.append((read_field(name, reading, namespace), reading))
-    # With the objects in place of the text, signatures and hints work for local classes too.
+    # Store the objects instead of the text, so that signatures and hints work for local classes.
     namespace["__annotations__"] = meanings
     return Shape(
         type_name,
@@ -413,7 +412,7 @@ def read_body(namespace: dict[str, object], frame: FrameType, type_name: str) ->
 
 
 def annotations_of(namespace: Mapping[str, object], source: str) -> Mapping[str, object]:
-    """The annotations in a class body, in order."""
+    """Return the annotations in a class body, in order."""
     found = namespace.get("__annotations__")
     if found is None and sys.version_info >= (3, 14):  # pragma: no cover  no older one has it
         import annotationlib
@@ -427,7 +426,7 @@ def annotations_of(namespace: Mapping[str, object], source: str) -> Mapping[str,
 
 @contextlib.contextmanager
 def naming(source: str, name: str) -> Iterator[None]:
-    """Adds class and member to what is said about an annotation or default."""
+    """Add class and member to errors about an annotation or default."""
     try:
         yield
     except InvalidInterface as inner:
@@ -437,7 +436,7 @@ def naming(source: str, name: str) -> Iterator[None]:
 def read_constant(
     name: str, annotation: object, namespace: Mapping[str, object], scope: Scope
 ) -> list[Constant]:
-    """The constant that a ClassVar in capitals declares; other ClassVars are Python's own."""
+    """Return the constant of a ClassVar in capitals; other ClassVars are ordinary Python."""
     if not constant_name_pattern.fullmatch(name):
         return []
     reading = read(next(iter(get_args(annotation)), annotation), scope)
@@ -449,7 +448,7 @@ def read_constant(
 
 
 def read_field(name: str, reading: Reading, namespace: dict[str, object]) -> Field:
-    """One field; its default in the class body becomes what msgspec can use."""
+    """Return one field, and turn its default in the class body into one that msgspec can use."""
     default: Default = None
     if name in namespace:
         default = as_default(reading, given_default(namespace[name]))
@@ -460,18 +459,18 @@ def read_field(name: str, reading: Reading, namespace: dict[str, object]) -> Fie
 
 
 def given_default(given: object) -> object:
-    """The default that a class body gives, be it bare or in ``msgspec.field``."""
+    """Return the default in a class body, given directly or through ``msgspec.field``."""
     if not isinstance(given, FIELD_SPECIFIER):
         return given
     value: Any = given  # msgspec does not export its type
     if value.name is not None or (value.default, value.default_factory) == NOTHING:
-        problem = "msgspec.field is for default and default_factory alone"
+        problem = "msgspec.field may only have default or default_factory"
         raise InvalidInterface(problem, source="")
     return value.default if value.default_factory is msgspec.NODEFAULT else value.default_factory()
 
 
 def as_default(reading: Reading, value: object) -> Default:
-    """A default as a definition holds it."""
+    """Convert a default to the form in a definition."""
     if reading.nested is not None:
         check_nested_default(reading, value)
         return None
@@ -486,14 +485,14 @@ def as_default(reading: Reading, value: object) -> Default:
 
 
 def check_nested_default(reading: Reading, value: object) -> None:
-    """Lets a default message pass that says no more than no default."""
+    """Accept a default message only if it equals no default."""
     if value != zero_message(reading)():
-        problem = "ROS gives messages no default: leave it out, each starts with its own zeros"
+        problem = "ROS has no defaults for messages: leave it out; every message starts with zeros"
         raise InvalidInterface(problem, source="")
 
 
 def initial(reading: Reading, default: Default) -> object:
-    """What the class body shall hold for a field: a value, or what makes one for each message."""
+    """Return what the class body must hold for a field: a value, or a factory for one."""
     if reading.nested is not None:
         return msgspec.field(default_factory=zero_message(reading))
     value = zero(reading.field_type) if default is None else default
@@ -505,7 +504,7 @@ def initial(reading: Reading, default: Default) -> object:
 
 
 def zero_message(reading: Reading) -> Callable[[], object]:
-    """What makes the message, or list of messages, that a field starts with."""
+    """Return a function that makes a field's initial message, or list of messages."""
     nested = cast("Callable[[], object]", reading.nested)
     if not reading.field_type.is_sequence:
         return nested
@@ -515,10 +514,10 @@ def zero_message(reading: Reading) -> Callable[[], object]:
 
 
 def several(make: Callable[[], object], size: int) -> list[object]:
-    """A list of new messages."""
+    """Make a list of new messages."""
     return [make() for _ in range(size)]
 
 
-#: The type of what ``msgspec.field`` gives, which msgspec does not export.
+#: The type that ``msgspec.field`` returns; msgspec does not export it.
 FIELD_SPECIFIER = type(msgspec.field(default=None))
 NOTHING = (msgspec.NODEFAULT, msgspec.NODEFAULT)

@@ -1,11 +1,11 @@
-"""Values against types: what a field takes, and the text that says why it does not.
+"""Checks values against types: which values a field accepts, and why it refuses others.
 
-A path grows from the inside out: a check raises with the path below it, and whoever called it puts
-its own name before. This is the slow and exact way; ``copying`` generates the fast one, which falls
-back to this one for whatever is not exactly of the expected Python type.
+A path grows from the inside out: a check raises with the inner path, and each caller adds its own
+name in front. This is the slow, exact way. ``conversion`` generates the fast way, which falls back
+to this one for values that are not exactly of the expected Python type.
 
-A ``byte`` is an int from 0 to 255; ``bytes`` of length one are taken for it. The elements of a
-sequence come back as a plain list; only ``bytes`` given for bytes stay ``bytes``.
+A ``byte`` is an int from 0 to 255; ``bytes`` of length one are accepted too. The elements of a
+sequence are returned as a plain list; only ``bytes`` given for bytes stay ``bytes``.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FLOAT32_LIMIT", "Spelled", "converter", "describe", "expected", "misfit"]
 
-#: Where rounding to float32 turns to infinity: half a step above the largest float32.
+#: From here on, rounding to float32 gives infinity: half a step above the largest float32.
 FLOAT32_LIMIT = (2 - 2**-24) * 2.0**127
 
 EXPECTED = {
@@ -45,7 +45,7 @@ EXPECTED = {
 
 
 def expected(field_type: FieldType) -> str:
-    """What a value of this type is, in words."""
+    """Describe a value of this type in words."""
     if not field_type.is_sequence:
         return EXPECTED.get(field_type.name, f"a message ({field_type.name})")
     count = f"{field_type.size} " if field_type.form is ArrayForm.FIXED else ""
@@ -53,24 +53,24 @@ def expected(field_type: FieldType) -> str:
 
 
 def misfit(field_type: FieldType, value: object) -> InvalidMessage:
-    """The error for a value of another sort."""
+    """Make the error for a value of the wrong kind."""
     return InvalidMessage("", f"expected {expected(field_type)}, got {describe(value)}")
 
 
 def describe(value: object) -> str:
-    """A value for an error's text: as Python writes it, cut where it is long."""
+    """Show a value in an error, as Python writes it, but shortened."""
     return SHORT.repr(value)
 
 
 class ShortRepr(reprlib.Repr):
-    """Python's short repr, that also bears numbers too long to write."""
+    """Python's short repr, which also handles numbers too long to write."""
 
     def __init__(self) -> None:
         super().__init__()
         self.maxstring = self.maxother = 60
 
     def repr_int(self, x: int, level: int) -> str:  # noqa: ARG002  the base class's signature
-        """A number; one that no ROS type could hold by far is only measured."""
+        """Write a number; if no ROS type could hold it, only give its size."""
         return repr(x) if x.bit_length() <= 128 else f"a number of {x.bit_length()} bits"
 
 
@@ -78,11 +78,11 @@ SHORT = ShortRepr()
 
 
 class Spelled:
-    """What a text says and no field takes; an error names it as it was written.
+    """A value in a text that no field accepts; errors show it as it was written.
 
     Attributes:
-        word: As it was written, or what it is.
-        fits: Names of the types that would take it if it were not too large.
+        word: The value as it was written, or a description.
+        fits: The types that would accept it if it were not too large.
     """
 
     def __init__(self, word: str, fits: Collection[str] = ()) -> None:
@@ -94,11 +94,11 @@ class Spelled:
 
 
 def converter(field_type: FieldType, element: Convert | None = None) -> Convert:
-    """A function that gives the value a field of this type would hold, or raises.
+    """Return a function that converts a value for a field of this type, or raises.
 
     Args:
         field_type: The type.
-        element: What converts one message, where the type is a message.
+        element: Converts one message, if the type is a message.
     """
     if element is None:
         element = functools.partial(PRIMITIVE[field_type.name], field_type.element)
@@ -108,7 +108,7 @@ def converter(field_type: FieldType, element: Convert | None = None) -> Convert:
 
 
 def whole_number(field_type: FieldType, value: object) -> int:
-    """An int in range; numpy's integers and whatever else is an index are converted."""
+    """Convert to an int in range; accepts numpy's integers and anything else usable as an index."""
     name = field_type.name
     if name == "byte" and isinstance(value, bytes) and len(value) == 1:
         return value[0]
@@ -127,7 +127,7 @@ def whole_number(field_type: FieldType, value: object) -> int:
 
 
 def number(field_type: FieldType, value: object) -> float:
-    """A float; ints and numpy's numbers are converted. Never rounded to float32."""
+    """Convert to a float; accepts ints and numpy's numbers. Never rounds to float32."""
     limit, edge = FLOAT_LIMITS[field_type.name]
     if is_too_large(field_type, value):
         raise out_of_range(field_type, value, f"-{edge}", edge)
@@ -145,14 +145,14 @@ def number(field_type: FieldType, value: object) -> float:
 
 
 def truth(field_type: FieldType, value: object) -> bool:
-    """A bool; numpy's is converted."""
+    """Convert to a bool; accepts numpy's bool."""
     if not is_bool(value):
         raise misfit(field_type, value)
     return bool(value)
 
 
 def text(field_type: FieldType, value: object) -> str:
-    """A str that can be sent and is not longer than its bound, in characters as rclpy counts."""
+    """Convert to a str that can be sent and fits its bound, counted in characters as in rclpy."""
     if not isinstance(value, str):
         raise misfit(field_type, value)
     plain = str.__str__(value)
@@ -168,7 +168,7 @@ def text(field_type: FieldType, value: object) -> str:
 
 
 def sequence(field_type: FieldType, element: Convert, value: object) -> object:
-    """A list whose elements and length fit; ``bytes`` for bytes."""
+    """Convert to a list with valid elements and length; ``bytes`` stay ``bytes``."""
     items = as_items(field_type, value)
     check_length(field_type, len(items))
     if isinstance(items, bytes):
@@ -177,7 +177,7 @@ def sequence(field_type: FieldType, element: Convert, value: object) -> object:
 
 
 def converted(element: Convert, items: Iterable[object]) -> Iterable[object]:
-    """Each element converted, its place named where one does not fit."""
+    """Convert each element; errors name its index."""
     for index, item in enumerate(items):
         try:
             yield element(item)
@@ -186,7 +186,7 @@ def converted(element: Convert, items: Iterable[object]) -> Iterable[object]:
 
 
 def as_items(field_type: FieldType, value: object) -> Sequence[object]:
-    """The elements that a list, tuple or one-dimensional array holds."""
+    """Return the elements of a list, tuple or one-dimensional array."""
     if isinstance(value, list | tuple):
         return value
     if isinstance(value, bytes | bytearray) and field_type.name in BYTE_TYPES:
@@ -204,7 +204,7 @@ def as_items(field_type: FieldType, value: object) -> Sequence[object]:
 
 
 def check_length(field_type: FieldType, length: int) -> None:
-    """Refuses a sequence that is too long, or not as long as it is fixed to be."""
+    """Refuse a sequence that is too long, or not of its fixed length."""
     size = field_type.size
     if field_type.form is ArrayForm.BOUNDED and length > size:
         raise InvalidMessage("", f"at most {size} elements, got {length}")
@@ -213,31 +213,31 @@ def check_length(field_type: FieldType, length: int) -> None:
 
 
 def is_too_large(field_type: FieldType, value: object) -> bool:
-    """Whether a text says a number that even Python does not take."""
+    """Whether a text contains a number too large even for Python."""
     return isinstance(value, Spelled) and field_type.name in value.fits
 
 
 def out_of_range(field_type: FieldType, value: object, low: object, high: object) -> InvalidMessage:
-    """The error for a number that is too small or too large."""
+    """Make the error for a number that is too small or too large."""
     problem = f"{describe(value)} is out of range for {field_type.name} ({low} to {high})"
     return InvalidMessage("", problem)
 
 
 def is_bool(value: object) -> bool:
-    """Whether this is a bool, or numpy's bool, which is no subclass of it."""
+    """Whether a value is a bool, or numpy's bool, which is not a subclass of it."""
     if isinstance(value, bool):
         return True
     numpy = sys.modules.get("numpy")
     return numpy is not None and isinstance(value, numpy.bool_)
 
 
-#: Where a float is too large, and how that is written.
+#: The limits of floats, and how they are written.
 FLOAT_LIMITS = {
     "float32": (FLOAT32_LIMIT, "3.4028235e+38"),
     "float64": (math.inf, "1.7976931348623157e+308"),
 }
 
-#: What converts one element of each primitive type.
+#: The function that converts one element of each primitive type.
 PRIMITIVE: dict[str, Callable[[FieldType, object], object]] = {
     "bool": truth,
     **dict.fromkeys(INTEGER_RANGES, whole_number),

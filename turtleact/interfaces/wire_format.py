@@ -1,7 +1,7 @@
-"""How the endpoints of one interface write what they send, and read what they receive.
+"""Encodes and decodes the messages of an endpoint.
 
-The bytes are CDR, the name of the layout is the type hash. What a transport that reaches other
-processes is given beside each endpoint, so that it need know no message class.
+The bytes are CDR, and the type hash identifies the layout. Transports that reach other processes
+get such a format with each endpoint, so that they need not know any message class.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
 __all__ = ["GOAL_ID", "FeedbackFormat", "WireFormat"]
 
 GOAL_ID: Final = slice(4, 20)
-"""Where a feedback message has the id of its goal, in either byte order: behind CDR's header."""
+"""Where a feedback message has the id of its goal, after the CDR header, in either byte order."""
 
 
 class WireFormat:
-    """The format of one endpoint; cheap until it is used.
+    """The format of one endpoint; it costs little until it is used.
 
     Args:
-        interface: The message or service class, or what gives it once it is needed.
-        asks: Whether the endpoint is the client of a service: it sends requests.
+        interface: The message or service class, or a function that returns it when needed.
+        asks: Whether the endpoint is the client of a service, so that it sends requests.
 
     >>> from turtleact.interfaces.standard import Time
     >>> time = WireFormat(Time)
@@ -47,7 +47,7 @@ class WireFormat:
 
     @cached_property
     def type_hash(self) -> str:
-        """The type hash of the message, or of the whole service.
+        """The type hash of the message or of the whole service.
 
         Raises:
             InvalidInterface: if the class has no type name.
@@ -55,7 +55,7 @@ class WireFormat:
         return type_hash(self._found)
 
     def encode(self, message: object) -> bytes:
-        """What is sent, as bytes.
+        """Encode a message.
 
         Raises:
             InvalidMessage: if it is of another class, or a value does not fit its type.
@@ -68,26 +68,26 @@ class WireFormat:
         try:
             return self._encoded(message, self._header)
         except self._cdr.UNFIT:
-            data: bytes = self._cdr.encode(message)  # converts it, or says what is wrong
+            data: bytes = self._cdr.encode(message)  # converts the value, or raises a clear error
             return data
 
     def decode(self, data: bytes) -> Message:
-        """What was received, as a message.
+        """Decode a message.
 
         Raises:
-            InvalidMessage: if the bytes hold none; it says where.
+            InvalidMessage: if the bytes are not such a message, with the place of the error.
         """
         if data[:2] == self._order and len(data) >= len(self._header):
             try:
                 return self._decoded(data)
             except self._cdr.MISREAD:
-                pass  # it is said below where that is
+                pass  # the decoding below raises again, with the place of the error
         message: Message = self._cdr.decode(self._classes[1], data)
         return message
 
     @cached_property
     def _cdr(self) -> ModuleType:
-        from turtleact.interfaces import cdr  # only who sends bytes waits for its import
+        from turtleact.interfaces import cdr  # slow to import; only needed to encode or decode
 
         return cdr
 
@@ -120,7 +120,7 @@ class WireFormat:
 
     @cached_property
     def _classes(self) -> tuple[type[Message], type[Message]]:
-        """The class that is sent, and the one that is received."""
+        """The class to send and the class to receive."""
         found = self._found
         if not issubclass(found, Service):
             message = cast("type[Message]", found)
@@ -133,8 +133,9 @@ class WireFormat:
 class FeedbackFormat(WireFormat):
     """The format of an action's feedback topic.
 
-    A message of it is the id of a goal, and feedback. Both are written and read here by themselves
-    too: there is much feedback, and the message around it is nothing that anybody looks at.
+    A feedback message consists of a goal id and the feedback. Because there is so much feedback,
+    this class can also encode and decode the two directly, without building the message around
+    them.
 
     Args:
         action: The action.
@@ -150,7 +151,7 @@ class FeedbackFormat(WireFormat):
         self._feedback = action.Feedback
 
     def write(self, goal_id: bytes, feedback: Message) -> bytes:
-        """What is sent of a goal of this id (16 bytes).
+        """Encode feedback of the goal with this id (16 bytes).
 
         Raises:
             InvalidMessage: if a value does not fit its type.
@@ -162,9 +163,9 @@ class FeedbackFormat(WireFormat):
             return self.encode(message(UUID(goal_id), feedback))
 
     def write_unchecked(self, goal_id: bytes, feedback: object) -> bytes | None:
-        """The same of what may be no such feedback, or hold anything.
+        """Encode an object that may not be valid feedback.
 
-        None if it is not what ``snapshot`` would copy as it is; that then says what is wrong.
+        Returns None if ``snapshot`` would have to convert or refuse it; call that instead.
         """
         try:
             return self._write_strictly(feedback, self._header + goal_id)
@@ -172,16 +173,16 @@ class FeedbackFormat(WireFormat):
             return None
 
     def read(self, data: bytes) -> Message:
-        """The feedback that was received; the id of its goal stands at `GOAL_ID`.
+        """Decode only the feedback; the id of its goal is at `GOAL_ID`.
 
         Raises:
-            InvalidMessage: if the bytes hold no such message; it says where.
+            InvalidMessage: if the bytes are not such a message, with the place of the error.
         """
         if data[:2] == self._order:
             try:
                 return self._read(data)
             except self._cdr.MISREAD:
-                pass  # it is said below where that is
+                pass  # the decoding below raises again, with the place of the error
         message: Any = WireFormat.decode(self, data)
         return cast("Message", message.feedback)
 

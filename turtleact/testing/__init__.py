@@ -1,7 +1,7 @@
-"""What tests of actions need: virtual time, a goal run to its end, a transport that loses things.
+"""Tools for testing actions: virtual time, a goal run in one call, and an unreliable transport.
 
-It stands beside `turtleact.app` and knows nodes, clocks and transports, no world and no action.
-``turtleact.testing.plugin`` is the door to pytest, and the only module that imports it.
+This package knows nodes, clocks and transports, but no world and no particular action.
+``turtleact.testing.plugin`` is the pytest plug-in, and the only module that imports pytest.
 """
 
 from turtleact.tasks import wait_until_idle

@@ -1,11 +1,11 @@
 """A bad link: a transport that delays, loses and repeats messages, and can be cut.
 
-It wraps any transport, and touches topics alone. An action or service of the same process is an
-object that its client calls; nothing of it passes through a transport, so nothing of it can be
-late or lost. What a body publishes or reads on topics does.
+It wraps any transport and affects only topics. Inside one process, clients call an action or
+service as an object. Such calls do not pass through a transport, so they are never late or lost.
+Messages that a body publishes or reads on topics may be.
 
-Chance comes from a seed: each subscription draws its own, from the seed and the names of its node
-and topic, so that one more subscription changes nothing for the others.
+The faults are random, with a seed. Each subscription has its own random numbers, made from the seed
+and the names of its node and topic. Another subscription therefore changes nothing for the others.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ logger = logging.getLogger("turtleact.transport")
 
 
 class Faults(msgspec.Struct, frozen=True):
-    """What has become of the messages, each counted once for every subscription.
+    """What happened to the messages, counted once for each subscription.
 
     Attributes:
         delivered: How many arrived.
         repeated: How many of these arrived twice.
         dropped: How many were lost by chance.
         cut: How many were lost because the link was cut.
-        on_their_way: How many are yet to arrive.
+        on_their_way: How many have yet to arrive.
     """
 
     delivered: int = 0
@@ -61,33 +61,34 @@ class Faults(msgspec.Struct, frozen=True):
 
 
 class FaultyTransport:
-    """A transport that hands messages on late, twice or not at all.
+    """A transport that delivers messages late, twice or not at all.
 
-    Faults strike once, on the way to a subscription that was opened on this transport; nodes on the
-    wrapped one see the same graph without faults. Order is kept, as every transport must: a message
-    that is late holds up those behind it. Loss strikes whatever the quality of service says.
+    Faults happen once, on the way to a subscription opened on this transport. Nodes on the wrapped
+    transport see the same graph without faults. The order is kept, as in every transport: a late
+    message holds up those behind it. Messages may be lost whatever the quality of service.
 
-    Close it, or enter it as an async context manager: what is on its way then, is lost.
+    Close it, or use it as an async context manager. Messages on their way are then lost.
 
     Args:
-        transport: What carries the messages.
-        seed: Chooses which messages are struck.
-        delay: How late messages are (s of the transport's clock): each so much, or for a pair a
-            time between the two, drawn for each.
-        drop: The share of messages that is lost, from 0 to 1.
-        repeat: The share of the others that arrives twice, from 0 to 1.
+        transport: The transport to wrap.
+        seed: Decides which messages are affected.
+        delay: How late messages are (s of the transport's clock): a number for all of them, or a
+            pair of limits between which each delay is drawn.
+        drop: The share of messages that are lost, from 0 to 1.
+        repeat: The share of the others that arrive twice, from 0 to 1.
 
     Attributes:
+    Attributes:
         clock: The time of the wrapped transport.
-        round_trip: As of the wrapped transport.
-        discovery_ends: As of the wrapped transport.
+        round_trip: That of the wrapped transport.
+        discovery_ends: That of the wrapped transport.
         delay: The shortest and the longest delay (s); may be changed at any time.
         drop: The share that is lost; may be changed at any time.
         repeat: The share that arrives twice; may be changed at any time.
         is_cut: Whether nothing gets through.
 
     Raises:
-        SimError: if one of them is out of range.
+        SimError: if an option is out of range.
     """
 
     def __init__(
@@ -101,10 +102,10 @@ class FaultyTransport:
     ) -> None:
         for name, share in (("drop", drop), ("repeat", repeat)):
             if not 0 <= share <= 1:
-                raise SimError(f"{name} is a share of messages, from 0 to 1, not {share}")
+                raise SimError(f"{name} must be a share of messages, from 0 to 1, not {share}")
         shortest, longest = delay if isinstance(delay, tuple) else (delay, delay)
         if not 0 <= shortest <= longest < math.inf:
-            raise SimError(f"delay is 0 or more seconds, or a pair of such in order, not {delay}")
+            raise SimError(f"delay must be 0 or more seconds, or an ordered pair, not {delay}")
         self.clock: Clock = transport.clock
         self.round_trip = transport.round_trip
         self.discovery_ends = transport.discovery_ends
@@ -119,16 +120,16 @@ class FaultyTransport:
         self._names: Counter[str] = Counter()
 
     def cut(self) -> None:
-        """Let nothing through from now on; what is on its way is lost when it would arrive."""
+        """Deliver nothing from now on; messages on their way are lost when they would arrive."""
         self.is_cut = True
 
     def mend(self) -> None:
-        """Let messages through again; those that were lost stay lost."""
+        """Deliver messages again; those that were lost stay lost."""
         self.is_cut = False
 
     @contextmanager
     def cut_off(self) -> Iterator[None]:
-        """Be cut for the length of a block."""
+        """Cut the link for the length of a block."""
         self.cut()
         try:
             yield
@@ -136,11 +137,11 @@ class FaultyTransport:
             self.mend()
 
     def statistics(self) -> Faults:
-        """What has become of the messages so far."""
+        """Return what has happened to the messages so far."""
         return Faults(**self.counts, on_their_way=sum(map(len, self._links)))
 
     def subscribe(self, endpoint: Endpoint, format: Format, deliver: Deliver) -> Closeable:
-        """Open the receiving end of a topic, behind the faults."""
+        """Open the receiving end of a topic, with faults."""
         name = f"{endpoint.node} {endpoint.name}"
         self._names[name] += 1
         chance = random.Random(f"{self._seed} {name} {self._names[name]}")  # noqa: S311  # no secret
@@ -160,27 +161,27 @@ class FaultyTransport:
         return self._transport.serve(endpoint, format, handler)
 
     def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
-        """Appear in the graph as a client of a service; what it calls passes without faults."""
+        """Show a client of a service on the graph; its calls are not affected by faults."""
         return self._transport.join(endpoint, format, target)
 
     def all_local(self, name: str, type_name: str) -> tuple[object, ...]:
-        """All handlers that serve it, cut or not."""
+        """All handlers that serve a service, whether the link is cut or not."""
         return self._transport.all_local(name, type_name)
 
     def local(self, name: str, type_name: str) -> object | None:
-        """The handler that serves a service, cut or not."""
+        """The oldest handler that serves a service, whether the link is cut or not."""
         return self._transport.local(name, type_name)
 
     def enter(self, node: str) -> Closeable:
-        """Appear in the graph as a node."""
+        """Show a node on the graph."""
         return self._transport.enter(node)
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints of the graph, or those of a name."""
+        """All endpoints on the graph, or those with a name."""
         return self._transport.endpoints(name)
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """The endpoints that were opened in this process, or those of a name."""
+        """The endpoints opened in this process, or those with a name."""
         return self._transport.local_endpoints(name)
 
     def nodes(self) -> tuple[str, ...]:
@@ -197,12 +198,12 @@ class FaultyTransport:
         await self._transport.wait_for_change()
 
     def forget(self, link: _Link) -> None:
-        """Hold a link no more that is closed and runs nothing."""
+        """Drop a link that is closed and has no task."""
         if link in self._links:
             self._links.remove(link)
 
     async def aclose(self) -> None:
-        """Lose what is on its way, and let nothing more through."""
+        """Lose the messages on their way, and deliver nothing more."""
         self.cut()
         for link in tuple(self._links):
             await link.aclose()
@@ -220,7 +221,7 @@ class FaultyTransport:
 
 
 class _Link:
-    """The way to one subscription."""
+    """The link to one subscription."""
 
     inner: Closeable
 
@@ -239,10 +240,10 @@ class _Link:
         return len(self._late)
 
     def take(self, message: object) -> None:
-        """Take a message from the wrapped transport and decide what becomes of it."""
+        """Take a message from the wrapped transport and decide what happens to it."""
         transport, chance = self._transport, self._chance
-        is_dropped = chance.random() < transport.drop  # three draws a message, whatever it meets:
-        is_repeated = chance.random() < transport.repeat  # one kind of fault moves no other
+        is_dropped = chance.random() < transport.drop  # Always draw three numbers per message, so
+        is_repeated = chance.random() < transport.repeat  # that one fault does not change the rest.
         delay = chance.uniform(*transport.delay)
         if transport.is_cut:
             transport.counts["cut"] += 1
@@ -252,7 +253,7 @@ class _Link:
             self._send(message, 1 + is_repeated, delay)
 
     def close(self) -> None:
-        """Close it; a second time does nothing."""
+        """Close it. A second call does nothing."""
         self._is_open = False
         self._late.clear()
         self.inner.close()
@@ -260,7 +261,7 @@ class _Link:
             self._transport.forget(self)
 
     async def aclose(self) -> None:
-        """Close it, and wait for the end of what it runs."""
+        """Close it, and wait for its task to end."""
         self.close()
         if self._courier is not None:
             await self._courier.aclose()
@@ -275,11 +276,11 @@ class _Link:
             self._courier = Background(self._carry(), "a faulty transport")
 
     async def _carry(self) -> None:
-        """Hand on what is late, each when it is due."""
+        """Deliver late messages, each when it is due."""
         transport = self._transport
         while self._late:
             await transport.clock.sleep_until(self._late[0][0])
-            if self._late:  # else it was closed meanwhile
+            if self._late:  # otherwise it was closed meanwhile
                 _, times, message = self._late.popleft()
                 if transport.is_cut:
                     transport.counts["cut"] += 1
@@ -293,7 +294,7 @@ class _Link:
         self._transport.counts["delivered"] += 1
         self._transport.counts["repeated"] += times - 1
         for _ in range(times):
-            if not self._is_open:  # the first of two may have closed it
+            if not self._is_open:  # the first of two deliveries may have closed it
                 return
             try:
                 self._deliver(message)

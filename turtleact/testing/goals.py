@@ -1,4 +1,4 @@
-"""A goal, run to its end in one call."""
+"""Runs a goal to its end in one call."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ F = TypeVar("F", bound=Message)
 
 
 class GoalRun(NamedTuple, Generic[R, F]):
-    """What came of a goal.
+    """The feedback and the outcome of a goal.
 
     Attributes:
         feedbacks: All feedback, in order.
@@ -39,13 +39,13 @@ async def run_goal(action: ActionDeclaration[..., object], goal: Message) -> Goa
 
 
 async def run_goal(action: Any, goal: Message) -> GoalRun[Any, Any]:
-    """Send a goal and wait for its end; a goal that does not succeed raises nothing.
+    """Send a goal and wait for its end; if it does not succeed, this still returns.
 
-    Cancelling: the goal is canceled, and its end awaited.
+    Cancelling: cancels the goal and waits for its end.
 
     Args:
-        action: A server that is open; or what `turtleact.action` has declared, which is then served
-            on a node of its own, where nobody else is.
+        action: An open server, or an action declared with `turtleact.action`. The latter is served
+            on a node of its own, alone on its graph.
         goal: The goal message.
 
     Returns:
@@ -54,7 +54,7 @@ async def run_goal(action: Any, goal: Message) -> GoalRun[Any, Any]:
     Raises:
         InvalidGoal: if a value does not fit its type.
         ServerUnavailable: if the server is closed.
-        GoalRejected: if the server does not take the goal.
+        GoalRejected: if the server rejects the goal.
     """
     async with _client(action) as client, client.send_goal(goal) as handle:
         feedbacks = [feedback async for feedback in handle]

@@ -1,17 +1,17 @@
-"""Virtual time for whole programs: an event loop that leaps to its next timer instead of waiting.
+"""Virtual time for whole programs: an event loop that jumps to its next timer instead of waiting.
 
-`anyio.sleep`, `asyncio.timeout`, ``loop.time()`` and the clocks of nodes opened there tell one
-time. It begins at 0, stands still while anything can run, and leaps once all wait, except while
-something real is under way:
+`anyio.sleep`, `asyncio.timeout`, ``loop.time()`` and the clocks of nodes opened there all share one
+time. It begins at 0 and stands still while any task can run. When all tasks wait, it jumps, with
+two exceptions:
 
-- While work that the loop has given to a thread goes on (``asyncio.to_thread``,
-  ``run_in_executor``, ``anyio.to_thread.run_sync`` with its default limiter), time stands still
-  until the thread is done: its end is sure to come.
-- While a socket, a pipe or a child process is open, time leaps only after ``patience`` real seconds
-  in which nothing came: whether anything will come, nobody can know.
+- The loop may have given work to a thread (``asyncio.to_thread``, ``run_in_executor``, or
+  ``anyio.to_thread.run_sync`` with its default limiter). Time then stands still until the thread is
+  done, because it is sure to end.
+- A socket, a pipe or a child process may be open. Time then jumps only after ``patience`` real
+  seconds without any news, because nobody can know whether there will be any.
 
-So a thread that itself waits for virtual time waits for ever, and a thread that the loop has not
-started holds nothing up.
+Consequently, a thread that itself waits for virtual time waits for ever, and a thread that the loop
+did not start holds nothing up.
 
 Source: trio's ``MockClock`` for the idea; asyncio's ``BaseEventLoop._run_once``, which asks its
 selector to wait until the next timer.
@@ -58,14 +58,14 @@ def run(
         async_fn: The coroutine function.
         *args: Its arguments.
         backend: The event loop.
-        patience: How long sockets, pipes and child processes must be silent before time leaps
-            (real s, 0 or more); `math.inf` lets time stand still as long as there are any.
+        patience: How long sockets, pipes and child processes must be silent before time jumps (real
+            s, 0 or more). With `math.inf`, time stands still while there are any.
 
     Returns:
-        What it returned.
+        The result of ``async_fn``.
 
     Raises:
-        SimError: if the backend or the patience is none.
+        SimError: if the backend or the patience is not valid.
     """
     name, options = virtual_backend(backend, patience=patience)
     return anyio.run(async_fn, *args, backend=name, backend_options=options)
@@ -74,22 +74,22 @@ def run(
 def virtual_backend(
     backend: Backend = "asyncio", *, patience: float = PATIENCE
 ) -> tuple[str, dict[str, Any]]:
-    """Virtual time in the form in which anyio takes a backend: what an ``anyio_backend`` returns.
+    """Return virtual time as an anyio backend, for an ``anyio_backend`` fixture to return.
 
-    Each is for one run, which begins at 0 s.
+    Each one is for a single run, which begins at 0 s.
 
     Args:
         backend: The event loop.
-        patience: As for `run`.
+        patience: See `run`.
 
     Returns:
         The backend's name and its options.
 
     Raises:
-        SimError: if the backend or the patience is none.
+        SimError: if the backend or the patience is not valid.
     """
     if not patience >= 0:
-        raise SimError(f"patience is 0 or more seconds, not {patience}")
+        raise SimError(f"patience must be 0 or more seconds, not {patience}")
     if backend == "asyncio":
         return backend, {"loop_factory": partial(VirtualEventLoop, patience)}
     if backend == "trio":
@@ -104,10 +104,10 @@ def virtual_backend(
 
 
 class VirtualEventLoop(WatchedEventLoop):
-    """asyncio's own event loop, whose selector leaps where it would wait.
+    """asyncio's own event loop with a selector that jumps in time where it would wait.
 
     Attributes:
-        is_virtual: What `turtleact.clock` knows it by.
+        is_virtual: Tells `turtleact.clock` that the loop's time is virtual.
     """
 
     is_virtual = True
@@ -124,17 +124,17 @@ class VirtualEventLoop(WatchedEventLoop):
         return self._now
 
     def leap(self, seconds: float) -> None:
-        """Let time go on."""
+        """Move time forward."""
         self._now += seconds
 
     @property
     def has_jobs(self) -> bool:
-        """Whether a thread works for the loop."""
+        """Whether a thread is working for the loop."""
         return self._jobs > 0 or (self._limiter is not None and self._limiter.borrowed_tokens > 0)
 
     @property
     def has_peers(self) -> bool:
-        """Whether somebody outside may have something to say: a socket, a pipe, a child process."""
+        """Whether news may come from outside: there is a socket, a pipe or a child process."""
         self._children = [child for child in self._children if child.get_returncode() is None]
         own = 1  # the pipe that wakes the loop
         return bool(self._children) or len(self.idle_selector.get_map()) > own
@@ -147,13 +147,13 @@ class VirtualEventLoop(WatchedEventLoop):
         super().run_forever()
 
     async def _learn(self) -> None:
-        """Find the limiter of anyio's threads: from within a task is the only way."""
+        """Find the limiter of anyio's threads; this is only possible inside a task."""
         self._limiter = anyio.to_thread.current_default_thread_limiter()
 
     def run_in_executor(
         self, executor: Executor | None, func: Callable[..., T], *args: object
     ) -> asyncio.Future[T]:
-        """Let a thread do it; time stands still until it has."""
+        """Run something in a thread; time stands still until it is done."""
         job = super().run_in_executor(executor, func, *args)
         self._jobs += 1
         job.add_done_callback(self._end_job)
@@ -163,7 +163,7 @@ class VirtualEventLoop(WatchedEventLoop):
         self._jobs -= 1
 
     async def shutdown_default_executor(self, *timeout: float | None) -> None:
-        """Wait for the threads; time stands still meanwhile."""
+        """Wait for the threads to end; time stands still meanwhile."""
         self._jobs += 1
         try:
             await super().shutdown_default_executor(*timeout)
@@ -184,7 +184,7 @@ class VirtualEventLoop(WatchedEventLoop):
 
 
 class _Selector(IdleSelector):
-    """Waits for real events only while there may be some; else it lets time go on instead."""
+    """Waits for real events only while some may come; otherwise moves time forward."""
 
     def __init__(self, loop: VirtualEventLoop, patience: float) -> None:
         super().__init__()
@@ -192,8 +192,8 @@ class _Selector(IdleSelector):
         self._patience = patience
 
     def wait_for_events(self, timeout: float | None) -> list[tuple[selectors.SelectorKey, int]]:
-        """Leap to the next timer, unless something real is under way."""
-        if timeout is None or self._loop.has_jobs:  # no timer to leap to, or a thread to wait for
+        """Jump to the next timer, unless something real is under way."""
+        if timeout is None or self._loop.has_jobs:  # there is no timer, or a thread is working
             return super().wait_for_events(None)
         if self._patience and self._loop.has_peers:
             patience = None if self._patience == math.inf else self._patience
@@ -208,10 +208,10 @@ class _Selector(IdleSelector):
 
 
 class _Hold:
-    """Keeps trio's clock from leaping while something real is under way.
+    """Keeps trio's clock from jumping while something real is under way.
 
-    An instrument: after each step of a task it sets how long all must have waited, in real time,
-    before the clock leaps.
+    This is an instrument of trio. After each step of a task, it sets how long all tasks must have
+    waited, in real time, before the clock jumps.
     """
 
     def __init__(self, clock: trio.testing.MockClock, patience: float) -> None:
@@ -222,7 +222,7 @@ class _Hold:
         self._patience = patience
 
     def after_task_step(self, task: trio.lowlevel.Task) -> None:  # noqa: ARG002  # trio passes it
-        """Look what is under way."""
+        """Check what is under way."""
         threshold = 0.0
         if self._trio.to_thread.current_default_thread_limiter().borrowed_tokens:
             threshold = math.inf

@@ -1,9 +1,9 @@
-"""Messages as CDR, the bytes in which ROS 2 sends them, and back.
+"""Converts messages to CDR, the bytes in which ROS 2 sends them, and back.
 
 Plain CDR, version 1: a header of four bytes, then each value at a multiple of its own size, counted
-from the end of the header. Written in little endian with zeros for padding, read in either. One
-encoder and one decoder a class, compiled when it is first used; they know no path, so ``locate``
-looks again at data that they refuse. Knows no endpoint.
+from the end of the header. It is written in little endian with zeros for padding, and read in
+either byte order. Each class gets one encoder and one decoder, compiled on first use. They report
+no paths, so ``locate`` examines data that they refuse once more. Knows no endpoint.
 
 Source: OMG, Data-Distribution Service Interoperability 2.2 (RTPS), chapter 10; what ROS 2 makes of
 it is in ``rosidl_typesupport_fastrtps``.
@@ -30,7 +30,7 @@ M = TypeVar("M", bound=Message)
 
 ARRAYS = ("list", "array", "numpy")
 
-#: What an encoder raises for a value that it does not take as it is.
+#: What an encoder raises for a value that it cannot write unchanged.
 UNFIT = (struct.error, ArithmeticError, AttributeError, TypeError, ValueError)
 
 #: What a decoder raises for bytes that it cannot read.
@@ -38,11 +38,11 @@ MISREAD = (struct.error, ValueError)
 
 
 def encode(message: Message) -> bytes:
-    """A message as CDR, its header included.
+    """Encode a message as CDR, with its header.
 
-    Each value is checked, as in ``snapshot``; but a number in a field of numbers is written as the
-    number that it is, so that ``True`` goes for 1. Arrays of ``array`` and numpy whose elements are
-    of the field's type are copied as they are, which is much quicker than a list.
+    Each value is checked as in ``snapshot``, with one exception: in a list of numbers, ``True``
+    is accepted as 1. An ``array`` or numpy array with elements of the field's type is copied
+    directly, which is much faster than a list.
 
     Raises:
         InvalidMessage: with the path of the first value that does not fit.
@@ -64,22 +64,22 @@ def decode(
     *,
     arrays: Literal["list", "array", "numpy"] = "list",
 ) -> M:
-    """The message of this class that CDR holds.
+    """Decode a message of this class from CDR.
 
-    What padding holds and what follows the message is ignored, as ROS 2 leaves garbage in both.
-    Bytes that are no UTF-8 become U+FFFD. Memory and time are bounded by the length of the data,
-    whatever lengths it claims.
+    The contents of padding and anything after the message are ignored, since ROS 2 leaves garbage
+    in both. Bytes that are not UTF-8 become U+FFFD. Memory and time are limited by the length of
+    the data, whatever lengths the data claims.
 
     Args:
         cls: The class.
         data: The bytes, header included.
-        arrays: What the message holds for a sequence of numbers: a ``list``; an ``array.array``
-            (bools stay a list); or a numpy array of its own. ``bytes`` stay ``bytes``.
+        arrays: The type for sequences of numbers: ``"list"``, ``"array"`` for ``array.array``
+            (bools stay a list), or ``"numpy"``. ``bytes`` stay ``bytes``.
 
     Raises:
-        InvalidMessage: with the path of the first value that is cut off, says an impossible length
-            or breaks its bound, and its place in the data.
-        InvalidOption: if ``arrays`` is none of the three.
+        InvalidMessage: with the path and place of the first value that is cut off, has an
+            impossible length or breaks its bound.
+        InvalidOption: if ``arrays`` is not one of the three.
 
     >>> from turtleact.interfaces.standard import Time
     >>> decode(Time, bytes.fromhex("00010000 01000000 02000000"))
@@ -92,7 +92,7 @@ def decode(
     order = BYTE_ORDERS.get(data[:2])
     if order is None or len(data) < 4:
         problem = f"its header is 0001 or 0000 and two more bytes, not '{data[:4].hex()}'"
-        raise InvalidMessage("message", f"no plain CDR: {problem}")
+        raise InvalidMessage("message", f"not plain CDR: {problem}")
     read: Callable[[bytes], M] = decoder(cls, order, arrays)
     try:
         return read(data)
@@ -104,22 +104,22 @@ def decode(
 def writer_behind(
     cls: type[M], place: int, *, is_strict: bool = False
 ) -> Callable[[object, bytes], bytes]:
-    """The function that writes messages of this class behind something else.
+    """Return a function that writes a message of this class after other bytes.
 
-    It is given a message and what stands before it, and raises one of `UNFIT` for a message that it
-    does not take as it is.
+    The function takes a message and the bytes before it. It raises one of `UNFIT` for a message
+    that it cannot write unchanged.
 
     Args:
         cls: The class.
-        place: Where the message begins: behind the header, at once or by a multiple of eight bytes.
-        is_strict: Whether it is to take only what ``snapshot`` would copy as it is.
+        place: Where the message begins: at the end of the header, or a multiple of eight bytes on.
+        is_strict: Whether to accept only what ``snapshot`` would copy unchanged.
     """
     return encoder(cls, place, is_strict=is_strict)
 
 
 def reader_behind(cls: type[M], place: int) -> Callable[[bytes], M]:
-    """The function that reads what `writer_behind` writes.
+    """Return a function that reads what `writer_behind` writes.
 
-    It raises one of `MISREAD` for what it cannot read, and takes any data for little endian.
+    It raises one of `MISREAD` for bytes it cannot read, and assumes that all data is little endian.
     """
     return decoder(cls, BYTE_ORDERS[HEADER[:2]], "list", place)

@@ -1,8 +1,8 @@
-"""The decoder of a message class, as generated source.
+"""Generates the decoder of a message class as source code.
 
-It raises ``struct.error`` or ``ValueError`` for what it cannot read, without a path: ``locate``
-then walks the data again, slowly, and names the place. It makes nothing longer than the data at
-hand: each length is compared with what is left, or each element takes at least a byte.
+A decoder raises ``struct.error`` or ``ValueError`` for data it cannot read, without a path.
+``locate`` then walks the data again, slowly, and names the place. A decoder never creates anything
+longer than the data: it compares each length with the rest, or each element takes at least a byte.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ if TYPE_CHECKING:
 
     from turtleact.interfaces.definition import Field, FieldType
 
-    #: Makes a sequence of the bytes of its elements.
+    #: Makes a sequence from the bytes of its elements.
     Make = Callable[[bytes], object]
-    #: Reads an element at a place, and tells the place after it.
+    #: Reads an element at a place, and returns it with the place after it.
     Part = Callable[[bytes, int], tuple[object, int]]
 
 __all__ = ["decoder", "locate", "narrow"]
@@ -60,12 +60,12 @@ M = TypeVar("M", bound=Message)
 def decoder(
     cls: type[M], order: str, arrays: str, place: int = HEADER_SIZE
 ) -> Callable[[bytes], M]:
-    """The function that reads messages of this class.
+    """Return a function that decodes messages of this class.
 
     Args:
         cls: The class.
         order: The byte order, ``<`` or ``>``.
-        arrays: What holds sequences of numbers: ``list``, ``array`` or ``numpy``.
+        arrays: The type for sequences of numbers: ``list``, ``array`` or ``numpy``.
         place: Where the message begins.
     """
     reader = Reader("data", order, arrays, place=place)
@@ -77,7 +77,7 @@ def decoder(
 
 @functools.cache
 def part_decoder(cls: type[Message], order: str, arrays: str) -> Part:
-    """The function that reads a message inside another, wherever that stands."""
+    """Return a function that decodes a nested message, wherever it begins."""
     reader = Reader("data, p", order, arrays, place=None)
     value = reader.message(cls)
     reader.flush()
@@ -87,23 +87,23 @@ def part_decoder(cls: type[Message], order: str, arrays: str) -> Part:
 
 @functools.cache
 def text_decoder(field_type: FieldType, order: str) -> Part:
-    """The function that reads a text in a sequence."""
+    """Return a function that decodes a text in a sequence."""
     reader = Reader("data, p", order, "list", place=None)
     reader.source.add(f"return {reader.text(field_type.element)}, p")
     return reader.source.function()  # type: ignore[return-value]  # the text is made to be so
 
 
 class Reader:
-    """Writes a decoder.
+    """Writes the source code of a decoder.
 
-    Each method adds the text that reads a value, and gives the expression for it, which may be used
-    once the pending run is flushed.
+    Each method adds code that reads a value, and returns an expression for it. The expression may
+    be used once the pending run is flushed.
 
     Attributes:
-        source: The text so far.
+        source: The code so far.
         pending: The run that is not read yet.
-        place: Where that starts, or None where only the text's ``p`` knows.
-        places: Where it may start then.
+        place: Where it starts; None if only the variable ``p`` knows.
+        places: Where it may start in that case.
     """
 
     def __init__(self, signature: str, order: str, arrays: str, *, place: int | None) -> None:
@@ -116,14 +116,14 @@ class Reader:
         self.places = ANYWHERE
 
     def message(self, cls: type[Message]) -> str:
-        """Reads a message's fields."""
+        """Add code that reads a message's fields."""
         values = [self.field(cls, field, nested) for field, nested in members(cls)]
         if not values:
             self.pending.append(Item(EMPTY))
         return f"{self.source.hold(cls)}({', '.join(values)})"
 
     def field(self, cls: type[Message], field: Field, nested: type[Message] | None) -> str:
-        """Reads one field."""
+        """Add code that reads one field."""
         is_bytes = field.name in cls._shape.bytes_fields
         if field.type.name in FORMATS:
             return self.numbers(field.type, is_bytes=is_bytes)
@@ -142,7 +142,7 @@ class Reader:
         return value
 
     def numbers(self, field_type: FieldType, *, is_bytes: bool) -> str:
-        """Reads a number, or a sequence of numbers."""
+        """Add code that reads a number, or a sequence of numbers."""
         value = self.source.fresh()
         if not field_type.is_sequence:
             self.pending.append(Item(code_in_run(field_type), value))
@@ -164,7 +164,7 @@ class Reader:
         return f"{make}({value})"
 
     def text(self, field_type: FieldType) -> str:
-        """Reads a text; ROS 2 writes no NUL at the end of a wstring."""
+        """Add code that reads a text; ROS 2 writes no NUL at the end of a wstring."""
         count, value = self.source.fresh(), self.source.fresh()
         self.pending.append(Item(COUNT, count))
         self.flush()
@@ -179,7 +179,7 @@ class Reader:
         return value
 
     def sequence(self, field_type: FieldType, nested: type[Message] | None) -> str:
-        """Reads a sequence of texts or messages."""
+        """Add code that reads a sequence of texts or messages."""
         value = self.source.fresh()
         count = self.count(field_type)
         counted = field_type.form is not ArrayForm.FIXED
@@ -199,7 +199,7 @@ class Reader:
         return value
 
     def rows(self, cls: type[Message], value: str, count: str, size: int) -> None:
-        """Reads messages that are a run each, at equal distances."""
+        """Add code that reads messages that are one run each, at equal distances."""
         self.align(size, count)
         expression = self.message(cls)
         items, self.pending = self.pending, []
@@ -209,7 +209,7 @@ class Reader:
         self.source.add(f"{value} = [{expression} {each}]")
 
     def count(self, field_type: FieldType) -> str:
-        """Reads the length of a sequence, unless that is fixed; ``p`` is the place after it."""
+        """Add code that reads the length of a sequence, unless it is fixed; moves ``p`` past it."""
         if field_type.form is ArrayForm.FIXED:
             self.flush()
             self.settle()
@@ -223,7 +223,7 @@ class Reader:
         return count
 
     def slice(self, value: str, size: str) -> None:
-        """Takes so many bytes."""
+        """Add code that takes some bytes."""
         self.settle()
         self.source.add(f"q = p; p += {size}")
         self.guard("p > len(data)")
@@ -231,25 +231,25 @@ class Reader:
         self.places = ANYWHERE
 
     def align(self, size: int, count: str) -> None:
-        """Leaves out the padding before elements, if there are any."""
+        """Add code that skips the padding before elements, if there are any."""
         if any(padding(place, size) for place in self.places):
             pads = [padding(place, size) for place in range(WIDEST)]
             self.source.add(f"if {count}: p += {self.source.hold(pads)}[p & 7]")
             self.places = places_aligned(size, self.places)
 
     def guard(self, condition: str) -> None:
-        """Refuses what cannot be."""
+        """Add code that refuses impossible data."""
         self.source.add(f"if {condition}: raise short")
 
     def settle(self) -> None:
-        """Makes ``p`` the place."""
+        """Add code that stores the known place in ``p``."""
         if self.place is not None:
             self.source.add(f"p = {self.place}")
             self.places = frozenset({self.place % WIDEST})
             self.place = None
 
     def flush(self) -> None:
-        """Reads the pending run."""
+        """Add code that reads the pending run."""
         if not self.pending:
             return
         items, self.pending = self.pending, []
@@ -271,15 +271,15 @@ class Reader:
 
 
 def targets(items: list[Item]) -> str:
-    """What the values of a run are assigned to."""
+    """Return the targets for the values of a run."""
     return f"[{', '.join(item.text for item in items if item.text)}]"
 
 
 def narrow(content: bytes, order: str) -> str:
-    """The text of a wstring; a whole character in one unit is taken too.
+    """Decode the text of a wstring; a unit may also hold a whole character.
 
     Raises:
-        ValueError: for a unit that is no character.
+        ValueError: if a unit is not a character.
     """
     codec = "utf-32-le" if order == "<" else "utf-32-be"
     units = content.decode(codec, "surrogatepass")
@@ -287,7 +287,7 @@ def narrow(content: bytes, order: str) -> str:
 
 
 def maker(arrays: str, order: str, code: str) -> Make:
-    """What makes a sequence of numbers of the bytes of its elements."""
+    """Return a function that makes a sequence of numbers from bytes."""
     if arrays == "numpy":
         return numpy_maker(order, code)
     if arrays == "array" and code != "?":
@@ -297,14 +297,14 @@ def maker(arrays: str, order: str, code: str) -> Make:
 
 
 def as_list(order: str, code: str, content: bytes) -> list[object]:
-    """A list of the numbers."""
+    """Make a list of the numbers."""
     return list(struct.unpack(f"{order}{len(content) // size_of(code)}{code}", content))
 
 
 def as_array(
     code: str, content: bytes, *, is_swapped: bool
 ) -> array.array[int] | array.array[float]:
-    """An array of the numbers."""
+    """Make an array of the numbers."""
     result: array.array[int] | array.array[float] = array.array(code)
     result.frombytes(content)
     if is_swapped:
@@ -313,15 +313,15 @@ def as_array(
 
 
 def numpy_maker(order: str, code: str) -> Make:
-    """What makes an array of numpy, with memory of its own."""
-    import numpy as np  # costs more than all the rest of the package
+    """Return a function that makes a numpy array with its own memory."""
+    import numpy as np  # slower to import than the rest of the package
 
     stored, native = np.dtype("B" if code == "?" else order + code), np.dtype(code)
     return lambda content: np.frombuffer(content, stored).astype(native)
 
 
 def locate(cls: type[Message], data: bytes, order: str) -> None:
-    """Raises what is wrong with data that a decoder of this class has refused.
+    """Raise for the first error in data that a decoder of this class has refused.
 
     Args:
         cls: The class.
@@ -338,10 +338,10 @@ def locate(cls: type[Message], data: bytes, order: str) -> None:
 
 
 class Walk:
-    """A slow walk over data that a decoder refused. A path grows from the inside out.
+    """A slow walk over data that a decoder has refused. The path grows from the inside out.
 
     Attributes:
-        place: Where it stands.
+        place: The current place.
     """
 
     def __init__(self, data: bytes, order: str) -> None:
@@ -350,7 +350,7 @@ class Walk:
         self.place = HEADER_SIZE
 
     def message(self, cls: type[Message]) -> None:
-        """Passes a message."""
+        """Skip a message."""
         for field, nested in members(cls):
             try:
                 self.field(field.type, nested)
@@ -360,7 +360,7 @@ class Walk:
             self.take(EMPTY)
 
     def field(self, field_type: FieldType, nested: type[Message] | None) -> None:
-        """Passes a field."""
+        """Skip a field."""
         if not field_type.is_sequence:
             self.single(field_type, nested)
             return
@@ -377,7 +377,7 @@ class Walk:
                 raise InvalidMessage(f"[{index}]{inner.path}", inner.problem) from None
 
     def single(self, field_type: FieldType, nested: type[Message] | None) -> None:
-        """Passes a number, a text or a message."""
+        """Skip a number, a text or a message."""
         if nested is not None:
             self.message(nested)
         elif field_type.is_string:
@@ -386,7 +386,7 @@ class Walk:
             self.take(FORMATS[field_type.name])
 
     def text(self, field_type: FieldType) -> None:
-        """Passes a text."""
+        """Skip a text."""
         count = self.count(None)
         if field_type.name == "string":
             text = self.take("B", count).decode("utf-8", "replace").removesuffix("\0")
@@ -397,7 +397,7 @@ class Walk:
             raise InvalidMessage("", f"at most {bound} characters, got {len(text)}")
 
     def units(self, count: int) -> str:
-        """Passes the content of a wstring, and gives it."""
+        """Skip the content of a wstring, and return it."""
         content = self.take("I", count)
         try:
             return narrow(content, self.order)
@@ -406,14 +406,14 @@ class Walk:
             raise InvalidMessage("", f"no characters in the text at byte {place}") from error
 
     def count(self, bound: int | None) -> int:
-        """Passes a length, and gives it."""
+        """Skip a length, and return it."""
         (count,) = struct.unpack(f"{self.order}{COUNT}", self.take(COUNT))
         if bound is not None and count > bound:
             raise InvalidMessage("", f"at most {bound} elements, got {count}")
         return int(count)
 
     def take(self, code: str, count: int = 1) -> bytes:
-        """Passes so many values of fixed size, and gives their bytes."""
+        """Skip some values of fixed size, and return their bytes."""
         if count:
             self.place += padding(self.place, size_of(code))
         begin, size = self.place, size_of(code) * count

@@ -1,8 +1,8 @@
-"""The encoder of a message class, as generated source.
+"""Generates the encoder of a message class as source code.
 
-It takes what is of the expected Python type, or what ``struct`` takes for it, and raises anything
-for the rest, without a path: ``encode`` then asks ``copying`` to convert the message or to say what
-is wrong. What ``struct`` would take and must not, is looked at here.
+An encoder accepts values of the expected Python type, or that ``struct`` accepts for it. For other
+values it raises some exception without a path. ``encode`` then asks ``conversion`` to convert the
+message or to say what is wrong. Values that ``struct`` wrongly accepts are checked here.
 """
 
 from __future__ import annotations
@@ -56,14 +56,14 @@ __all__ = ["encoder"]
 def encoder(
     cls: type[Message], size: int = HEADER_SIZE, *, is_strict: bool = False
 ) -> Callable[..., bytes]:
-    """The function that gives the CDR of messages of this class.
+    """Return a function that encodes messages of this class.
 
-    Its second argument is what stands before the message, if that is more than the header.
+    Its second argument is the bytes before the message, if they are more than the header.
 
     Args:
         cls: The class.
-        size: How many bytes stand before it.
-        is_strict: Whether it takes only what ``snapshot`` would copy as it is.
+        size: How many bytes come before the message.
+        is_strict: Whether to accept only what ``snapshot`` would copy unchanged.
     """
     writer = Writer("m, front=header", frozenset({0}), is_strict=is_strict)
     writer.source.names["header"] = HEADER
@@ -79,7 +79,7 @@ def encoder(
 def part_encoder(
     cls: type[Message], *, is_strict: bool = False
 ) -> Callable[[Message, bytearray], None]:
-    """The function that adds a message inside another, wherever that ends."""
+    """Return a function that appends a nested message, wherever it begins."""
     writer = Writer("m, out", ANYWHERE, is_strict=is_strict)
     writer.guard(f"type(m) is not {writer.source.hold(cls)}")
     writer.message(cls, "m")
@@ -88,15 +88,15 @@ def part_encoder(
 
 
 class Writer:
-    """Writes an encoder.
+    """Writes the source code of an encoder.
 
     Attributes:
-        source: The text so far.
-        pending: The run that has not been written yet.
-        places: Where that may start.
-        pieces: The expressions for the bytes so far, as long as the text has not made ``out``.
-        is_begun: Whether it has made ``out``, the bytes so far.
-        is_strict: Whether only what is exactly of the expected Python type is written.
+        source: The code so far.
+        pending: The run that is not written yet.
+        places: Where it may start.
+        pieces: The expressions for the bytes so far, until the code has made ``out``.
+        is_begun: Whether the code has made ``out``, which holds the bytes so far.
+        is_strict: Whether to accept only values of exactly the expected Python type.
     """
 
     def __init__(self, signature: str, places: Places, *, is_strict: bool) -> None:
@@ -109,11 +109,11 @@ class Writer:
         self.is_strict = is_strict
 
     def guard(self, condition: str) -> None:
-        """Refuses a value that must not be written."""
+        """Add code that refuses a value that must not be written."""
         self.source.add(f"if {condition}: raise unfit")
 
     def message(self, cls: type[Message], value: str) -> None:
-        """Writes a message's fields; ``value`` is the message in the text."""
+        """Add code that writes a message's fields; ``value`` is the message's expression."""
         for field, nested in members(cls):
             variable = self.source.fresh()
             self.source.add(f"{variable} = {value}.{field.attribute}")
@@ -125,7 +125,7 @@ class Writer:
             self.pending.append(Item(EMPTY))
 
     def single(self, field_type: FieldType, nested: type[Message] | None, value: str) -> None:
-        """Writes one number, text or message."""
+        """Add code that writes one number, text or message."""
         if nested is None and is_in_run(field_type):
             if field_type.name == "bool":
                 self.guard(f"{value} is not True and {value} is not False")
@@ -144,7 +144,7 @@ class Writer:
             self.places = ANYWHERE
 
     def text(self, field_type: FieldType, value: str) -> None:
-        """Writes a text: its length, then its characters."""
+        """Add code that writes a text: its length, then its characters."""
         if self.is_strict:
             self.guard(is_other(field_type, value))
         self.bound(field_type.string_bound, value)
@@ -160,7 +160,7 @@ class Writer:
             self.content(content, 4)
 
     def sequence(self, field_type: FieldType, nested: type[Message] | None, value: str) -> None:
-        """Writes a sequence: its length, unless that is fixed, then its elements."""
+        """Add code that writes a sequence: its length, unless fixed, then its elements."""
         if field_type.form is ArrayForm.FIXED:
             self.guard(f"len({value}) != {field_type.size}")
         else:
@@ -184,7 +184,7 @@ class Writer:
         self.places = ANYWHERE
 
     def numbers(self, field_type: FieldType, value: str) -> None:
-        """Writes the numbers of a sequence."""
+        """Add code that writes the numbers of a sequence."""
         code = FORMATS[field_type.name]
         if self.is_strict:
             self.elements(field_type, value)
@@ -210,19 +210,19 @@ class Writer:
         self.content(content, size_of(code))
 
     def elements(self, field_type: FieldType, value: str) -> None:
-        """Refuses numbers that are not a list, and elements that are of another type."""
+        """Add code that refuses anything but a list, and elements of another type."""
         if field_type.name in BYTE_TYPES:
             self.source.add(f"if type({value}) is not bytes:")
             self.source.depth += 1
         self.guard(f"type({value}) is not list")
-        if field_type.name != "bool":  # which is looked at wherever it is written
+        if field_type.name != "bool":  # bools are checked wherever they are written
             self.source.add(f"for x in {value}:")
             self.source.add(f" if {is_other(field_type.element, 'x')}: raise unfit")
         if field_type.name in BYTE_TYPES:
             self.source.depth -= 1
 
     def numbers_behind(self, field_type: FieldType, value: str, code: str) -> None:
-        """Writes the pending run and the numbers of a sequence in one call."""
+        """Add code that writes the pending run and the numbers of a sequence in one call."""
         items, self.pending = self.pending, []
         runs = Runs("pack", "<", items, min(self.places), code)
         values = "".join(f"{item.text}, " for item in items if item.text)
@@ -238,11 +238,11 @@ class Writer:
         self.places = places_in_steps(size_of(code), first) | places_after(items, self.places)
 
     def is_common(self, items: list[Item]) -> bool:
-        """Whether this run is the same wherever it may start, and without its end too."""
+        """Whether this run is the same wherever it starts, and also without its end."""
         return all(common_run("<", each, self.places) for each in (items, items[:-1]))
 
     def rows(self, cls: type[Message], value: str, size: int) -> None:
-        """Writes messages that are a run each, at equal distances."""
+        """Add code that writes messages that are one run each, at equal distances."""
         self.align(size, value)
         self.source.add(f"for x in {value}:")
         self.source.depth += 1
@@ -253,7 +253,7 @@ class Writer:
         self.source.depth -= 1
 
     def align(self, size: int, value: str) -> None:
-        """Writes the padding before elements, if there are any."""
+        """Add code that writes the padding before elements, if there are any."""
         self.flush()
         if any(padding(place, size) for place in self.places):
             self.begin()
@@ -262,18 +262,18 @@ class Writer:
             self.places = places_aligned(size, self.places)
 
     def bound(self, size: int | None, value: str) -> None:
-        """Refuses what is longer than its bound."""
+        """Add code that refuses a value longer than its bound."""
         if size is not None:
             self.guard(f"len({value}) > {size}")
 
     def content(self, value: str, size: int) -> None:
-        """Writes bytes of any number, values of this size."""
+        """Add code that writes any number of values of this size, given as bytes."""
         self.flush()
         self.add(value)
         self.places = places_in_steps(size, self.places)
 
     def flush(self) -> None:
-        """Writes the pending run."""
+        """Add code that writes the pending run."""
         if not self.pending:
             return
         items, self.pending = self.pending, []
@@ -289,30 +289,30 @@ class Writer:
         self.places = places_after(items, self.places)
 
     def add(self, piece: str) -> None:
-        """Writes the bytes that an expression gives."""
+        """Add code that writes the bytes of an expression."""
         if self.is_begun:
             self.source.add(f"out += {piece}")
         else:
             self.pieces.append(piece)
 
     def begin(self) -> None:
-        """Writes the pending run, and has all so far in ``out``."""
+        """Add code that writes the pending run and moves all bytes so far into ``out``."""
         self.flush()
         if not self.is_begun:
             self.source.add(f"out = bytearray({self.joined()})")
             self.is_begun = True
 
     def finish(self) -> None:
-        """Writes the pending run and the end."""
+        """Add code that writes the pending run and returns the bytes."""
         self.flush()
         self.source.add(f"return {'bytes(out)' if self.is_begun else self.joined()}")
 
     def joined(self) -> str:
-        """All pieces, as an expression."""
+        """Return an expression for all pieces."""
         return self.pieces[0] if len(self.pieces) == 1 else f"join(({', '.join(self.pieces)}))"
 
     def call(self, function: object, items: list[Item], index: str = "") -> str:
-        """The call that packs these values."""
+        """Return the call that packs these values."""
         values = ", ".join(item.text for item in items if item.text)
         return f"{self.source.hold(function)}{index}({values})"
 
@@ -321,7 +321,7 @@ class Writer:
 def text_encoder(
     field_type: FieldType, *, is_strict: bool = False
 ) -> Callable[[str, bytearray], None]:
-    """The function that adds a text in a sequence."""
+    """Return a function that appends a text in a sequence."""
     writer = Writer("m, out", ANYWHERE, is_strict=is_strict)
     writer.text(field_type.element, "m")
     writer.flush()
@@ -329,9 +329,9 @@ def text_encoder(
 
 
 def is_other(field_type: FieldType, value: str) -> str:
-    """The condition that a value is not of its Python type; ``struct`` looks at the range.
+    """Return the condition that a value is not of its Python type; ``struct`` checks the range.
 
-    A text that is not ASCII might hold what is no character.
+    A text that is not ASCII is refused here, since it may contain half a surrogate pair.
     """
     if field_type.is_string:
         return f"type({value}) is not str or not {value}.isascii()"
@@ -340,19 +340,19 @@ def is_other(field_type: FieldType, value: str) -> str:
 
 
 def wide(text: str) -> bytes:
-    """The content of a wstring: each unit of UTF-16 in four bytes, as ROS 2 has it."""
+    """Encode the content of a wstring: each UTF-16 unit in four bytes, as in ROS 2."""
     units = str.encode(text, "utf-16-le")
     count = len(units) // 2
     return struct.pack(f"<{count}I", *struct.unpack(f"<{count}H", units))
 
 
 def octets(value: object) -> bytes:
-    """The content of a sequence of bytes."""
+    """Encode the content of a sequence of bytes."""
     return bytes(value) if type(value) is list else copied("B", value)
 
 
 def truths(value: object) -> bytes:
-    """The content of a sequence of bools; ``struct`` would take anything for one."""
+    """Encode the content of a sequence of bools; ``struct`` would accept anything as a bool."""
     if type(value) is not list:
         return copied("?", value)
     if any(item is not True and item is not False for item in value):
@@ -360,7 +360,7 @@ def truths(value: object) -> bytes:
     return bytes(value)
 
 
-#: What the elements of an array are, by the code that ``memoryview`` has for them.
+#: The element kinds of arrays, by ``memoryview``'s codes.
 KINDS = {
     "?": "bool",
     **dict.fromkeys("bhilq", "signed"),
@@ -370,7 +370,7 @@ KINDS = {
 
 
 def behind(runs: Runs, *values: object) -> bytes:
-    """A run, and behind it the content of an array, which is the last of the values."""
+    """Pack a run followed by the content of an array, which is the last value."""
     *others, value = values
     content = copied(runs.code, value)
     first: bytes = runs[0](*others)
@@ -379,8 +379,8 @@ def behind(runs: Runs, *values: object) -> bytes:
 
 
 def copied(code: str, value: object) -> bytes:
-    """The content of an array of just such numbers as CDR has them."""
-    view = memoryview(value)  # type: ignore[arg-type]  # raises TypeError where it is none
+    """Return the content of an array if its elements are as in CDR; otherwise raise TypeError."""
+    view = memoryview(value)  # type: ignore[arg-type]  # raises TypeError if it is not an array
     wanted = (KINDS[code], size_of(code), 1, "little")
     if (KINDS.get(view.format), view.itemsize, view.ndim, sys.byteorder) != wanted:
         raise TypeError("an array of other elements")

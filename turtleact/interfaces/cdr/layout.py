@@ -1,9 +1,9 @@
-"""Where values stand in CDR, and the text of functions that read or write them.
+"""The places of values in CDR, and the source code of functions that read or write them.
 
-Values of fixed size that follow each other are a *run*, which ``struct`` reads or writes in one
-call. The padding in a run depends on where it starts: a run at a place that is known beforehand has
-one ``Struct``, any other run eight, by its place modulo 8. Places are counted from the start of the
-data, where the header stands; alignment is counted from its end.
+Consecutive values of fixed size form a *run*, which ``struct`` reads or writes in one call. The
+padding in a run depends on where the run starts. If that place is known in advance, the run has one
+``Struct``; otherwise it has eight, one for each place modulo 8. Places are counted from the start
+of the data, which begins with the header. Alignment is counted from the end of the header.
 """
 
 from __future__ import annotations
@@ -49,14 +49,14 @@ __all__ = [
     "size_of",
 ]
 
-#: The header of what is written: plain CDR, little endian, no options.
+#: The header of written data: plain CDR, little endian, no options.
 HEADER = b"\x00\x01\x00\x00"
 HEADER_SIZE = len(HEADER)
 
-#: The first two bytes of a header, and what ``struct`` calls that order.
+#: The first two bytes of a header, and the byte order's name in ``struct``.
 BYTE_ORDERS = {b"\x00\x01": "<", b"\x00\x00": ">"}
 
-#: What ``struct`` calls each primitive type of fixed size.
+#: The format characters of ``struct`` for primitive types of fixed size.
 FORMATS = {
     "bool": "?",
     "byte": "B",
@@ -73,23 +73,23 @@ FORMATS = {
     "float64": "d",
 }
 
-#: The length before a string or a sequence.
+#: The format of the length before a string or sequence.
 COUNT = "I"
-#: What stands for the fields of a message that has none: one byte.
+#: The format of a message without fields: one byte.
 EMPTY = "x"
 #: The largest alignment.
 WIDEST = 8
 
-#: Where something may stand, modulo the largest alignment.
+#: Where something may begin, modulo the largest alignment.
 Places: TypeAlias = frozenset[int]
 
-#: Every place.
+#: All places.
 ANYWHERE: Places = frozenset(range(WIDEST))
 
-#: So many numbers of values have a run of their own.
+#: Runs are cached for this many different numbers of values.
 MOST_RUNS = 256
 
-#: A message of more fields than this, those of the messages in it included, is a function's call.
+#: A message with more fields than this, nested ones included, gets a function of its own.
 MOST_INLINED = 64
 
 
@@ -97,8 +97,8 @@ class Item(NamedTuple):
     """One value of a run.
 
     Attributes:
-        code: What ``struct`` calls it.
-        text: In the generated text, its variable or expression; empty where it has no value.
+        code: The format character of ``struct``.
+        text: Its variable or expression in the generated code; empty if it has no value.
     """
 
     code: str
@@ -106,7 +106,7 @@ class Item(NamedTuple):
 
 
 class Source:
-    """The text of a function as it grows, and the objects that it names."""
+    """The growing source code of a function, and the objects that it uses."""
 
     def __init__(self, signature: str) -> None:
         self.lines = [f"def function({signature}):"]
@@ -115,43 +115,43 @@ class Source:
         self.depth = 1
 
     def add(self, line: str) -> None:
-        """Adds a statement."""
+        """Add a statement."""
         self.lines.append(" " * self.depth + line)
 
     def fresh(self, prefix: str = "v") -> str:
-        """A name that is not used yet."""
+        """Return a name that is not used yet."""
         self.count += 1
         return f"{prefix}{self.count}"
 
     def hold(self, value: object) -> str:
-        """A name for an object."""
+        """Return a name for an object."""
         name = self.fresh("k")
         self.names[name] = value
         return name
 
     def function(self) -> Callable[..., object]:
-        """The function. The text is made of field names, which are identifiers, and of numbers."""
+        """Compile the function. Its code contains only identifiers and numbers."""
         exec("\n".join(self.lines), self.names)  # noqa: S102
         return self.names["function"]  # type: ignore[return-value]  # the text defines it
 
 
 def size_of(code: str) -> int:
-    """The size of a value in bytes."""
+    """Return the size of a value in bytes."""
     return struct.calcsize(f"<{code}")
 
 
 def alignment(code: str) -> int:
-    """A value starts at a multiple of this; strings of bytes anywhere."""
+    """Return the alignment of a value; strings of bytes may begin anywhere."""
     return 1 if code[-1] == "s" else size_of(code)
 
 
 def padding(place: int, size: int) -> int:
-    """How many bytes are left out at this place before a value that is aligned to its size."""
+    """Return how many bytes of padding come before a value of this size at this place."""
     return (HEADER_SIZE - place) % size
 
 
 def run(order: str, items: Iterable[Item], place: int) -> struct.Struct:
-    """What reads or writes these values, starting at a place, in ``<`` or ``>`` byte order."""
+    """Return the struct for these values from a place on, in ``<`` or ``>`` byte order."""
     text, at = order, place
     for code, _ in items:
         pad = padding(at, alignment(code))
@@ -161,45 +161,45 @@ def run(order: str, items: Iterable[Item], place: int) -> struct.Struct:
 
 
 def phases(order: str, items: Sequence[Item]) -> list[struct.Struct]:
-    """The same for each place modulo 8."""
+    """Return the struct for each place modulo 8."""
     return [run(order, items, place) for place in range(WIDEST)]
 
 
 def common_run(order: str, items: Sequence[Item], places: Places) -> struct.Struct | None:
-    """The same for all of these places, or None if the padding is not."""
+    """Return the struct that fits all these places, or None if their padding differs."""
     runs = [run(order, items, place) for place in places]
     return runs[0] if len({each.format for each in runs}) == 1 else None
 
 
 def places_after(items: Sequence[Item], places: Places) -> Places:
-    """Where a run may end that starts at one of these places."""
+    """Return where a run may end if it starts at one of these places."""
     return frozenset((place + run("<", items, place).size) % WIDEST for place in places)
 
 
 def places_aligned(size: int, places: Places) -> Places:
-    """These places, as nothing may follow, and where a value that is aligned to a size starts."""
+    """Return these places, and those where a value aligned to this size begins after them."""
     return places | {(place + padding(place, size)) % WIDEST for place in places}
 
 
 def places_in_steps(size: int, places: Places) -> Places:
-    """Where any number of values of a size may end that start at one of these places."""
+    """Return where any number of values of a size may end if they start at one of these places."""
     steps = range(0, WIDEST, min(size, WIDEST))
     return frozenset((place + step) % WIDEST for place in places for step in steps)
 
 
 class Runs(dict[int, "Callable[..., Any]"]):
-    """A run and a number of equal values behind it: what reads or writes it, by that number.
+    """Methods that read or write a run followed by equal values, by the number of these values.
 
     Args:
-        method: The method of ``struct.Struct`` that is wanted.
+        method: The method of ``struct.Struct`` to use.
         order: The byte order, ``<`` or ``>``.
         items: The run.
-        place: Where it starts.
-        code: What ``struct`` calls one of the values.
+        place: Where the run starts.
+        code: The format character of the equal values.
 
     Attributes:
-        place: Where it starts.
-        code: What ``struct`` calls one of the values.
+        place: Where the run starts.
+        code: The format character of the equal values.
     """
 
     def __init__(
@@ -213,7 +213,7 @@ class Runs(dict[int, "Callable[..., Any]"]):
         self.code = code
 
     def __missing__(self, count: int) -> Callable[..., Any]:
-        """Makes it; kept for the first `MOST_RUNS` numbers that are asked for."""
+        """Make a method; the first `MOST_RUNS` are kept."""
         items = [*self._items, Item(self.code)] if count else self._items
         text = run(self._order, items, self.place).format
         made = struct.Struct(f"{text}{count - 1}{self.code}" if count > 1 else text)
@@ -224,19 +224,19 @@ class Runs(dict[int, "Callable[..., Any]"]):
 
 
 def members(cls: type[Message]) -> Iterator[tuple[Field, type[Message] | None]]:
-    """The fields of a message class, each with the class of its messages or None."""
+    """Return the fields of a message class, each with the class of its messages or None."""
     return zip(fields(cls), nested_classes(cls), strict=True)
 
 
 def is_in_run(field_type: FieldType) -> bool:
-    """Whether such a field is a value of a run: a number, or an array of bytes of fixed length."""
+    """Whether such a field is part of a run: a number, or a fixed array of bytes."""
     if field_type.form is ArrayForm.FIXED:
         return field_type.name in BYTE_TYPES
     return not field_type.is_sequence and field_type.name in FORMATS
 
 
 def code_in_run(field_type: FieldType) -> str:
-    """What ``struct`` calls a field that is a value of a run."""
+    """Return the format of a field that is part of a run."""
     if field_type.is_sequence:
         return f"{field_type.size}s"
     return FORMATS[field_type.name]
@@ -244,7 +244,7 @@ def code_in_run(field_type: FieldType) -> str:
 
 @functools.cache
 def weight(cls: type[Message]) -> int:
-    """How many fields a message has, with those of the single messages in it."""
+    """Return how many fields a message has, including those of nested single messages."""
     return 1 + sum(
         1 if nested is None or field.type.is_sequence else weight(nested)
         for field, nested in members(cls)
@@ -252,12 +252,12 @@ def weight(cls: type[Message]) -> int:
 
 
 def is_inlined(cls: type[Message]) -> bool:
-    """Whether the code for such a message stands among that for the message around it."""
+    """Whether the code for such a message is part of the code for the message around it."""
     return weight(cls) <= MOST_INLINED
 
 
 def row(cls: type[Message]) -> list[Item] | None:
-    """The values of a message that is nothing but a run, or None."""
+    """Return the values of a message that is a single run, or None."""
     if not is_inlined(cls):
         return None
     items: list[Item] = []
@@ -273,11 +273,11 @@ def row(cls: type[Message]) -> list[Item] | None:
 
 
 def common_alignment(cls: type[Message], *, counted: bool) -> int:
-    """What messages in a sequence are aligned to, if they are runs at equal distances; else 0.
+    """Return the alignment of messages in a sequence that are runs at equal distances, or 0.
 
     Args:
-        cls: Their class.
-        counted: Whether a count stands before them, and aligns the first to its own size.
+        cls: The class of the messages.
+        counted: Whether a count comes before them, which aligns the first to its own size.
     """
     items = row(cls)
     if items is None:

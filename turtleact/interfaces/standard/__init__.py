@@ -1,17 +1,17 @@
-"""The interfaces that ship: as .msg, .srv and .action files, and as classes made of them.
+"""The built-in interfaces: as .msg, .srv and .action files, and as classes generated from them.
 
-Each package is a Python package here, with a module for each kind, as in ROS 2:
-``turtleact.interfaces.standard.geometry_msgs.msg``. Those modules are generated from the files
-beside them; ``scripts/check`` compares them. The names below are shortcuts to the classes that
-programs name most, imported on first use. Four have another name than in ROS, where it is
-ambiguous: ``TurtlePose``, ``GoalStatusMessage``, ``ExampleFibonacci`` and ``SimulationResult``.
+Each ROS package is a Python package here, with one module per kind, as in ROS 2:
+``turtleact.interfaces.standard.geometry_msgs.msg``. The modules are generated from the files beside
+them, and ``scripts/check`` compares the two. The names below are shortcuts to the most used
+classes, imported on first use. Four of them differ from ROS, where the name is ambiguous:
+``TurtlePose``, ``GoalStatusMessage``, ``ExampleFibonacci`` and ``SimulationResult``.
 
 Source: ROS 2 Jazzy; see the README in this folder.
 """
 
 from __future__ import annotations
 
-TYPE_CHECKING = False  # as `typing` would say, which takes long to import
+TYPE_CHECKING = False  # as in `typing`, which is slow to import
 if TYPE_CHECKING:
     from turtleact.interfaces.standard.action_msgs.msg import GoalInfo, GoalStatusArray
     from turtleact.interfaces.standard.action_msgs.msg import GoalStatus as GoalStatusMessage
@@ -189,7 +189,7 @@ _HOMES = {
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
-#: The names in ROS of those that have another one here.
+#: The ROS names of shortcuts that are called differently here.
 _IN_ROS = {
     "GoalStatusMessage": "GoalStatus",
     "ExampleFibonacci": "Fibonacci",
@@ -211,5 +211,5 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    """What can be asked for."""
+    """List the shortcuts too, imported or not."""
     return sorted([*globals(), *__all__])
