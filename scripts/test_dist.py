@@ -57,7 +57,7 @@ class Environment:
 
     def install(self, *requirements: str) -> None:
         """Install packages; only the wheel itself, if it borrows the others."""
-        offline = ["--no-index", "--no-deps"] if self._borrows else []
+        offline = ["--no-index", "--no-deps", "--ignore-installed"] if self._borrows else []
         pip = [
             sys.executable,
             "-m",
@@ -111,7 +111,7 @@ def main() -> None:
         try_out(environment, wheel.name.split("-")[1])
         if arguments.tests is not None:
             if not arguments.borrow:
-                environment.install(f"{wheel}[test]")
+                environment.install(f"{wheel}[test]", "pip")  # a test runs pip
             with tarfile.open(sdist) as archive:
                 archive.extractall(temporary, filter="data")
             source = Path(temporary, sdist.name.removesuffix(".tar.gz"))

@@ -153,7 +153,7 @@ def image(tmp_path):
             command = re.sub(r"/(?=source|dist)", f"{tmp_path}/", rest)
             offline = {"PIP_NO_INDEX": "1", "PIP_NO_BUILD_ISOLATION": "0"}
             if "install" in command:
-                offline["PIP_NO_DEPS"] = "1"
+                offline |= {"PIP_NO_DEPS": "1", "PIP_IGNORE_INSTALLED": "1"}
             path = f"{tmp_path}/venv/bin:{os.environ['PATH']}"
             subprocess.run(
                 ["bash", "-c", command], env=os.environ | offline | {"PATH": path}, check=True
