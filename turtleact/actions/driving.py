@@ -400,7 +400,7 @@ class Turtles:
         """Drive a turtle for the length of a block; at the end it stands still in any case.
 
         Raises:
-            Abort: if nothing is heard of its pose, or another goal has come first.
+            Abort: if the turtle reports no pose, or another goal drives it already.
         """
         topic = self._topic(turtle)
         # Two goals may have been accepted before either has begun: `check_turtle` saw neither.

@@ -209,7 +209,7 @@ async def _listen(
 
 
 def _servers(node: Node, actions: dict[str, str]) -> dict[str, str]:
-    """The nodes that serve some actions, each with one of its actions."""
+    """Find the nodes that serve these actions; each comes with one of the actions it serves."""
     services = {action_names(name).cancel_goal: name for name in actions}
     return {
         each.node: services[each.name]

@@ -89,7 +89,7 @@ class Order(NamedTuple):
         remaps: Other names for ``turtle1/cmd_vel`` and ``turtle1/rotate_absolute``.
         linear: The speed (m/s).
         angular: The turn rate (rad/s).
-        is_plain: Whether to show no map even on a terminal.
+        is_plain: Whether to leave out the map, also on a terminal.
         reach: Where to look for turtles; None means only in an embedded world.
     """
 

@@ -46,7 +46,7 @@ class Order(NamedTuple):
         text: The message.
         rate: Messages a second, above zero.
         times: How many messages to publish; 0 for no limit.
-        every: Which messages to print: one of this many; 0 for none.
+        every: Print one message out of this many; 0 prints none.
         wait: How many subscriptions to wait for first.
         policies: The quality of service to offer.
     """

@@ -145,9 +145,9 @@ class Node:
                 Servers of this node with the same ``slot`` share one policy and one place.
                 ``result_timeout`` is how long a result is kept after the goal's end (s, 10 by
                 default; None keeps it for ever). ``on_client_lost`` is "keep", or "cancel" to
-                cancel a client's goals when the client closes. ``grace`` is how long a cancelled
-                body may clean up when the server closes before it is given up (s, event loop time,
-                5 by default).
+                cancel a client's goals when the client closes. When the server closes, a cancelled
+                body has ``grace`` seconds to clean up (event loop time, 5 by default); then it is
+                given up.
 
         Raises:
             ActionConflict: if another node serves the name, or this node does with the same type.

@@ -356,7 +356,7 @@ def _joined(answers: list[CancelGoal.Response]) -> CancelGoal.Response:
 
 
 def _may_be_asked_for(goal: Goal) -> bool:
-    """Whether a client elsewhere will soon ask about a goal that ended because the server did."""
+    """Whether a client elsewhere will soon ask how a goal ended that the closing server aborted."""
     is_sent_from_elsewhere = isinstance(goal.sender, bytes) and bool(goal.sender)
     is_ended_late = goal.reason in (SHUTDOWN, STOPPED)
     return is_sent_from_elsewhere and is_ended_late and not goal.is_asked_for

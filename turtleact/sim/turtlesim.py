@@ -54,7 +54,7 @@ class Turtlesim:
     """A world that lives on a node; it ticks from the moment it is made until it is closed.
 
     The ticks follow an absolute schedule of the node's clock, 16 ms apart, so they do not drift.
-    While the world is paused that clock stands, and with it all that waits by it.
+    While the world is paused, that clock stands still, and so does everything that waits on it.
 
     Args:
         node: Where its topics and services are opened, and whose clock it follows.

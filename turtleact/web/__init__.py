@@ -1,7 +1,7 @@
-"""The browser's and rosbridge's door: a node behind a WebSocket, and a page to see it on.
+"""The web server: a node behind a WebSocket for browsers and rosbridge clients, and its page.
 
-What is served is an ordinary `turtleact.Node`; nothing here knows what lies below it. Nothing else
-in turtleact imports this package until it is used.
+It serves an ordinary `turtleact.Node` and knows nothing below that. The rest of turtleact imports
+this package only when it is used.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """One client's connection: a task that reads, a task that writes, and what the client has open.
 
 `turtleact.web.protocol` has the rules; this module carries them out on the node. The reader never
-waits for the writer: frames to be sent go into a mailbox, and a client that takes nothing for
-`PATIENCE` is let go. So a slow client slows nobody else down.
+waits for the writer: outgoing frames go into a mailbox, and a client that reads nothing for
+`PATIENCE` is disconnected. A slow client therefore slows nobody else down.
 
 Source: rosbridge v2; ASGI, "HTTP and WebSocket message format".
 """
@@ -39,7 +39,7 @@ __all__ = ["PATIENCE", "TRY_AGAIN_LATER", "Connection"]
 logger = logging.getLogger("turtleact.web")
 
 PATIENCE: Final = 2.0
-"""A client that takes nothing for so long (s) is let go."""
+"""A client that reads nothing for this long (s) is disconnected."""
 
 SLOWEST: Final = 2**16
 """… and as much longer as this rate (bytes/s) takes for the frame before."""
@@ -59,7 +59,7 @@ class Connection:
         websocket: The connection, not accepted yet.
 
     Attributes:
-        mailbox: What waits to be sent.
+        mailbox: The frames that wait to be sent.
     """
 
     def __init__(self, shared: Shared, websocket: WebSocket) -> None:

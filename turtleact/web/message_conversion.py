@@ -187,7 +187,7 @@ def message_from(cls: type[M], values: object, *, root: str) -> M:
 
 
 async def read_message(cls: type[M], values: object, *, root: str) -> M:
-    """As `message_from`, but other clients are served meanwhile.
+    """Like `message_from`, but other clients are served meanwhile.
 
     Raises:
         InvalidMessage: with the path of the first value or name that does not fit.

@@ -1,4 +1,4 @@
-"""What a client may say, as data: one class an operation of rosbridge v2.
+"""The operations of rosbridge v2 that a client may send, one class each.
 
 A frame is JSON text; unknown members are ignored, unknown operations are not. Pure.
 
@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 Id: TypeAlias = str | int | float | None
-"""What a client calls what it says by; None where it does not."""
+"""The id that a client gives an operation; None if it gives none."""
 
 Arguments: TypeAlias = dict[str, Any] | list[Any] | None
 
@@ -85,7 +85,7 @@ class Subscribe(Base, tag="subscribe", frozen=True, kw_only=True):
         topic: Its name.
         type: Its type; that of the graph if left out.
         throttle_rate: Least time between two messages (ms).
-        queue_length: How many that come too early are kept; none if 0.
+        queue_length: How many messages that come too early are kept; 0 keeps none.
         compression: ``none``, ``png``, ``cbor`` or ``cbor-raw``.
     """
 
@@ -196,10 +196,10 @@ Operation: TypeAlias = (
 )
 
 MOST_NESTED: Final = 100_000
-"""So many objects and lists a frame may have; a million take seconds to read."""
+"""The maximum number of objects and lists in a frame; a million take seconds to read."""
 
 half_pattern = re.compile(r"[\ud800-\udfff]|\\u[dD][89a-fA-F]")
-"""What may be half a surrogate pair, as it stands or escaped."""
+"""Finds what may be half a surrogate pair, plain or escaped."""
 
 DECODER: msgspec.json.Decoder[Operation] = msgspec.json.Decoder(Operation)
 

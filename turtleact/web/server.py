@@ -386,7 +386,7 @@ class Socket(WebSocketsSansIOProtocol):
             self.transport.abort()
 
     def keepalive_timeout(self) -> None:
-        """End, unless the client is still sending: its pong may come behind that."""
+        """Close the connection, unless the client is still sending and its pong may follow."""
         if self._heard_at > self.ping_sent_at:
             self.pong_timer = None
             self.schedule_ping()

@@ -102,7 +102,7 @@ class Shared:
     Args:
         node: What is served.
         limits: How much clients may ask for.
-        cancel_on_disconnect: Whether a client that goes takes its goals along.
+        cancel_on_disconnect: Whether a client's goals are canceled when it disconnects.
     """
 
     def __init__(self, node: Node, limits: Limits, *, cancel_on_disconnect: bool) -> None:
@@ -297,7 +297,7 @@ class Goals:
 
     Args:
         node: Sends them.
-        cancel_on_disconnect: Whether a client that goes takes its goals along.
+        cancel_on_disconnect: Whether a client's goals are canceled when it disconnects.
     """
 
     def __init__(self, node: Node, *, cancel_on_disconnect: bool = False) -> None:

@@ -1,4 +1,4 @@
-"""The verbs and their options, as Typer reads them: a command line in, a job out.
+"""Declares the verbs and their options for Typer: turns a command line into a job.
 
 A command function checks what can be checked at once and returns a job, which does the work. The
 job is run outside of Typer, because Typer has its own view of broken pipes and interrupts. Each

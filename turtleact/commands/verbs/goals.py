@@ -1,4 +1,4 @@
-"""The verbs about goals, and the group ``action``, as Typer reads them."""
+"""Declares the verbs about goals and the group ``action`` for Typer."""
 
 from __future__ import annotations
 

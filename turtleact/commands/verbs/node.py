@@ -1,4 +1,4 @@
-"""The verbs about nodes, their parameters and services, as Typer reads them."""
+"""Declares the verbs about nodes, their parameters and services for Typer."""
 
 from __future__ import annotations
 

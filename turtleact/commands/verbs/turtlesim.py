@@ -1,4 +1,4 @@
-"""``run``, ``teleop`` and ``snapshot``, as Typer reads them: around turtlesim."""
+"""Declares the verbs around turtlesim for Typer: ``run``, ``teleop`` and ``snapshot``."""
 
 from __future__ import annotations
 
