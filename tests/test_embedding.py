@@ -274,6 +274,7 @@ async def run_cell(cell: str, names: dict[str, Any]) -> None:
         await running
 
 
+@pytest.mark.loops("asyncio", "uvloop")  # on trio, a node is closed by the task that opened it
 async def test_the_cells_of_the_example_run_in_a_notebook_each_in_a_task_of_its_own(capsys):
     text = (EXAMPLES / "22_notebook.py").read_text("utf-8")
     docstring = ast.get_docstring(ast.parse(text)) or ""

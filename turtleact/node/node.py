@@ -540,6 +540,8 @@ async def open_node(
 ) -> AsyncIterator[Node]:
     """Open a node for the length of a block.
 
+    On trio, the block must be left in the task that entered it.
+
     Args:
         name: The node's name.
         namespace: The prefix of relative names.
