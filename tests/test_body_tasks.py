@@ -344,6 +344,29 @@ def test_a_body_that_exits_ends_the_program_from_within_a_task_group(loop):
     assert caught.value.code == 3
 
 
+@pytest.mark.parametrize("loop", INSTALLED)
+def test_a_child_of_a_body_that_exits_ends_the_goal_and_the_program(loop):
+    async def leave() -> None:
+        await anyio.lowlevel.checkpoint()
+        sys.exit(3)
+
+    async def body(request: Count.Goal) -> Count.Result:
+        async with anyio.create_task_group() as group:
+            group.start_soon(leave)
+        return result()
+
+    async def main() -> None:
+        async with in_process("") as place:
+            place.far.action_server(Count, "count", body)
+            async with place.near.action_client(Count, "count").send_goal(goal()):
+                await anyio.sleep_forever()
+
+    backend, options = LOOPS[loop]
+    with pytest.raises(SystemExit) as caught:
+        anyio.run(main, backend=backend, backend_options=options)
+    assert caught.value.code == 3
+
+
 # --- closing --------------------------------------------------------------------------------
 
 IN_VIRTUAL_TIME = pytest.mark.parametrize(

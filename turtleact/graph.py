@@ -1,24 +1,37 @@
-"""What exists on a graph, by name and type. Each action is listed once, not by its endpoints.
+"""What exists on a graph, by name and type. The endpoints that make up an action are shown as one.
 
-Source: rclpy ``node.py`` (``get_topic_names_and_types`` and similar methods); ros2cli for which
-names are hidden.
+Completion needs this within milliseconds, so nothing heavy is imported here.
+
+Source: rclpy ``node.py``, ``get_topic_names_and_types`` and the functions beside it; ros2cli for
+what is hidden.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-import msgspec
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 if TYPE_CHECKING:
     from turtleact.transports.base import Endpoint, EndpointKind, Transport
 
-__all__ = ["Graph", "graph_of"]
+__all__ = ["Graph", "Kind", "graph_of", "is_hidden_node", "names_like", "types_by_name"]
 
-_SEND_GOAL = "/_action/send_goal"
+Kind = Literal["action", "service", "topic"]
+
+MOST_SHOWN = 10
+"""How many names are listed if none is like the one that was looked for."""
+
+SEND_GOAL = "/_action/send_goal"
+
+ENDPOINTS: dict[Kind, tuple[EndpointKind, ...]] = {
+    "action": ("service",),
+    "service": ("service",),
+    "topic": ("publisher", "subscription"),
+}
+"""The endpoints that make a name of each kind exist."""
 
 
-class Graph(msgspec.Struct, frozen=True):
+class Graph(NamedTuple):
     """The nodes, topics, services and actions that a node sees at this moment.
 
     Attributes:
@@ -35,25 +48,57 @@ class Graph(msgspec.Struct, frozen=True):
 
 
 def graph_of(transport: Transport) -> Graph:
-    """Return what exists on the graph of a transport."""
+    """What exists on the graph of a transport."""
     endpoints = transport.endpoints()
     return Graph(
         nodes=tuple(sorted(set(transport.nodes()))),
-        topics=_types_by_name(endpoints, ("publisher", "subscription")),
-        services=_types_by_name(endpoints, ("service",)),
-        actions={
-            name.removesuffix(_SEND_GOAL): tuple(t.removesuffix("_SendGoal") for t in types)
-            for name, types in _types_by_name(endpoints, ("service",), hidden=True).items()
-            if name.endswith(_SEND_GOAL)
-        },
+        topics=types_by_name(endpoints, "topic"),
+        services=types_by_name(endpoints, "service"),
+        actions=types_by_name(endpoints, "action"),
     )
 
 
-def _types_by_name(
-    endpoints: tuple[Endpoint, ...], kinds: tuple[EndpointKind, ...], *, hidden: bool = False
+def types_by_name(
+    endpoints: Iterable[Endpoint],
+    kind: Kind,
+    *kinds: EndpointKind,
+    hidden: bool = False,
 ) -> dict[str, tuple[str, ...]]:
+    """The names of a kind and their types, both sorted.
+
+    Args:
+        endpoints: The endpoints of the graph, or of a node.
+        kind: The kind: actions, services or topics.
+        *kinds: The endpoints that count; those in `ENDPOINTS` if left out.
+        hidden: Whether to include hidden names.
+    """
     found: dict[str, set[str]] = {}
     for endpoint in endpoints:
-        if endpoint.kind in kinds and (hidden or "/_" not in endpoint.name):
-            found.setdefault(endpoint.name, set()).add(endpoint.type_name)
+        name, type_name = endpoint.name, endpoint.type_name
+        if endpoint.kind not in (kinds or ENDPOINTS[kind]):
+            continue
+        if kind == "action":
+            if not name.endswith(SEND_GOAL):
+                continue
+            name, type_name = name.removesuffix(SEND_GOAL), type_name.removesuffix("_SendGoal")
+        if hidden or "/_" not in name:
+            found.setdefault(name, set()).add(type_name)
     return {name: tuple(sorted(types)) for name, types in sorted(found.items())}
+
+
+def is_hidden_node(name: str) -> bool:
+    """Whether a node is hidden, that is, its own name begins with an underscore.
+
+    >>> is_hidden_node("/_ros2cli"), is_hidden_node("/_lab/turtlesim")
+    (True, False)
+    """
+    return name.rpartition("/")[2].startswith("_")
+
+
+def names_like(name: str, known: Iterable[str]) -> str:
+    """The end of an error about an unknown name: the nearest name, or some of those there are."""
+    from turtleact.interfaces.definition import did_you_mean
+
+    names = sorted(set(known))
+    shown = ", ".join([*names[:MOST_SHOWN], *(["…"] if len(names) > MOST_SHOWN else [])])
+    return did_you_mean(name, names) or f" (there are: {shown or 'none'})"

@@ -16,10 +16,10 @@ import pytest
 
 from turtleact import Node, open_node
 from turtleact.commands import graph, held_goals, listing, topic_reading, user_messages
-from turtleact.commands.graph_names import names_like
 from turtleact.commands.message_text import GoalText
 from turtleact.commands.settings import Policies
 from turtleact.commands.transcript import PlainTranscript
+from turtleact.graph import names_like
 from turtleact.transports.rmw_zenoh import config
 
 GRAPHS = Path(__file__).with_name("graphs.py")

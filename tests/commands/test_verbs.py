@@ -303,13 +303,13 @@ def test_only_the_verb_that_is_asked_for_is_imported(verb):
         "turtleact.commands",
         "turtleact.commands.completion",
         "turtleact.commands.interrupts",
-        "turtleact.commands.graph_names",
         "turtleact.commands.settings",
         "turtleact.commands.output",
         "turtleact.commands.verbs",
         "turtleact.commands.verbs.options",
         *(f"turtleact.commands.verbs.{each}" for each in expected),
         "turtleact.errors",
+        "turtleact.graph",
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import logging
 import re
+import threading
 
 import anyio
 import anyio.lowlevel
@@ -21,6 +22,7 @@ from turtleact.errors import (
     InvalidGoal,
     Reject,
     ServerUnavailable,
+    TurtleactError,
 )
 from turtleact.goal import CancelCode
 from turtleact.interfaces.standard import CancelGoal
@@ -993,3 +995,29 @@ async def test_two_servers_of_one_node_do_not_share_goals():
         async with one.send_goal(goal()) as handle:
             assert ids(await two.cancel_all()) == []
             assert handle.status is GoalStatus.EXECUTING
+
+
+# --- use from elsewhere ---------------------------------------------------------------------
+
+
+async def test_feedback_from_another_thread_is_refused_and_changes_nothing():
+    refusals: list[BaseException] = []
+
+    async def body(request, handle):
+        def publish() -> None:
+            try:
+                handle.publish_feedback(feedback(1))
+            except TurtleactError as refusal:
+                refusals.append(refusal)
+
+        thread = threading.Thread(target=publish)
+        thread.start()
+        thread.join()
+        handle.publish_feedback(feedback(2))
+        return result()
+
+    async with lab(body) as served, served.client.send_goal(goal()) as handle:
+        assert [message async for message in handle] == [feedback(2)]
+    (refusal,) = refusals
+    assert "the goal handle of action '/count' belongs to another event loop" in str(refusal)
+    assert "anyio.from_thread" in str(refusal)

@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 import typer
 
-from turtleact.commands.graph_names import is_hidden_node, types_by_name
 from turtleact.commands.settings import Reach
 from turtleact.errors import TurtleactError, UnknownInterface
+from turtleact.graph import is_hidden_node, types_by_name
 
 if TYPE_CHECKING:
-    from turtleact.commands.graph_names import Kind
+    from turtleact.graph import Kind
     from turtleact.node import Node
     from turtleact.transports.rmw_zenoh.keys import Graph
 

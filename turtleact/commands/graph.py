@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, TypeAlias, TypeVar
 import anyio
 
 from turtleact.commands import runner
-from turtleact.commands.graph_names import Kind, names_like, types_by_name
 from turtleact.commands.locks import mode_of
 from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface, UsageError
+from turtleact.graph import Kind, names_like, types_by_name
 from turtleact.interfaces import get_interface
 from turtleact.node import Node, open_node
 

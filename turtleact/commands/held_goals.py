@@ -24,7 +24,6 @@ import anyio
 from turtleact.client import Outcome
 from turtleact.clock import within
 from turtleact.commands.graph import interface_class
-from turtleact.commands.graph_names import names_like, types_by_name
 from turtleact.commands.message_text import yaml_lines
 from turtleact.commands.output import note, say, say_names
 from turtleact.commands.topic_reading import note_absence
@@ -36,6 +35,7 @@ from turtleact.errors import (
     UsageError,
 )
 from turtleact.goal import CancelCode, GoalStatus, status_of
+from turtleact.graph import names_like, types_by_name
 from turtleact.interfaces import (
     SECOND,
     Action,

@@ -13,9 +13,9 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
-from turtleact.commands.graph_names import Kind, is_hidden_node, names_like, types_by_name
 from turtleact.commands.output import note, say_names
 from turtleact.errors import TurtleactError, UnknownInterface
+from turtleact.graph import Kind, is_hidden_node, names_like, types_by_name
 from turtleact.interfaces import get_interface, type_hash
 from turtleact.names import action_names, resolve_name
 

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 import msgspec
 
 from turtleact.clock import within
-from turtleact.commands.graph_names import is_hidden_node, names_like, types_by_name
 from turtleact.commands.message_text import read_text_file
 from turtleact.commands.output import note, say_names
 from turtleact.errors import TurtleactError, UsageError
+from turtleact.graph import is_hidden_node, names_like, types_by_name
 from turtleact.interfaces import Message
 from turtleact.interfaces.standard import (
     DescribeParameters,

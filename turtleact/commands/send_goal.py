@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, NamedTuple, NoReturn, cast
 import anyio
 
 from turtleact.commands import graph, runner
-from turtleact.commands.graph_names import names_like
 from turtleact.commands.interrupts import leave
 from turtleact.commands.output import say
 from turtleact.commands.transcript import (
@@ -30,6 +29,7 @@ from turtleact.commands.transcript import (
 )
 from turtleact.errors import GoalRejected, ServerUnavailable
 from turtleact.goal import GoalStatus
+from turtleact.graph import names_like
 from turtleact.interfaces import Action, from_text
 from turtleact.names import resolve_name
 from turtleact.transports.base import find_server

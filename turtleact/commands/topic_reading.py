@@ -19,10 +19,10 @@ import anyio
 
 from turtleact.clock import within
 from turtleact.commands.graph import chosen_class
-from turtleact.commands.graph_names import names_like, types_by_name
 from turtleact.commands.message_text import yaml_lines
 from turtleact.commands.output import note, printable, say, say_names
 from turtleact.errors import TurtleactError, UsageError
+from turtleact.graph import names_like, types_by_name
 from turtleact.interfaces import Message, encode, nanoseconds, to_dict
 from turtleact.interfaces.definition import ArrayForm, did_you_mean
 from turtleact.interfaces.text import flow

@@ -12,10 +12,10 @@ import anyio
 
 from turtleact.clock import within
 from turtleact.commands.graph import chosen_class
-from turtleact.commands.graph_names import types_by_name
 from turtleact.commands.message_text import python_text
 from turtleact.commands.output import note, say
 from turtleact.errors import ServerUnavailable, ServiceTimeout, TurtleactError
+from turtleact.graph import types_by_name
 from turtleact.interfaces import Message, Service, from_dict, from_text, stamp_of
 from turtleact.interfaces.text import Document, tree_of
 from turtleact.interfaces.types import fields, nested_classes

@@ -169,7 +169,11 @@ class Node:
         if on_conflict == "refuse" or action_type.type_name in own_types:
             rivals.check(names.name, action_type.type_name, own_types)
         served = Served(
-            names.name, action_type, Body(names.name, execute), partial(ServerGoalHandle, self)
+            names.name,
+            action_type,
+            Body(names.name, execute),
+            partial(ServerGoalHandle, self),
+            self._home.of(f"the goal handle of action '{names.name}'"),
         )
         local = LocalActionServer(
             served, options, self._tasks, self.clock.now, self._place(options)
@@ -439,7 +443,7 @@ class ActionServer(Generic[G, R, F]):
     @property
     def is_idle(self) -> bool:
         """Whether no goal waits or runs, and no request waits for an answer."""
-        return self._local.is_idle and not self._endpoints.is_asked and not self._watches
+        return self._local.is_idle and not self._endpoints.is_asked
 
     async def aclose(self) -> None:
         """Stop accepting goals, end the existing ones, and leave the graph.

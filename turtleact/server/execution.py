@@ -25,7 +25,7 @@ from turtleact.interfaces import Message, snapshotter
 from turtleact.observers import Observers
 from turtleact.server.body_task import BodyTask
 from turtleact.summaries import STOPPED, STOPS, loggable, summary, text_of
-from turtleact.tasks import Signal, Tasks, is_cancellation, wait_while
+from turtleact.tasks import Home, Signal, Tasks, is_cancellation, wait_while
 
 __all__ = ["CURRENT_GOAL", "Execution", "FeedbackOutlet", "Served"]
 
@@ -48,12 +48,14 @@ class Served(NamedTuple):
         action_type: The action.
         body: The body to run.
         make_handle: Makes the handle for bodies and callbacks.
+        home: The event loop in which all of this must be used.
     """
 
     name: str
     action_type: ActionType[Message, Message, Message]
     body: Body
     make_handle: Callable[[Execution, Goal], object]
+    home: Home
 
 
 class FeedbackOutlet(Protocol):
@@ -149,9 +151,10 @@ class Execution:
         except BaseException as error:
             if _is_closed_by_loop(error):
                 raise
-            self._fail(goal, error)
-            if isinstance(error, KeyboardInterrupt | SystemExit):
-                self._tasks.stop_program(error)
+            stop = _stop_in(error)
+            self._fail(goal, error if stop is None else stop)
+            if stop is not None:
+                self._tasks.stop_program(stop)
         finally:
             self._forget(task)
 
@@ -414,6 +417,16 @@ async def _finish(steps: Steps) -> None:
         logger.error(problem, exc_info=loggable(error))
     except BaseException:
         logger.info("a body was canceled after it had yielded its result; the result stands")
+
+
+def _stop_in(error: BaseException) -> BaseException | None:
+    """The `SystemExit` or `KeyboardInterrupt` that ends the program, be it in a group.
+
+    asyncio's task groups raise such an exception as it is; trio's nurseries wrap it.
+    """
+    if isinstance(error, BaseExceptionGroup):
+        return next(filter(None, map(_stop_in, error.exceptions)), None)
+    return error if isinstance(error, KeyboardInterrupt | SystemExit) else None
 
 
 def _is_closed_by_loop(error: BaseException) -> bool:

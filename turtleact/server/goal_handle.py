@@ -70,7 +70,9 @@ class GoalHandle(Generic[G, R, F]):
         Raises:
             InvalidMessage: if it is not this action's Feedback, or a value does not fit its type.
             InvalidTransition: if the goal is neither EXECUTING nor CANCELING.
+            TurtleactError: if this is called in another thread or event loop.
         """
+        self._execution.served.home.check()
         self._execution.publish(self._goal, feedback)
 
     def set_partial_result(self, result: R) -> None:
@@ -79,7 +81,9 @@ class GoalHandle(Generic[G, R, F]):
         Raises:
             InvalidMessage: if it is not this action's Result, or a value does not fit its type.
             InvalidTransition: if the goal has ended.
+            TurtleactError: if this is called in another thread or event loop.
         """
+        self._execution.served.home.check()
         if self._goal.ended:
             raise InvalidTransition(self._goal.status, "a partial result", self._goal.hex)
         self._goal.result = self._execution.check_result(result)

@@ -17,7 +17,7 @@ from turtleact.commands.verbs import Job
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
-    from turtleact.commands.graph_names import Kind
+    from turtleact.graph import Kind
     from turtleact.node import Node
 
 __all__ = [
