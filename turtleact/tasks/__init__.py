@@ -13,8 +13,7 @@ here knows what a goal is.
 from __future__ import annotations
 
 from turtleact.tasks.background import Background, current_tasks, wait_while
-from turtleact.tasks.base import GRACE, Signal, Tasks, is_cancellation
-from turtleact.tasks.home import Home
+from turtleact.tasks.base import GRACE, Home, Signal, Tasks, is_cancellation
 from turtleact.tasks.idle import idleness, new_event_loop, wait_until_idle
 
 __all__ = [
