@@ -222,7 +222,7 @@ class Drive:
         await self._poses.aclose()
 
     def _take(self, message: TurtlePose) -> bool:
-        """Take a pose at which nothing new is to be said: whoever drives need not wake for it."""
+        """Take a pose that needs no new command, so the driver need not wake for it."""
         # Called for each pose while it is being published, 62 times a second and turtle, so this
         # must be short, and must not await. The message is read in full only if somebody asks.
         helm, x, y = self._helm, message.x, message.y
@@ -397,7 +397,7 @@ class Turtles:
 
     @asynccontextmanager
     async def drive(self, turtle: str, steering: Steering) -> AsyncIterator[Drive]:
-        """Drive a turtle for the length of a block; at the end it stands still in any case.
+        """Drive a turtle for the length of a block; at the end the turtle always stands still.
 
         Raises:
             Abort: if the turtle reports no pose, or another goal drives it already.

@@ -172,7 +172,7 @@ class _Patrol:
         self._turtles = turtles
 
     def check(self, goal: Patrol.Goal) -> GoalResponse:
-        """Refuse what cannot be done, by name."""
+        """Refuse goals that cannot be done, naming the field."""
         self._steering(goal)
         if goal.loops < 0:
             raise Reject(f"loops is {goal.loops}: it is a number of extra rounds, 0 or more")
@@ -224,7 +224,7 @@ class _Patrol:
         tell: Callable[[Patrol.Feedback], None],
         note: Callable[[Patrol.Result], None],
     ) -> Patrol.Result:
-        """Visit all stops; tell of each one, and note what has been done, at any end."""
+        """Visit all stops and report each one; record the result, however the patrol ends."""
         tour = _Tour(goal.targets, 1 + goal.loops)
         result = Patrol.Result()
         started = clock.time()
@@ -321,4 +321,4 @@ class _Leg:
 
 
 def _nothing(_: Patrol.Result) -> None:
-    """The lecture's result has no place for what was done so far."""
+    """The lecture's result message cannot hold partial progress."""

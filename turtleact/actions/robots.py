@@ -1,4 +1,4 @@
-"""Robots as an action knows them: the names and types of two topics, and what they can do.
+"""Robots as actions see them: the names and types of two topics, and the robots' abilities.
 
 A `Robot` gets its speeds on one topic and publishes its pose on another. Two tables hold the types
 that these topics may have; the defaults are those of turtlesim.
@@ -115,7 +115,7 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def fastest(self) -> float:
-        """The highest turn rate (rad/s) that the law of steering knows what to do with."""
+        """The highest turn rate (rad/s) that the steering law supports."""
         return math.pi / 2.0 / self.dt
 
     @property

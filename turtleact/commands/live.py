@@ -200,8 +200,8 @@ class GoalPicture:
     def _progress(self, now: float) -> tuple[float | None, str]:
         """The progress, as a fraction and in words.
 
-        It is taken from a feedback field such as ``remaining``, else from the places that the
-        turtle has passed; else the words say how old the last feedback is.
+        A feedback field such as ``remaining`` gives the progress, or else the places that the
+        turtle has passed. Without either, the words say how old the last feedback is.
         """
         values = {} if self._feedback is None else to_dict(self._feedback)
         for name, value in values.items():

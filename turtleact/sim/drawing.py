@@ -1,21 +1,21 @@
-"""What the turtles have drawn, as pixels and as polylines, and the pens they draw it with.
+"""The turtles' drawing, as pixels and as polylines, and the pens that make it.
 
-`Pens` follows the turtles tick by tick. A pen that is on draws a line from where its turtle was to
-where it is, teleports included. In a tick each turtle, in name order, draws its teleports, looks at
-the colour under it, and draws its step: it sees the lines of those before it, but not the end of
-its own.
+`Pens` follows the turtles tick by tick. A pen that is on draws a line from its turtle's old place
+to the new one, teleports included. Within a tick, each turtle in name order draws its teleports,
+senses the colour under it, and draws its step. It therefore senses the lines of turtles before it,
+but not the end of its own.
 
-`Drawing` notes lines as they come and works them out when somebody looks, so a drawing costs little
-while nobody does. Once `UNREAD` lines are noted, the oldest are worked out at once. The lines of a
-fleet come tick by tick as arrays (`rasterising`).
+`Drawing` only notes new lines and computes them when somebody looks, so an unseen drawing costs
+little. When `UNREAD` lines are noted, the oldest are computed anyway. The lines of a fleet arrive
+tick by tick as arrays (`rasterising`).
 
-- As pixels every line counts, in its order: later lines cover earlier ones.
-- As polylines, points within `TOLERANCE` of the line without them are left out. A polyline goes on
-  while its turtle draws with one pen from where it stopped, up to `LONGEST` points.
-- A drawing is bounded: once its polylines hold `MOST_POINTS` points, everything drawn so far is
-  kept as pixels only.
+- Pixels show every line, and later lines cover earlier ones.
+- Polylines leave out points within `TOLERANCE` of the line without them. A polyline continues while
+  its turtle draws with the same pen from where it stopped, up to `LONGEST` points.
+- A drawing is bounded: when its polylines hold `MOST_POINTS` points, everything drawn so far is
+  kept only as pixels.
 
-Places are ``x + 1j * depth`` in metres. Knows no ROS and no clock.
+Places are complex numbers, ``x + 1j * depth``, in metres. This module knows no ROS and no clock.
 
 Source: turtlesim 1.8.2, ``Turtle::update`` and ``Turtle::setPenCallback``; for leaving out points
 the cone intersection method (Sklansky and Gonzalez, Fast polygonal approximation of digitized
@@ -42,41 +42,41 @@ if TYPE_CHECKING:
 __all__ = ["MOST_POINTS", "TOLERANCE", "Drawing", "Pens", "Polyline"]
 
 TOLERANCE: Final = 0.05
-"""How far a point that is left out may lie from the polyline (pixels): a twentieth."""
+"""The largest distance of an omitted point from its polyline (pixels): a twentieth."""
 
 MOST_POINTS: Final = 20_000
-"""Most points that polylines hold: about a megabyte."""
+"""The maximum number of points in all polylines: about a megabyte."""
 
 LONGEST: Final = 500
-"""Points of a polyline; behind that a new one is begun."""
+"""The maximum number of points in one polyline."""
 
 UNREAD: Final = 4096
-"""Most lines that are only noted (200 kB); then the oldest are worked out."""
+"""The maximum number of lines that are only noted (200 kB); then the oldest are computed."""
 
 UNREAD_OF_FLEET: Final = 1024
-"""The same if a fleet draws; then all are worked out at once, in a few milliseconds."""
+"""The same for a fleet; then all are computed at once, in a few milliseconds."""
 
 _PORTION: Final = 64
-"""Lines that are worked out at a time then: about a millisecond."""
+"""How many lines are then computed at a time: about a millisecond's work."""
 
 _STRAIGHT: Final = 1e-6
-"""Lines that bend by less than this (pixels) are drawn as one: no pixel shows the bend."""
+"""Lines that bend by less than this (pixels) are drawn as one, because no pixel shows the bend."""
 
 _FIELDS: Final = 6
 
 THINNEST: Final = 1
-"""The width (pixels) of a pen for which a user gives 0."""
+"""The actual width (pixels) of a pen whose width is given as 0."""
 
 
 class Polyline(NamedTuple):
-    """A line with bends, in pixels ``x + 1j * y`` from the upper left corner."""
+    """A line with bends. Its points are in pixels, ``x + 1j * y``, from the upper left corner."""
 
     pen: Pen
     points: tuple[complex, ...]
 
 
 class Drawing:
-    """Everything drawn since it was made or cleared."""
+    """Everything drawn since the drawing was made or cleared."""
 
     def __init__(self) -> None:
         self._fleet: Runs | None = None
@@ -91,7 +91,7 @@ class Drawing:
             start: Where it begins (m).
             end: Where it ends (m); the same place makes a dot.
         """
-        # Lines of a fleet that may still go on come before this one: later lines cover them.
+        # Finish the fleet's unfinished lines first: they are older, and later lines cover them.
         self._end_fleet()
         self._unread.extend((turtle, _packed(pen), start.real, start.imag, end.real, end.imag))
         if len(self._unread) >= UNREAD * _FIELDS:
@@ -106,7 +106,7 @@ class Drawing:
             start: Array of shape (N,): where each line begins (m).
             end: Array of shape (N,): where it ends (m).
         """
-        from turtleact.sim.rasterising import Runs  # only a fleet waits for numpy
+        from turtleact.sim.rasterising import Runs  # imports numpy, which only fleets need
 
         if self._fleet is None or self._fleet.pen != pen:
             self._end_fleet()
@@ -117,7 +117,7 @@ class Drawing:
         """Erase everything."""
         self._unread = array("d")
         self._fleet = None
-        self._canvas: Canvas | None = None  # a megabyte: made when it is needed
+        self._canvas: Canvas | None = None  # created when needed, since it takes a megabyte
         self._base: bytes | None = None
         self._strokes: list[_Stroke] = []
         self._open: dict[int, _Stroke] = {}
@@ -126,7 +126,7 @@ class Drawing:
         self._points = 0
 
     def colour_at(self, place: complex) -> Colour:
-        """The colour under a turtle: of the pixel nearest to its place, inside the walls (m)."""
+        """Return the colour of the pixel nearest to a place (m) inside the walls."""
         x, y = (math.floor(part * METER + 0.5) for part in (place.real, place.imag))
         return self._pixels().colour(x, y)
 
@@ -135,12 +135,12 @@ class Drawing:
         return _rgba(self._pixels().pixels)
 
     def base(self) -> bytes | None:
-        """The pixels of what is kept as such alone, or None if there is nothing of the kind."""
+        """Return the pixels of everything kept only as pixels, or None if there is nothing."""
         self._read()
         return self._base
 
     def polylines(self) -> list[Polyline]:
-        """All the rest, in the order of their beginning."""
+        """Return the polylines, in the order in which they were begun."""
         self._read()
         return [stroke.polyline() for stroke in self._strokes]
 
@@ -154,7 +154,7 @@ class Drawing:
         return self._canvas
 
     def _read(self, most: int | None = None) -> None:
-        """Work out what was noted: all of it, or the oldest lines."""
+        """Compute the noted lines: all of them, or only the oldest."""
         if most is None:
             self._end_fleet()
         if not self._unread and not self._runs:
@@ -178,7 +178,7 @@ class Drawing:
             self._draw_runs()
 
     def _end_fleet(self) -> None:
-        """Note the lines of a fleet that might still go on."""
+        """Note the lines of a fleet that have not ended yet."""
         if self._fleet is not None:
             self._note(self._fleet.pen, self._fleet.take_all())
 
@@ -197,7 +197,7 @@ class Drawing:
             self._read_fleet()
 
     def _read_fleet(self) -> None:
-        """Work out all that was noted, as `_read` does, but at once what has one pen."""
+        """Compute all noted lines like `_read`, but faster: all lines of one pen at once."""
         import numpy as np
 
         from turtleact.sim.rasterising import draw_lines
@@ -238,7 +238,7 @@ class Drawing:
             self._settle()
 
     def _settle(self) -> None:
-        """Keep as pixels alone what is there so far."""
+        """Keep everything drawn so far only as pixels."""
         self._draw_runs()
         self._base = _rgba(self._made_canvas().pixels)
         self._strokes.clear()
@@ -247,13 +247,13 @@ class Drawing:
 
 
 class Pens:
-    """The pens of all turtles in a world; each begins switched on, with the usual one.
+    """The pens of all turtles in a world. Each pen begins switched on, with the usual settings.
 
     Args:
-        world: The turtles. `follow` is to be called after each of its steps.
+        world: The turtles. Call `follow` after each step of the world.
 
     Attributes:
-        drawing: What was drawn.
+        drawing: What the pens have drawn.
     """
 
     def __init__(self, world: World) -> None:
@@ -275,7 +275,7 @@ class Pens:
             turtle: Its name.
             colour: The colour.
             width: The width (pixels), 0 to 255; 0 means 1.
-            is_off: Whether it stops drawing; if so, colour and width stay as they were.
+            is_off: Whether the pen stops drawing; if so, colour and width do not change.
         """
         holder = self._holders[turtle]
         self._fleet = None
@@ -284,22 +284,22 @@ class Pens:
             holder.pen = Pen(colour, width or THINNEST)
 
     def colour(self, turtle: str) -> Colour:
-        """The colour of a turtle's pen, on or off."""
+        """Return the colour of a turtle's pen, on or off."""
         return self._holders[turtle].pen.colour
 
     def hand_out(self, turtle: str) -> None:
-        """Give a turtle that has come a pen; to be called before the next step."""
+        """Give a new turtle a pen; call this before the next step."""
         self._provide(turtle)
         self._take_stock()
 
     def take_back(self, turtle: str) -> None:
-        """Take the pen of a turtle that has gone; to be called before the next step."""
+        """Take the pen of a turtle that has gone; call this before the next step."""
         del self._holders[turtle]
         self._jumps.pop(turtle, None)
         self._take_stock()
 
     def forget_all(self) -> None:
-        """Erase the drawing, and give every turtle that there is now a new pen."""
+        """Erase the drawing, and give every existing turtle a new pen."""
         self._holders.clear()
         self._jumps.clear()
         self.drawing.clear()
@@ -312,7 +312,7 @@ class Pens:
             sensed: The names of turtles that sense the colour under them.
 
         Returns:
-            By name, the colours that these turtles saw when it was their turn.
+            The colours that these turtles sensed, by name.
         """
         before, now = self._places, self._world.places()
         self._places = now
@@ -323,8 +323,8 @@ class Pens:
             for index in moved:
                 self._draw(self._names[index], before[index], now[index])
             return {}
-        # Somebody looks at a colour, or a turtle was teleported: now the order within the tick
-        # shows, so the turtles draw one after the other, in name order as in turtlesim.
+        # Somebody senses a colour, or a turtle was teleported. The order within the tick now
+        # matters, so the turtles draw one after the other, in name order, as in turtlesim.
         index_of = {name: index for index, name in enumerate(self._names)}
         colours: dict[str, Colour] = {}
         wanted = {*sensed, *self._jumps, *(self._names[index] for index in moved)}
@@ -354,7 +354,7 @@ class Pens:
         self._fleet = None
 
     def _follow_fleet(self, before: Sequence[complex], now: Sequence[complex]) -> bool:
-        """Draw the lines of many turtles at once, if all have one pen, and it is on."""
+        """Draw the lines of many turtles at once, if all have the same pen and it is on."""
         if isinstance(now, list):  # a few turtles: see `World.places`
             return False
         if self._fleet is None:
@@ -379,7 +379,7 @@ class Pens:
 
 
 class _Holder:
-    """The holder of a pen; a later turtle of the same name has another number."""
+    """The holder of a pen. A later turtle of the same name gets another number."""
 
     __slots__ = ("is_on", "number", "pen")
 
@@ -393,7 +393,7 @@ class _Fleet(NamedTuple):
     """The pens of many turtles.
 
     Attributes:
-        numbers: The numbers of their holders, by the indices of the turtles.
+        numbers: For each turtle's index, the number of the holder of its pen.
         pen: The pen they all have, or None if pens differ or one is off.
     """
 
@@ -410,7 +410,7 @@ class _Fleet(NamedTuple):
 
 
 class _Run:
-    """Lines of one turtle that go straight on: one line, as far as any pixel can tell."""
+    """Consecutive lines of one turtle that are straight, as far as any pixel can show."""
 
     __slots__ = ("end", "pen", "start")
 
@@ -420,12 +420,12 @@ class _Run:
         self.end = end
 
     def takes(self, pen: Pen, start: complex, end: complex) -> bool:
-        """Go on to ``end``, if that is straight ahead."""
+        """Continue to ``end`` if it is straight ahead; return whether it is."""
         if start != self.end or pen != self.pen:
             return False
         way, step = self.end - self.start, end - start
         length, more = abs(way), abs(step)
-        if not length or not more:  # a dot lies level, whatever the way
+        if not length or not more:  # a dot has no direction
             return False
         turned = step * way.conjugate() / length
         if turned.real < 0.0 or abs(turned.imag) > _STRAIGHT * min(1.0, more / length):
@@ -435,11 +435,12 @@ class _Run:
 
 
 class _Stroke:
-    """A polyline that may go on.
+    """A polyline that may continue.
 
-    The last corner sees every point behind it, up to the tip, in a narrow cone: `_low` to `_high`
-    (rad), counted from `_axis`. A tip inside the cone, and no nearer than those before, leaves all
-    of them within `TOLERANCE` of the straight line to it; any other makes the tip a corner.
+    From the last corner, all later points up to the tip lie in a narrow cone: `_low` to `_high`
+    (rad), counted from `_axis`. If the next tip is inside the cone and no nearer than the points
+    before, the straight line to it passes all of them within `TOLERANCE`. Otherwise the old tip
+    becomes a corner.
     """
 
     __slots__ = ("_axis", "_high", "_low", "_reach", "corners", "pen", "tip")
@@ -452,15 +453,15 @@ class _Stroke:
         self._axis = self._low = self._high = 0.0
 
     def polyline(self) -> Polyline:
-        """What it is so far."""
+        """Return the polyline so far."""
         return Polyline(self.pen, (*self.corners, self.tip))
 
     def takes(self, pen: Pen, start: complex) -> bool:
-        """Whether a line with this pen from there goes on where it stops."""
+        """Whether a line with this pen from this start continues the polyline."""
         return start == self.tip and pen == self.pen and len(self.corners) < LONGEST
 
     def add(self, point: complex) -> bool:
-        """Go on to a point; tells whether there is a new corner."""
+        """Continue to a point; return whether this made a new corner."""
         is_bent = not self._sees(point)
         if is_bent:
             self.corners.append(self.tip)

@@ -1,4 +1,4 @@
-"""Many turtles as arrays: one step for all of them, and who stops whom.
+"""Many turtles as arrays: one step for all of them, and their collisions.
 
 Places and steps are complex numbers, ``x + 1j * depth`` (m). A turtle's step is worked out when its
 command is taken up or it is put somewhere. From then on it is only turned: ``theta += turn;
@@ -53,10 +53,10 @@ _Complexes: TypeAlias = npt.NDArray[np.complex128]
 _Indices: TypeAlias = npt.NDArray[np.intp]
 
 _Caught: TypeAlias = tuple[int, _Indices, _Complexes]
-"""The first index of a block, those of the turtles outside counted from there, their places."""
+"""A block's first index, the indices of outside turtles counted from there, and their places."""
 
 BLOCK = 8192
-"""Turtles that are stepped together: what one step touches of them fits the second-level cache."""
+"""How many turtles are stepped together, so that a step's data fits the second-level cache."""
 
 _FEW = 6
 """Up to this many angles are wrapped faster one by one than as arrays."""
@@ -68,13 +68,13 @@ _SIDE = np.array(SIDE)
 _SIDE_BITS = _SIDE.view(np.uint64)
 
 BODY: Final = 0.3
-"""The radius of a turtle (m): of what a picture shows, without head and tail."""
+"""The radius of a turtle (m), as in its picture, without head and tail."""
 
 _COLUMNS: Final = 1 << 20
 """How much the number of a cell grows from row to row: more than there are columns."""
 
 _AROUND: Final = [row * _COLUMNS + column for row in (-1, 0, 1) for column in (-1, 0, 1)]
-"""From the number of a cell to those of its neighbours, and its own."""
+"""Maps a cell's number to its neighbours' numbers and its own."""
 
 
 class Fleet:
@@ -199,7 +199,7 @@ class Fleet:
         self._expires[at] = NEVER
 
     def _rearrange(self, order: _Indices) -> None:
-        """Have these turtles in this order; what they are doing is begun anew from where they are.
+        """Use these turtles in this order; their motions start afresh from where they are.
 
         So a fleet is the same, to the last bit, however its turtles have come together.
         """
@@ -345,7 +345,7 @@ class _Block:
 
 
 class _Hits(Sequence[Hit]):
-    """The hits of a step, put together only for those who look at them."""
+    """The hits of a step, collected only when somebody looks at them."""
 
     def __init__(self, caught: list[_Caught]) -> None:
         self._caught = caught

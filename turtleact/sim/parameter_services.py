@@ -191,7 +191,7 @@ def _problem(descriptor: ParameterDescriptor, value: ParameterValue) -> str:
 
 
 def _is_listed(name: str, prefixes: Sequence[str], depth: int) -> bool:
-    """Whether a parameter is among those asked for; a depth of 0 is any."""
+    """Whether a parameter was asked for; a depth of 0 means any depth."""
     if not prefixes:
         return depth == 0 or name.count(".") < depth
     for prefix in prefixes:

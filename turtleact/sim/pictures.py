@@ -35,7 +35,7 @@ ARROW: Final = (22.0 + 0.0j, -18.0 + 15.0j, -10.0 + 0.0j, -18.0 - 15.0j)
 """A turtle that looks to the right, around its own place (pixels)."""
 
 FINE: Final = 4
-"""The edges of a turtle are smoothed: so many samples a pixel each way."""
+"""The number of samples per pixel, in each direction, that smooth a turtle's edges."""
 
 
 class Figure(NamedTuple):
@@ -64,7 +64,7 @@ class Snapshot(NamedTuple):
 
 
 def to_svg(snapshot: Snapshot) -> str:
-    """A picture that stays sharp: polylines, and an image of what is kept as pixels alone.
+    """A picture that scales: polylines, and an image of everything kept only as pixels.
 
     Polylines lie over each other in the order of their beginning.
     """

@@ -1,9 +1,9 @@
-"""The lines of a fleet as arrays: joined while they go straight on, then turned into pixels.
+"""The lines of a fleet as arrays: joined while they are straight, then turned into pixels.
 
 `Runs` joins the steps of a turtle that moves straight into one line, so that a fleet does not draw
-one line per turtle and tick. `draw_lines` colours the pixels of many lines; they are exactly those
-of `Canvas.line`, because each step of the arithmetic is made in the same order. `drawing` does the
-same with plain floats for a few turtles. Knows no turtle, no ROS and no clock.
+one line per turtle and tick. `draw_lines` colours the pixels of many lines. They are exactly the
+pixels of `Canvas.line`, because the arithmetic runs in the same order. `drawing` does the same with
+plain floats for a few turtles. This module knows no turtle, no ROS and no clock.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ _Floats: TypeAlias = npt.NDArray[np.float64]
 _Whole: TypeAlias = npt.NDArray[np.int64]
 
 _MOST = 1024
-"""Lines that are turned into pixels together: more would only take more memory."""
+"""How many lines are turned into pixels together; more would only take more memory."""
 
 
 class Runs:
-    """The lines of one pen that may still go on, one a turtle.
+    """The unfinished lines of one pen, at most one per turtle.
 
     Args:
         pen: The pen.
-        bend: How far a line that goes straight on may lead aside (m).
+        bend: How far a line may deviate and still count as straight (m).
     """
 
     def __init__(self, pen: Pen, bend: float) -> None:
@@ -45,7 +45,7 @@ class Runs:
         self._end = np.zeros(0, np.complex128)
 
     def take(self, who: Numbers, start: Places, end: Places) -> Lines:
-        """Go on with some lines; returns those that have ended, because others have begun.
+        """Continue the lines of some turtles; return the lines that ended because of a bend.
 
         Args:
             who: Array of shape (N,): the numbers of the turtles, each once.
@@ -55,7 +55,7 @@ class Runs:
         self._make_room(int(who.max()) + 1)
         is_held, way, step = self._is_held[who], self._end[who] - self._start[who], end - start
         length, more = np.abs(way), np.abs(step)
-        with np.errstate(divide="ignore", invalid="ignore"):  # a dot leads nowhere
+        with np.errstate(divide="ignore", invalid="ignore"):  # a dot has no direction
             turned = step * way.conj() / length
             is_straight = np.abs(turned.imag) <= self._bend * np.minimum(1.0, more / length)
         goes_on = is_held & is_straight & (turned.real >= 0.0) & (more > 0.0)
@@ -69,7 +69,7 @@ class Runs:
         return ended
 
     def take_all(self) -> Lines:
-        """All lines that have not ended; they are forgotten."""
+        """Return all unfinished lines, and forget them."""
         (who,) = self._is_held.nonzero()
         self._is_held[:] = False
         return who, self._start[who], self._end[who]
@@ -99,7 +99,7 @@ def draw_lines(canvas: Canvas, start: Places, end: Places, width: float, colour:
 
 
 def _pixels(start: Places, end: Places, half: float) -> _Whole:
-    """The indices of the pixels in some lines."""
+    """Return the indices of the pixels in some lines."""
     is_turned = np.abs(start - MIDDLE) > np.abs(end - MIDDLE)
     start, end = np.where(is_turned, end, start), np.where(is_turned, start, end)
     length, way = np.abs(end - start), end - start

@@ -116,7 +116,7 @@ def starts(count: int, placing: str = "random", seed: int = 0) -> list[Place]:
     Args:
         count: How many turtles there are; a single one always starts in the middle.
         placing: One of `PLACINGS`.
-        seed: Shifts all but the first of those that are spread at random.
+        seed: Shifts all turtles except the first, if they are placed at random.
 
     Raises:
         SimError: if there is no such placing.

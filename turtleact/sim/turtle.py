@@ -94,7 +94,7 @@ class Turtle:
 
     Attributes:
         name: Its name.
-        commands: What it was told and has not taken up.
+        commands: The commands it has received but not used yet.
         poses: Where its pose is published.
         colours: Where the colour under it is published.
         turn: Its ``rotate_absolute`` goal that runs, if there is one.

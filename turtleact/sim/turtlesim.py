@@ -1,4 +1,4 @@
-"""The world as a node: it ticks, turtles come and go, and what they draw can be seen.
+"""The world as a node: it ticks, turtles come and go, and their drawing is visible.
 
 For all turtles together there are the services ``spawn``, ``kill``, ``clear`` and ``reset``, and
 the parameters ``background_r``, ``background_g``, ``background_b`` and ``holonomic``; `turtle` says
@@ -59,7 +59,7 @@ class Turtlesim:
     Args:
         node: Where its topics and services are opened, and whose clock it follows.
         world: The turtles.
-        beside: The node for what the real turtlesim does not have: time, all poses in one
+        beside: The node for features that the real turtlesim lacks: time, all poses in one
             message, pictures. If left out, none of that is served.
         is_paused: Whether it begins with a pause, after its first tick.
     """
@@ -104,7 +104,7 @@ class Turtlesim:
         self._ticking.pause()
 
     def resume(self) -> None:
-        """Let time pass again, from where it stood; does nothing if the world is not paused."""
+        """Let time continue from where it stopped; does nothing if the world is not paused."""
         self._ticking.resume()
 
     async def step(self, ticks: int = 1) -> None:
@@ -169,7 +169,7 @@ class Turtlesim:
             self._turtles[name].tell_colour(colour)
 
     def _look_around(self) -> None:
-        """Note which turtles have readers, looking only at those whose readers have changed."""
+        """Update which turtles have readers; only changed topics are checked."""
         index, told = self._world.index, self._told
         if self._is_roster_new:
             self._is_roster_new = False
@@ -267,7 +267,7 @@ class Turtlesim:
         await self._begin_anew(self._world.restart)
 
     async def _begin_anew(self, begin: Callable[[], None]) -> None:
-        """Part with all turtles, have the world make others, and welcome those."""
+        """Remove all turtles, let the world make new ones, and serve those."""
         async with self._roster:
             logger.info("Resetting turtlesim.")
             # The order matters: the old turtles must not be known any more when they are closed, as

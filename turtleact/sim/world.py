@@ -252,15 +252,15 @@ class World:
         self._turtles = _fitting(self._turtles, self._rule)
 
     def reset(self) -> None:
-        """Leave nothing but a ``turtle1`` at the start; names are counted anew, time goes on."""
+        """Replace all turtles by ``turtle1`` at the start; names begin again, time continues."""
         self._begin({"turtle1": MIDDLE})
 
     def restart(self) -> None:
-        """Put the turtles there that there were at first, where they were; time goes on."""
+        """Restore the first turtles at their starting places; time continues."""
         self._begin(self._first)
 
     def take_up(self) -> None:
-        """Do now what the next step would begin with; what is asked for later is taken up then."""
+        """Do now what the next step would begin with; later requests wait for that step."""
         if self._is_asked:
             self._take_up()
 
@@ -374,7 +374,7 @@ class Names:
     """The names of the turtles that there are.
 
     Args:
-        names: Those at first, in any order; new names are counted on from so many.
+        names: The first names, in any order; the numbers of new names continue after them.
 
     Attributes:
         names: In name order, which is the order of the indices.
@@ -423,7 +423,7 @@ class Names:
         return index
 
     def remove(self, index: int) -> None:
-        """Remove a turtle; those behind it have other indices then."""
+        """Remove a turtle; the indices of later turtles change."""
         self._note((*self.names[:index], *self.names[index + 1 :]))
 
     def _note(self, names: tuple[str, ...]) -> None:
@@ -440,7 +440,7 @@ def _turtles(places: list[Place], rule: StepRule) -> Turtles:
 
 
 def _fitting(turtles: Turtles, rule: StepRule) -> Turtles:
-    """The same turtles, as few or many, if there are so many now."""
+    """Return the same turtles in the form that suits their number, if it has changed."""
     if (len(turtles) <= FEW) == isinstance(turtles, Handful):
         return turtles
     orders = turtles.orders()

@@ -184,7 +184,7 @@ class Ticking:
         self._clock.stop_at(math.inf)
 
     def _due(self, later: int = 0) -> float:
-        """When the next tick is due, or one so many later."""
+        """When the next tick is due, or a later one."""
         return self._start + (self._count + later) * DT
 
     async def _run(self) -> None:

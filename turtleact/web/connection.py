@@ -42,10 +42,10 @@ PATIENCE: Final = 2.0
 """A client that reads nothing for this long (s) is disconnected."""
 
 SLOWEST: Final = 2**16
-"""… and as much longer as this rate (bytes/s) takes for the frame before."""
+"""… plus the time that the previous frame takes at this rate (bytes/s)."""
 
 GONE: Final = (OSError, WebSocketDisconnect, RuntimeError)
-"""What is raised by sending to a client that has gone: by some, that it was closed already."""
+"""The exceptions of sending to a client that has gone; they differ between servers."""
 
 GOING_AWAY: Final = 1001
 TRY_AGAIN_LATER: Final = 1013

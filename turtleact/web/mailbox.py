@@ -132,7 +132,7 @@ class Mailbox:
             self._drop(self._oldest())
 
     def take(self) -> Frame | None:
-        """The next frame, in the order of their coming; None if there is none."""
+        """The next frame, in the order of arrival; None if there is none."""
         # Every frame has a number in the order of coming, whichever line it stands in. So a client
         # never sees a result before feedback that came earlier.
         source = self._oldest() if self._droppable else None
@@ -152,7 +152,7 @@ class Mailbox:
             self._droppable_bytes -= len(frame)
 
     def shed(self) -> bool:
-        """Drop all that may be dropped, and count it; False if there was nothing of the kind."""
+        """Drop everything that may be dropped and count it; False if there was nothing."""
         dropped = sum(map(len, self._droppable.values()))
         self.dropped += dropped
         self.drop_all()

@@ -134,7 +134,7 @@ class Protocol:
         most_opened: How many subscriptions, advertisements, services and actions it may have open.
 
     Attributes:
-        level: How much it wants to be told: 0 nothing, 1 errors, 2 warnings, 3 everything.
+        level: The status messages it wants: 0 none, 1 errors, 2 warnings, 3 all.
     """
 
     def __init__(self, most_opened: int = 256) -> None:

@@ -85,7 +85,7 @@ KINDS: Final[dict[int, tuple[bool, type]]] = {
     ParameterType.PARAMETER_DOUBLE_ARRAY: (True, float),
     ParameterType.PARAMETER_STRING_ARRAY: (True, str),
 }
-"""Whether a kind of value is a list, and of what; the likelier ones first."""
+"""Whether a kind of value is a list, and of which type; likelier ones come first."""
 
 PROBLEM: Final = "expected true, false, a number, text, or a list of one of these"
 
@@ -368,7 +368,7 @@ def typedefs(cls: type[Message]) -> list[dict[str, object]]:
 
 
 def full_text(cls: type[Message]) -> str:
-    """The text of a message, then those of the messages in it."""
+    """The text of a message, then the texts of the messages in it."""
     first, *rest = _with_nested(cls)
     blocks = [f"{RULE}\nMSG: {short_name(each.type_name)}\n{interface_text(each)}" for each in rest]
     return "\n".join([interface_text(first), *blocks])

@@ -55,7 +55,7 @@ ROOM: Final = 50
 """Connections that may still ask for the page when `Limits.connections` clients are connected."""
 
 READ_AHEAD: Final = 2**14
-"""How much a client may send ahead (bytes): it is worked off before others go on."""
+"""How much a client may send ahead (bytes); others wait while this is processed."""
 
 LAST_ORDERS: Final = 2
 """How long uvicorn waits for requests that are under way when it ends (s)."""
@@ -64,7 +64,7 @@ REQUEST_WITHIN: Final = 10.0
 """How long a client may take to send its request (s)."""
 
 LINGER: Final = 1.0
-"""How long the server reads on, and drops what it reads, after letting a client go (s)."""
+"""How long the server still reads, and drops, a client's data after disconnecting it (s)."""
 
 OVERHEAD: Final = 64
 """What Python takes for a part of a message, whatever its length (bytes)."""
@@ -309,7 +309,7 @@ class Socket(WebSocketsSansIOProtocol):
         self._budget.hold(self, 0)
 
     def resume_writing(self) -> None:
-        """Note that the client has taken what was sent."""
+        """Record that the client has received the frame."""
         super().resume_writing()
         self._count()
 
@@ -349,7 +349,7 @@ class Socket(WebSocketsSansIOProtocol):
         super().handle_cont(event)
 
     async def receive(self) -> Message:  # type: ignore[override]  # uvicorn's types are private
-        """Give the app the next message, now that it is done with those before."""
+        """Give the app the next message when it has handled the earlier ones."""
         if self.queue.empty():
             self._unread = 0
             self._count()
@@ -374,7 +374,7 @@ class Socket(WebSocketsSansIOProtocol):
         return self.transport.get_write_buffer_size()
 
     def handle_ping(self) -> None:
-        """Answer a ping, unless there are so many that the answers would pile up."""
+        """Answer a ping, unless so many arrive that the answers would pile up."""
         now = self.loop.time()
         if now - self._pinged_at >= 1.0:
             self._pinged_at, self._pings = now, 0

@@ -83,7 +83,7 @@ class Serving:
         self._servers["action", said.action] = server
 
     def withdraw(self, kind: str, name: str) -> Server:
-        """Stop serving something; close the server that is returned, which answers all who wait."""
+        """Stop serving something and return its server; closing it answers all waiting calls."""
         # First the questions are given up, so that closing the server does not wait for answers.
         for question in self._asked.values():
             if question.about == (kind, name):

@@ -68,7 +68,7 @@ MOST_IDLE: Final = 64
 """How many idle ones are kept open: opening one announces it on the whole graph."""
 
 MOST_GOALS: Final = 1024
-"""Most goals that are followed at once, including those of disconnected clients."""
+"""The maximum number of goals followed at once, including those of disconnected clients."""
 
 NO_SERVER: Final = "No action server available"
 CLOSING: Final = "The server is closing: there will be no word of this goal"
@@ -199,7 +199,7 @@ class Feeds:
         self._shared: dict[tuple[str, type[Message]], Feed] = {}
 
     def join(self, topic: str, message_type: type[Message], deliver: Deliver) -> Feed:
-        """Deliver a topic's messages, including those that the publishers of a latched one keep.
+        """Deliver a topic's messages, including kept messages of latched topics.
 
         Raises:
             TurtleactError: if the node is closed.
@@ -283,10 +283,10 @@ class Teller(Protocol):
     """The client that gets the frames of a goal."""
 
     def keep(self, frame: str) -> None:
-        """Send what must arrive."""
+        """Send a frame that must arrive."""
 
     def put(self, source: str, frame: str) -> None:
-        """Send what newer frames of its source may push out."""
+        """Send a frame that newer frames of its source may replace."""
 
 
 Client = ActionClient[Message, Message, Message]
@@ -324,7 +324,7 @@ class Goals:
             sent.following = Background(self._follow(sent), f"goal {said.id} of a web client")
 
     def cancel(self, said: CancelActionGoal, teller: Teller) -> str:
-        """Cancel a goal; returns what is wrong, or an empty string."""
+        """Cancel a goal; returns the problem, or an empty string."""
         sent = self._own(said.id, teller)
         if sent is None:
             found = [each for each in self._sent.values() if each.said.id == said.id]
@@ -351,7 +351,7 @@ class Goals:
             sent.is_over = True
 
     async def aclose(self) -> None:
-        """Stop following goals; they go on."""
+        """Stop following the goals, which continue."""
         for sent in list(self._sent.values()):
             await sent.following.aclose()
         await self._clients.aclose()
@@ -404,7 +404,7 @@ class _Sent:
         teller: Its client; None once that has gone.
         goal_id: Its 16 bytes.
         following: The task that follows it.
-        is_over: Whether its client was told that there is nothing more to tell.
+        is_over: Whether its client was told that nothing more will follow.
     """
 
     following: Background

@@ -1,27 +1,28 @@
-"""How long a tour takes: at least, whatever drives the turtle, and at most, as the law drives it.
+"""The time a tour takes: at least, whatever drives the turtle, and at most with the steering law.
 
 `shortest_time` is proven for every law that keeps to a style. `time_bound` is proven if
 accelerations are not limited (`turtleact.actions.steering.law` has the proof); if they are, it is
 an allowance, which the tests try to exceed.
 
-`least_loss` is what turning takes at least from a turtle that turns while it drives. Each leg of a
-tour has a direction, in which the turtle must come a certain way. While it heads off by an angle e
-it makes cos(e) of its speed in that direction, or nothing where that is negative; so in a tick it
-loses 1 - cos(e) of it. The error changes no faster than the turn rate. So turning from an error e
-to none loses F(e) over the turn rate, and what a leg loses depends on the errors at its ends:
+`least_loss` is the least time that turning costs a turtle that turns while it drives. Each leg of a
+tour has a direction, in which the turtle must cover a certain distance. While its heading is off by
+an angle e, only cos(e) of its speed counts in that direction, or nothing if that is negative. In a
+tick it therefore loses 1 - cos(e) of its speed. The error changes no faster than the turn rate, so
+turning from an error e to zero loses F(e) over the turn rate. The loss of a leg depends on the
+errors at both ends:
 
-- on two sides, F of both; and where the way is too short for so long a turn, what is left over;
-- on one side, the same, without what lies below the error at which the way is done.
+- if they are on different sides, F of both; plus the rest, if the leg is too short for that turn;
+- if they are on one side, the same, minus the part below the error at which the distance is done.
 
-A leg may lose more in its direction than its errors show. Seen in another direction, the way takes
-a certain time too, and the two times differ by little if the way is short. So a short leg is seen
-from all around, and for each pair of headings the view that proves most counts. A leg that the
-length leaves out takes at least what it turns.
+A leg may lose more than this shows. Measured in another direction, the distance also takes a
+certain time, and for a short leg both times are similar. Short legs are therefore measured in
+several directions, and for each pair of headings the direction that proves most counts. A leg that
+is left out of the length still takes at least the time of its turn.
 
-The heading at the end of a leg is that at the start of the next. All headings are tried, cell by
-cell, each cell counted as its best heading would be: the result is a bound, however coarse the
-cells. Here angles count in rad, ways in turning radii, losses in rad of turning at full rate. The
-turtle first turns and then moves in a tick; what it may gain by that is taken off.
+The heading at the end of a leg is the heading at the start of the next. All headings are tried in
+cells. Each cell counts as its best heading would, so the result is a bound however coarse the cells
+are. In this module, angles are in rad, distances in turning radii, and losses in rad of turning at
+full rate. In a tick the turtle first turns and then moves; what it may gain by that is subtracted.
 
 Source: Boyd and Vandenberghe, Convex Optimization, section 5.2 (weak duality); L. S. Pontryagin et
 al., The Mathematical Theory of Optimal Processes, 1962, chapter 1: the directions are the
@@ -54,10 +55,10 @@ __all__ = [
     "time_bound",
 ]
 
-# In half turns: what a style may spend on turning for one target.
+# How much turning a style may need for one target, in half turns.
 _TURNING: dict[Style, float] = {"arc": 1.0, "forward": 1.5, "rotate_then_drive": 1.0}
-_SPARE = 4  # Ticks for one target lost to rounding up: the end of the turn, the landing.
-_ROUNDS = 6  # Of improving the points of a tour; more would not show in the bound.
+_SPARE = 4  # Ticks lost to rounding up for one target: at the end of the turn, and on arrival.
+_ROUNDS = 6  # Rounds of improving the points of a tour; more would not change the bound visibly.
 _ANGLES = 0.5, 0.2  # By which directions are turned (rad), while that proves more:
 _GAIN = 1e-3  # by more than this (s),
 _TUNED = 6  # and in tours of so many targets.
@@ -74,18 +75,18 @@ _ROUNDING = 1e-9  # Of angles: a cell that ends at a direction is on one side of
 def time_bound(
     pose: Pose, targets: Sequence[Point], steering: Steering, *, theta: float | None = None
 ) -> float:
-    """A time (s) within which the law reaches all targets in order, the last in a heading.
+    """Return a time (s) within which the law reaches all targets in order, the last in a heading.
 
-    For each target the time to drive to it at full speed, up to half a turn (``forward``: three
-    quarters of one), and four ticks. With limited accelerations three times that, and four
-    times for each target and once more the time to get up to speed, driving and turning.
-    It holds where every command acts for its tick and nobody else moves the turtle.
+    Each target counts with the time to drive to it at full speed, up to half a turn (``forward``:
+    three quarters of a turn), and four ticks. Limited accelerations triple this and
+    add the time to reach full speed, driving and turning, four times per target and once more. The
+    bound holds if every command acts for its tick and nobody else moves the turtle.
 
     Args:
         pose: Where the turtle starts.
-        targets: In order; none take no time.
+        targets: In order; without targets the time is 0.
         steering: The style and the limits.
-        theta: The heading (rad) wanted at the last target; any if left out.
+        theta: The heading (rad) at the last target; left out, any.
     """
     limits = steering.limits
     length = sum(distance(*a, *b) for a, b in pairwise([(pose[0], pose[1]), *targets]))
@@ -108,26 +109,26 @@ def shortest_time(
     *,
     theta: float | None = None,
 ) -> float:
-    """A time (s) below which no law of the style reaches the targets in order.
+    """Return a time (s) that no law of the style can beat when it visits the targets in order.
 
-    It is that of the shortest line through the discs of all targets, and on top what a turtle
-    must lose by turning: where it turns while it drives, the least sum over all headings that it
-    may have at the targets (`turtleact.actions.steering.bounds`), where it turns first and then
-    drives, all of the turns.
+    The time has two parts. One is that of the shortest line through the discs of all targets. The
+    other is what the turtle must lose by turning. For styles that turn while they drive, that is
+    the least sum over all possible headings at the targets (see the module's docstring). For styles
+    that turn before they drive, it is the sum of all turns.
 
-    From rest it takes no less than the time to get up to speed; in a heading, no less than the
-    turn to it.
+    From rest, the time to reach full speed is also a bound, and so is the time of the turn to a
+    wanted heading.
 
-    The line need not be exact: by duality any unit vectors prove the length that they measure along
-    the legs with each point at its worst in its disc. A vector of no length leaves its leg out.
-    Where a leg is too short for its turns, the vectors are turned until they prove no more, and
-    such legs are seen from all around, in tours of six targets at most.
+    The line need not be exact. By duality, any unit vectors prove a length: the one they measure
+    along the legs, with each point at its worst place in its disc. A vector of zero leaves out its
+    leg. If a leg is too short for its turns, the vectors are rotated until they prove no more. In
+    tours of at most six targets, such legs are also measured in several directions.
 
     Args:
         pose: Where the turtle starts, at rest.
-        targets: In order; none take no time.
+        targets: In order; without targets the time is 0.
         steering: The style and the limits; the default ones if left out.
-        theta: The heading (rad) wanted at the last target; any if left out.
+        theta: The heading (rad) at the last target; left out, any.
 
     Source: Boyd and Vandenberghe, Convex Optimization, section 5.2 (weak duality).
     """
@@ -137,10 +138,10 @@ def shortest_time(
 def rising_times(
     pose: Pose, targets: Sequence[Point], steering: Steering, *, theta: float | None = None
 ) -> Iterator[float]:
-    """Times (s) below which no law of the style does it; the greatest is the `shortest_time`.
+    """Yield times (s) that no law of the style can beat; the greatest is the `shortest_time`.
 
-    A few milliseconds pass between two of them at most, so that others can have their turn. None
-    where there are no targets.
+    At most a few milliseconds pass between two of them, so that the caller can let others run.
+    Yields nothing without targets.
     """
     if not targets:
         return
@@ -161,13 +162,13 @@ def rising_times(
 
 
 def _turn_time(angle: float, limits: Limits) -> float:
-    """The time (s) to turn to a heading, the short way round, if it need not be exact."""
+    """Return the time (s) to turn the short way to a heading that need not be exact."""
     turn = max(0.0, abs(wrap_angle(angle)) - limits.heading_tolerance)
     return ramp_time(turn, limits.max_angular, limits.max_angular_acceleration)
 
 
 def _tour(start: complex, centres: Sequence[complex], tolerance: float) -> list[complex]:
-    """Points of the targets' discs that make a nearly shortest line."""
+    """Return points in the targets' discs that form a nearly shortest line."""
     touches = list(centres)
     for _ in range(_ROUNDS):
         before = start
@@ -178,7 +179,7 @@ def _tour(start: complex, centres: Sequence[complex], tolerance: float) -> list[
 
 
 def _touch(before: complex, leg: complex, centre: complex, tolerance: float) -> complex:
-    """The point of a disc that is nearest to a leg."""
+    """Return the point of a disc that is nearest to a leg."""
     along = ((centre - before) * _unit(leg).conjugate()).real
     foot = before + max(0.0, min(abs(leg), along)) * _unit(leg)
     away = foot - centre
@@ -186,7 +187,7 @@ def _touch(before: complex, leg: complex, centre: complex, tolerance: float) -> 
 
 
 def _unit(leg: complex) -> complex:
-    """The direction of a leg; zero if it has none."""
+    """Return the direction of a leg; zero if it has none."""
     return leg / abs(leg) if leg else leg
 
 
@@ -231,7 +232,7 @@ class _Tour:
         self._theta = theta
 
     def proofs(self, units: Sequence[complex]) -> Iterator[tuple[float, float]]:
-        """Proven lengths (m) and times (s), by these directions and better ones."""
+        """Yield lengths (m) and times (s) proven by these directions, then by better ones."""
         if len(units) > _TUNED:
             yield self._length(units), self._time(units, _COARSE)[0]
             return
@@ -283,7 +284,7 @@ class _Tour:
         return legs
 
     def _view(self, way: complex, unit: complex, off: float, own: complex | None = None) -> View:
-        """A way seen in a direction, if both its ends together may be off by so much (m)."""
+        """Measure a distance in a direction; both ends together may be off by ``off`` (m)."""
         limits = self._limits
         along, ends = (way * unit.conjugate()).real, off + limits.step
         more = unit - (unit if own is None else own)
@@ -371,7 +372,7 @@ class Cell(msgspec.Struct, frozen=True):
 
 
 _Sight: TypeAlias = tuple[float, int, float]
-"""An error, its side (1, -1, or 0 where it may be either), and what is made turning it off."""
+"""An error, its side (1, -1, or 0 for either), and the distance made while turning it off."""
 
 
 class Turning(msgspec.Struct, frozen=True, kw_only=True):
@@ -409,8 +410,8 @@ def least_loss(
         heading: At the start, a unit vector.
         legs: In order; one at least.
         turning: How it turns.
-        known: What was found out about the first legs of other tours with the same heading at the
-            start and the same ``turning``; more is added.
+        known: Results about the first legs of other tours that start with the same heading and have
+            the same ``turning``; new results are added.
         tried: Headings (rad), one for each corner, that may be nearly the best. They are tried
             first, and if nothing is known, whatever cannot be better is left out.
         enough: If the tried headings lose no more than this, they are the answer.
@@ -554,7 +555,7 @@ def _pass(
 
 
 def _best(cells: Sequence[Cell], half: float) -> list[Cell]:
-    """The cells in order of their cost, but for those that a turn on the spot leads to as soon."""
+    """The cells by cost, without those that a turn on the spot reaches just as fast."""
     best: list[Cell] = []
     for cell in sorted(cells, key=_cost):
         for other in best:

@@ -310,7 +310,7 @@ class Helm:
 
     @property
     def steering(self) -> Steering:
-        """The law; another one ends what is held. The turtle's tick stays that of the first."""
+        """The steering law. A new law drops held commands, but keeps the first law's tick."""
         return self._steering
 
     @steering.setter
@@ -345,7 +345,7 @@ class Helm:
         return self.speeds
 
     def holds(self, pose: Pose) -> bool:
-        """Whether the command stands at the next pose, too: nothing new is to be said there."""
+        """Whether the command still holds at the next pose, so that no new one is needed."""
         if not self.left:
             return False
         if not self.foresees(pose):
@@ -373,7 +373,7 @@ class Helm:
         ) or pose == self.at
 
     def stop(self) -> None:
-        """Note that the turtle is told to stand still."""
+        """Record that the turtle was told to stop."""
         self.speeds = STILL
         self._let_go()
 
@@ -386,7 +386,7 @@ class Helm:
         return self._steering.command(pose, target, next_target, self.speeds, theta=theta)
 
     def _hold(self, course: Course) -> int:
-        """For how many ticks the command stands from here; 0 if it is for the next one alone."""
+        """For how many more ticks the command holds; 0 if only for the next one."""
         pose = self.at
         ticks = min(self._longest, 2 * self._tried, self._before(course.target))
         self._tried = max(1, ticks // 4)

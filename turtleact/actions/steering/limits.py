@@ -88,7 +88,7 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, dict=True):
         max_acceleration: How fast the speed may change (m/s²); may be infinite.
         max_angular_acceleration: How fast the turn rate may change (rad/s²); may be infinite.
         tolerance: A target at this distance or nearer is reached (m).
-        heading_tolerance: Where a heading is wanted too, it may be off by so much (rad).
+        heading_tolerance: How far a wanted heading may be off (rad).
         dt: Length of a tick (s).
         area: Where the turtle stays; a target outside is driven to all the same.
 
@@ -347,6 +347,6 @@ def _arm(way: complex, leg: complex, radius: float, sharpest: float) -> complex:
 
 
 def landing(seen: complex, limits: Limits) -> float:
-    """The share of a full step to make: all, or up to where it is nearest to the target."""
+    """The share of a full step to take: all of it, or up to the point nearest to the target."""
     lands = 0.0 < seen.real < limits.step and abs(seen.imag) <= limits.tolerance
     return seen.real / limits.step if lands else 1.0
