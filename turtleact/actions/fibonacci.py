@@ -56,7 +56,7 @@ async def example_fibonacci(
         ExampleFibonacci.Goal, ExampleFibonacci.Result, ExampleFibonacci.Feedback
     ],
 ) -> AsyncIterator[ExampleFibonacci.Feedback | ExampleFibonacci.Result]:
-    """The same under the name and fields of example_interfaces."""
+    """The same sequence, served with the name and fields of example_interfaces."""
     sequence = [0, 1]
     while len(sequence) <= goal.order:
         sequence.append(sequence[-1] + sequence[-2])

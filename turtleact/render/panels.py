@@ -1,4 +1,4 @@
-"""What a terminal shows of one goal, and of a server or a robot, arranged for its window.
+"""Arranges what a terminal shows about one goal, or about a server or a robot.
 
 A goal: its state, its feedback, how far it is, and the map beside it. A server or a robot: lines
 that stay, the map, a table of goals or of keys, and the log.

@@ -152,7 +152,7 @@ class Fleet:
         return list(zip(states, self._expires.tolist(), strict=True))
 
     def step(self, tick: int) -> Hits:
-        """Move all turtles by one step, the one that makes tick ``tick``.
+        """Move all turtles by one step, which completes tick number ``tick``.
 
         Returns:
             The turtles that hit a wall; put together when looked at.

@@ -145,7 +145,7 @@ class Turtles(Protocol):
         """Each turtle's state, and the tick in which its command is too old; `NEVER` if none."""
 
     def step(self, tick: int) -> Hits:
-        """Move all turtles by one step, the one that makes tick ``tick``.
+        """Move all turtles by one step, which completes tick number ``tick``.
 
         Returns:
             The turtles that hit a wall, in the order of their indices; mostly none.
@@ -263,7 +263,7 @@ class Handful:
         return [(self.state(index), each.expires) for index, each in enumerate(self._turtles)]
 
     def step(self, tick: int) -> Hits:
-        """Move all turtles by one step, the one that makes tick ``tick``."""
+        """Move all turtles by one step, which completes tick number ``tick``."""
         hits: Sequence[Hit] = ()
         low, half, side = -self._half, self._half, SIDE
         for index, turtle in enumerate(self._turtles):

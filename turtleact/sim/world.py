@@ -192,7 +192,7 @@ class World:
 
         Args:
             turtle: Its name or index.
-            x: From the left edge (m); rounded to float32, as are all of them.
+            x: Distance from the left edge (m); like the other numbers, rounded to float32.
             y: From the lower edge (m).
             theta: Its new heading (rad), any angle.
 
@@ -218,7 +218,7 @@ class World:
         """Put a new turtle into the world; outside the walls its first step brings it back.
 
         Args:
-            x: From the left edge (m); rounded to float32, as are all of them.
+            x: Distance from the left edge (m); like the other numbers, rounded to float32.
             y: From the lower edge (m).
             theta: Its heading (rad), any angle.
             name: Its name; the next free ``turtle1``, ``turtle2``, … if empty.

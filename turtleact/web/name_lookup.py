@@ -105,7 +105,7 @@ class Directory:
         self._transport = transport
 
     def find(self, kinds: tuple[EndpointKind, ...], name: str = "") -> Iterator[Endpoint]:
-        """The endpoints of these kinds, of one name if it is given."""
+        """The endpoints of these kinds; with a name, only those with that name."""
         for endpoint in self._transport.endpoints():
             if endpoint.kind in kinds and (not name or endpoint.name == name):
                 yield endpoint

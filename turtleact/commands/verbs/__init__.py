@@ -90,7 +90,7 @@ class Verb(TyperCommand):
     """A command that accepts what ``ros2`` accepts; its usage errors look like Typer's."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
-        """Read the arguments; values may begin with a dash, and there is no daemon."""
+        """Read the arguments; values may begin with a dash, daemon options are ignored."""
         known = {option for param in self.params for option in param.opts}
         if "--connect" in known:
             args = without_daemon(args)
