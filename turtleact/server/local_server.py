@@ -193,7 +193,7 @@ class LocalActionServer:
         It does if there is a ``goal_callback``, and after `IN_A_ROW` goals in a row.
         """
         self._until_turn -= 1
-        if not self._until_turn or self._callbacks.ask_about_goals:
+        if self._until_turn <= 0 or self._callbacks.ask_about_goals:
             return None
         return self._admit(order, order.request, is_streamed=is_streamed)
 

@@ -138,16 +138,35 @@ class WireService:
         if offer is None or not self._context.is_open:
             self._fail(query, self._closed())
             return
+        if not self._answer_now(offer, query, beside, request):
+            # Ask once more on the next turn of the loop, before a task is spent on the request. A
+            # short goal has ended by then: its client sends both requests at once, and its body
+            # may begin only on that turn.
+            self._under_way.add((beside.gid, beside.sequence))
+            answer = partial(self._answer_later, offer, query, beside, request)
+            self._context.tasks.call_soon(answer)
+
+    def _answer_now(self, offer: _Offer, query: Query, beside: Attachment, request: object) -> bool:
+        """Answer a request if its handler can do so without waiting; return whether it did."""
         try:
-            sync = offer.sync
-            reply = None if sync is None else sync.reply_now(request, beside.gid)
+            reply = None if offer.sync is None else offer.sync.reply_now(request, beside.gid)
             if reply is not None:
                 self._respond(query, beside, reply)
         except Exception as error:
             self._fail(query, self._failure(error))
-            return
-        if reply is None:
-            self._under_way.add((beside.gid, beside.sequence))
+            return True
+        return reply is not None
+
+    def _answer_later(
+        self, offer: _Offer, query: Query, beside: Attachment, request: object
+    ) -> None:
+        """Answer a request now if that takes no waiting any more; otherwise in a task."""
+        if not self._context.is_open:
+            self._under_way.discard((beside.gid, beside.sequence))
+            self._fail(query, self._closed())
+        elif self._answer_now(offer, query, beside, request):
+            self._under_way.discard((beside.gid, beside.sequence))
+        else:
             answering = self._answer(offer, query, beside, request)
             self._context.crew.run(answering, f"a request to {self._name}")
 
