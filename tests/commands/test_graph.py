@@ -19,8 +19,9 @@ from turtleact.commands import graph, held_goals, listing, topic_reading, user_m
 from turtleact.commands.message_text import GoalText
 from turtleact.commands.settings import Policies
 from turtleact.commands.transcript import PlainTranscript
+from turtleact.errors import TurtleactError
 from turtleact.graph import names_like
-from turtleact.transports.rmw_zenoh import config
+from turtleact.transports.rmw_zenoh import config, transport
 
 GRAPHS = Path(__file__).with_name("graphs.py")
 
@@ -60,6 +61,34 @@ def test_a_signal_ends_the_opening_of_a_graph(turtleact, interrupts, monkeypatch
     interrupts.install()
     monkeypatch.setattr(graph, "open_transport", open_transport)
     assert turtleact("topic", "list") == (143, "", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "err"),
+    [
+        (["goals"], 143, ""),
+        (["topic", "echo", "/chatter"], 143, ""),
+        (
+            ["send-goal", "fibonacci", "{}"],
+            143,
+            "turtleact: interrupted before the goal was accepted; there is none\n",
+        ),
+        (["serve", "--no-sim", "turtleact.actions.fibonacci"], 0, ""),
+    ],
+)
+def test_a_signal_counts_for_more_than_a_graph_out_of_reach(
+    turtleact, interrupts, monkeypatch, arguments, status, err
+):
+    class Refused:
+        @staticmethod
+        def open(_):
+            signal.raise_signal(signal.SIGTERM)
+            raise TurtleactError("no ROS 2 graph in reach")
+
+    interrupts.install()
+    monkeypatch.setattr(transport, "Session", Refused)
+    ran = turtleact(*arguments, "--connect", "tcp/127.0.0.1:1")
+    assert (ran.status, ran.err) == (status, err)
 
 
 @pytest.mark.parametrize(

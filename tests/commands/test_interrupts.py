@@ -12,6 +12,7 @@ from threading import Lock, Thread, get_ident
 import pytest
 
 from turtleact.commands.interrupts import SIGNALS, leave
+from turtleact.errors import TurtleactError
 
 SIGINT, SIGTERM = signal.SIGINT, signal.SIGTERM
 
@@ -329,6 +330,18 @@ def test_a_beginning_that_is_soon_over_leaves_the_end_to_the_loop(installed, mon
         await installed.wait(1)
         time.sleep(0.05)  # the alarm clock would end a loop that is stuck
         assert not left
+
+    in_the_loop(installed, steps)
+
+
+def test_after_a_signal_the_error_of_a_beginning_does_not_count(installed):
+    async def steps():
+        with pytest.raises(TurtleactError, match="before"), installed.beginning():
+            raise TurtleactError("before the signal")
+        with installed.beginning():
+            signal.raise_signal(SIGINT)
+            raise TurtleactError("after it")
+        assert installed.status == 130
 
     in_the_loop(installed, steps)
 

@@ -127,7 +127,8 @@ async def until_interrupted(
         interrupts: The signals.
 
     Raises:
-        TurtleactError: if it cannot be opened; and whatever ``act`` raises.
+        TurtleactError: if it cannot be opened, and no signal came before that was clear; and
+            whatever ``act`` raises.
     """
     status: int | None = None
     with interrupts.listening(asyncio.get_running_loop()):
@@ -136,7 +137,8 @@ async def until_interrupted(
             async with AsyncExitStack() as stack:
                 with interrupts.beginning():
                     it = await stack.enter_async_context(opened)
-                status = await act(it)
+                if not interrupts.received:
+                    status = await act(it)
             beside.cancel_scope.cancel()
     return interrupts.status if status is None else status
 

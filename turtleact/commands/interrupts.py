@@ -180,16 +180,23 @@ class Interrupts:
         """A block that starts something, so that there is nothing to wind down yet.
 
         After a signal, in the block or before it, the program has `GRACE` to leave the block. Then
-        the process ends, however busy the loop is.
+        the process ends, however busy the loop is. An error of turtleact's that comes after a
+        signal ends the block but is not raised: nobody waits for what failed. So look at `received`
+        before using what the block made.
 
         Args:
             status: The exit status in that case; None means that of the signal.
         """
+        from turtleact.errors import TurtleactError
+
         self._is_beginning, self._early = True, status
         if self.received:
             self._end_beginning()
         try:
             yield
+        except TurtleactError:
+            if not self.received:
+                raise
         finally:
             self._is_beginning = False
             if len(self.received) < self._endured:

@@ -100,6 +100,8 @@ def run(service: Service, interrupts: Interrupts) -> int:
         logging.lastResort.setFormatter(_Escaping())
     with interrupts.beginning(0):  # a module of the user's may take any time
         declared = [each for target in service.targets for each in find_actions(target)]
+    if interrupts.received:
+        return 0
     if not (service.is_live and can_move(sys.stdout)):
         return runner.run(_serve(service, declared, ServerLog(None), interrupts), interrupts)
     from turtleact.commands.live import Dashboard
@@ -128,6 +130,8 @@ async def _serve(
             graph = partial(_open_graph, service, opened)
             with interrupts.beginning(0):
                 node = await stack.enter_async_context(_open_node(service, graph, log))
+            if interrupts.received:
+                return 0
             await _until_signal(interrupts, serve_declared(node, declared, wait=service.wait))
             if interrupts.received:
                 return 0
