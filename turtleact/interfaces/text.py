@@ -24,6 +24,7 @@ from yaml.reader import Reader, ReaderError
 from yaml.resolver import BaseResolver
 from yaml.scanner import Scanner
 
+from turtleact.errors import InvalidMessage
 from turtleact.interfaces.conversion import error_class, from_dict, to_dict
 from turtleact.interfaces.definition import INTEGER_RANGES
 from turtleact.interfaces.types import Message
@@ -95,7 +96,12 @@ def from_text(
     Point(x=1.0, y=1000.0, z=0.0)
     """
     document = Document(text.removeprefix("\ufeff"), root, source, allow_nonfinite)
-    return from_dict(cls, tree_of(document), root=root)  # type: ignore[arg-type]  # it checks that
+    tree = tree_of(document)
+    try:
+        return from_dict(cls, tree, root=root)  # type: ignore[arg-type]  # it checks that
+    except InvalidMessage:
+        tree = with_spelled_bools(tree)
+    return from_dict(cls, tree, root=root)  # type: ignore[arg-type]  # it raises the same error
 
 
 def to_yaml(message: Message) -> str:
@@ -232,6 +238,15 @@ def sounded(document: Document, value: object, depth: int) -> object:
     if isinstance(value, list):
         return [sounded(document, item, depth + 1) for item in value]
     return Spelled("null") if value is None else value
+
+
+def with_spelled_bools(value: object) -> object:
+    """Return a plain value whose bools are shown in errors as YAML and JSON write them."""
+    if isinstance(value, dict):
+        return {key: with_spelled_bools(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [with_spelled_bools(item) for item in value]
+    return Spelled(inline(value), truth=value) if isinstance(value, bool) else value
 
 
 def compose(document: Document) -> Node | None:

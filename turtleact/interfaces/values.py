@@ -78,16 +78,18 @@ SHORT = ShortRepr()
 
 
 class Spelled:
-    """A value in a text that no field accepts; errors show it as it was written.
+    """A value in a text that errors show as it was written; most of these fit no field.
 
     Attributes:
         word: The value as it was written, or a description.
         fits: The types that would accept it if it were not too large.
+        truth: What it means for a bool; None if it is neither true nor false.
     """
 
-    def __init__(self, word: str, fits: Collection[str] = ()) -> None:
+    def __init__(self, word: str, fits: Collection[str] = (), *, truth: bool | None = None) -> None:
         self.word = word
         self.fits = fits
+        self.truth = truth
 
     def __repr__(self) -> str:
         return self.word
@@ -146,6 +148,8 @@ def number(field_type: FieldType, value: object) -> float:
 
 def truth(field_type: FieldType, value: object) -> bool:
     """Convert to a bool; accepts numpy's bool."""
+    if isinstance(value, Spelled) and value.truth is not None:
+        return value.truth
     if not is_bool(value):
         raise misfit(field_type, value)
     return bool(value)
