@@ -241,11 +241,18 @@ async def test_if_only_the_second_request_takes_waiting_the_goal_is_sent_once():
     ("answers", "error", "said"),
     [
         ([ACCEPTED, UNKNOWN], UnknownGoal, "'/count' holds no goal"),
+        ([ACCEPTED, GONE, UNKNOWN], UnknownGoal, "went away, and who serves '/count' now does not"),
         ([ACCEPTED, GONE, GONE, GONE, SUCCEEDED], ServerUnavailable, "the server went away"),
         ([ACCEPTED, ServiceTimeout("/count", 600), SUCCEEDED], None, ""),
         ([ACCEPTED, GONE, GONE, SUCCEEDED], None, ""),
     ],
-    ids=["unknown", "lost three times", "longer than a call", "lost twice"],
+    ids=[
+        "unknown",
+        "unknown to the next server",
+        "lost three times",
+        "longer than a call",
+        "lost twice",
+    ],
 )
 async def test_a_result_is_asked_for_until_it_is_there_or_lost(answers, error, said):
     _, sent = follow(Server(*answers, is_prompt=False))

@@ -361,6 +361,9 @@ class RemoteGoals:
                 return reply
             if asked is None:
                 name, goal = self._endpoints.name, remote.goal
+                if lost:
+                    what = f"its server went away, and who serves '{name}' now does not hold it"
+                    raise UnknownGoal(f"{goal.hex}: {what}")
                 raise UnknownGoal(f"'{name}' holds no goal {goal.hex}, or no longer holds it")
             self._endpoints.takes_both = False
 

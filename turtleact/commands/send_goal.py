@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Order", "Sending", "embedded_world", "run"]
 
-SUCCEEDED, REJECTED, ABORTED, CANCELED, TIMEOUT = 0, 3, 4, 5, 124
+SUCCEEDED, FAILED, REJECTED, ABORTED, CANCELED, TIMEOUT = 0, 1, 3, 4, 5, 124
 """Exit statuses."""
 
 ENDED_WITH_WORLD = "the goal ended with the embedded world; there is nothing to come back to"
@@ -213,12 +213,12 @@ class Sending:
                         self._sent = Sent(node, self._name, action_type.type_name, goal, handle)
                         status = await self._follow(self._sent, beside)
             except ServerUnavailable as error:
-                if self._sent is not None and self._sent.handle.done:
-                    self._transcript.note(f"if its server lives, {self._way_back(self._sent)}")
-                if self._canceled_by is None:
+                if self._sent is None:
                     raise
                 self._transcript.note(str(error))
-                status = self._canceled_by
+                if self._sent.handle.done:
+                    self._transcript.note(f"if its server lives, {self._way_back(self._sent)}")
+                status = FAILED if self._canceled_by is None else self._canceled_by
             except GoalRejected as error:
                 self._transcript.rejected(error.reason)
                 self._transcript.note(str(error))
