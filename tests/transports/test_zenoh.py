@@ -41,6 +41,7 @@ from turtleact.interfaces import (
     type_hash,
 )
 from turtleact.interfaces.standard import UUID, CancelGoal, Fibonacci, GoalStatusArray
+from turtleact.interfaces.types import REGISTRY
 from turtleact.tasks import current_tasks
 from turtleact.transports import QoS, ZenohTransport, open_zenoh
 from turtleact.transports.base import Endpoint, Reply, Target
@@ -1574,12 +1575,14 @@ async def test_a_discovery_without_a_length_is_refused(discovery):
 
 
 async def test_actions_whose_definitions_differ_are_named(address):
-    class Longer(Action, type_name=Count.type_name):
-        class Goal(Message):
-            upto: int32 = 0
-            step: int32 = 1
+    with REGISTRY.isolated():  # or the name would mean this class in the tests that follow
 
-        Result, Feedback = Count.Result, Count.Feedback
+        class Longer(Action, type_name=Count.type_name):
+            class Goal(Message):
+                upto: int32 = 0
+                step: int32 = 1
+
+            Result, Feedback = Count.Result, Count.Feedback
 
     async with (
         two(address) as peers,
