@@ -16,7 +16,7 @@ import signal
 import threading
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import anyio
 import anyio.from_thread
@@ -25,6 +25,7 @@ import hypothesis
 import pytest
 
 from turtleact.commands.interrupts import SIGNALS
+from turtleact.interfaces.types import REGISTRY, definition
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Generator, Iterator
@@ -85,6 +86,24 @@ def loops_of(test: pytest.Item) -> tuple[str, ...]:
         return mark.args
     folder = test.path.relative_to(TESTS).parts[0]
     return ("asyncio",) if folder in ONE_LOOP else tuple(LOOPS)
+
+
+COLLECTED: dict[str, Any] = {}
+"""The interfaces that the test modules define, by name."""
+
+
+def pytest_collection_finish() -> None:
+    """Remembers the interfaces that are known once all test modules are imported."""
+    COLLECTED.update((name, REGISTRY.get(name)) for name in REGISTRY.names())
+
+
+@pytest.fixture(autouse=True)
+def names_mean_what_they_meant() -> None:
+    """Undoes another test's definition of a name: which tests went before must not matter."""
+    for name, interface in COLLECTED.items():
+        if REGISTRY.get(name) is not interface:
+            REGISTRY.forget(name)
+            REGISTRY.add(interface, definition(interface))
 
 
 @pytest.fixture

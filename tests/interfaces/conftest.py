@@ -8,9 +8,14 @@ import pytest
 
 from turtleact.interfaces.types import REGISTRY
 
+from ..conftest import COLLECTED
+
 
 @pytest.fixture(autouse=True)
 def own_registry() -> Iterator[None]:
     with REGISTRY.isolated():
         REGISTRY.prefixes = ()
+        for name in REGISTRY.names():  # what pages and examples have defined in this process
+            if name.startswith("example_msgs/") and name not in COLLECTED:
+                REGISTRY.forget(name)
         yield
