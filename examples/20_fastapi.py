@@ -8,6 +8,7 @@ client in ``visit`` (httpx's ``ASGITransport``) delivers a response when it is c
 
 Prints:
 
+    POST /patrol: 422 ['body', 'targets', 0, 'x'] expected a number (float64), got 'nine'
     POST /patrol: 202
     POST /patrol: 409 the goal was rejected: turtle 'turtle1' is being driven by another goal
     GET /goals/…: EXECUTING
@@ -26,20 +27,20 @@ Prints:
 """
 
 import uuid
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Annotated, Any, TypeAlias
 
 import anyio
 import httpx
 from fastapi import Depends, FastAPI, HTTPException, Request
-from fastapi.responses import JSONResponse
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
-from turtleact import ClientGoalHandle, GoalRejected, InvalidGoal, UnknownGoal, testing
+from turtleact import ClientGoalHandle, testing
 from turtleact.actions.patrol import Patrol
 from turtleact.app import open_world
 from turtleact.interfaces import from_dict, to_dict
+from turtleact.web import add_error_handlers
 
 Handle: TypeAlias = ClientGoalHandle[Patrol.Result, Patrol.Feedback]
 
@@ -51,21 +52,8 @@ async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         yield
 
 
-def explain(code: int) -> Callable[[Request, Exception], Coroutine[Any, Any, JSONResponse]]:
-    async def answer(_: Request, error: Exception) -> JSONResponse:
-        return JSONResponse({"detail": str(error)}, code)
-
-    return answer
-
-
-app = FastAPI(
-    lifespan=lifespan,
-    exception_handlers={
-        InvalidGoal: explain(422),
-        GoalRejected: explain(409),
-        UnknownGoal: explain(404),
-    },
-)
+app = FastAPI(lifespan=lifespan)
+add_error_handlers(app)
 
 
 # FastAPI runs plain functions in threads, but a handle must stay in its event loop's thread.
@@ -113,6 +101,9 @@ async def visit() -> None:
         app.router.lifespan_context(app),
         httpx.AsyncClient(transport=transport, base_url="http://turtle") as http,
     ):
+        answer = await http.post("/patrol", json={"targets": [{"x": "nine"}]})
+        (problem,) = answer.json()["detail"]
+        print("POST /patrol:", answer.status_code, problem["loc"], problem["msg"])
         answer = await http.post("/patrol", json=places)
         print("POST /patrol:", answer.status_code)
         goal = f"/goals/{answer.json()['goal_id']}"

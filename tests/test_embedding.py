@@ -152,7 +152,9 @@ def test_a_mistake_in_a_goal_is_answered_with_its_path(app, backend):
 
     answer = testing.run(visit, backend=backend)
     assert answer.status_code == 422
-    assert answer.json()["detail"] == "goal.targets[0]: unknown field 'yy', did you mean 'y'?"
+    (problem,) = answer.json()["detail"]
+    assert problem["loc"] == ["body", "targets", 0]
+    assert problem["msg"] == "unknown field 'yy', did you mean 'y'?"
 
 
 @BACKENDS

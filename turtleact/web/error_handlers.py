@@ -1,0 +1,82 @@
+"""Errors of goals as HTTP responses, for apps made with Starlette or FastAPI.
+
+The bodies have FastAPI's shape: ``{"detail": "text"}``, and for a goal that does not fit its type a
+list of objects with ``loc``, ``msg`` and ``type``. So clients that understand FastAPI's validation
+errors understand these.
+
+Source: FastAPI, "Handling Errors", and its ``HTTPValidationError``; RFC 9110, section 15.5.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import JSONResponse
+from starlette.websockets import WebSocket
+
+from turtleact.errors import (
+    GoalRejected,
+    InvalidGoal,
+    ServerUnavailable,
+    TurtleactError,
+    UnknownGoal,
+)
+
+__all__ = ["STATUS_CODES", "add_error_handlers", "location"]
+
+STATUS_CODES: Final[dict[type[TurtleactError], int]] = {
+    InvalidGoal: 422,
+    GoalRejected: 409,
+    UnknownGoal: 404,
+    ServerUnavailable: 503,
+}
+"""The HTTP status of each error."""
+
+part_pattern = re.compile(r"[^.\[\]]+")
+
+
+def add_error_handlers(app: Starlette) -> None:
+    """Let an app answer goals that fail with the right HTTP status instead of 500.
+
+    The errors in `STATUS_CODES` become JSON responses, in all routes of the app; apps mounted in it
+    have handlers of their own. Routes of WebSockets still raise these errors.
+
+    Args:
+        app: An app of Starlette or FastAPI that has not started yet.
+
+    Raises:
+        TurtleactError: if the app has started. It would ignore new handlers then.
+    """
+    if app.middleware_stack is not None:
+        raise TurtleactError(
+            "the app has started and takes no more handlers: call add_error_handlers(app) next to "
+            "the line that creates the app, not in its lifespan"
+        )
+    for error in STATUS_CODES:
+        app.add_exception_handler(error, _answer)
+
+
+def location(path: str) -> list[str | int]:
+    """The place of a value in the request's body, as FastAPI writes it.
+
+    Args:
+        path: The path of an `InvalidGoal`; its first word is the name of the whole message.
+
+    >>> location("goal.targets[1].x")
+    ['body', 'targets', 1, 'x']
+    """
+    parts = part_pattern.findall(path)[1:]
+    return ["body", *(int(part) if part.isdecimal() else part for part in parts)]
+
+
+async def _answer(connection: Request | WebSocket, error: Exception) -> JSONResponse:
+    if isinstance(connection, WebSocket):  # it cannot take a response once it is accepted
+        raise error
+    code = next(code for kind, code in STATUS_CODES.items() if isinstance(error, kind))
+    if isinstance(error, InvalidGoal):
+        problem = {"loc": location(error.path), "msg": error.problem, "type": "value_error"}
+        return JSONResponse({"detail": [problem]}, code)
+    return JSONResponse({"detail": str(error)}, code)
