@@ -174,6 +174,8 @@ class Goal(msgspec.Struct, eq=False):
         result: The partial result; after the end, the result.
         reason: Why it was aborted, or is about to be.
         listener: Told of each change.
+        end_callbacks: Called once the goal has ended and observers have been told. They must not
+            raise.
         body: The running body, while it can be canceled.
         ended: When it ended (ns since the epoch); 0 before.
         waiters: How many callers wait for its result. The table keeps the goal while there are any.
@@ -196,6 +198,7 @@ class Goal(msgspec.Struct, eq=False):
     result: object = None
     reason: str = ""
     listener: Listener | None = None
+    end_callbacks: tuple[Callable[[], object], ...] = ()
     body: Cancelable | None = None
     ended: int = 0
     waiters: int = 0

@@ -170,7 +170,7 @@ def send(request) -> Send:
 
 @pytest.fixture(autouse=True)
 def no_patience(monkeypatch) -> None:
-    """What a server that has died is waited for: nothing."""
+    """Do not wait for a dead server to return."""
     monkeypatch.setattr("turtleact.client.remote_goals.BACK_WITHIN", 0.0)
 
 
@@ -369,6 +369,23 @@ async def test_a_canceled_caller_has_its_goal_canceled(send):
         sent.scope.cancel()
         await sent.done.wait()
         assert gate.log == ["begun", "canceled", "over"]
+
+
+async def test_a_canceled_caller_asks_once_to_cancel(send, monkeypatch):
+    gate, asked = Gate(), list[bytes]()
+    async with apart(gate.wait) as served, running(lambda: send(served, goal())) as sent:
+        cancel = served.local.cancel
+
+        async def note(goal_id: bytes, stamp: int) -> CancelGoal.Response:
+            asked.append(goal_id)
+            return await cancel(goal_id, stamp)
+
+        monkeypatch.setattr(served.local, "cancel", note)
+        await gate.started.wait()
+        await settle()
+        sent.scope.cancel()
+        await sent.done.wait()
+        assert len(asked) == 1
 
 
 async def test_a_goal_that_is_accepted_after_its_sender_was_canceled_is_canceled(send):

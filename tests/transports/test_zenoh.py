@@ -941,12 +941,22 @@ async def test_what_is_sent_between_two_messages_keeps_its_place(address, monkey
 
 
 class PromptAdder(Adder):
-    """Answers small sums at once."""
+    """Answers small sums at once, and sums of three numbers when it is told to."""
 
-    def reply_now(self, request: Any, caller: bytes) -> Reply | None:
+    def __init__(self, fail: Exception | None = None) -> None:
+        super().__init__(fail)
+        self.kept: list[Callable[[Reply], object]] = []
+
+    def reply_nowait(self, request: Any, caller: bytes, respond: Callable[[Reply], object]) -> bool:
         if request.numbers == [0]:
             raise self._fail or ValueError("nothing to add")
-        return Reply(Sum.Response(total=-1)) if len(request.numbers) < 2 else None
+        if len(request.numbers) == 3:
+            self.kept.append(respond)
+            return True
+        if len(request.numbers) == 1:
+            respond(Reply(Sum.Response(total=-1)))
+            return True
+        return False
 
 
 @pytest.mark.parametrize(("numbers", "total"), [([5], -1), ([2, 3], 5)])
@@ -957,6 +967,47 @@ async def test_a_server_may_answer_at_once_or_in_a_while(address, numbers, total
         await peers.settle()
         reply = await caller.call(Sum.Request(numbers=numbers))
         assert reply.message == Sum.Response(total=total)
+
+
+@pytest.mark.parametrize(
+    "is_served", [pytest.param(True, id="served"), pytest.param(False, id="removed")]
+)
+async def test_a_server_may_answer_later_without_a_task(address, is_served):
+    async with two(address) as peers:
+        adder = PromptAdder()
+        offered = peers.here.serve(service(), SERVING, adder)
+        caller = peers.there.join(client(), ASKING)
+        await peers.settle()
+        async with running(lambda: caller.call(numbers(1, 2, 3))) as called:
+            while not adder.kept:
+                await anyio.sleep(0)
+            assert not peers.here.context.crew.running
+            if not is_served:
+                offered.close()
+            adder.kept[0](Reply(Sum.Response(total=6)))
+        assert called.value.message == Sum.Response(total=6)
+
+
+@pytest.mark.parametrize(
+    "is_served", [pytest.param(True, id="served"), pytest.param(False, id="removed")]
+)
+async def test_a_request_to_be_answered_later_is_refused_when_the_transport_closes(
+    address, is_served
+):
+    async with two(address) as peers:
+        adder = PromptAdder()
+        offered = peers.here.serve(service(), SERVING, adder)
+        caller = peers.there.join(client(), ASKING)
+        await peers.settle()
+        async with running(lambda: caller.call(numbers(1, 2, 3))) as called:
+            while not adder.kept:
+                await anyio.sleep(0)
+            if not is_served:
+                offered.close()
+            await peers.here.aclose()
+            adder.kept[0](Reply(Sum.Response(total=6)))  # too late, and ignored
+        assert isinstance(called.error, ServerUnavailable)
+        assert "the server was closed" in str(called.error)
 
 
 @pytest.mark.parametrize(

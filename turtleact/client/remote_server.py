@@ -124,7 +124,7 @@ class RemoteActionServer:
         asked to cancel, or never answer. If the goal is not accepted yet, the task that follows it
         cancels it when it is. That task continues after the ``timeout``, until the client closes.
         """
-        remote.is_abandoned = True
+        remote.is_abandoned = not remote.is_accepted
         with anyio.move_on_after(timeout, shield=True):
             try:
                 if remote.is_accepted:

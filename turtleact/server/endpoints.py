@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, cast
 
 from turtleact.errors import GoalRejected
@@ -157,7 +157,7 @@ class _ActionService:
         """Return the class of the service."""
         raise NotImplementedError
 
-    def handle_now(self, request: Any, caller: bytes) -> Reply | None:  # noqa: ANN401, ARG002
+    def handle_nowait(self, request: Any, caller: bytes) -> Reply | None:  # noqa: ANN401, ARG002
         """Answer a request if no waiting is needed; otherwise do nothing and return None."""
         return None
 
@@ -181,12 +181,15 @@ class _ActionService:
         with self._counting():
             return await self.handle(request, caller)
 
-    def reply_now(self, request: object, caller: bytes) -> Reply | None:
-        """Answer a request from another process if no waiting is needed."""
-        reply = self.handle_now(request, caller)
-        if reply is not None and not self.server.is_open:  # `aclose` waits for such answers
-            self.answered.fire()
-        return reply
+    def reply_nowait(
+        self, request: object, caller: bytes, respond: Callable[[Reply], object]
+    ) -> bool:
+        """Answer a request from another process without a task, if that is possible."""
+        reply = self.handle_nowait(request, caller)
+        if reply is None:
+            return False
+        respond(reply)
+        return True
 
     async def aclose(self) -> None:
         """Answer every waiting request."""
@@ -235,7 +238,7 @@ class _SendGoal(_ActionService):
         """Tell the server that a client in another process has gone."""
         self.server.client_lost(caller)
 
-    def handle_now(self, request: Any, caller: bytes) -> Reply | None:  # noqa: ANN401
+    def handle_nowait(self, request: Any, caller: bytes) -> Reply | None:  # noqa: ANN401
         try:
             goal = self.server.take_nowait(self._order(request, caller), is_streamed=False)
         except GoalRejected as rejected:
@@ -318,10 +321,23 @@ class _GetResult(_ActionService):
     def find_type(self) -> Any:  # noqa: ANN401  # a service class
         return self._implied.get_result
 
-    def handle_now(self, request: Any, caller: bytes) -> Reply | None:  # noqa: ANN401, ARG002
-        goal_id = request.goal_id.uuid
-        goal = self.server.find(goal_id)
-        return None if goal is None or not goal.ended else self._end(goal)
+    def reply_nowait(
+        self,
+        request: Any,  # noqa: ANN401  # of the action's own class
+        caller: bytes,  # noqa: ARG002
+        respond: Callable[[Reply], object],
+    ) -> bool:
+        """Answer when the goal has ended; an unknown goal needs a task."""
+        goal = self.server.find(request.goal_id.uuid)
+        if goal is None:
+            return False
+        goal.is_asked_for = True
+        self.waiting += 1
+        if goal.ended:
+            self._respond(goal, respond)
+        else:
+            goal.end_callbacks += (partial(self._respond, goal, respond),)
+        return True
 
     async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401, ARG002
         goal_id = request.goal_id.uuid
@@ -336,8 +352,12 @@ class _GetResult(_ActionService):
         await self.server.wait_for_end(goal)
         return self._end(goal)
 
+    def _respond(self, goal: Goal, respond: Callable[[Reply], object]) -> None:
+        respond(self._end(goal))
+        self.waiting -= 1
+        self.answered.fire()
+
     def _end(self, goal: Goal) -> Reply:
-        goal.is_asked_for = True
         response = self._implied.get_result.Response
         message = response(status=int(goal.status), result=cast("Message", goal.result))
         if goal.reason or goal.published:

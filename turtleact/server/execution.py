@@ -319,6 +319,9 @@ class Execution:
         # must not run inside the step of the body that has just ended.
         if self.observers.are_any:
             self.observers.goal_changed(goal, before, goal.status)
+        callbacks, goal.end_callbacks = goal.end_callbacks, ()
+        for callback in callbacks:
+            callback()
         if start_next is not None:
             self._tasks.call_soon(start_next)
 

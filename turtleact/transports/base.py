@@ -362,10 +362,17 @@ class AsyncHandler(Protocol):
 
 @runtime_checkable
 class SyncHandler(Protocol):
-    """An `AsyncHandler` that can answer some requests at once, without a task."""
+    """An `AsyncHandler` that can answer some requests without a task."""
 
-    def reply_now(self, request: object, caller: bytes) -> Reply | None:
-        """Answer a request that needs no waiting; for others return None and do nothing."""
+    def reply_nowait(
+        self, request: object, caller: bytes, respond: Callable[[Reply], object]
+    ) -> bool:
+        """Answer a request by calling ``respond`` once, now or later.
+
+        Returns:
+            Whether ``respond`` has been or will be called. If not, nothing has happened, and the
+            request must be answered in a task.
+        """
 
 
 @runtime_checkable

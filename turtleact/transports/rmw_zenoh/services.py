@@ -1,7 +1,7 @@
 """Both ends of a service: objects inside the process, Zenoh queries to and from other processes.
 
 A request carries its client's gid and a sequence number. It is handled in its own task, unless the
-handler can answer at once. Every request is answered: with the response, or with the handler's
+handler can answer without one. Every request is answered: with the response, or with the handler's
 exception, which turtleact's clients raise again. If nobody serves a key or the server dies, Zenoh
 ends the query without a reason. The client then finds the reason in the graph.
 
@@ -82,7 +82,7 @@ class WireService:
         self._name = named.endpoint.name
         self._format = format
         self._offers: list[_Offer] = []
-        self._under_way: set[tuple[bytes, int]] = set()
+        self._under_way: dict[tuple[bytes, int], Query] = {}
         self._declared: Declared | None = None
         self.is_open = True
         declare = self._declare if is_for_others else None
@@ -117,7 +117,14 @@ class WireService:
         for offer in tuple(self._offers):
             offer.close()
         self.presence.close()
-        self._context.opened.discard(self)
+        if not self._under_way:
+            self._context.opened.discard(self)
+
+    def give_up(self) -> None:
+        """Answer the requests under way with an error, because the transport is closing."""
+        under_way, self._under_way = self._under_way, {}
+        for query in under_way.values():
+            self._fail(query, self._closed())
 
     def _take(self, query: Query) -> None:
         """Receive a query; a thread of the session calls this."""
@@ -138,58 +145,55 @@ class WireService:
         if offer is None or not self._context.is_open:
             self._fail(query, self._closed())
             return
-        if not self._answer_now(offer, query, beside, request):
-            # Ask once more on the next turn of the loop, before a task is spent on the request. A
-            # short goal has ended by then: its client sends both requests at once, and its body
-            # may begin only on that turn.
-            self._under_way.add((beside.gid, beside.sequence))
-            answer = partial(self._answer_later, offer, query, beside, request)
-            self._context.tasks.call_soon(answer)
-
-    def _answer_now(self, offer: _Offer, query: Query, beside: Attachment, request: object) -> bool:
-        """Answer a request if its handler can do so without waiting; return whether it did."""
-        try:
-            reply = None if offer.sync is None else offer.sync.reply_now(request, beside.gid)
-            if reply is not None:
-                self._respond(query, beside, reply)
-        except Exception as error:
-            self._fail(query, self._failure(error))
-            return True
-        return reply is not None
-
-    def _answer_later(
-        self, offer: _Offer, query: Query, beside: Attachment, request: object
-    ) -> None:
-        """Answer a request now if that takes no waiting any more; otherwise in a task."""
-        if not self._context.is_open:
-            self._under_way.discard((beside.gid, beside.sequence))
-            self._fail(query, self._closed())
-        elif self._answer_now(offer, query, beside, request):
-            self._under_way.discard((beside.gid, beside.sequence))
-        else:
-            answering = self._answer(offer, query, beside, request)
+        self._under_way[beside.gid, beside.sequence] = query
+        if not self._answer_nowait(offer, beside, request):
+            answering = self._answer(offer, beside, request)
             self._context.crew.run(answering, f"a request to {self._name}")
 
-    async def _answer(
-        self, offer: _Offer, query: Query, beside: Attachment, request: object
-    ) -> None:
+    def _answer_nowait(self, offer: _Offer, beside: Attachment, request: object) -> bool:
+        """Have a request answered without a task, now or later; return False if it needs one."""
+        if offer.sync is None:
+            return False
+        try:
+            return offer.sync.reply_nowait(request, beside.gid, partial(self._respond, beside))
+        except Exception as error:
+            self._refuse(beside, self._failure(error))
+            return True
+
+    async def _answer(self, offer: _Offer, beside: Attachment, request: object) -> None:
         """Answer a request; raises only cancellations."""
-        error: TurtleactError | None = self._closed()
         try:
             assert offer.handler is not None  # noqa: S101  # otherwise it would not be chosen
-            self._respond(query, beside, await offer.handler.reply(request, beside.gid))
-            error = None
-        except Exception as failure:
-            error = self._failure(failure)
+            self._respond(beside, await offer.handler.reply(request, beside.gid))
+        except Exception as error:
+            self._refuse(beside, self._failure(error))
         finally:
-            self._under_way.discard((beside.gid, beside.sequence))
-            if error is not None:
-                self._fail(query, error)
+            self._refuse(beside, self._closed())  # does nothing if the request was answered
 
-    def _respond(self, query: Query, beside: Attachment, reply: Reply) -> None:
-        payload = self._format.encode(reply.message)
-        attachment = write_attachment(beside.sequence, time.time_ns(), beside.gid, reply.note)
-        self._context.outbox.post(partial(query.reply, payload, attachment))
+    def _respond(self, beside: Attachment, reply: Reply) -> None:
+        """Answer a request that is under way; never raises."""
+        try:
+            payload = self._format.encode(reply.message)
+        except Exception as error:
+            self._refuse(beside, self._failure(error))
+            return
+        query = self._pop(beside)
+        if query is not None:  # None if the transport was closed meanwhile
+            attachment = write_attachment(beside.sequence, time.time_ns(), beside.gid, reply.note)
+            self._context.outbox.post(partial(query.reply, payload, attachment))
+
+    def _refuse(self, beside: Attachment, error: TurtleactError) -> None:
+        """Answer a request that is still under way with an error."""
+        query = self._pop(beside)
+        if query is not None:
+            self._fail(query, error)
+
+    def _pop(self, beside: Attachment) -> Query | None:
+        """Remove a request that is under way and return it; None if it was removed before."""
+        query = self._under_way.pop((beside.gid, beside.sequence), None)
+        if not (self.is_open or self._under_way):
+            self._context.opened.discard(self)
+        return query
 
     def _failure(self, error: Exception) -> TurtleactError:
         """Turn a handler's exception into the error that its client gets."""

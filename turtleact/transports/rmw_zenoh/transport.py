@@ -227,6 +227,8 @@ class ZenohTransport:
                     each.give_up()
             await context.crew.aclose()
             for each in opened:
+                if isinstance(each, WireService):
+                    each.give_up()
                 each.close()
             await context.outbox.aclose()
             await anyio.to_thread.run_sync(context.session.close)
