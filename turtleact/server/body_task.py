@@ -11,7 +11,7 @@ Source: asyncio's debug mode, for the report of slow callbacks.
 
 from __future__ import annotations
 
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from contextvars import Context
 from time import monotonic
 from typing import Any, Protocol, Self
@@ -109,15 +109,7 @@ class BodyTask(Coroutine[object, object, None]):
             if self._goal.ended:  # cancelled before the first step
                 raise StopIteration
             running = self._running = self._runner.run(self._goal, self)
-        began = monotonic()
-        try:
-            waits_for = running.send(value)
-        finally:
-            if (took := monotonic() - began) > BLOCKING:
-                self._runner.report_blocking(self._goal, took)
-        if self._is_cancel_due:
-            self.cancel()
-        return waits_for
+        return self._step(running.send, value)
 
     def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
         """Run one step that begins with an exception."""
@@ -125,9 +117,13 @@ class BodyTask(Coroutine[object, object, None]):
         if running is None:  # the program ends and cancels a task that has not begun
             self._runner.end_unstarted(self._goal)
             raise error
+        return self._step(running.throw, error)
+
+    def _step(self, resume: Callable[[Any], object], value: object) -> object:
+        """Resume the body, and report the step if it blocks the loop for long."""
         began = monotonic()
         try:
-            waits_for = running.throw(error)
+            waits_for = resume(value)
         finally:
             if (took := monotonic() - began) > BLOCKING:
                 self._runner.report_blocking(self._goal, took)

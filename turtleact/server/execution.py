@@ -36,6 +36,8 @@ Check: TypeAlias = Callable[[object], Message]
 CURRENT_GOAL: ContextVar[Goal | None] = ContextVar("CURRENT_GOAL", default=None)
 """The goal whose body is running; it becomes the parent of goals that the body sends."""
 
+_ENDS_PROGRAM = (KeyboardInterrupt, SystemExit)
+
 BURST = 16
 """After this many messages in a row, a generator that never waits must let other tasks run."""
 
@@ -152,8 +154,10 @@ class Execution:
             if _is_closed_by_loop(error):
                 raise
             stop = _stop_in(error)
-            self._fail(goal, error if stop is None else stop)
-            if stop is not None:
+            if stop is None:
+                self._fail(goal, error)
+            else:
+                self.end(goal, GoalEvent.ABORT, None, STOPPED)
                 self._tasks.stop_program(stop)
         finally:
             self._forget(task)
@@ -337,9 +341,7 @@ class Execution:
 
     def _fail(self, goal: Goal, error: BaseException) -> None:
         canceling = goal.status is GoalStatus.CANCELING
-        if isinstance(error, KeyboardInterrupt | SystemExit):
-            self.end(goal, GoalEvent.ABORT, None, STOPPED)
-        elif isinstance(error, Abort):
+        if isinstance(error, Abort):
             self._end_with(goal, GoalEvent.ABORT, error.result, text_of(error.reason))
         elif isinstance(error, Cancel) and (canceling or goal.reason):
             event = GoalEvent.CANCELED if canceling else GoalEvent.ABORT
@@ -429,7 +431,7 @@ def _stop_in(error: BaseException) -> BaseException | None:
     """
     if isinstance(error, BaseExceptionGroup):
         return next(filter(None, map(_stop_in, error.exceptions)), None)
-    return error if isinstance(error, KeyboardInterrupt | SystemExit) else None
+    return error if isinstance(error, _ENDS_PROGRAM) else None
 
 
 def _is_closed_by_loop(error: BaseException) -> bool:

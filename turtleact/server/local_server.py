@@ -367,8 +367,7 @@ class LocalActionServer:
 
     async def cancel_goal(self, goal: Goal) -> CancelGoal.Response:
         """Answer a request to cancel one goal, even if it has been forgotten."""
-        goal_id = self.name_goal(goal)
-        if goal.ended and self.find(goal_id) is not goal:
+        if goal.ended and self.find(self.name_goal(goal)) is not goal:
             return CancelGoal.Response(CancelCode.UNKNOWN_GOAL_ID)
         if await self._ask_and_cancel(goal):
             return CancelGoal.Response(CancelCode.NONE, [self.info(goal)])
