@@ -89,7 +89,14 @@ USAGE = [
         ["send-goal", "x", "--embedded", "--connect", "tcp/[::1]:1"],
         "one of --embedded and --connect",
     ),
-    (["run", "turtlesim", "mimic"], "there is no 'turtlesim mimic': turtleact runs"),
+    (["run"], "what to run is missing: 'turtleact run --help' lists what can be run"),
+    (
+        ["run", "turtlesim"],
+        "say which executable of package 'turtlesim' to run: it has turtlesim_n",
+    ),
+    (["run", "turtlesim", "mimic"], "'turtlesim' has no executable 'mimic': it has turtlesim_node"),
+    (["run", "turtlesin", "mimic"], "there is no package 'turtlesin' in the .* mean 'turtlesim'?"),
+    (["run", "missing.py"], r"there is no file 'missing\.py'"),
     (
         ["run", "turtlesim", "turtlesim_node", "--ros-args", "--remap", "__node:=my_turtle"],
         "'--ros-args --remap __node:=my_turtle' is not taken: names cannot be remapped",
@@ -299,6 +306,8 @@ def test_only_the_verb_that_is_asked_for_is_imported(verb):
     home = verbs.HOMES.get(verb, verb)
     imported = subprocess.check_output([sys.executable, "-c", code], text=True).splitlines()[-1]
     expected = {home, "goals"} if verb == "action" else {home}
+    # Its help lists the packages that can be run.
+    search = {"commands.packages", "commands.programs", "workspace"} if verb == "run" else ()
     assert {*imported.split()} == {
         "turtleact.commands",
         "turtleact.commands.completion",
@@ -308,6 +317,7 @@ def test_only_the_verb_that_is_asked_for_is_imported(verb):
         "turtleact.commands.verbs",
         "turtleact.commands.verbs.options",
         *(f"turtleact.commands.verbs.{each}" for each in expected),
+        *(f"turtleact.{each}" for each in search),
         "turtleact.errors",
         "turtleact.graph",
     }

@@ -27,7 +27,7 @@ VERBS: Final = {
     "watch": "Print the feedback of a goal, then its result.",
     "result": "Wait for the result of a goal and print it.",
     "serve": "Serve a world of turtles, and your own actions.",
-    "run": "Run a ROS 2 program that has a counterpart here, such as turtlesim turtlesim_node.",
+    "run": "Run a program of a package, such as turtlesim turtlesim_node, or a file.",
     "teleop": "Drive a turtle with the keyboard.",
     "snapshot": "Save a picture of the world as PNG or SVG.",
     **{name: f"Like 'ros2 {name}': {', '.join(verbs)}." for name, verbs in GROUPS.items()},

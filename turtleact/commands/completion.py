@@ -23,6 +23,7 @@ from turtleact.errors import TurtleactError, UnknownInterface
 from turtleact.graph import is_hidden_node, types_by_name
 
 if TYPE_CHECKING:
+    from turtleact.commands.programs import Program
     from turtleact.graph import Kind
     from turtleact.node import Node
     from turtleact.transports.rmw_zenoh.keys import Graph
@@ -31,12 +32,14 @@ __all__ = [
     "EMBEDDED",
     "SUFFIXES",
     "actions",
+    "executables",
     "goal_ids",
     "interfaces",
     "messages",
     "nodes",
     "packages",
     "parameters",
+    "runnable_packages",
     "services",
     "targets",
     "topics",
@@ -239,6 +242,30 @@ def _mentions_us(file: Path) -> bool:
 def _text(path: Path) -> str:
     with path.open(encoding="utf-8", errors="replace") as file:
         return file.read(LARGEST)
+
+
+# programs
+
+
+@_silent
+def runnable_packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
+    """The packages with something to run, and the Python files in the working directory."""
+    known = _runnable()
+    files = sorted(each.name for each in Path().glob("*.py"))
+    return [*sorted(name for name, programs in known.items() if programs), *files]
+
+
+@_silent
+def executables(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
+    """The executables of the package that was typed before."""
+    return list(_runnable().get(ctx.params["package"], ()))
+
+
+def _runnable() -> dict[str, dict[str, Program | None]]:
+    from turtleact.commands.packages import runnable
+    from turtleact.commands.verbs.run import PROGRAMS
+
+    return runnable(Path(), PROGRAMS)
 
 
 # what they share

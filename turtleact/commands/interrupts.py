@@ -100,6 +100,7 @@ class Interrupts:
         self._endured = 1
         self._is_reading = False
         self._is_beginning = False
+        self._is_released = False
         self._early: int | None = None  # the exit status of a beginning, if it has one of its own
         self._due = inf  # when the process is to end, by the monotonic clock (s)
         self._late = 0  # the exit status then
@@ -122,8 +123,25 @@ class Interrupts:
 
     def ignore(self) -> None:
         """Ignore the signals from now on: they would kill Python while it ends."""
+        if self._is_released:  # threads of the user's may go on, until a signal ends them
+            return
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
+
+    def release(self) -> None:
+        """Give the signals back to Python, for a program of the user's that handles its own.
+
+        Raises:
+            KeyboardInterrupt: if a signal has come before.
+        """
+        self._is_released = True
+        for number in SIGNALS:
+            if signal.getsignal(number) == self._arrive:
+                is_interrupt = number == signal.SIGINT
+                handler = signal.default_int_handler if is_interrupt else signal.SIG_DFL
+                signal.signal(number, handler)
+        if self.received:
+            raise KeyboardInterrupt
 
     def read(self, file: int, most: int, *, line: bool = False) -> bytes:
         """Read a file to its end, and wait for it if necessary; a signal ends the reading.

@@ -74,7 +74,7 @@ BROKEN_PIPE: Final = 141
 HOMES: Final = {
     **dict.fromkeys(("send-goal", "cancel", "watch", "result", "action"), "goals"),
     **dict.fromkeys(("param", "service"), "node"),
-    **dict.fromkeys(("run", "teleop", "snapshot"), "turtlesim"),
+    **dict.fromkeys(("teleop", "snapshot"), "turtlesim"),
 }
 """Where to find the verbs that have no module of their own name."""
 

@@ -1,4 +1,4 @@
-"""Declares the verbs around turtlesim for Typer: ``run``, ``teleop`` and ``snapshot``."""
+"""Declares the verbs around turtlesim for Typer: ``teleop`` and ``snapshot``."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from turtleact.commands import VERBS, completion
-from turtleact.commands.settings import Fleet, Reach, quoted
+from turtleact.commands import VERBS
+from turtleact.commands.settings import Reach, quoted
 from turtleact.commands.verbs import SETTINGS, Job, Verb
 from turtleact.commands.verbs.options import (
     Config,
@@ -34,41 +34,6 @@ SCALE = 2.0
 REMAPS = ("turtle1/cmd_vel", "turtle1/rotate_absolute")
 SCALES = ("scale_linear", "scale_angular")
 
-FIBONACCI = "turtleact.actions.fibonacci"
-
-PROGRAMS = (
-    ("turtlesim", "turtlesim_node"),
-    ("turtlesim", "turtle_teleop_key"),
-    ("action_tutorials_py", "fibonacci_action_server"),
-    ("action_tutorials_cpp", "fibonacci_action_server"),
-    ("examples_rclpy_minimal_action_server", "server"),
-    ("examples_rclcpp_minimal_action_server", "action_server_member_functions"),
-)
-"""The programs of ROS 2 that have a counterpart here; those of other packages serve Fibonacci."""
-
-Package: TypeAlias = Annotated[
-    str,
-    typer.Argument(
-        metavar="PACKAGE",
-        help="turtlesim or action_tutorials_py.",
-        autocompletion=completion.words(*dict.fromkeys(package for package, _ in PROGRAMS)),
-    ),
-]
-Executable: TypeAlias = Annotated[
-    str,
-    typer.Argument(
-        metavar="EXECUTABLE",
-        help="turtlesim_node, turtle_teleop_key or fibonacci_action_server.",
-        autocompletion=completion.words(*dict.fromkeys(name for _, name in PROGRAMS)),
-    ),
-]
-RosArguments: TypeAlias = Annotated[
-    list[str] | None,
-    typer.Argument(
-        metavar="--ros-args",
-        help="For turtle_teleop_key: --ros-args -r FROM:=TO -p NAME:=VALUE.",
-    ),
-]
 Turtle: TypeAlias = Annotated[
     str | None,
     typer.Option("--turtle", metavar="NAME", help="Which turtle. If left out, turtle1."),
@@ -93,47 +58,6 @@ _SNAPSHOTS = """\
 """
 
 app = typer.Typer(**SETTINGS)
-
-
-@app.command(cls=Verb, help=VERBS["run"], context_settings={"ignore_unknown_options": True})
-def run(
-    package: Package,
-    executable: Executable,
-    arguments: RosArguments = None,
-    *,
-    domain: Domain = 0,
-) -> Job:
-    """``run``: the programs of ROS 2 that have a counterpart here."""
-    if (package, executable) not in PROGRAMS:
-        known = ", ".join(f"'{package} {executable}'" for package, executable in PROGRAMS)
-        raise UsageError(
-            f"there is no '{package} {executable}': turtleact runs {known}; your own actions are "
-            "for 'turtleact serve module:object'"
-        )
-    if executable == "turtle_teleop_key":
-        return turtle_teleop_key(arguments or (), domain)
-    if arguments:
-        raise UsageError(
-            f"{quoted(' '.join(arguments))} is not taken: names cannot be remapped, and parameters "
-            "are for 'turtleact param set' and 'load', once it runs"
-        )
-    if package != "turtlesim":
-        from turtleact.commands.verbs.serve import serve
-
-        return serve([FIBONACCI], no_sim=True, domain=domain)
-    where = reach(domain=domain)
-
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands.interfaces import make_known
-        from turtleact.commands.serve import Service, run
-
-        make_known(None)
-        turtlesim = Service(
-            (), (), where, Fleet(), None, where.locks().settings(), True, turtlesim_only=True
-        )
-        return run(turtlesim, interrupts)
-
-    return job
 
 
 @app.command(cls=Verb, help=VERBS["teleop"])

@@ -1,0 +1,149 @@
+"""Users' programs, run in this process as Python would."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from turtleact.commands import programs
+from turtleact.commands.programs import Program, run_program
+from turtleact.errors import TurtleactError, UsageError
+
+
+@pytest.fixture
+def python(monkeypatch):
+    """Python's own state, which a program may change."""
+    monkeypatch.setattr(sys, "argv", [*sys.argv])
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    before = {*sys.modules}
+    yield
+    for name in {*sys.modules} - before:
+        del sys.modules[name]
+
+
+@pytest.fixture
+def run(python, interrupts, tmp_path):
+    """Writes a program and runs it, as the file it is or by a function in it."""
+    interrupts.install()
+
+    def run_(text, function=None, *arguments):
+        file = tmp_path / "go.py"
+        file.write_text(text)
+        by_function = Program("go", module="go", function=function or "", folders=(tmp_path,))
+        program = by_function if function else Program(str(file), file=file)
+        return run_program(program, arguments, interrupts)
+
+    return run_
+
+
+def test_a_file_is_main_and_sees_its_arguments_and_its_neighbours(run, tmp_path, capsys):
+    (tmp_path / "beside.py").write_text("WORD = 'found'\n")
+    assert run("import beside, sys\nprint(__name__, sys.argv[1:], beside.WORD)", None, "-x") == 0
+    assert capsys.readouterr().out == "__main__ ['-x'] found\n"
+
+
+@pytest.mark.parametrize(
+    ("body", "status"),
+    [
+        ("pass", 0),
+        ("return 3", 3),
+        ("return True", 1),
+        ("sys.exit()", 0),
+        ("sys.exit(258)", 2),
+        ("raise KeyboardInterrupt", 130),
+    ],
+)
+def test_the_exit_status_is_that_of_an_entry_point(run, capsys, body, status):
+    assert run(f"import sys\ndef main():\n    {body}", "main") == status
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_text_given_to_exit_is_printed(run, capsys):
+    assert run("def main():\n    raise SystemExit('no turtle')", "main") == 1
+    assert capsys.readouterr().err == "no turtle\n"
+
+
+def test_a_method_is_found_by_its_dotted_name(run):
+    assert run("class App:\n    @staticmethod\n    def main(): return 4", "App.main") == 4
+
+
+@pytest.mark.parametrize("function", [None, "main"])
+def test_a_traceback_begins_in_the_users_own_code(run, tmp_path, capsys, function):
+    call = "" if function else "\nmain()"
+    assert run(f"def main():\n    return 1 / 0{call}", function) == 1
+    first, place, *_, last = capsys.readouterr().err.splitlines()
+    assert first == "Traceback (most recent call last):"
+    assert str(tmp_path / "go.py") in place
+    assert last == "ZeroDivisionError: division by zero"
+
+
+def test_an_error_of_turtleact_is_left_to_the_command_line(run):
+    with pytest.raises(TurtleactError, match="nobody is there"):
+        run("from turtleact import TurtleactError\nraise TurtleactError('nobody is there')")
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("", "go is go:main, but there is no 'main'"),
+        ("main = 1", "go is go:main, not a function"),
+    ],
+)
+def test_a_missing_function_is_named(run, text, problem):
+    with pytest.raises(UsageError, match=problem):
+        run(text, "main")
+
+
+def test_the_program_gets_pythons_own_signal_handlers(run):
+    assert (
+        run("def main():\n    import signal\n    signal.raise_signal(signal.SIGINT)", "main") == 130
+    )
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+def test_a_signal_before_the_program_ends_it_before_it_begins(run, interrupts, capsys):
+    signal.raise_signal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        run("print('hello')")
+    assert capsys.readouterr().out == ""
+
+
+def test_signals_still_end_threads_that_outlive_the_program(run, interrupts):
+    assert run("") == 0
+    interrupts.ignore()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_machine_code_takes_over_the_process(interrupts, monkeypatch, tmp_path):
+    started = []
+    monkeypatch.setattr(os, "execv", lambda file, command: started.append((file, command)))
+    monkeypatch.setattr(subprocess, "call", lambda command: len(command))
+    file = tmp_path / "node"
+    file.write_bytes(b"\x7fELF")
+    assert run_program(Program("node", file=file), ["-x"], interrupts) == 2
+    assert started == [(str(file), [str(file), "-x"])]
+
+
+def test_machine_code_that_cannot_be_run_is_an_error(interrupts, tmp_path):
+    with pytest.raises(TurtleactError, match=r"node cannot be run: No such file"):
+        run_program(Program("node", file=tmp_path / "node"), (), interrupts)
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "expected"),
+    [
+        ("node.py", "", True),
+        ("node", "#!/usr/bin/env python3\n", True),
+        ("node", "#!/bin/sh\n", False),
+        ("node", "python", False),
+    ],
+)
+def test_python_is_told_by_ending_or_first_line(tmp_path, name, first, expected):
+    file: Path = tmp_path / name
+    file.write_text(first)
+    assert programs.is_python(file) is expected

@@ -1,0 +1,162 @@
+"""Runs a program of the user's: what ``turtleact run`` does once it has found one.
+
+`turtleact.commands.packages` finds the programs of packages. This module knows nothing of packages:
+it is handed a file, or a module and a function, and runs it as Python itself would.
+"""
+
+from __future__ import annotations
+
+import os
+import runpy
+import subprocess
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
+
+from turtleact.errors import TurtleactError, UsageError
+
+if TYPE_CHECKING:
+    from turtleact.commands.interrupts import Interrupts
+
+__all__ = ["Program", "run_program"]
+
+OURS = str(Path(__file__))
+
+FAILED, INTERRUPTED = 1, 130
+
+SHEBANG = 200
+"""How many bytes at the beginning of a file are searched for ``python``."""
+
+
+class Program(NamedTuple):
+    """Something that can be run: a file, or a function in a module.
+
+    Attributes:
+        name: What the program calls itself, ``sys.argv[0]``.
+        file: A Python file to run as ``__main__``, or a program in machine code. None if there is
+            a module.
+        module: The module to import, if there is no file.
+        function: The function in that module, such as ``main`` or ``App.main``.
+        folders: What the program needs at the beginning of ``sys.path``.
+    """
+
+    name: str
+    file: Path | None = None
+    module: str = ""
+    function: str = ""
+    folders: tuple[Path, ...] = ()
+
+
+def run_program(program: Program, arguments: Sequence[str], interrupts: Interrupts) -> int:
+    """Run a program to its end in this process, and return its exit status.
+
+    This is the one place where users' programs begin. Whatever they need to find in the process,
+    such as modules that turtleact provides, is set up here, before their first import.
+
+    The program sees what it would see under ``python``: its arguments in ``sys.argv``, its folders
+    in ``sys.path``, Python's own signal handlers, and ``__main__`` if it is a file. A function's
+    result becomes the exit status as in an entry point that pip installed. A program in machine
+    code replaces this process.
+
+    Args:
+        program: What to run.
+        arguments: What the user typed after its name.
+        interrupts: The signals; they are given back to Python.
+
+    Returns:
+        The exit status: that of `sys.exit`, 1 after an exception, 130 after Ctrl-C.
+
+    Raises:
+        UsageError: if the module has no such function.
+        TurtleactError: if the program raises one.
+    """
+    if program.file is not None and not is_python(program.file):
+        return _start(program.file, arguments)
+    interrupts.release()
+    sys.argv = [program.name, *arguments]
+    sys.path[:0] = [str(each) for each in program.folders]
+    try:
+        if program.file is not None:
+            sys.path.insert(0, str(program.file.absolute().parent))
+            runpy.run_path(str(program.file), run_name="__main__")
+            return 0
+        return _status(_function(program)())
+    except SystemExit as end:
+        return _status(end.code)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except TurtleactError:
+        raise
+    except BaseException as error:
+        return _told(error)
+
+
+def is_python(file: Path) -> bool:
+    """Whether a file is a Python program: by its ending, or by its first line."""
+    if file.suffix == ".py":
+        return True
+    try:
+        with file.open("rb") as opened:
+            first = opened.readline(SHEBANG)
+    except OSError:
+        return False
+    return first.startswith(b"#!") and b"python" in first
+
+
+def _function(program: Program) -> Callable[[], object]:
+    """Import the module of a program and return its function.
+
+    Raises:
+        UsageError: if the module has no such function.
+    """
+    found: object = import_module(program.module)
+    for attribute in program.function.split("."):
+        if not hasattr(found, attribute):
+            where = f"{program.module}:{program.function}"
+            raise UsageError(f"{program.name} is {where}, but there is no '{attribute}'")
+        found = getattr(found, attribute)
+    if not callable(found):
+        raise UsageError(f"{program.name} is {program.module}:{program.function}, not a function")
+    return found
+
+
+def _start(file: Path, arguments: Sequence[str]) -> int:
+    """Run a program in machine code. On POSIX it takes over this process and its terminal."""
+    command = [str(file), *arguments]
+    try:
+        if os.name == "posix":
+            _become(command)
+        return subprocess.call(command)  # noqa: S603  # the program that the user typed
+    except OSError as error:
+        raise TurtleactError(f"{file} cannot be run: {error.strerror}") from None
+
+
+def _become(command: list[str]) -> NoReturn:
+    os.execv(command[0], command)  # noqa: S606  # as above
+
+
+def _status(code: object) -> int:
+    """The exit status for what `sys.exit` was given; text is printed, as Python does."""
+    if code is None:
+        return 0
+    if isinstance(code, int):
+        return code & 0xFF
+    print(code, file=sys.stderr)
+    return FAILED
+
+
+def _told(error: BaseException) -> int:
+    """Print the traceback of the user's own code, as Python does."""
+    trace = error.__traceback__
+    while trace is not None and _is_ours(trace.tb_frame.f_code.co_filename):
+        trace = trace.tb_next
+    error.__traceback__ = trace
+    traceback.print_exception(error)
+    return FAILED
+
+
+def _is_ours(file: str) -> bool:
+    return file == OURS or file.startswith("<frozen ")

@@ -1,0 +1,198 @@
+"""``run``, as Typer reads it: finds what to run.
+
+`turtleact.commands.programs` runs what was found, unless it is built in.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+
+import typer
+
+from turtleact.commands import VERBS, completion
+from turtleact.commands.output import printable
+from turtleact.commands.settings import Fleet, quoted
+from turtleact.commands.verbs import SETTINGS, Job, Verb
+from turtleact.commands.verbs.options import Domain, reach, ros_domain
+from turtleact.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtleact.commands.interrupts import Interrupts
+    from turtleact.commands.programs import Program
+
+__all__ = ["PROGRAMS", "app", "run"]
+
+FIBONACCI = "turtleact.actions.fibonacci"
+
+PROGRAMS = (
+    ("turtlesim", "turtlesim_node"),
+    ("turtlesim", "turtle_teleop_key"),
+    ("action_tutorials_py", "fibonacci_action_server"),
+    ("action_tutorials_cpp", "fibonacci_action_server"),
+    ("examples_rclpy_minimal_action_server", "server"),
+    ("examples_rclcpp_minimal_action_server", "action_server_member_functions"),
+)
+"""The programs of ROS 2 that have a counterpart here; those of other packages serve Fibonacci."""
+
+
+_HELP = "'turtleact run --help' lists what can be run"
+
+Package: TypeAlias = Annotated[
+    str,
+    typer.Argument(
+        metavar="PACKAGE",
+        help="The package, such as turtlesim; or a Python file, FILE.py.",
+        autocompletion=completion.runnable_packages,
+        show_default=False,
+    ),
+]
+Executable: TypeAlias = Annotated[
+    str,
+    typer.Argument(
+        metavar="EXECUTABLE",
+        help="The program in the package, such as turtlesim_node.",
+        autocompletion=completion.executables,
+        show_default=False,
+    ),
+]
+Arguments: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="ARGUMENTS", help="What the program itself takes.", show_default=False),
+]
+
+
+class Run(Verb):
+    """The command ``run``: its help lists what can be run here."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401  # click's classes
+        """Look for packages only now: reading a command line needs none."""
+        lines = [f"  {line}" for line in _listed(_runnable())]
+        self.epilog = "\n".join(["[bold]What can be run here[/]", *lines])
+        super().format_help(ctx, formatter)
+
+
+app = typer.Typer(**SETTINGS)
+
+
+@app.command(
+    cls=Run,
+    help=VERBS["run"],
+    # What follows the package belongs to the program, even if it looks like an option of ours.
+    context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False},
+)
+def run(
+    package: Package = "",
+    executable: Executable = "",
+    arguments: Arguments = None,
+    *,
+    domain: Domain = 0,
+) -> Job:
+    """``run``."""
+    rest = list(arguments or ())
+    if not package:
+        raise UsageError(f"what to run is missing: {_HELP}")
+    if package.endswith(".py"):
+        return _running(_file(package), [executable, *rest] if executable else rest, domain)
+    program = _chosen(_runnable(), package, executable)
+    if program is not None:
+        return _running(program, rest, domain)
+    return _built_in(package, executable, *_own_domain(rest, domain))
+
+
+def _runnable() -> dict[str, dict[str, Program | None]]:
+    from turtleact.commands.packages import runnable
+
+    return runnable(Path(), PROGRAMS)
+
+
+def _listed(known: Mapping[str, Mapping[str, object]]) -> list[str]:
+    """What can be run, a line each: names that a file says could be commands to the terminal."""
+    pairs = [f"{package} {name}" for package in sorted(known) for name in known[package]]
+    return [printable(pair).replace("[", r"\[") for pair in (*pairs, "FILE.py")]
+
+
+def _chosen(
+    known: Mapping[str, Mapping[str, Program | None]], package: str, executable: str
+) -> Program | None:
+    """The executable of a package; None if it is built in.
+
+    Raises:
+        UsageError: if there is no such package or executable, with the nearest name.
+    """
+    from turtleact.interfaces.definition import did_you_mean
+
+    if package not in known:
+        where = "in the working directory, in its src, or in a sourced workspace"
+        hint = did_you_mean(package, known)
+        raise UsageError(f"there is no package {quoted(package)} {where}{hint}; {_HELP}")
+    programs = known[package]
+    if executable in programs:
+        return programs[executable]
+    has = f"it has {', '.join(programs)}" if programs else "it has none in Python"
+    if not executable:
+        raise UsageError(f"say which executable of package {quoted(package)} to run: {has}")
+    hint = did_you_mean(executable, programs) or f": {has}"
+    raise UsageError(f"package {quoted(package)} has no executable {quoted(executable)}{hint}")
+
+
+def _file(name: str) -> Program:
+    from turtleact.commands.programs import Program
+
+    if not Path(name).is_file():
+        raise UsageError(f"there is no file {quoted(name)}")
+    return Program(name, file=Path(name))
+
+
+def _running(program: Program, arguments: Sequence[str], domain: int) -> Job:
+    """The job of running a program of the user's."""
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands.programs import run_program
+
+        os.environ["ROS_DOMAIN_ID"] = str(domain)  # the program reads it, as any ROS program
+        return run_program(program, arguments, interrupts)
+
+    return job
+
+
+def _own_domain(arguments: Sequence[str], domain: int) -> tuple[list[str], int]:
+    """What is left of the arguments of a built-in program without ``--domain N``, and that N."""
+    rest = list(arguments)
+    if "--domain" in rest[:-1]:
+        place = rest.index("--domain")
+        domain = ros_domain(rest[place + 1])
+        del rest[place : place + 2]
+    return rest, domain
+
+
+def _built_in(package: str, executable: str, arguments: Sequence[str], domain: int) -> Job:
+    """The job of running one of `PROGRAMS`."""
+    if executable == "turtle_teleop_key":
+        from turtleact.commands.verbs.turtlesim import turtle_teleop_key
+
+        return turtle_teleop_key(arguments, domain)
+    if arguments:
+        raise UsageError(
+            f"{quoted(' '.join(arguments))} is not taken: names cannot be remapped, and parameters "
+            "are for 'turtleact param set' and 'load', once it runs"
+        )
+    if package != "turtlesim":
+        from turtleact.commands.verbs.serve import serve
+
+        return serve([FIBONACCI], no_sim=True, domain=domain)
+    where = reach(domain=domain)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands.interfaces import make_known
+        from turtleact.commands.serve import Service, run
+
+        make_known(None)
+        turtlesim = Service(
+            (), (), where, Fleet(), None, where.locks().settings(), True, turtlesim_only=True
+        )
+        return run(turtlesim, interrupts)
+
+    return job

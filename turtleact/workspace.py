@@ -1,0 +1,113 @@
+"""Looks for ROS packages and their interface files near a folder, without any index.
+
+A package is found in the folder itself, one level below it, one or two levels below its ``src``,
+and where colcon would install it: ``install/PACKAGE/share/PACKAGE`` or ``install/share/PACKAGE``.
+The search is bounded, so it is quick even in a home folder: it goes no deeper, looks at no more
+than `MOST_FOLDERS` folders, and opens only ``package.xml``. Folders that cannot be read are
+skipped.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+
+__all__ = ["KINDS", "find_interfaces", "folders_near", "interface_files", "package_name"]
+
+KINDS = ("msg", "srv", "action")
+
+MOST_FOLDERS = 1000
+"""How many folders are looked at."""
+
+LONGEST = 10_000
+"""How many characters of a ``package.xml`` are searched for the name."""
+
+_NAME = re.compile(r"<name>\s*([^<\s]+)\s*</name>")
+_PACKAGE = re.compile(r"[a-z](?:_?[a-z0-9])*")
+_INTERFACE = re.compile(r"[A-Z][A-Za-z0-9]*(?:_[A-Z][A-Za-z0-9]*)*")
+
+
+def find_interfaces(root: Path) -> dict[str, Path]:
+    """Find the interface files of the packages near a folder, by type name.
+
+    If two packages have the same interface, the one that is nearer wins, and sources win over what
+    was installed.
+    """
+    found: dict[str, Path] = {}
+    for folder in folders_near(root):
+        for name, path in interface_files(folder).items():
+            found.setdefault(name, path)
+    return found
+
+
+def interface_files(folder: Path) -> dict[str, Path]:
+    """The interface files of the package in a folder, by type name.
+
+    Empty if there are none, or if the package has no name; see `package_name`.
+    """
+    kinds = [(kind, path) for kind in KINDS if _is_folder(path := folder / kind)]
+    package = package_name(folder) if kinds else ""
+    if not package:
+        return {}
+    return {
+        f"{package}/{kind}/{file.stem}": file
+        for kind, path in kinds
+        for file in _entries(path)
+        if file.suffix == f".{kind}" and _INTERFACE.fullmatch(file.stem)
+    }
+
+
+def package_name(folder: Path) -> str:
+    """The name of the package in a folder: as its ``package.xml`` says, or else as the folder's.
+
+    Empty if neither is the name of a ROS package.
+    """
+    try:
+        with (folder / "package.xml").open(encoding="utf-8", errors="replace") as file:
+            said = _NAME.search(file.read(LONGEST))
+    except OSError:
+        said = None
+    name = said[1] if said else folder.absolute().name
+    return name if _PACKAGE.fullmatch(name) else ""
+
+
+def folders_near(root: Path) -> Iterator[Path]:
+    """The folders in which a package may be, nearest first, `MOST_FOLDERS` of them at most."""
+    return islice(_folders_near(root), MOST_FOLDERS)
+
+
+def _folders_near(root: Path) -> Iterator[Path]:
+    yield root
+    yield from _folders(root)
+    for folder in _folders(root / "src"):
+        yield folder
+        yield from _folders(folder)
+    install = root / "install"
+    for prefix in (install, *_folders(install)):
+        yield from _folders(prefix / "share")
+
+
+def _folders(folder: Path) -> Iterator[Path]:
+    """The folders in a folder, in the order of their names.
+
+    Names with a dot are left out: they are hidden, or files. So a folder full of files is listed,
+    but its files are not looked at one by one.
+    """
+    found = [path for path in _entries(folder) if "." not in path.name]
+    return (path for path in found[:MOST_FOLDERS] if _is_folder(path))
+
+
+def _entries(folder: Path) -> list[Path]:
+    try:
+        return sorted(folder.iterdir())
+    except OSError:
+        return []
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
