@@ -6,7 +6,7 @@ side by side. The bound depends on the style (`turtleact.actions.steering.shorte
 the speed limits, nothing can be faster. A hit is a tick in which a wall stopped a turtle.
 
 The peer is what a student would write: turn and drive in proportion to the error, with no limits
-except the speeds. Its bound is that of ``arc``.
+except the speeds. Its bound is that of ``fastest``.
 
 Run with ``--patrols 1000`` for the figures in ``docs/actions.md``.
 """
@@ -41,7 +41,7 @@ from turtleact.sim.world import World
 from turtleact.tasks import Background
 from turtleact.transports import MemoryTransport
 
-STYLES = ("arc", "forward", "rotate_then_drive")
+STYLES = ("natural", "fastest", "forward", "rotate_then_drive")
 TURTLES = 8
 LONGEST = 1.25
 README = [(9.0, 7.0), (5.0, 1.0), (1.0, 7.0), (2.0, 9.0)]

@@ -104,7 +104,7 @@ REFUSED = [
     ({"y": -1.0}, "y is -1.0, outside the world: from 0 to 11.0888891"),
     ({"x": float("nan")}, "x is nan, outside the world: from 0 to 11.0888891"),
     ({"turtle": "turtle2"}, "there is no turtle 'turtle2': nobody publishes turtle2/pose"),
-    ({"style": ""}, "style: '' is none of arc, forward, rotate_then_drive"),
+    ({"style": ""}, "style: '' is none of natural, fastest, forward, rotate_then_drive"),
     ({"tolerance": -0.1}, f"tolerance: {NO} -0.1"),
     ({"max_linear": 0.0}, f"max_linear: {NO} 0.0"),
     ({"heading_tolerance": -1.0}, f"heading_tolerance: {NO} -1.0"),

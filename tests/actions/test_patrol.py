@@ -68,11 +68,21 @@ async def rejection(goal, **options):
 # The patrol of the README
 
 
-async def test_the_patrol_of_four_targets_takes_at_most_10_5_seconds():
+@pytest.mark.parametrize("style", ["fastest", "arc"])
+async def test_the_fastest_patrol_takes_at_most_6_percent_longer_than_any_could(style):
+    async with arena() as stage:
+        result = await client_of(stage).send_goal(patrol(*TARGETS, style=style))
+    assert (result.reached, result.missed) == (4, [])
+    assert result.duration == pytest.approx(631 * 0.016)
+    assert result.duration <= 1.06 * 9.93
+
+
+async def test_the_default_patrol_drives_forwards_all_the_way():
     async with arena() as stage:
         result = await client_of(stage).send_goal(patrol(*TARGETS))
+        assert all(linear >= 0.0 for linear, _ in stage.commands())
     assert (result.reached, result.missed) == (4, [])
-    assert result.duration <= 10.5
+    assert result.duration == pytest.approx(663 * 0.016)
 
 
 @pytest.mark.parametrize("style", STYLES)
@@ -145,7 +155,7 @@ async def test_feedback_on_the_way_tells_of_the_target_that_is_headed_for():
 
 
 async def test_the_distance_remaining_goes_through_all_targets_and_rounds():
-    goal = patrol((9.0, MIDDLE), (7.0, MIDDLE), loops=1, max_linear=1.0)
+    goal = patrol((9.0, MIDDLE), (7.0, MIDDLE), loops=1, max_linear=1.0, style="fastest")
     async with arena() as stage:
         told, _ = await feedback_of(stage, goal)
     first = told[0][1]
@@ -187,9 +197,9 @@ async def test_a_target_behind_is_turned_to_the_short_way_round(side, style):
 
 
 @pytest.mark.parametrize("side", BEHIND)
-async def test_a_target_behind_is_driven_to_in_reverse(side):
+async def test_the_fastest_style_reverses_to_a_target_behind(side):
     async with arena() as stage:
-        await client_of(stage).send_goal(patrol(BEHIND[side]))
+        await client_of(stage).send_goal(patrol(BEHIND[side], style="fastest"))
         commands = stage.commands()
     assert all(linear < 0.0 for linear, _ in commands[:-1])
     assert sum(abs(angular) for _, angular in commands) * 0.016 < 0.5
@@ -245,6 +255,14 @@ async def test_every_style_reaches_all_targets(style):
     async with arena() as stage:
         result = await client_of(stage).send_goal(patrol(*TARGETS, style=style))
     assert (result.reached, result.missed) == (4, [])
+
+
+@pytest.mark.parametrize(("behind", "gear"), [(1.4, -1.0), (2.0, 1.0)])
+async def test_the_default_style_reverses_only_to_a_target_close_behind(behind, gear):
+    async with arena() as stage:
+        await client_of(stage).send_goal(patrol((MIDDLE - behind, MIDDLE)))
+        gears = {math.copysign(1.0, linear) for linear, _ in stage.commands() if linear}
+    assert gears == {gear}
 
 
 async def test_the_forward_style_never_reverses():
@@ -329,7 +347,7 @@ REFUSED = [
         "there is no turtle 'turtle7': nobody publishes turtle7/pose",
     ),
     ({"turtle": ""}, "there is no turtle '': nobody publishes /pose"),
-    ({"style": "drift"}, "style: 'drift' is none of arc, forward, rotate_then_drive"),
+    ({"style": "drift"}, "style: 'drift' is none of natural, fastest, forward, rotate_then_drive"),
     ({"tolerance": 0.0}, f"tolerance: {NO} 0.0"),
     ({"max_linear": -1.0}, f"max_linear: {NO} -1.0"),
     ({"max_angular": float("nan")}, f"max_angular: {NO} nan"),
@@ -542,7 +560,7 @@ async def test_a_target_that_is_never_reached_is_missed_and_the_next_headed_for(
 async def test_a_missed_target_is_given_up_after_twice_the_time_that_it_may_take():
     async with disturbed(push_back, to=(1.0, 1.0), every=0.5) as stage:
         result = await client_of(stage).send_goal(patrol((9.0, MIDDLE)))
-        bound = time_bound((MIDDLE, MIDDLE, 0.0), [(9.0, MIDDLE)], Steering())
+        bound = time_bound((MIDDLE, MIDDLE, 0.0), [(9.0, MIDDLE)], Steering("natural"))
     assert result.duration == pytest.approx(2 * bound, abs=0.05)
 
 

@@ -47,7 +47,7 @@ async def abort_reason(one, goal=None):
 # A patrol of a rover
 
 
-@pytest.mark.parametrize("style", ["arc", "forward", "rotate_then_drive"])
+@pytest.mark.parametrize("style", ["natural", "fastest", "forward", "rotate_then_drive"])
 async def test_a_rover_with_odometry_patrols(style):
     async with rover() as one:
         result = await patrol_of(one).send_goal(tour(style=style, loops=1))

@@ -38,7 +38,7 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
             tolerance: How near is near enough (m), above zero.
             max_linear: Highest speed (m/s), above zero.
             max_angular: Highest turn rate (rad/s), above zero.
-            style: ``arc``, ``forward`` or ``rotate_then_drive``.
+            style: ``natural``, ``fastest``, ``forward`` or ``rotate_then_drive``.
             theta: In which heading it shall be there (rad), any angle that is exact to
                 `heading_tolerance`; if that is given.
             heading_tolerance: How far off the heading may be (rad), above zero; if it is 0, any
@@ -51,7 +51,7 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
         tolerance: float64 = 0.1
         max_linear: float64 = 2.0
         max_angular: float64 = 2.0
-        style: string = "arc"
+        style: string = "natural"
         theta: float64 = 0.0
         heading_tolerance: float64 = 0.0
 

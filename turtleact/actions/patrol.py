@@ -53,7 +53,7 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
             tolerance: How near is near enough (m), above zero.
             max_linear: Highest speed (m/s), above zero.
             max_angular: Highest turn rate (rad/s), above zero.
-            style: ``arc``, ``forward`` or ``rotate_then_drive``.
+            style: ``natural``, ``fastest``, ``forward`` or ``rotate_then_drive``.
         """
 
         targets: list[Point] = []
@@ -63,7 +63,7 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
         tolerance: float64 = 0.1
         max_linear: float64 = 2.0
         max_angular: float64 = 2.0
-        style: string = "arc"
+        style: string = "natural"
 
     class Result(Message):
         """How it went.

@@ -34,7 +34,8 @@ from .track import (
 
 
 @pytest.mark.parametrize(
-    ("style", "longest"), [("arc", 10.2), ("forward", 10.8), ("rotate_then_drive", 13.0)]
+    ("style", "longest"),
+    [("natural", 10.8), ("fastest", 10.2), ("forward", 10.8), ("rotate_then_drive", 13.0)],
 )
 def test_the_patrol_of_four_targets_is_driven_in_time(style, longest):
     assert seconds(Steering(style), START, PATROL) <= longest
@@ -124,10 +125,10 @@ def test_a_turtle_at_its_target_stands_still():
 
 @given(st.integers(1, 3), headings, st.lists(near, min_size=1, max_size=4), styles)
 # A target comes to lie square to the heading, inside the turning circle.
-@example(3, 0.0, [(5.5, 5.0), (5.125, 5.34375)], "arc")
-@example(2, -2.042812, [(5.859983, 5.84375), (5.796912, 4.84375), (5.959782, 4.962568)], "arc")
+@example(3, 0.0, [(5.5, 5.0), (5.125, 5.34375)], "fastest")
+@example(2, -2.042812, [(5.859983, 5.84375), (5.796912, 4.84375), (5.959782, 4.962568)], "fastest")
 # Two discs overlap by so little that hardly an arc leads through both.
-@example(3, 2.406939867, [(5.438147016, 5.34375), (5.4375, 5.521519948)], "arc")
+@example(3, 2.406939867, [(5.438147016, 5.34375), (5.4375, 5.521519948)], "fastest")
 def test_commands_that_come_late_still_arrive(late, theta, targets, style):
     pose = (5.544445, 5.544445, theta)
     drive(Steering(style), pose, targets, late=late, patience=2.0)
@@ -155,7 +156,7 @@ def test_a_target_outside_the_area_is_driven_to(style):
 @pytest.mark.parametrize(
     ("style", "others"),
     [
-        ("arc", []),
+        ("fastest", []),
         ("forward", [3952, 4027, 4539, 5170, 6482, 6643, 9547]),
         ("rotate_then_drive", [5170, 5444, 7926]),
     ],
@@ -237,6 +238,29 @@ def test_a_turtle_turns_the_short_way_round(theta, target, style):
 def test_a_turtle_that_may_reverse_turns_little_more_than_a_quarter(theta, target):
     ticks = drive(Steering(), (1.0, 1.0, theta), [target])
     assert sum(abs(tick.angular) for tick in ticks) * 0.016 <= 1.2 * math.pi / 2
+
+
+def gears(ticks):
+    return {math.copysign(1.0, each.linear) for each in ticks if each.linear}
+
+
+@given(points, headings, points, limits)
+def test_the_natural_style_keeps_its_gear_on_the_way_to_a_target(place, theta, target, limits):
+    assert len(gears(drive(Steering("natural", limits), (*place, theta), [target]))) <= 1
+
+
+# Degrees off straight behind, and metres; a turn of 1 rad takes as long as 1 m.
+@pytest.mark.parametrize(
+    ("off", "away", "gear"),
+    [(0, 1.55, -1.0), (0, 1.75, 1.0), (30, 0.6, -1.0), (30, 0.85, 1.0), (60, 0.5, 1.0)],
+)
+@pytest.mark.parametrize("late", [0, 3])
+def test_the_natural_style_reverses_where_turning_round_takes_three_times_as_long(
+    off, away, gear, late
+):
+    seen = math.pi - math.radians(off)
+    target = (5.0 + away * math.cos(seen), 5.0 + away * math.sin(seen))
+    assert gears(drive(Steering("natural"), (5.0, 5.0, 0.0), [target], late=late)) == {gear}
 
 
 def test_exactly_opposite_turns_right():
@@ -397,6 +421,6 @@ def test_an_eased_turtle_that_rolls_the_wrong_way_brakes_first():
 
 
 def test_an_unknown_style_is_refused_with_the_known_ones():
-    text = "style: 'drift' is none of arc, forward, rotate_then_drive"
+    text = "style: 'drift' is none of natural, fastest, forward, rotate_then_drive"
     with pytest.raises(InvalidMessage, match=text):
         Steering("drift")  # type: ignore[arg-type]  # the mistake in question

@@ -14,7 +14,7 @@ from turtleact.actions.steering import Limits, time_bound
 SIDE = 11.088889
 START = (5.544445, 5.544445, 0.0)
 PATROL = [(9.0, 7.0), (5.0, 1.0), (1.0, 7.0), (2.0, 9.0)]
-STYLES = ["arc", "forward", "rotate_then_drive"]
+STYLES = ["natural", "fastest", "forward", "rotate_then_drive"]
 
 coordinates = st.one_of(st.floats(0.0, SIDE), st.sampled_from([0.0, SIDE / 2, SIDE]))
 points = st.tuples(coordinates, coordinates)

@@ -56,7 +56,12 @@ __all__ = [
 ]
 
 # How much turning a style may need for one target, in half turns.
-_TURNING: dict[Style, float] = {"arc": 1.0, "forward": 1.5, "rotate_then_drive": 1.0}
+_TURNING: dict[Style, float] = {
+    "natural": 1.5,
+    "fastest": 1.0,
+    "forward": 1.5,
+    "rotate_then_drive": 1.0,
+}
 _SPARE = 4  # Ticks lost to rounding up for one target: at the end of the turn, and on arrival.
 _ROUNDS = 6  # Rounds of improving the points of a tour; more would not change the bound visibly.
 _ANGLES = 0.5, 0.2  # By which directions are turned (rad), while that proves more:
@@ -228,7 +233,7 @@ class _Tour:
         self._start, self._heading = complex(pose[0], pose[1]), cmath.rect(1.0, pose[2])
         self._centres = centres
         self._limits = steering.limits
-        self._half = math.pi / 2 if steering.style == "arc" else math.pi
+        self._half = math.pi if steering.style == "forward" else math.pi / 2
         self._theta = theta
 
     def proofs(self, units: Sequence[complex]) -> Iterator[tuple[float, float]]:

@@ -84,7 +84,9 @@ if TYPE_CHECKING:
 __all__ = ["LONGEST", "OLDEST", "STILL", "Helm", "Steering"]
 
 # In half turns: the sharpest corner that a style takes without changing gear.
-_CORNER: dict[Style, float] = {"arc": 0.5, "forward": 1.0}
+_CORNER: dict[Style, float] = {"natural": 1.0, "fastest": 0.5, "forward": 1.0}
+_FORMER = {"arc": "fastest"}  # Former names of styles.
+_WORTH = 3.0  # The style natural reverses if turning round would take this many times as long.
 _SHARE = 0.5  # Of the highest speed that a turn allows: what an eased turtle makes of it.
 _ROOM = 0.8  # Share of the way to the edge of the area in which it could stop.
 _GLANCES = (0.0, 0.25, 0.5, 0.75, 1.0)  # Shares of a turn after which it may have to stop.
@@ -115,8 +117,10 @@ class Steering(msgspec.Struct, frozen=True):
     """A style of driving, under limits.
 
     Attributes:
-        style: ``arc`` drives both ways, ``forward`` forwards only, ``rotate_then_drive`` turns to
-            face each target and then drives straight, for those who want to see it.
+        style: ``fastest`` drives forwards or in reverse, whichever is faster. ``natural`` reverses
+            only to targets close behind it. ``forward`` never reverses. ``rotate_then_drive`` turns
+            on the spot to face each target, then drives straight. ``arc`` is the former name of
+            ``fastest``.
         limits: What the turtle may do.
 
     Raises:
@@ -129,10 +133,12 @@ class Steering(msgspec.Struct, frozen=True):
         (0.0, -2.0)
     """
 
-    style: Style = "arc"
+    style: Style = "fastest"
     limits: Limits = Limits()
 
     def __post_init__(self) -> None:
+        if self.style in _FORMER:
+            msgspec.structs.force_setattr(self, "style", _FORMER[self.style])
         if self.style not in get_args(Style):
             raise InvalidMessage("style", f"'{self.style}' is none of {', '.join(get_args(Style))}")
 
@@ -174,6 +180,8 @@ class Steering(msgspec.Struct, frozen=True):
         frame = Frame(complex(pose[0], pose[1]), cmath.rect(1.0, pose[2]))
         gear = self._gear(frame.see(goal), speeds[1])
         frame = Frame(frame.at, gear * frame.heading)
+        if gear < 0.0 and self.style == "natural":
+            next_target = None  # it mostly leaves the target forwards, so it does not swing wide
         if self.limits.is_eased:
             driven = gear * speeds[0], speeds[1]
             linear, angular = self._eased(frame, goal, driven, is_last=next_target is None)
@@ -198,18 +206,40 @@ class Steering(msgspec.Struct, frozen=True):
         wanted = math.copysign(min(ends, limits.max_angular), error) + 0.0
         return ramp(wanted, turning, limits.max_angular_acceleration * limits.dt)
 
+    @property
+    def _turns_round(self) -> bool:
+        """Whether it drives on forwards to a target that lies back from the one before."""
+        return self.style in ("natural", "forward")
+
     def _gear(self, seen: complex, turning: float) -> float:
         """1 to drive forwards, -1 in reverse."""
-        if self.style != "arc":
+        if self.style == "natural":
+            return -1.0 if self._is_worth_reversing(seen) else 1.0
+        if self.style != "fastest":
             return 1.0
         if turning and abs(seen.real) < sway(abs(seen.imag), self.limits):
             return math.copysign(1.0, seen.imag * turning)
         return math.copysign(1.0, seen.real)
 
+    def _is_worth_reversing(self, seen: complex) -> bool:
+        """Whether turning round and driving forwards takes far longer than reversing.
+
+        Both times are those of a turn on the spot and a straight drive to the target's disc. The
+        choice does not change on the way: turning round leaves less to turn, and reversing brings
+        the disc nearer.
+        """
+        limits, away = self.limits, abs(seen)
+        half_width = math.asin(
+            min(1.0, limits.tolerance / away)
+        )  # of the disc, as it is seen from here
+        error, length = abs(phase(seen)), (away - limits.tolerance) / limits.radius
+        reversing = max(0.0, math.pi - error - half_width) + length
+        return max(0.0, error - half_width) + length >= _WORTH * reversing
+
     def _push(self, error: float, *, clear: bool) -> float:
         """1 to drive on in the gear, -1 to back away, 0 to turn on the spot."""
         if not clear:
-            return -1.0 if self.style == "arc" else 0.0
+            return -1.0 if self.style == "fastest" else 0.0
         return float(self.style != "rotate_then_drive" or abs(error) <= late(self.limits))
 
     def _at_once(
@@ -221,13 +251,13 @@ class Steering(msgspec.Struct, frozen=True):
             # Both are reached from between them, unless it would have to back away for that; where
             # it may not, and the second lies back, turning to there is less than turning round.
             between, less = (goal + after) / 2, miss - abs(after - goal) / 2
-            turns = self.style == "forward" and leads_back(frame, goal, after, limits)
+            turns = self._turns_round and leads_back(frame, goal, after, limits)
             if turns or is_clear(frame.see(between), limits, slack=less):
                 goal, after, miss = between, None, less
         clear = is_clear(frame.see(goal), limits, slack=miss)
         area, aim = inside(goal, limits)
         if clear and after is not None and self.style in _CORNER:
-            if self.style == "forward" and (turn := sweep(frame, goal, after, limits, area=area)):
+            if self._turns_round and (turn := sweep(frame, goal, after, limits, area=area)):
                 return limits.max_linear, turn * limits.max_angular
             sharpest = _CORNER[self.style] * math.pi
             shaped = approach(frame, goal, after, limits, area=area, sharpest=sharpest)

@@ -58,7 +58,7 @@ Point: TypeAlias = tuple[float, float]
 Speeds: TypeAlias = tuple[float, float]
 """Linear (m/s, negative in reverse) and angular speed (rad/s, positive to the left)."""
 
-Style: TypeAlias = Literal["arc", "forward", "rotate_then_drive"]
+Style: TypeAlias = Literal["natural", "fastest", "forward", "rotate_then_drive"]
 
 MISS = 0.9
 """Share of the tolerance by which a turning circle may miss the target."""
