@@ -28,7 +28,9 @@ from turtleact.errors import (
 )
 from turtleact.interfaces import Message, Service, int32
 from turtleact.interfaces.standard import Fibonacci
+from turtleact.node.conflicts import Rivals
 from turtleact.transports import MemoryTransport, open_zenoh
+from turtleact.transports.base import Endpoint
 
 from ..lab import (
     ON_ASYNCIO,
@@ -348,6 +350,44 @@ async def test_a_restarted_node_waits_for_its_predecessor_with_all_types_of_a_na
         await before.aclose()
         with anyio.fail_after(10.0):
             assert all([await server.wait_until_serving() for server in declared])
+
+
+class FarGraph:
+    """A graph on which only other processes serve the action; `turn` changes who does."""
+
+    def __init__(self) -> None:
+        self._changed = anyio.Event()
+        self._nodes: tuple[str, ...] = ("/first",)
+
+    def turn(self, *nodes: str) -> None:
+        self._nodes = nodes
+        self._changed.set()
+        self._changed = anyio.Event()
+
+    def endpoints(self, service: str) -> list[Endpoint]:
+        return [Endpoint("service", service, "lab/action/Count", node) for node in self._nodes]
+
+    def local(self, service: str, type_name: str) -> None:
+        """There is none in this process."""
+
+    async def wait_for_change(self) -> None:
+        await self._changed.wait()
+
+
+async def test_of_two_that_wait_in_two_processes_one_begins(monkeypatch):
+    over = anyio.Event()
+    monkeypatch.setattr(anyio, "sleep", lambda _: over.wait())
+    graph: Any = FarGraph()
+    rivals = Rivals(graph, "/count/_action/send_goal", "/third")
+    async with running(rivals.wait_until_free) as waiting:
+        graph.turn()
+        await settle()
+        graph.turn("/second")  # the other standby was faster
+        over.set()
+        await settle()
+        assert not waiting.done.is_set()
+        graph.turn()
+        await waiting.done.wait()
 
 
 async def test_a_built_in_makes_way_and_its_running_goals_finish(caplog):

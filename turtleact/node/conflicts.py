@@ -18,8 +18,11 @@ Across processes, all of this depends on discovery: a server counts only once it
 from __future__ import annotations
 
 import logging
+import random
 from collections.abc import Callable
 from typing import Literal, TypeAlias
+
+import anyio
 
 from turtleact.errors import ActionConflict
 from turtleact.transports.base import Transport
@@ -32,6 +35,10 @@ OnConflict: TypeAlias = Literal["refuse", "wait", "withdraw"]
 
 BUILT_INS_NODE = "/turtle_actions"
 """The node of the built-in actions in every process; it withdraws in favour of any other node."""
+
+
+STAGGER = random.uniform(0.0, 0.5)  # noqa: S311  # not for security
+"""How long this process waits before it takes over from another process (s, event loop time)."""
 
 
 class Rivals:
@@ -87,6 +94,18 @@ class Rivals:
     def has_built_in(self) -> bool:
         """Whether a built-in action in another process must withdraw for this one."""
         return self._node != BUILT_INS_NODE and BUILT_INS_NODE in self._nodes(is_local=False)
+
+    async def wait_until_free(self) -> None:
+        """Wait until this node can serve the action. Cancelling: safe.
+
+        Standbys in several processes all see at the same moment that a server has gone. Each then
+        waits for a time of its own and looks again, so that only the first one takes over.
+        """
+        while (holder := self.holder()) is not None:
+            is_remote = holder in self._nodes(is_local=False)
+            await self.wait_until(lambda: self.holder() is None)
+            if is_remote:
+                await anyio.sleep(STAGGER)
 
     async def wait_until(self, condition: Callable[[], bool]) -> None:
         """Wait until a condition on the graph holds. Cancelling: safe."""

@@ -495,7 +495,7 @@ class ActionServer(Generic[G, R, F]):
 
     async def _serve_once_free(self, rivals: Rivals) -> None:
         """Join the graph when nobody else serves the name any more."""
-        await rivals.wait_until(lambda: rivals.holder() is None)
+        await rivals.wait_until_free()
         logger.warning("%s is free: serving it now", self.name)
         self._begin(rivals)
 
