@@ -11,6 +11,7 @@ The layers, each built on those below it::
     transports                  how messages travel
     clock, tasks                time; tasks and wake-ups of the event loop
     slot, goal, feedback        which goals may run; the states of a goal; kept feedback
+    parameters                  kinds of values, ranges
     interfaces                  messages, services and actions as classes
     names, geometry, errors
 
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
         InvalidMessage,
         InvalidName,
         InvalidOption,
+        InvalidParameter,
         InvalidTransition,
         Reject,
         ServerUnavailable,
@@ -74,7 +76,8 @@ if TYPE_CHECKING:
         load_message,
         load_service,
     )
-    from turtleact.node import ActionServer, Node, ServerGoalHandle, open_node
+    from turtleact.node import ActionServer, Node, Parameter, ServerGoalHandle, open_node
+    from turtleact.parameters import parameter
     from turtleact.services import ServiceClient, ServiceServer
     from turtleact.topics import Publisher, Subscription
     from turtleact.transports import QoS, open_zenoh
@@ -96,8 +99,10 @@ __all__ = [
     "Publisher",
     "Subscription",
     "QoS",
+    "Parameter",
     # bodies and callbacks
     "action",
+    "parameter",
     "GoalResponse",
     "CancelResponse",
     "GoalStatus",
@@ -139,6 +144,7 @@ __all__ = [
     "InvalidMessage",
     "InvalidName",
     "InvalidOption",
+    "InvalidParameter",
     "InvalidTransition",
     "UnknownInterface",
     "SimError",
@@ -175,7 +181,8 @@ _HOMES = {
         "load_message",
         "load_service",
     ),
-    "node": ("ActionServer", "Node", "ServerGoalHandle", "open_node"),
+    "node": ("ActionServer", "Node", "Parameter", "ServerGoalHandle", "open_node"),
+    "parameters": ("parameter",),
     "services": ("ServiceClient", "ServiceServer"),
     "topics": ("Publisher", "Subscription"),
     "transports": ("QoS", "open_zenoh"),

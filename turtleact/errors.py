@@ -10,6 +10,7 @@
     │   └── InvalidGoal        … in the goal of an action
     ├── InvalidBody            a function cannot be the body of an action
     ├── InvalidOption          an option has a value that it cannot have
+    ├── InvalidParameter       a parameter is not declared, or cannot have a value
     ├── InvalidTransition      an event is not allowed in a goal's state
     ├── GoalError              a goal did not succeed; raised where you wait for the goal
     │   ├── GoalRejected       the server rejected the goal
@@ -53,6 +54,7 @@ __all__ = [
     "InvalidMessage",
     "InvalidName",
     "InvalidOption",
+    "InvalidParameter",
     "InvalidTransition",
     "Reject",
     "ServerUnavailable",
@@ -192,6 +194,23 @@ class InvalidOption(TurtleactError):
 
     def __str__(self) -> str:
         return f"option '{self.name}': {self.problem}"
+
+
+class InvalidParameter(TurtleactError):
+    """A parameter is not declared, is declared twice, or cannot have a value.
+
+    Attributes:
+        name: The parameter.
+        problem: What was expected and what was found.
+    """
+
+    def __init__(self, name: str, problem: str) -> None:
+        super().__init__(name, problem)
+        self.name = name
+        self.problem = problem
+
+    def __str__(self) -> str:
+        return f"parameter '{self.name}': {self.problem}"
 
 
 class InvalidTransition(TurtleactError):

@@ -20,7 +20,6 @@ from turtleact.commands import graph
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard import TurtlePose, Twist
-from turtleact.sim.parameter_services import Parameters
 from turtleact.tasks import Background
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Endpoint
@@ -139,13 +138,25 @@ async def turtlesim(transport):
 async def parameters(transport):
     """The parameters of turtlesim."""
     async with open_node("turtlesim", transport=transport) as node:
-        declared = Parameters(node, lambda: None)
+        declared = {}
         for name, value in (("r", 69), ("g", 86), ("b", 255)):
             colour = {"r": "Red", "g": "Green", "b": "Blue"}[name]
             text = f"{colour} channel of the background color"
-            declared.declare(f"background_{name}", value, text, (0, 255))
-        declared.declare("holonomic", False, "If true, then turtles will be holonomic")
+            declared[f"background_{name}"] = node.parameter(
+                f"background_{name}", value, description=text, range=(0, 255, 1)
+            )
+        text = "If true, then turtles will be holonomic"
+        declared["holonomic"] = node.parameter("holonomic", False, description=text)
         yield declared
+
+
+@asynccontextmanager
+async def driver(transport):
+    """A node with a parameter, as docs/nodes.md declares it."""
+    async with open_node("driver", transport=transport) as node:
+        text = "Highest speed (m/s)"
+        node.parameter("max_speed", 1.0, description=text, range=(0.0, 2.0))
+        yield
 
 
 def answer(service_type):

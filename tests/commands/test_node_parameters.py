@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import shlex
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import anyio
 import pytest
@@ -17,6 +19,7 @@ from turtleact.interfaces.standard import (
     DescribeParameters,
     FloatingPointRange,
     GetParameters,
+    IntegerRange,
     ListParameters,
     ListParametersResult,
     ParameterDescriptor,
@@ -223,7 +226,7 @@ def test_a_value_that_is_taken_is_told_as_by_ros2_and_there(on_graph, graphs):
     async def nodes(transport):
         async with graphs.parameters(transport) as declared:
             yield
-            values.append(declared["background_r"])
+            values.append(declared["background_r"].value)
 
     ran = on_graph(nodes, "param", "set", "/turtlesim", "background_r", "150")
     assert (ran, values) == ((0, "Set parameter successful\n", ""), [150])
@@ -232,7 +235,11 @@ def test_a_value_that_is_taken_is_told_as_by_ros2_and_there(on_graph, graphs):
 @pytest.mark.parametrize(
     ("name", "value", "reason"),
     [
-        ("background_r", "300", "Parameter {background_r} doesn't comply with integer range."),
+        (
+            *("background_r", "300"),
+            "Parameter {background_r} doesn't comply with integer range. It takes 0 to 255, "
+            "not 300.",
+        ),
         ("holonomic", "no", "Wrong parameter type, parameter {holonomic} is of type {bool}, "),
         ("backgroud_r", "1", "was not declared, did you mean 'background_r'?"),
     ],
@@ -242,6 +249,62 @@ def test_a_value_that_is_refused_is_an_error_with_the_reason(on_turtlesim, name,
     assert (ran.status, ran.out) == (1, "")
     assert ran.err.startswith("turtleact: Setting parameter failed: ")
     assert reason in ran.err
+
+
+@asynccontextmanager
+async def numbers(transport):
+    """A node with doubles."""
+    async with open_node("lab", transport=transport) as node:
+        speed = node.parameter("speed", 1.0, range=(0, 2))
+        gains = node.parameter("gains", [1.0])
+        yield speed, gains
+
+
+def saying(answer, _request):
+    return answer
+
+
+@asynccontextmanager
+async def curt(transport):
+    """A node that refuses without the range, as those of ROS 2 do."""
+    known = [ParameterDescriptor("whole", 2, integer_range=[IntegerRange(0, 9)])]
+    answers: dict[Any, object] = {
+        GetParameters: GetParameters.Response(),
+        ListParameters: ListParameters.Response(ListParametersResult(["whole"])),
+        DescribeParameters: DescribeParameters.Response(known),
+        SetParameters: SetParameters.Response([SetParametersResult(False, "No.")]),
+    }
+    async with open_node("lab", transport=transport) as node:
+        for service, answer in answers.items():
+            words = service.type_name.rpartition("/")[2].removesuffix("Parameters").lower()
+            node.service(service, f"~/{words}_parameters", partial(saying, answer))
+        yield
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "value"), [("speed", "2", 2.0), ("gains", "[1, 2]", [1.0, 2.0])]
+)
+def test_a_whole_number_sets_a_double(on_graph, name, text, value):
+    values: dict[str, object] = {}
+
+    @asynccontextmanager
+    async def nodes(transport):
+        async with numbers(transport) as parameters:
+            yield
+            values.update((each.name, each.value) for each in parameters)
+
+    ran = on_graph(nodes, "param", "set", "/lab", name, text)
+    assert (ran.status, ran.out, values[name]) == (0, "Set parameter successful\n", value)
+
+
+def test_a_whole_number_out_of_the_range_of_a_double_is_refused(on_graph):
+    ran = on_graph(numbers, "param", "set", "/lab", "speed", "3")
+    assert ran.err.endswith("floating point range. It takes 0.0 to 2.0, not 3.0.\n")
+
+
+def test_the_range_is_named_if_the_node_does_not_name_it(on_graph):
+    ran = on_graph(curt, "param", "set", "/lab", "whole", "300")
+    assert ran.err == "turtleact: Setting parameter failed: No: it takes 0 to 9, not 300\n"
 
 
 def test_what_a_node_says_to_a_value_it_takes_is_printed(on_graph):
@@ -285,7 +348,8 @@ def test_loading_tells_what_was_not_taken(on_turtlesim, tmp_path):
     )
     assert ran.err == (
         "turtleact: Set parameter background_g failed: "
-        "Parameter {background_g} doesn't comply with integer range.\n"
+        "Parameter {background_g} doesn't comply with integer range. "
+        "It takes 0 to 255, not 300.\n"
     )
     assert on_turtlesim("load", "/turtlesim", str(file), "--no-use-wildcard").out == (
         "Set parameter holonomic successful\n"

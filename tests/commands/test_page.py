@@ -1,4 +1,4 @@
-"""The examples of docs/cli.md that need a graph, run on one of ``graphs.py``.
+"""The examples of docs/ that need a graph, run on one of ``graphs.py``.
 
 Above such a block stands ``<!-- not run: on the graph NAME -->``, with ``, exit status N`` behind
 the name if its commands end otherwise than with 0. In the output ``...`` stands for anything.
@@ -15,7 +15,8 @@ import pytest
 
 from turtleact.commands import GROUPS, VERBS
 
-PAGE = Path(__file__).parents[2] / "docs" / "cli.md"
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE = DOCS / "cli.md"
 BLOCK = re.compile(
     r"^<!-- not run: on the graph (?P<graph>\w+)(?:, exit status (?P<status>\d+))? -->\n"
     r"```console\n(?P<text>.*?)^```$",
@@ -25,7 +26,8 @@ EXAMPLES = [
     pytest.param(
         block["graph"], int(block["status"] or 0), *part.split("\n", 1), id=part.split("\n")[0]
     )
-    for block in BLOCK.finditer(PAGE.read_text("utf-8"))
+    for page in (PAGE, DOCS / "nodes.md")
+    for block in BLOCK.finditer(page.read_text("utf-8"))
     for part in re.split(r"^\$ turtleact ", block["text"], flags=re.MULTILINE)[1:]
 ]
 SECONDS = 4.5

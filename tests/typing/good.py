@@ -71,3 +71,16 @@ async def load(node: turtleact.Node) -> None:
     clear = turtleact.get_service("std_srvs/srv/Empty")
     await node.service_client(clear, "clear").call(clear.Request())
     print(turtleact.get_message("turtlesim/msg/Pose")().x, turtleact.get_action("a/action/B").Goal)
+
+
+max_speed = turtleact.parameter("max_speed", 1.0, range=(0, 2))
+
+
+async def configure(node: turtleact.Node) -> None:
+    assert_type(node.parameter(max_speed).value, float)
+    count = node.parameter("count", 3, range=(0, 9, 3), validate=lambda value: value != 6)
+    assert_type(count, turtleact.Parameter[int])
+    count.value = 9
+    node.parameter("is_open", default=False).on_change(print)
+    async for gains in node.parameter("gains", [0.5]).changes():
+        assert_type(gains, list[float])

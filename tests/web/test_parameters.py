@@ -11,7 +11,6 @@ import turtleact
 from turtleact.errors import InvalidMessage, ServerUnavailable
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.standard import GetParameters, ParameterValue, SetParameters
-from turtleact.sim.parameter_services import Parameters
 from turtleact.web.rosapi import LONGEST_PARAMETER, MOST_PARAMETERS
 from turtleact.web.shared import Limits, Shared
 
@@ -64,10 +63,9 @@ async def test_there_is_an_end_to_parameters(rosapi):
 @pytest.fixture
 async def lamp(node):
     """A node's parameters: those of turtlesim are of these kinds."""
-    parameters = Parameters(node, lambda: None)
-    parameters.declare("red", 69, "how much red", (0, 255))
-    parameters.declare("is.on", True, "whether it is on")
-    return parameters
+    red = node.parameter("red", 69, description="how much red", range=(0, 255))
+    node.parameter("is.on", True, description="whether it is on")
+    return red
 
 
 async def test_a_parameter_of_a_node_is_read(rosapi, lamp):
@@ -79,10 +77,10 @@ async def test_a_parameter_of_a_node_is_read(rosapi, lamp):
     assert (await rosapi.call("/rosapi/has_param", ["/lab:red"]))["exists"]
 
 
-async def test_a_parameter_of_a_node_is_set(rosapi, lamp):
+async def test_a_parameter_of_a_node_is_set(rosapi, node, lamp):
     assert (await rosapi.call("/rosapi/set_param", ["/lab:red", "7"]))["successful"]
     assert (await rosapi.call("/rosapi/set_param", ["/lab:is.on", "false"]))["successful"]
-    assert (lamp["red"], lamp["is.on"]) == (7, False)
+    assert (lamp.value, node.parameter("is.on").value) == (7, False)
 
 
 async def test_the_parameters_of_all_nodes_are_listed(rosapi, node, lamp):
@@ -114,7 +112,7 @@ async def test_the_node_says_why_a_parameter_cannot_be_set(rosapi, lamp, name, v
     values = await rosapi.call("/rosapi/set_param", [f"/lab:{name}", value])
     assert not values["successful"]
     assert reason in values["reason"]
-    assert lamp["red"] == 69
+    assert lamp.value == 69
 
 
 async def test_a_parameter_that_a_node_has_not_does_not_exist(rosapi, lamp):

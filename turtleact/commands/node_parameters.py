@@ -26,8 +26,10 @@ from turtleact.interfaces.standard import (
     ParameterType,
     ParameterValue,
     SetParameters,
+    SetParametersResult,
 )
 from turtleact.interfaces.text import Document, block, tree_of
+from turtleact.parameters import out_of_range, value_of
 
 if TYPE_CHECKING:
     import re
@@ -221,14 +223,14 @@ async def load(
         others = f", but for {known}" if known else ""
         raise UsageError(f"{source}: has no parameters for {who}{others}")
     given = [Parameter(name, value) for name, value in wanted.items()]
-    response = await _ask(node, SetParameters, who, SetParameters.Request(given))
-    for name, result in zip(wanted, response.results, strict=True):
+    results = await _set(node, who, given)
+    for name, result in zip(wanted, results, strict=True):
         reason = f": {result.reason}" if result.reason else ""
         if result.successful:
             say_names(f"Set parameter {name} successful{reason}\n")
         else:
             note(f"Set parameter {name} failed{reason}")
-    return DONE if all(result.successful for result in response.results) else FAILED
+    return DONE if all(result.successful for result in results) else FAILED
 
 
 # what is asked of a node
@@ -305,16 +307,58 @@ async def _set_one(
     node: Node, owner: Owner, name: str, value: ParameterValue, done: str, trying: str
 ) -> int:
     who = await _find(node, owner)
-    request = SetParameters.Request([Parameter(name, value)])
-    [result] = (await _ask(node, SetParameters, who, request)).results
+    [result] = await _set(node, who, [Parameter(name, value)])
     reason = f": {result.reason}" if result.reason else ""
     if result.successful:
         say_names(f"{done}{reason}\n")
         return DONE
-    known = await _names(node, who, ())
-    hint = "" if name in known else names_like(name, known)
-    note(f"{trying} parameter failed{reason}{hint}")
+    note(f"{trying} parameter failed{reason}")
     return FAILED
+
+
+async def _set(
+    node: Node, owner: str, parameters: Sequence[Parameter]
+) -> list[SetParametersResult]:
+    """Set parameters; a refusal also says what the parameter takes, or what it is called."""
+    request = SetParameters.Request(list(parameters))
+    results = list((await _ask(node, SetParameters, owner, request)).results)
+    refused = [place for place, result in enumerate(results) if not result.successful]
+    known = await _names(node, owner, ()) if refused else []
+    for place in refused:
+        name = parameters[place].name
+        if name in known:
+            results[place] = await _set_again(node, owner, parameters[place], results[place])
+        else:
+            results[place].reason += names_like(name, known)
+    return results
+
+
+async def _set_again(
+    node: Node, owner: str, parameter: Parameter, refusal: SetParametersResult
+) -> SetParametersResult:
+    """Set a double to a whole number, or explain a refusal with the parameter's range."""
+    # ROS 2 refuses an integer for a double, though nobody means anything else by ``2``. Only a
+    # node that has refused is asked what its parameter is, so that all else costs one call.
+    [known] = await _described(node, owner, [parameter.name])
+    value = _as_double(parameter.value, known.type)
+    result = refusal
+    if value is not parameter.value:
+        request = SetParameters.Request([Parameter(parameter.name, value)])
+        [result] = (await _ask(node, SetParameters, owner, request)).results
+    taken = "" if result.successful else out_of_range(known, value)
+    if taken[1:] not in result.reason:
+        result.reason = f"{result.reason.rstrip('.')}: {taken}" if result.reason else taken
+    return result
+
+
+def _as_double(value: ParameterValue, kind: int) -> ParameterValue:
+    """The same numbers as doubles, if they are integers and doubles are wanted."""
+    if (value.type, kind) == (ParameterType.PARAMETER_INTEGER, ParameterType.PARAMETER_DOUBLE):
+        return ParameterValue(kind, double_value=float(value.integer_value))
+    arrays = (ParameterType.PARAMETER_INTEGER_ARRAY, ParameterType.PARAMETER_DOUBLE_ARRAY)
+    if (value.type, kind) == arrays:
+        return ParameterValue(kind, double_array_value=[*map(float, value.integer_array_value)])
+    return value
 
 
 # how it is said
@@ -447,9 +491,8 @@ def read_file(path: str, *, use_wildcard: bool) -> dict[str, dict[str, Parameter
 
 def plain(value: ParameterValue) -> object:
     """A value as a Python object; None if it is not set."""
-    kind = KINDS.get(value.type)
-    found = None if kind is None else getattr(value, kind.field)
-    return found if found is None or isinstance(found, bool | int | float | str) else list(found)
+    found = value_of(value)
+    return list(found) if isinstance(found, bytes) else found
 
 
 def kind_name(number: int) -> str:

@@ -1,9 +1,11 @@
 """Nodes: the participants of a graph.
 
-`node` opens topics, services and actions by name. `resources` tracks everything a node has opened,
+`node` opens topics, services and actions by name. `parameters` serves the parameters of a node.
+`resources` tracks everything a node has opened,
 so that it closes with the node. `conflicts` ensures that only one node serves an action name.
 """
 
 from turtleact.node.node import ActionServer, Node, ServerGoalHandle, Transition, open_node
+from turtleact.node.parameters import Parameter
 
-__all__ = ["ActionServer", "Node", "ServerGoalHandle", "Transition", "open_node"]
+__all__ = ["ActionServer", "Node", "Parameter", "ServerGoalHandle", "Transition", "open_node"]

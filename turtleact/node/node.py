@@ -12,20 +12,23 @@ import math
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import AbstractContextManager, asynccontextmanager
 from functools import partial
-from typing import Any, Generic, TypeAlias, TypeVar, Unpack, cast, get_args
+from typing import Any, Generic, TypeAlias, TypeVar, Unpack, cast, get_args, overload
 
 from turtleact.body import ActionBody, ActionDeclaration, ActionType, Body, ServerOptions
 from turtleact.client import ActionClient
 from turtleact.client.client_endpoints import ClientEndpoints
 from turtleact.clock import Clock, check_timeout
-from turtleact.errors import InvalidOption, TurtleactError
+from turtleact.errors import InvalidOption, InvalidParameter, TurtleactError
 from turtleact.goal import Goal, GoalStatus
 from turtleact.graph import Graph, graph_of
 from turtleact.interfaces import Action, Message, Service, WireFormat
+from turtleact.interfaces.standard import ParameterEvent
 from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
 from turtleact.node.conflicts import OnConflict, Rivals
+from turtleact.node.parameters import EVENTS_QOS, NodeParameters, Parameter
 from turtleact.node.resources import Resources
 from turtleact.observers import GoalObserver
+from turtleact.parameters import Bounds, ParameterDeclaration, Value, parameter
 from turtleact.server.endpoints import ActionEndpoints
 from turtleact.server.execution import CURRENT_GOAL, Execution, Served
 from turtleact.server.goal_handle import GoalHandle
@@ -45,6 +48,7 @@ G = TypeVar("G", bound=Message)
 R = TypeVar("R", bound=Message)
 F = TypeVar("F", bound=Message)
 M = TypeVar("M", bound=Message)
+V = TypeVar("V", bound=Value)
 Req = TypeVar("Req", bound=Message)
 Res = TypeVar("Res", bound=Message)
 
@@ -75,6 +79,7 @@ class Node:
         self._resources = Resources()
         self._slots = Slots[SlotRequest]()
         self._hooks: list[Transition] = []
+        self._parameters: NodeParameters | None = None
         self._membership = transport.enter(self.fully_qualified_name)
 
     @property
@@ -323,6 +328,58 @@ class Node:
             service_type, full_name, self.transport, caller, self._resources, self._tasks
         )
 
+    @overload
+    def parameter(self, name: ParameterDeclaration[V]) -> Parameter[V]: ...
+    @overload
+    def parameter(self, name: str) -> Parameter[Any]: ...
+    @overload
+    def parameter(
+        self,
+        name: str,
+        default: V,
+        *,
+        description: str = "",
+        range: Bounds | None = None,
+        read_only: bool = False,
+        validate: Callable[[V], object] | None = None,
+    ) -> Parameter[V]: ...
+    def parameter(
+        self, name: ParameterDeclaration[Any] | str, default: Any = None, **options: Any
+    ) -> Parameter[Any]:
+        """Declare a parameter, or find one.
+
+        The first declaration opens the six parameter services of the node and a publisher on
+        ``/parameter_events``, so ``param list`` and programs in ROS 2 see the parameter.
+
+        Args:
+            name: The parameter's name; dots group parameters. With a name alone, this finds a
+                parameter that was declared before. With a declaration of `turtleact.parameter`,
+                this declares it if the node does not have it yet.
+            default: The first value. It sets the kind that all later values must have: `bool`,
+                `int`, `float`, `str`, `bytes`, or a list of one of the first four. Python's whole
+                numbers are accepted for a `float`.
+            description: What the parameter is for, with its unit.
+            range: The least and the greatest allowed number, and perhaps the step between allowed
+                numbers. Only for `int` and `float`. Both ends are allowed.
+            read_only: Whether the parameter keeps its first value.
+            validate: Called with each new value, the first one too. To refuse a value, raise
+                `ValueError` with the reason, or return False.
+
+        Raises:
+            InvalidParameter: if the parameter is declared already; if ``default`` is of no kind,
+                out of range or refused; if you give only a name, and it is not declared.
+            InvalidOption: if ``range`` or ``validate`` is not allowed.
+        """
+        self._home.check()
+        if isinstance(name, ParameterDeclaration):
+            return self._parameters_opened().declare_once(name)
+        if default is not None:
+            declaration = parameter(name, default, **options)
+            return self._parameters_opened().declare(declaration)
+        if self._parameters is None:
+            raise InvalidParameter(name, "it is not declared, nor is any other on this node")
+        return self._parameters.find(name)
+
     def count_publishers(self, topic: str) -> int:
         """Count the publishers of a topic on all nodes.
 
@@ -352,6 +409,22 @@ class Node:
             await self._resources.aclose()
         finally:
             self._membership.close()
+
+    def _parameters_opened(self) -> NodeParameters:
+        """The node's parameters; opens their services at the first call."""
+        if self._parameters is None:
+            opened = NodeParameters(
+                self.fully_qualified_name,
+                self.publisher(ParameterEvent, "/parameter_events", EVENTS_QOS),
+                self.clock,
+                self._resources,
+                self._home,
+                self._tasks,
+            )
+            for name, (service_type, handler) in opened.services().items():
+                self.service(service_type, f"~/{name}", handler)
+            self._parameters = opened
+        return self._parameters
 
     def _place(self, options: ServerOptions) -> Slot[SlotRequest] | None:
         """Return the slot for a server with these options; None if its goals need none."""

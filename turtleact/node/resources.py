@@ -5,8 +5,8 @@ This module knows nothing about names and message types.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AsyncExitStack
+from collections.abc import Callable, Iterator
+from contextlib import AsyncExitStack, contextmanager
 from weakref import WeakValueDictionary
 
 import anyio
@@ -27,6 +27,7 @@ class Resources(Owner):
         self.is_open = True
         self._count = 0
         self._opened: dict[int, AsyncCloseable] = {}
+        self._waits: set[anyio.CancelScope] = set()
         # The references are weak, and a server stays here while it closes: the node waits for it.
         self._servers: dict[str, WeakValueDictionary[int, Serving]] = {
             "action server": WeakValueDictionary(),
@@ -51,6 +52,16 @@ class Resources(Owner):
     def action_servers(self) -> list[object]:
         """The action servers, oldest first, including those that are closing."""
         return list(self._servers["action server"].values())
+
+    @contextmanager
+    def waiting(self) -> Iterator[None]:
+        """A block that is left when the node closes; look at `is_open` before and after it."""
+        with anyio.CancelScope() as scope:
+            self._waits.add(scope)
+            try:
+                yield
+            finally:
+                self._waits.discard(scope)
 
     async def aclose(self) -> None:
         """Close everything, shielded: first actions, then services, then the rest, newest first.
@@ -78,6 +89,8 @@ class Resources(Owner):
 
     async def _close_rest(self) -> None:
         self.is_open = False
+        for scope in self._waits:
+            scope.cancel()
         async with AsyncExitStack() as newest_first:
             for thing in self._opened.values():
                 newest_first.push_async_callback(thing.aclose)

@@ -10,7 +10,6 @@ Without ROS and without a clock:
 
 As a node:
 
-- `turtlesim` is the world, with a `turtle` for each of its turtles and `parameter_services` for its
-  own parameters.
+- `turtlesim` is the world, with a `turtle` for each of its turtles.
 - `world_services` is what the world offers beyond turtlesim: time, all poses, pictures.
 """

@@ -3,7 +3,7 @@
 For all turtles together there are the services ``spawn``, ``kill``, ``clear`` and ``reset``, and
 the parameters ``background_r``, ``background_g``, ``background_b`` and ``holonomic``; `turtle` says
 what each turtle has, `simulation` what there is for time, `poses` and `pictures` for those who look
-on. Only these modules, this one and `parameters` know ROS, and only `ticking` and this one a clock.
+on. Only these modules and this one know ROS, and only `ticking` and this one a clock.
 
 Where turtlesim would exit (a turtle with an invalid name) or turn forever (numbers that are not
 finite), this logs a message and goes on.
@@ -26,7 +26,6 @@ from turtleact.interfaces.standard import Empty, Kill, Spawn, TurtlePose
 from turtleact.names import resolve_name
 from turtleact.sim.canvas import Colour
 from turtleact.sim.drawing import Pens
-from turtleact.sim.parameter_services import Parameters
 from turtleact.sim.pictures import BACKGROUND, Figure, Snapshot, thumbnail
 from turtleact.sim.turtle import TOPIC_QOS, Habitat, Turtle
 from turtleact.sim.world import FEW
@@ -36,7 +35,7 @@ from turtleact.topics import publish_unchecked
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from turtleact.node import Node
+    from turtleact.node import Node, Parameter
     from turtleact.sim.kinematics import Hits
     from turtleact.sim.world import Pose, World
     from turtleact.topics import Publisher
@@ -73,7 +72,10 @@ class Turtlesim:
         self._pens = Pens(world)
         self._habitat = Habitat(node, world, self._pens, self._call_on, self._note_reading)
         self._roster = anyio.Lock()  # turtlesim, too, handles one request at a time
-        self._parameters = _declare(node, self._parameters_changed, is_holonomic=world.holonomic)
+        self._background = [_declare_colour(node, *each) for each in BACKGROUND._asdict().items()]
+        node.parameter(
+            "holonomic", world.holonomic, description="If true, then turtles will be holonomic"
+        ).on_change(self._holonomic_changed)
         self._turtles: dict[str, Turtle] = {}
         self._spawned: set[str] = set()  # and are not on demand
         self._busy: dict[Turtle, None] = {}  # that have something to take up
@@ -121,7 +123,7 @@ class Turtlesim:
     def snapshot(self) -> Snapshot:
         """The world as it looks now, for `to_png` and `to_svg` of `turtleact.sim.pictures`."""
         drawing, world = self._pens.drawing, self._world
-        colour = (self._parameters[f"background_{channel}"] for channel in "rgb")
+        colour = (channel.value for channel in self._background)
         places = map(complex, world.places())
         figures = [Figure(place, world.heading(index)) for index, place in enumerate(places)]
         return Snapshot(
@@ -296,8 +298,8 @@ class Turtlesim:
                 for turtle in turtles:
                     closing.start_soon(turtle.aclose)
 
-    def _parameters_changed(self) -> None:
-        self._world.holonomic = bool(self._parameters["holonomic"])
+    def _holonomic_changed(self, holonomic: bool) -> None:
+        self._world.holonomic = holonomic
 
 
 def _warn(hits: Hits) -> None:
@@ -305,10 +307,7 @@ def _warn(hits: Hits) -> None:
         logger.warning("Oh no! I hit the wall! (Clamping from [x=%f, y=%f])", hit.x, hit.depth)
 
 
-def _declare(node: Node, on_change: Callable[[], None], *, is_holonomic: bool) -> Parameters:
-    parameters = Parameters(node, on_change)
-    for colour, value in BACKGROUND._asdict().items():
-        description = f"{colour.capitalize()} channel of the background color"
-        parameters.declare(f"background_{colour[0]}", value, description, (0, 255))
-    parameters.declare("holonomic", is_holonomic, "If true, then turtles will be holonomic")
-    return parameters
+def _declare_colour(node: Node, colour: str, value: int) -> Parameter[int]:
+    description = f"{colour.capitalize()} channel of the background color"
+    name = f"background_{colour[0]}"
+    return node.parameter(name, value, description=description, range=(0, 255, 1))

@@ -1,0 +1,346 @@
+"""The parameters of a node on the graph: six services, and an event for each change.
+
+The services appear when the first parameter is declared, so a node without parameters costs
+nothing. Answers and their texts match rclcpp: a service that is asked about several parameters
+answers with an empty list if one of them is not declared.
+
+Source: rclcpp 28.1 (ROS 2 Jazzy), ``parameter_service.cpp`` and ``node_parameters.cpp``.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, cast
+
+from turtleact.errors import InvalidParameter, TurtleactError
+from turtleact.interfaces import Message, stamp_of
+from turtleact.interfaces.standard import (
+    DescribeParameters,
+    GetParameters,
+    GetParameterTypes,
+    ListParameters,
+    ParameterEvent,
+    ParameterValue,
+    SetParameters,
+    SetParametersAtomically,
+    SetParametersResult,
+)
+from turtleact.interfaces.standard import Parameter as ParameterMessage
+from turtleact.parameters import ParameterDeclaration, ParameterTable, Value, value_of
+from turtleact.summaries import loggable, summary, text_of
+from turtleact.transports import QoS
+
+if TYPE_CHECKING:
+    from turtleact.clock import Clock
+    from turtleact.node.resources import Resources
+    from turtleact.services import ServiceType
+    from turtleact.tasks import Home, Signal, Tasks
+    from turtleact.topics import Publisher
+
+__all__ = ["EVENTS_QOS", "Changes", "NodeParameters", "Parameter"]
+
+logger = logging.getLogger("turtleact.parameters")
+
+P = TypeVar("P", bound=Value)
+
+EVENTS_QOS = QoS(depth=1000)
+"""The quality of service of ``/parameter_events``."""
+
+
+class NodeParameters:
+    """The parameters of a node, served as ``<node>/get_parameters`` and so on.
+
+    Args:
+        node: The fully qualified name of the node.
+        events: Publishes each change.
+        clock: The time of the events.
+        resources: Everything open on the node.
+        home: The event loop of the node.
+        tasks: The task functions of that event loop.
+    """
+
+    def __init__(
+        self,
+        node: str,
+        events: Publisher[ParameterEvent],
+        clock: Clock,
+        resources: Resources,
+        home: Home,
+        tasks: Tasks,
+    ) -> None:
+        self.resources = resources
+        self._node = node
+        self._events = events
+        self._clock = clock
+        self._home = home
+        self._tasks = tasks
+        self._table = ParameterTable()
+        self._declared: dict[str, Parameter[Value]] = {}
+        self._made_from: dict[str, object] = {}
+
+    def services(self) -> dict[str, tuple[ServiceType[Any, Any], Callable[[Any], Message]]]:
+        """The services to open on the node: types and handlers by name."""
+        return {
+            "get_parameters": (GetParameters, self._get),
+            "get_parameter_types": (GetParameterTypes, self._get_types),
+            "set_parameters": (SetParameters, self._set),
+            "set_parameters_atomically": (SetParametersAtomically, self._set_all),
+            "describe_parameters": (DescribeParameters, self._describe),
+            "list_parameters": (ListParameters, self._list),
+        }
+
+    def declare(self, declaration: ParameterDeclaration[P]) -> Parameter[P]:
+        """Declare a parameter.
+
+        Raises:
+            InvalidParameter: if it is declared already, or cannot have its first value.
+        """
+        self.check_open()
+        check = _checker(declaration)
+        self._table.declare(declaration.descriptor, declaration.message, check)
+        made = Parameter[P](self, declaration.name, self._tasks.signal())
+        self._declared[declaration.name] = cast("Parameter[Value]", made)
+        self._made_from[declaration.name] = declaration
+        self._tell(new=[ParameterMessage(declaration.name, declaration.message)])
+        return made
+
+    def declare_once(self, declaration: ParameterDeclaration[P]) -> Parameter[P]:
+        """Declare a parameter, unless it was declared from the same declaration."""
+        if self._made_from.get(declaration.name) is declaration:
+            return cast("Parameter[P]", self._declared[declaration.name])
+        return self.declare(declaration)
+
+    def find(self, name: str) -> Parameter[Value]:
+        """The declared parameter of a name.
+
+        Raises:
+            InvalidParameter: if none is declared.
+        """
+        self._table.check_declared(name)
+        return self._declared[name]
+
+    def value(self, name: str) -> Value:
+        """The value of a declared parameter."""
+        return cast("Value", value_of(self._table[name]))
+
+    def assign(self, name: str, value: object) -> None:
+        """Set a parameter to a Python value; raises as `Parameter.value` does."""
+        self.check_open()
+        self._apply([ParameterMessage(name, self._table.convert(name, value))])
+
+    def undeclare(self, name: str) -> None:
+        """Remove a parameter; does nothing if it is not declared."""
+        if name not in self._table:
+            return
+        self._home.check()
+        removed = self._table.undeclare(name)
+        del self._made_from[name]
+        self._declared.pop(name).wake()
+        if self.resources.is_open:
+            self._tell(deleted=[removed])
+
+    def is_declared(self, parameter: Parameter[P]) -> bool:
+        """Whether a parameter has not been undeclared."""
+        return cast("object", self._declared.get(parameter.name)) is parameter
+
+    def check_open(self) -> None:
+        """Raise if the node is closed, or belongs to another event loop."""
+        self._home.check()
+        if not self.resources.is_open:
+            raise TurtleactError(f"node '{self._node}' is closed: open another")
+
+    # the services
+
+    def _get(self, request: GetParameters.Request) -> GetParameters.Response:
+        return GetParameters.Response(self._table.values(request.names))
+
+    def _get_types(self, request: GetParameterTypes.Request) -> GetParameterTypes.Response:
+        values = self._table.values(request.names)
+        return GetParameterTypes.Response([value.type for value in values])
+
+    def _describe(self, request: DescribeParameters.Request) -> DescribeParameters.Response:
+        return DescribeParameters.Response(self._table.descriptors(request.names))
+
+    def _list(self, request: ListParameters.Request) -> ListParameters.Response:
+        return ListParameters.Response(self._table.listed(request.prefixes, request.depth))
+
+    def _set(self, request: SetParameters.Request) -> SetParameters.Response:
+        return SetParameters.Response([self._set_together([each]) for each in request.parameters])
+
+    def _set_all(
+        self, request: SetParametersAtomically.Request
+    ) -> SetParametersAtomically.Response:
+        if all(each.name in self._table for each in request.parameters):
+            result = self._set_together(request.parameters)
+        else:
+            reason = "One or more parameters were not declared before setting"
+            result = SetParametersResult(reason=reason)
+        return SetParametersAtomically.Response(result)
+
+    def _set_together(self, parameters: Sequence[ParameterMessage]) -> SetParametersResult:
+        """Set all of them, or none."""
+        if problem := self._table.problem(parameters):
+            return SetParametersResult(reason=problem)
+        self._apply(parameters)
+        return SetParametersResult(successful=True)
+
+    # changes
+
+    def _apply(self, parameters: Sequence[ParameterMessage]) -> None:
+        # All values are set before anybody hears of one: a hook that reads several parameters sees
+        # the new value of each.
+        before = {each.name: self.value(each.name) for each in parameters}
+        self._table.apply(parameters)
+        self._tell(changed=parameters)
+        for name, value in before.items():
+            found = self._declared.get(name)  # a hook may undeclare others
+            if found is not None and self.value(name) != value:
+                found.notify()
+
+    def _tell(
+        self,
+        *,
+        new: Sequence[ParameterMessage] = (),
+        changed: Sequence[ParameterMessage] = (),
+        deleted: Sequence[ParameterMessage] = (),
+    ) -> None:
+        if self._events.has_subscriptions:
+            stamp = stamp_of(self._clock.now())
+            event = ParameterEvent(stamp, self._node, list(new), list(changed), list(deleted))
+            self._events.publish(event)
+
+
+class Parameter(Generic[P]):
+    """One parameter of a node; made by `turtleact.Node.parameter`.
+
+    Attributes:
+        name: Its name.
+    """
+
+    def __init__(self, parameters: NodeParameters, name: str, changed: Signal) -> None:
+        self.name = name
+        self._parameters = parameters
+        self._changed = changed
+        self._count = 0
+        self._hooks: list[Callable[[P], object]] = []
+        self._last = cast("P", parameters.value(name))
+
+    def __repr__(self) -> str:
+        return f"<Parameter '{self.name}': {self.value!r}>"
+
+    @property
+    def is_declared(self) -> bool:
+        """Whether it is still declared; closing the node changes nothing."""
+        return self._parameters.is_declared(self)
+
+    @property
+    def value(self) -> P:
+        """The current value. A list is a copy: to change an array, assign a new list.
+
+        After `undeclare` it is the last value.
+
+        Assigning raises:
+            InvalidParameter: if the value is of another kind, out of range or refused by
+                ``validate``; if the parameter is read-only or no longer declared.
+            TurtleactError: if the node is closed.
+        """
+        if self.is_declared:
+            self._last = cast("P", self._parameters.value(self.name))
+        return self._last
+
+    @value.setter
+    def value(self, value: P) -> None:
+        if not self.is_declared:
+            raise InvalidParameter(self.name, "it is no longer declared")
+        self._parameters.assign(self.name, value)
+
+    def on_change(self, hook: Callable[[P], object]) -> None:
+        """Call ``hook(value)`` after each change from now on, in the event loop.
+
+        Setting a parameter to the value that it has is no change. If the hook raises, the exception
+        is logged and nothing else happens.
+        """
+        self._parameters.check_open()
+        self._hooks.append(hook)
+
+    def changes(self) -> Changes[P]:
+        """Iterate over the values that the parameter gets from now on: ``async for``.
+
+        A reader that lags behind gets only the newest value. The loop ends when the node closes or
+        the parameter is undeclared.
+
+        Cancelling: safe, nothing is lost.
+        """
+        self._parameters.check_open()
+        return Changes(self, self._count)
+
+    def undeclare(self) -> None:
+        """Remove the parameter from its node. A second call does nothing."""
+        if self.is_declared:
+            self._last = self.value
+            self._parameters.undeclare(self.name)
+
+    def notify(self) -> None:
+        """Tell everybody who watches the parameter that it has changed."""
+        self._count += 1
+        self._changed.fire()
+        for hook in list(self._hooks):
+            try:
+                hook(self.value)
+            except Exception as error:
+                logger.error("a hook of parameter '%s' failed", self.name, exc_info=loggable(error))
+
+    def wake(self) -> None:
+        """Wake the readers of `changes`."""
+        self._changed.fire()
+
+    async def wait_for_change(self, count: int) -> int:
+        """Wait until it has changed more often than ``count``; returns the number of changes.
+
+        Returns ``count`` if there will be no further change. Cancelling: safe.
+        """
+        resources = self._parameters.resources
+        while self._count == count and self.is_declared and resources.is_open:
+            with resources.waiting():
+                await self._changed.wait()
+        return self._count
+
+
+class Changes(Generic[P]):
+    """The values that a parameter gets; made by `Parameter.changes`."""
+
+    def __init__(self, parameter: Parameter[P], count: int) -> None:
+        self._parameter = parameter
+        self._count = count
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> P:
+        count = await self._parameter.wait_for_change(self._count)
+        if count == self._count:
+            raise StopAsyncIteration
+        self._count = count
+        return self._parameter.value
+
+
+def _checker(declaration: ParameterDeclaration[P]) -> Callable[[ParameterValue], str] | None:
+    """A function that says why a value is refused, from the user's function."""
+    validate = declaration.validate
+    if validate is None:
+        return None
+
+    def check(message: ParameterValue) -> str:
+        try:
+            answer = validate(cast("P", value_of(message)))
+        except (ValueError, TurtleactError) as refusal:
+            return text_of(refusal) or "the node refuses this value"
+        except Exception as error:
+            logger.error(
+                "'validate' of parameter '%s' failed", declaration.name, exc_info=loggable(error)
+            )
+            return f"its 'validate' failed: {summary(error)}"
+        return "the node refuses this value" if answer is False else ""
+
+    return check

@@ -1,0 +1,496 @@
+"""The rules for parameters: kinds of values, ranges, and what a node's parameters may be set to.
+
+This module does no I/O. `turtleact.node.parameters` serves a `ParameterTable` on the graph.
+
+==================  =============================  =============================================
+ROS 2               Python                         default of a declaration, for example
+==================  =============================  =============================================
+bool                `bool`                         ``True``
+integer             `int`                          ``3``
+double              `float`                        ``0.5``
+string              `str`                          ``"fast"``
+byte array          `bytes`                        ``b"on"``
+array of any other  a `list` of one of the others  ``[0.5, 1.0]``
+==================  =============================  =============================================
+
+Refusals start with rclcpp's words, because other programs may compare them.
+
+Source: rclcpp 28.1 (ROS 2 Jazzy), ``node_parameters.cpp``; rcl_interfaces.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from inspect import iscoroutinefunction
+from numbers import Integral, Real
+from typing import Final, Generic, NamedTuple, TypeAlias, TypeVar, cast
+
+import msgspec
+
+from turtleact.errors import InvalidMessage, InvalidOption, InvalidParameter
+from turtleact.interfaces import snapshotter
+from turtleact.interfaces.definition import did_you_mean
+from turtleact.interfaces.standard import (
+    FloatingPointRange,
+    IntegerRange,
+    ListParametersResult,
+    Parameter,
+    ParameterDescriptor,
+    ParameterType,
+    ParameterValue,
+)
+
+__all__ = [
+    "KINDS",
+    "Bounds",
+    "ParameterDeclaration",
+    "ParameterTable",
+    "Value",
+    "descriptor_of",
+    "is_listed",
+    "message_of",
+    "out_of_range",
+    "parameter",
+    "value_of",
+]
+
+Value: TypeAlias = (
+    "bool | int | float | str | bytes | list[bool] | list[int] | list[float] | list[str]"
+)
+"""What a parameter may be."""
+
+Bounds: TypeAlias = tuple[float, float] | tuple[float, float, float]
+"""The least and the greatest number, and perhaps the step between allowed numbers."""
+
+P = TypeVar("P", bound=Value)
+
+
+class Kind(NamedTuple):
+    """A kind of value.
+
+    Attributes:
+        word: rclcpp's name for it.
+        field: The field of ``ParameterValue`` that holds the value.
+        expected: What to give for it in Python.
+    """
+
+    word: str
+    field: str
+    expected: str
+
+
+KINDS: Final = (
+    Kind("not set", "", "nothing"),
+    Kind("bool", "bool_value", "True or False"),
+    Kind("integer", "integer_value", "a whole number"),
+    Kind("double", "double_value", "a number"),
+    Kind("string", "string_value", "a string"),
+    Kind("byte_array", "byte_array_value", "bytes"),
+    Kind("bool_array", "bool_array_value", "a list of bools"),
+    Kind("integer_array", "integer_array_value", "a list of whole numbers"),
+    Kind("double_array", "double_array_value", "a list of numbers"),
+    Kind("string_array", "string_array_value", "a list of strings"),
+)
+"""The kinds of values, by the numbers of ``ParameterType``."""
+
+_NOT_SET = ParameterType.PARAMETER_NOT_SET
+_INTEGER = ParameterType.PARAMETER_INTEGER
+_DOUBLE = ParameterType.PARAMETER_DOUBLE
+_BYTES = ParameterType.PARAMETER_BYTE_ARRAY
+_ARRAY = ParameterType.PARAMETER_BOOL_ARRAY - ParameterType.PARAMETER_BOOL
+"""The number of an array is this much higher than the number of its items."""
+
+
+# --- declarations -------------------------------------------------------------------------------
+
+
+class ParameterDeclaration(Generic[P]):
+    """A parameter that a module declares; made by `turtleact.parameter`.
+
+    Attributes:
+        name: The name of the parameter.
+        descriptor: Its kind, description and range.
+        message: Its first value, as a message.
+        validate: Checks values; see `turtleact.Node.parameter`.
+    """
+
+    def __init__(
+        self,
+        descriptor: ParameterDescriptor,
+        message: ParameterValue,
+        validate: Callable[[P], object] | None,
+    ) -> None:
+        self.name = descriptor.name
+        self.descriptor = descriptor
+        self.message = message
+        self.validate = validate
+
+    @property
+    def default(self) -> P:
+        """Its first value."""
+        return cast("P", value_of(self.message))
+
+    def __repr__(self) -> str:
+        return f"<ParameterDeclaration '{self.name}'>"
+
+
+def parameter(
+    name: str,
+    default: P,
+    *,
+    description: str = "",
+    range: Bounds | None = None,
+    read_only: bool = False,
+    validate: Callable[[P], object] | None = None,
+) -> ParameterDeclaration[P]:
+    """Declare a parameter in a module, for every node that serves the module's actions.
+
+    ``turtleact serve`` declares it on its node. A body reads it with
+    ``handle.node.parameter(declaration).value``; if the node lacks it, this declares it there.
+
+    The arguments and errors are those of `turtleact.Node.parameter`.
+
+    >>> max_speed = parameter("max_speed", 1.0, range=(0.0, 2.0))
+    >>> max_speed.name, max_speed.default
+    ('max_speed', 1.0)
+    """
+    made = message_of(name, default)
+    descriptor = descriptor_of(name, made.type, description, bounds=range, read_only=read_only)
+    if problem := out_of_range(descriptor, made):
+        raise InvalidParameter(name, problem)
+    if validate is not None and (not callable(validate) or iscoroutinefunction(validate)):
+        raise InvalidOption("validate", f"expected a plain function, not {validate!r}")
+    return ParameterDeclaration(descriptor, made, validate)
+
+
+def descriptor_of(
+    name: str,
+    kind: int,
+    description: str = "",
+    *,
+    bounds: Bounds | None = None,
+    read_only: bool = False,
+) -> ParameterDescriptor:
+    """Describe a parameter.
+
+    Args:
+        name: Its name; dots group parameters.
+        kind: The number of its kind in `KINDS`.
+        description: What it is for.
+        bounds: The range of an integer or double; the ends belong to it.
+        read_only: Whether it keeps its first value for ever.
+
+    Raises:
+        InvalidParameter: if the name is empty or not a string.
+        InvalidOption: if the range does not fit the kind, or is none.
+    """
+    if not isinstance(name, str) or not name:
+        raise InvalidParameter(name, "its name must be a string that is not empty")
+    if not isinstance(description, str):
+        raise InvalidOption("description", f"expected a string, not {description!r}")
+    described = ParameterDescriptor(name, kind, description, read_only=bool(read_only))
+    if bounds is None:
+        return described
+    if kind not in (_INTEGER, _DOUBLE):
+        problem = f"parameter '{name}' is of type {KINDS[kind].word}; only numbers have a range"
+        raise InvalidOption("range", problem)
+    first, last, step = _checked_bounds(bounds, is_whole=kind == _INTEGER)
+    if kind == _INTEGER:
+        described.integer_range = [IntegerRange(int(first), int(last), int(step))]
+    else:
+        described.floating_point_range = [
+            FloatingPointRange(float(first), float(last), float(step))
+        ]
+    return described
+
+
+def _checked_bounds(bounds: Bounds, *, is_whole: bool) -> tuple[float, float, float]:
+    numbers = list(bounds) if isinstance(bounds, tuple | list) else []
+    wanted = Integral if is_whole else Real
+    fit = all(isinstance(each, wanted) and not isinstance(each, bool) for each in numbers)
+    if len(numbers) not in (2, 3) or not fit:
+        kind = "whole numbers" if is_whole else "numbers"
+        raise InvalidOption("range", f"expected two {kind}, and perhaps a step, not {bounds!r}")
+    first, last, step = (*numbers, 0)[:3]
+    if not (first <= last and 0 <= step < math.inf):
+        problem = f"the first number is at most the second, the step not negative, unlike {bounds}"
+        raise InvalidOption("range", problem)
+    return first, last, step
+
+
+# --- values -------------------------------------------------------------------------------------
+
+
+def value_of(message: ParameterValue) -> Value | None:
+    """Return a parameter's value as a Python object; None if it is not set.
+
+    >>> value_of(ParameterValue(3, double_value=0.5))
+    0.5
+    """
+    if not _NOT_SET < message.type < len(KINDS):
+        return None
+    value = getattr(message, KINDS[message.type].field)
+    if message.type == _BYTES:
+        return bytes(value)
+    return cast("Value", list(value) if message.type > _BYTES else value)
+
+
+def message_of(name: str, value: object, kind: int = _NOT_SET) -> ParameterValue:
+    """Return a Python value as a message.
+
+    Args:
+        name: The parameter, for errors.
+        value: The value. Whole numbers are accepted for doubles.
+        kind: The number of the kind that it must have; left out, the value's own.
+
+    Raises:
+        InvalidParameter: if the value is of no kind, or of another kind.
+
+    >>> message_of("gains", [1, 0.5]).double_array_value
+    [1.0, 0.5]
+    """
+    own = _kind_of(value)
+    if own == _NOT_SET and value == [] and isinstance(value, list):
+        if kind == _NOT_SET:
+            raise InvalidParameter(name, "an empty list has no kind: give it an item")
+        own = kind if kind > _BYTES else own
+    if own + 1 == kind and kind in (_DOUBLE, _DOUBLE + _ARRAY):  # integers, for doubles
+        own = kind
+    if own != (kind or own) or own == _NOT_SET:
+        any_kind = "a bool, a number, a string, bytes, or a list of values of one kind"
+        expected = KINDS[kind].expected if kind else any_kind
+        raise InvalidParameter(name, f"expected {expected}, not {value!r}")
+    plain = _convert(value, own)
+    made = msgspec.structs.replace(ParameterValue(own), **{KINDS[own].field: plain})
+    try:
+        return snapshotter(ParameterValue)(made)
+    except InvalidMessage as misfit:
+        raise InvalidParameter(name, misfit.problem) from None
+
+
+def _kind_of(value: object) -> int:
+    """The number of a value's kind; 0 if it has none."""
+    for number, types in enumerate((bool, Integral, Real, str, bytes | bytearray), start=1):
+        if isinstance(value, types):
+            return number
+    if not isinstance(value, list | tuple):
+        return _NOT_SET
+    kinds = {_kind_of(item) for item in value}
+    if kinds == {_INTEGER, _DOUBLE}:
+        kinds = {_DOUBLE}
+    kind = kinds.pop() if len(kinds) == 1 else _NOT_SET
+    return kind + _ARRAY if _NOT_SET < kind < _BYTES else _NOT_SET
+
+
+def _convert(value: object, kind: int) -> object:
+    """Convert numbers to those of Python, and sequences to lists."""
+    if kind >= _BYTES:
+        items = cast("Iterable[object]", value)
+        return [_convert(item, kind - _ARRAY) for item in items]
+    if kind == _INTEGER:
+        return int(cast("int", value))
+    return float(cast("float", value)) if kind == _DOUBLE else value
+
+
+# --- ranges -------------------------------------------------------------------------------------
+
+
+def out_of_range(descriptor: ParameterDescriptor, value: ParameterValue) -> str:
+    """Say which numbers a parameter takes, if it does not take this one; else nothing.
+
+    >>> speed = descriptor_of("speed", 2, bounds=(0, 10, 5))
+    >>> out_of_range(speed, message_of("speed", 7))
+    'it takes 0 to 10 in steps of 5, not 7'
+    """
+    if value.type == _INTEGER:
+        number: float = value.integer_value
+        ranges: Sequence[IntegerRange | FloatingPointRange] = descriptor.integer_range
+    elif value.type == _DOUBLE:
+        number, ranges = value.double_value, descriptor.floating_point_range
+    else:
+        return ""
+    for bounds in ranges:
+        if not _is_within(number, bounds):
+            is_any = not bounds.step or (isinstance(bounds, IntegerRange) and bounds.step == 1)
+            steps = "" if is_any else f" in steps of {bounds.step}"
+            return f"it takes {bounds.from_value} to {bounds.to_value}{steps}, not {number}"
+    return ""
+
+
+def _is_within(number: float, bounds: IntegerRange | FloatingPointRange) -> bool:
+    first, last, step = bounds.from_value, bounds.to_value, bounds.step
+    if _is_same(number, first) or _is_same(number, last):  # the ends count, even between steps
+        return True
+    if not first <= number <= last:
+        return False
+    if not step or math.isinf(first):
+        return True
+    if isinstance(bounds, IntegerRange):
+        return (number - first) % step == 0
+    return _is_same(number, first + round((number - first) / step) * step)
+
+
+def _is_same(one: float, other: float) -> bool:
+    """Whether two numbers are equal; doubles may differ by a rounding error, as in rclcpp."""
+    if isinstance(one, int) or math.isinf(one) or math.isinf(other):
+        return one == other
+    return abs(one - other) <= 2.220446049250313e-14 * abs(one + other)
+
+
+# --- the parameters of one node -----------------------------------------------------------------
+
+
+class ParameterTable:
+    """The declared parameters of a node, by name.
+
+    A parameter keeps the kind of its first value.
+    """
+
+    def __init__(self) -> None:
+        self._descriptors: dict[str, ParameterDescriptor] = {}
+        self._values: dict[str, ParameterValue] = {}
+        self._checks: dict[str, Callable[[ParameterValue], str]] = {}
+
+    def __contains__(self, name: object) -> bool:
+        """Whether a parameter of that name is declared."""
+        return name in self._descriptors
+
+    def __getitem__(self, name: str) -> ParameterValue:
+        """The value of a declared parameter."""
+        return self._values[name]
+
+    def declare(
+        self,
+        descriptor: ParameterDescriptor,
+        value: ParameterValue,
+        check: Callable[[ParameterValue], str] | None = None,
+    ) -> None:
+        """Declare a parameter.
+
+        Args:
+            descriptor: Its name, kind, description and range.
+            value: Its first value.
+            check: Returns why the parameter cannot have a value, and an empty string if it can.
+
+        Raises:
+            InvalidParameter: if it is declared already, or cannot have the value.
+        """
+        name = descriptor.name
+        if name in self._descriptors:
+            raise InvalidParameter(name, "it is declared already: choose another name")
+        if problem := out_of_range(descriptor, value) or (check(value) if check else ""):
+            raise InvalidParameter(name, problem)
+        self._descriptors[name] = descriptor
+        self._values[name] = value
+        if check is not None:
+            self._checks[name] = check
+
+    def undeclare(self, name: str) -> Parameter:
+        """Remove a parameter, and return it with its last value."""
+        del self._descriptors[name]
+        self._checks.pop(name, None)
+        return Parameter(name, self._values.pop(name))
+
+    def convert(self, name: str, value: object) -> ParameterValue:
+        """Convert the Python value that a program assigns to a parameter.
+
+        Raises:
+            InvalidParameter: if it is not declared, is read-only, or cannot have the value.
+        """
+        self.check_declared(name)
+        known = self._descriptors[name]
+        if known.read_only:
+            raise InvalidParameter(name, "it is read-only")
+        made = message_of(name, value, known.type)
+        if problem := out_of_range(known, made) or self._failed_check(name, made):
+            raise InvalidParameter(name, problem)
+        return made
+
+    def check_declared(self, name: str) -> None:
+        """Raise for a parameter that is not declared.
+
+        Raises:
+            InvalidParameter: with the nearest name.
+        """
+        if name not in self._descriptors:
+            problem = f"it is not declared{did_you_mean(str(name), self._descriptors)}"
+            raise InvalidParameter(name, problem)
+
+    def problem(self, parameters: Sequence[Parameter]) -> str:
+        """Say why parameters cannot be set together, in rclcpp's words; empty if they can."""
+        if not parameters:
+            return _NO_PARAMETERS
+        for each in parameters:
+            if each.name not in self._descriptors:
+                return f"parameter '{each.name}' cannot be set because it was not declared"
+            if self._descriptors[each.name].read_only:
+                return f"parameter '{each.name}' cannot be set because it is read-only"
+        problems = (self._misfit(each.name, each.value) for each in parameters)
+        return next(filter(None, problems), "")
+
+    def apply(self, parameters: Sequence[Parameter]) -> None:
+        """Set parameters for which there is no `problem`."""
+        self._values.update((each.name, each.value) for each in parameters)
+
+    def values(self, names: Sequence[str]) -> list[ParameterValue]:
+        """The values of some parameters; none at all if one of them is not declared."""
+        return [self._values[name] for name in names] if self._has_all(names) else []
+
+    def descriptors(self, names: Sequence[str]) -> list[ParameterDescriptor]:
+        """The descriptions of some parameters; none at all if one of them is not declared."""
+        return [self._descriptors[name] for name in names] if self._has_all(names) else []
+
+    def listed(self, prefixes: Sequence[str], depth: int) -> ListParametersResult:
+        """The names of parameters, and the groups they are in; see `is_listed`."""
+        names = [name for name in sorted(self._descriptors) if is_listed(name, prefixes, depth)]
+        groups = [name.rpartition(".")[0] for name in names if "." in name]
+        return ListParametersResult(names, list(dict.fromkeys(groups)))
+
+    def _has_all(self, names: Sequence[str]) -> bool:
+        return all(name in self._descriptors for name in names)
+
+    def _misfit(self, name: str, value: ParameterValue) -> str:
+        """Why a declared parameter cannot have a value."""
+        known = self._descriptors[name]
+        if value.type == _NOT_SET:
+            return "cannot undeclare a statically typed parameter"
+        if value.type != known.type:
+            number = value.type
+            given = KINDS[number].word if number < len(KINDS) else f"unknown type {number}"
+            return (
+                f"Wrong parameter type, parameter {{{name}}} is of type"
+                f" {{{KINDS[known.type].word}}}, setting it to {{{given}}} is not allowed."
+            )
+        if taken := out_of_range(known, value):
+            kind = "integer" if value.type == _INTEGER else "floating point"
+            said = f"{taken[0].upper()}{taken[1:]}."
+            return f"Parameter {{{name}}} doesn't comply with {kind} range. {said}"
+        return self._failed_check(name, value)
+
+    def _failed_check(self, name: str, value: ParameterValue) -> str:
+        check = self._checks.get(name)
+        return "" if check is None else check(value)
+
+
+_NO_PARAMETERS = (
+    "parameter list cannot be empty, this might be due to pre_set_parameters_callback modifying"
+    " the original parameters list."
+)
+
+
+def is_listed(name: str, prefixes: Sequence[str], depth: int) -> bool:
+    """Whether a parameter is in one of the groups, and not below more than ``depth`` of them.
+
+    Args:
+        name: The parameter's name.
+        prefixes: The groups; all if empty.
+        depth: How many parts a name may have after the group's; 0 for any number.
+    """
+    if not prefixes:
+        return depth == 0 or name.count(".") < depth
+    for prefix in prefixes:
+        rest = name.removeprefix(f"{prefix}.")
+        if name == prefix or (rest != name and (depth == 0 or rest.count(".") < depth)):
+            return True
+    return False
