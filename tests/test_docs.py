@@ -13,6 +13,8 @@
   another version of the file.
 - A block below ``<!-- file PATH -->`` is that file, one below ``<!-- made by PATH -->`` what that
   script prints. ``<!-- layers -->`` stands above the rows of the import contract.
+- Blocks below ``<!-- save FILE -->`` and ``<!-- terminal N -->`` are left to
+  ``commands/test_tutorial.py``.
 - No block is left over.
 """
 
@@ -117,7 +119,7 @@ def programs_of(blocks: list[Block]) -> list[Program]:
 
 def commands_of(block: Block) -> list[Command]:
     """The ``$ turtleact …`` lines of a block; a line that ends in a backslash goes on."""
-    if block.language not in {"console", "sh"} or block.mark.startswith("not run: "):
+    if block.language not in {"console", "sh"} or block.mark.startswith(("not run: ", "terminal ")):
         return []
     found = re.fullmatch(r"exit status (\d+)", block.mark)
     status = int(found[1]) if found else 0
@@ -174,7 +176,9 @@ def is_checked(block: Block) -> bool:
     return (
         ">>> " in block.text
         or block.mark in {"run", "run on", "output", "layers", "install command", "test command"}
-        or block.mark.startswith(("file ", "made by ", "not run: ", "recipe "))
+        or block.mark.startswith(
+            ("file ", "made by ", "not run: ", "recipe ", "save ", "terminal ")
+        )
         or bool(commands_of(block))
     )
 

@@ -1,0 +1,140 @@
+"""What docs/tutorial.md shows in several terminals is typed here, in the same order.
+
+The line above a block says what it is:
+
+- ``<!-- save FILE -->``: a file to save. ``open_zenoh()`` in it joins the graph of the test.
+- ``<!-- terminal N -->``: commands and what they print. ``...`` matches anything.
+- ``<!-- terminal N, until Ctrl-C -->``: a server. It runs until the end of its section.
+- ``<!-- terminal N, meanwhile -->``: a program that ends while the next block is typed.
+
+Each section with such blocks has a folder and a graph of its own.
+"""
+
+from __future__ import annotations
+
+import doctest
+import os
+import re
+import shlex
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+PAGE = Path(__file__).parents[2] / "docs" / "tutorial.md"
+BLOCK = re.compile(r"^<!-- (save|terminal) (.*?) -->\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+SECTIONS = [
+    pytest.param(BLOCK.findall(text), id=title)
+    for title, text in re.findall(
+        r"^## (.*?)\n(.*?)(?=^## |\Z)", PAGE.read_text("utf-8"), re.MULTILINE | re.DOTALL
+    )
+    if BLOCK.search(text)
+]
+PATIENCE = 30.0
+"""Seconds after which a program is taken to hang."""
+
+
+class Running(NamedTuple):
+    """A program in its terminal, and what it should print."""
+
+    process: subprocess.Popen[str]
+    first_line: str
+    shown: str
+
+    def check(self):
+        assert self.process.stdout is not None
+        with self.process.stdout as out:  # `communicate` would lose what `readline` has buffered
+            check(self.first_line + out.read(), self.shown)
+        self.process.wait(PATIENCE)
+
+
+def check(printed, shown):
+    checker = doctest.OutputChecker()
+    want, got = f"{shown.rstrip()}\n", f"{printed.rstrip()}\n"
+    assert checker.check_output(want, got, doctest.ELLIPSIS), printed
+
+
+def commands_of(text):
+    """The commands of a block, each with the text below it."""
+    return [part.partition("\n")[::2] for part in re.split(r"^\$ ", text, flags=re.MULTILINE)[1:]]
+
+
+class Terminals:
+    """Types commands on a graph of its own."""
+
+    def __init__(self, folder, turtleact):
+        self.folder = folder
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+        self.turtleact = turtleact
+        self.running = []
+        self.serving = []
+
+    def save(self, name, text):
+        text = text.replace("open_zenoh()", f"open_zenoh([{self.address!r}])")
+        (self.folder / name).write_text(text, "utf-8")
+
+    def type(self, where, text):
+        for line, shown in commands_of(text):
+            command, *arguments = shlex.split(line)
+            if where.endswith("until Ctrl-C"):
+                shown = shown.replace("tcp/127.0.0.1:7447", self.address)
+                program = ["-m", "turtleact", *arguments, "--listen", self.address]
+                self.serving.append(self.start(program, shown))
+            elif where.endswith("meanwhile"):
+                self.running.append(self.start(arguments, shown))
+            elif command == "python":
+                self.start(arguments, shown).check()
+            else:
+                ran = self.turtleact(*arguments, "--connect", self.address)
+                check(ran.out + ran.err, shown)
+        if not where.endswith("meanwhile"):
+            while self.running:
+                self.running.pop().check()
+
+    def start(self, program, shown):
+        process = subprocess.Popen(
+            [sys.executable, *program],
+            cwd=self.folder,
+            env=os.environ | {"PYTHONUNBUFFERED": "1"},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        assert process.stdout is not None
+        first_line = process.stdout.readline()
+        check(first_line, shown.partition("\n")[0])
+        return Running(process, first_line, shown)
+
+    def close(self):
+        while self.serving:
+            server = self.serving.pop()
+            server.process.send_signal(signal.SIGINT)
+            server.check()
+
+
+@pytest.fixture
+def terminals(tmp_path, turtleact, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("ROS_DOMAIN_ID", "0")
+    terminals = Terminals(tmp_path, turtleact)
+    yield terminals
+    for each in (*terminals.running, *terminals.serving):
+        each.process.kill()
+        each.process.communicate()
+
+
+@pytest.mark.parametrize("blocks", SECTIONS)
+def test_the_terminals_of_a_section_show_what_the_page_shows(terminals, blocks):
+    for kind, argument, text in blocks:
+        if kind == "save":
+            terminals.save(argument, text)
+        else:
+            terminals.type(argument, text)
+    terminals.close()
