@@ -5,7 +5,10 @@ The site itself is built by ``scripts/check``, which takes ten seconds.
 
 from __future__ import annotations
 
+import configparser
 import importlib
+import re
+import runpy
 import shlex
 import tomllib
 from pathlib import Path
@@ -19,6 +22,7 @@ from turtleact.commands import GROUPS, VERBS
 ROOT = Path(__file__).parents[1]
 CONFIG = yaml.safe_load((ROOT / "mkdocs.yml").read_text("utf-8"))
 PAGES = {path.name for path in (ROOT / "docs").glob("*.md")}
+DIAGRAMS = runpy.run_path(str(ROOT / "scripts" / "draw_diagrams.py"))
 WORKFLOW = yaml.safe_load((ROOT / ".github" / "workflows" / "pages.yml").read_text("utf-8"))
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"][
     "optional-dependencies"
@@ -135,6 +139,39 @@ def test_the_reference_has_every_interface_with_its_type_hash(made):
 def test_the_site_has_every_example(made):
     examples = {f"examples/{path.stem}.md" for path in (ROOT / "examples").glob("[0-9]*.py")}
     assert examples < made.keys()
+
+
+# --- drawings -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", DIAGRAMS["DRAWINGS"])
+def test_a_drawing_is_what_its_script_draws(name):
+    stored = (ROOT / "docs" / f"{name}.svg").read_text("utf-8")
+    assert stored == DIAGRAMS["DRAWINGS"][name]() + "\n", "run scripts/draw_diagrams.py again"
+
+
+def test_the_drawing_of_the_layers_has_the_rows_of_the_import_contract_in_their_order():
+    contract = configparser.ConfigParser()
+    contract.read(ROOT / ".importlinter", "utf-8")
+    rows = re.findall(r"\w+", contract["importlinter:contract:layers"]["layers"])
+    drawn = [module for _, _, modules in DIAGRAMS["BANDS"] for module in modules]
+    assert drawn == [row for row in rows if row != "__main__"]
+
+
+def test_a_drawing_is_part_of_the_page_so_that_its_colours_follow_the_page(build):
+    page = build.relinked("docs/architecture.md", "![All layers](layers.svg)")
+    assert page.startswith('<div class="drawing" role="img" aria-label="All layers">\n<svg')
+    assert "\n\n" not in page
+
+
+def test_a_picture_stays_a_picture(build):
+    assert build.relinked("README.md", "![A patrol](docs/patrol.svg)") == "![A patrol](patrol.svg)"
+
+
+def test_the_site_has_the_colours_of_the_drawings_for_light_and_dark():
+    style = (ROOT / "docs" / "theme" / "site.css").read_text("utf-8")
+    colours = re.findall(r"--\w+: #\w+", DIAGRAMS["STYLE"])
+    assert re.findall(r"--\w+: #\w+", style) == colours
 
 
 # --- the tools ----------------------------------------------------------------------------------
