@@ -76,7 +76,15 @@ if TYPE_CHECKING:
         load_message,
         load_service,
     )
-    from turtleact.node import ActionServer, Node, Parameter, ServerGoalHandle, open_node
+    from turtleact.node import (
+        ActionServer,
+        Node,
+        Parameter,
+        ServerGoalHandle,
+        Tick,
+        Timer,
+        open_node,
+    )
     from turtleact.parameters import parameter
     from turtleact.services import ServiceClient, ServiceServer
     from turtleact.topics import Publisher, Subscription
@@ -100,6 +108,8 @@ __all__ = [
     "Subscription",
     "QoS",
     "Parameter",
+    "Timer",
+    "Tick",
     # bodies and callbacks
     "action",
     "parameter",
@@ -181,7 +191,7 @@ _HOMES = {
         "load_message",
         "load_service",
     ),
-    "node": ("ActionServer", "Node", "Parameter", "ServerGoalHandle", "open_node"),
+    "node": ("ActionServer", "Node", "Parameter", "ServerGoalHandle", "Tick", "Timer", "open_node"),
     "parameters": ("parameter",),
     "services": ("ServiceClient", "ServiceServer"),
     "topics": ("Publisher", "Subscription"),

@@ -84,3 +84,5 @@ async def configure(node: turtleact.Node) -> None:
     node.parameter("is_open", default=False).on_change(print)
     async for gains in node.parameter("gains", [0.5]).changes():
         assert_type(gains, list[float])
+    async for tick in node.every(0.5):
+        assert_type(tick, turtleact.Tick)

@@ -1,11 +1,21 @@
 """Nodes: the participants of a graph.
 
-`node` opens topics, services and actions by name. `parameters` serves the parameters of a node.
-`resources` tracks everything a node has opened,
-so that it closes with the node. `conflicts` ensures that only one node serves an action name.
+`node` opens topics, services and actions by name. `parameters` serves the parameters of a node,
+and `timers` has its timers. `resources` tracks everything a node has opened, so that it closes with
+the node. `conflicts` ensures that only one node serves an action name.
 """
 
 from turtleact.node.node import ActionServer, Node, ServerGoalHandle, Transition, open_node
 from turtleact.node.parameters import Parameter
+from turtleact.node.timers import Tick, Timer
 
-__all__ = ["ActionServer", "Node", "Parameter", "ServerGoalHandle", "Transition", "open_node"]
+__all__ = [
+    "ActionServer",
+    "Node",
+    "Parameter",
+    "ServerGoalHandle",
+    "Tick",
+    "Timer",
+    "Transition",
+    "open_node",
+]

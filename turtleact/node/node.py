@@ -27,6 +27,7 @@ from turtleact.names import ActionNames, action_names, resolve_name, validate_no
 from turtleact.node.conflicts import OnConflict, Rivals
 from turtleact.node.parameters import EVENTS_QOS, NodeParameters, Parameter
 from turtleact.node.resources import Resources
+from turtleact.node.timers import Timer
 from turtleact.observers import GoalObserver
 from turtleact.parameters import Bounds, ParameterDeclaration, Value, parameter
 from turtleact.server.endpoints import ActionEndpoints
@@ -328,6 +329,21 @@ class Node:
             service_type, full_name, self.transport, caller, self._resources, self._tasks
         )
 
+    def every(self, seconds: float) -> Timer:
+        """Make a timer: ``async for tick in node.every(0.5)``.
+
+        The timer follows the graph's clock. In virtual time it ticks as fast as the program can,
+        and while a world is paused it stands still. See `Timer` for late ticks.
+
+        Args:
+            seconds: The time between two ticks (s, by the graph's clock), above zero.
+
+        Raises:
+            InvalidOption: if ``seconds`` is not a finite number above zero.
+        """
+        self._check_open()
+        return Timer(seconds, self.clock, self._resources)
+
     @overload
     def parameter(self, name: ParameterDeclaration[V]) -> Parameter[V]: ...
     @overload
@@ -426,6 +442,11 @@ class Node:
             self._parameters = opened
         return self._parameters
 
+    def _check_open(self) -> None:
+        self._home.check()
+        if not self.is_open:
+            raise TurtleactError(f"node '{self.fully_qualified_name}' is closed: open another")
+
     def _place(self, options: ServerOptions) -> Slot[SlotRequest] | None:
         """Return the slot for a server with these options; None if its goals need none."""
         policy = options.get("policy", "parallel")
@@ -456,9 +477,7 @@ class Node:
         *,
         on_demand: bool = False,
     ) -> Endpoint:
-        self._home.check()
-        if not self.is_open:
-            raise TurtleactError(f"node '{self.fully_qualified_name}' is closed: open another")
+        self._check_open()
         own, qos = self.fully_qualified_name, qos or QoS()
         return Endpoint(kind, name, type_name, own, qos, on_demand=on_demand)
 
