@@ -23,8 +23,8 @@ BANDS: Final = (
     ("Parts of a node", "fill", ("body", "topics", "services", "graph")),
     ("Between nodes", "main", ("transports",)),
     ("Time and tasks", "fill", ("clock", "tasks", "goal_id", "observers")),
-    ("Rules of goals", "pure", ("slot", "goal", "goal_wire", "feedback")),
-    ("Data", "pure", ("interfaces", "names", "geometry", "errors", "summaries")),
+    ("Rules of goals", "pure", ("slot", "goal", "goal_wire", "parameters", "feedback")),
+    ("Data", "pure", ("interfaces", "names", "geometry", "errors", "summaries", "workspace")),
 )
 """The layers from top to bottom: a title, a colour, the modules."""
 
@@ -136,8 +136,8 @@ def picture(name: str, width: int, height: int, parts: list[str]) -> str:
 def layers() -> str:
     """The layers of the package, and who is outside."""
     top, step, height = 20, 50, 40
-    left, title, box, gap = 16, 132, 96, 8
-    width = title + 5 * (box + gap) + gap
+    left, title, box, gap = 16, 132, 94, 6
+    width = title + max(len(modules) for _, _, modules in BANDS) * (box + gap) + gap
     parts = []
     for row, (name, kind, modules) in enumerate(BANDS):
         y = top + row * step
@@ -150,7 +150,7 @@ def layers() -> str:
     edge = left + width
     for name, note, first, last in OUTSIDE:
         centre = top + step * (first + last) / 2 + height / 2
-        place = Rect(edge + 60, centre - height / 2, 200, height)
+        place = Rect(edge + 50, centre - height / 2, 200, height)
         parts += [
             place.draw("box"),
             text(place.x + 100, centre - 3, name),
@@ -164,7 +164,7 @@ def layers() -> str:
     parts.append(
         text(left, bottom + 34, "Dashed layers use no clock and start no tasks.", "left soft")
     )
-    return picture("layers", int(edge + 60 + 200 + 16), bottom + 50, parts)
+    return picture("layers", int(edge + 50 + 200 + 16), bottom + 50, parts)
 
 
 def path() -> str:
