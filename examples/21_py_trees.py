@@ -9,12 +9,13 @@ Prints:
     patrol: to be sent
     patrol: 16.2 m to go
     go home: to be sent
-    go home: 5.3 m to go
-    go home: 3.3 m to go
+    go home: 6.5 m to go
+    go home: 4.5 m to go
+    go home: 2.5 m to go
     go home: SUCCEEDED
     [o] turtle [o]
         [-] at last [o]
-            --> low battery [o] -- 10 %
+            --> low battery [o] -- 12 %
             --> go home [o] -- SUCCEEDED
         --> patrol [-] -- CANCELING
 """
@@ -102,10 +103,10 @@ class LowBattery(Behaviour):
         self.clock = clock
 
     def update(self) -> Status:
-        """Look at the battery: it loses 12 % a second."""
-        level = 100 - 12 * self.clock.time()
+        """Look at the battery: it loses 10 % a second."""
+        level = 100 - 10 * self.clock.time()
         self.feedback_message = f"{level:.0f} %"
-        return Status.SUCCESS if level < 60 else Status.FAILURE
+        return Status.SUCCESS if level < 66 else Status.FAILURE
 
 
 async def main() -> None:

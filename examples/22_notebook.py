@@ -11,7 +11,7 @@ Prints:
     EXECUTING
     1.7 m to go
     SUCCEEDED, 3.7 m
-    CANCELED, 2.0 m
+    CANCELED, 0.7 m
 """
 
 # %% Imports
