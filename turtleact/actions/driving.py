@@ -1,20 +1,21 @@
 """The turtles that actions can drive, and one of them on its way.
 
-`Turtles` says which turtles there are, where they may go, and which goal drives which; one goal at
-a time drives a turtle. A `Drive` takes a turtle from target to target: its pose comes in on one
-topic, a twist goes out on another. Nothing else is known of a turtle, so any `Robot` will do.
+`Turtles` knows the turtles of the graph, the area in which they may move, and the goals that drive
+them. Only one goal at a time drives a turtle. A `Drive` takes a turtle from target to target: it
+reads poses from one topic and publishes twists on another. It needs nothing else, so it can drive
+any `Robot`.
 
 What can go wrong on the way:
 
-- If somebody else moves the turtle, it is driven on from where it is seen.
-- If no pose comes for half a second, the turtle is stopped, and driven on with the next pose. After
-  two seconds, or once nobody publishes its pose any more, it is given up.
+- If somebody else moves the turtle, the drive continues from its new place.
+- If no pose arrives for half a second, the drive stops the turtle and continues with the next pose.
+  It gives up after two seconds, or once nobody publishes the pose any more.
 - A pose that is too old, or older than one seen before, is ignored.
-- If poses come faster or slower than the robot is said to send them, each command is made for as
-  long as it will last.
+- If poses arrive faster or slower than ``Robot.dt`` says, each command is calculated for the actual
+  time until the next pose.
 
-A robot that keeps its commands is sent only new ones. As long as it is where its command leads, the
-poses in between wake nobody.
+A robot that keeps its commands is sent only new ones. While its poses are as expected, they do not
+wake the driver.
 """
 
 from __future__ import annotations
@@ -59,10 +60,10 @@ SILENCE: Final = 2.0
 """A turtle without poses is given up after this time (s), or at most `PAUSE` later."""
 
 PATIENCE: Final = 2.0
-"""A target is given up after this many times the longest time the law of steering needs."""
+"""A target is given up after this multiple of the longest time that the steering law needs."""
 
 LEARNING: Final = 0.3
-"""Share of a change in the time between poses that is taken over with each pose."""
+"""How quickly the measured time between poses follows a change: this share with each pose."""
 
 
 class Drive:
@@ -110,7 +111,7 @@ class Drive:
 
     @property
     def pose(self) -> TurtlePose:
-        """Where it was last seen, as turtlesim says it."""
+        """Where it was last seen, as turtlesim's message."""
         return TurtlePose(*self.seen.pose, *self.seen.speeds)
 
     def has_reached(self, target: Point, *, theta: float | None = None) -> bool:
@@ -123,15 +124,15 @@ class Drive:
         return sum(distance(*a, *b) for a, b in pairwise(stops))
 
     def deadline(self, target: Point, *, theta: float | None = None) -> float:
-        """When to give a target up, by the node's clock (s)."""
+        """When to give up a target, by the node's clock (s)."""
         stops = [(target.x, target.y)]
         bound = time_bound(self.seen.pose, stops, self._helm.steering, theta=theta)
         return self._clock.time() + PATIENCE * bound
 
     async def shortest_time(self, targets: Sequence[Point], *, theta: float | None = None) -> float:
-        """How long (s) it takes from here through the targets at least, however it is driven.
+        """The shortest possible time (s) from here through the targets.
 
-        Found out step by step, for one turtle at a time, so that others can have their turn.
+        Calculated step by step, for one turtle at a time, so that other tasks can run.
         """
         stops, least = [(target.x, target.y) for target in targets], 0.0
         async with self._proving:
@@ -154,16 +155,16 @@ class Drive:
         theta: float | None = None,
         until: float = math.inf,
     ) -> None:
-        """Drive for one tick, or for as many as the command holds; the target is reached in none.
+        """Drive for one tick, or while the command stays valid without reaching the target.
 
         Args:
             target: Where to.
-            next_target: Where to after that.
-            theta: In which heading it shall be there (rad); any if left out.
-            until: The last tick is the first that comes at this time or later, by the clock (s).
+            next_target: The target after that.
+            theta: The heading at the target (rad); any if left out.
+            until: Stop after the first tick at or after this time, by the clock (s).
 
         Raises:
-            Abort: if nothing is heard of the turtle's pose.
+            Abort: if no pose of the turtle arrives.
         """
         after = None if next_target is None else (next_target.x, next_target.y)
         self._tell(self._helm.command(self.seen.pose, (target.x, target.y), after, theta=theta))
@@ -174,7 +175,7 @@ class Drive:
         """Come to rest, as fast as accelerations allow; without limits that takes no tick.
 
         Raises:
-            Abort: if nothing is heard of the turtle's pose.
+            Abort: if no pose of the turtle arrives.
         """
         while self._helm.steering.limits.is_eased and self._helm.speeds != STILL:
             await self.stay()
@@ -183,7 +184,7 @@ class Drive:
         """Come to rest for one tick.
 
         Raises:
-            Abort: if nothing is heard of the turtle's pose.
+            Abort: if no pose of the turtle arrives.
         """
         here = self.seen.pose
         self._tell(self._helm.command(here, here[:2]))
@@ -194,7 +195,7 @@ class Drive:
         """Wait for the next pose, or take the newest of those that have come.
 
         Raises:
-            Abort: if nothing is heard of the turtle's pose, or it is no pose.
+            Abort: if no pose arrives, or it is not valid.
         """
         while True:
             try:
@@ -235,7 +236,7 @@ class Drive:
         return True
 
     def _keep_pace(self, *, is_a_tick: bool) -> None:
-        """See how long a pose lasts: they may come at another pace than was said.
+        """Measure the time between poses, which may differ from ``Robot.dt``.
 
         Where the turtle has moved as it does in its tick, that has passed for it, however late the
         machine is.
@@ -270,7 +271,7 @@ class Drive:
         self._twists.publish(self._robot.write(speeds, self._clock.now()))
 
     async def _keep_watch(self) -> None:
-        """Stop a turtle whose poses stop coming; in the end, let the goal that waits fail."""
+        """Stop a turtle whose poses stop arriving; in the end, fail the waiting goal."""
         last: Message | None = None
         silence = 0.0
         while silence < SILENCE:
@@ -289,7 +290,7 @@ class Drive:
         await self._poses.aclose()
 
     def _is_heard(self, message: Message) -> bool:
-        """Whether a message is one to drive by; if not, why."""
+        """Whether a pose can be used; keep the reason if not."""
         try:
             seen = self._robot.read(message)
         except InvalidMessage:  # whoever drives will say so
@@ -385,7 +386,7 @@ class Turtles:
             path: What to put before the name of a coordinate: ``targets[2].``.
 
         Raises:
-            Reject: otherwise, with the name of the first coordinate that is not.
+            Reject: with the name of the first coordinate outside.
         """
         area = self._area
         ranges = {"x": (area.left, area.right), "y": (area.bottom, area.top)}

@@ -39,7 +39,7 @@ async def fibonacci(
     goal: Fibonacci.Goal,
     handle: ServerGoalHandle[Fibonacci.Goal, Fibonacci.Result, Fibonacci.Feedback],
 ) -> AsyncIterator[Fibonacci.Feedback | Fibonacci.Result]:
-    """Work out the sequence up to number ``order``, a number a second."""
+    """Calculate the sequence up to number ``order``, one number per second."""
     sequence = [0, 1]
     while len(sequence) <= goal.order:
         sequence.append(sequence[-1] + sequence[-2])

@@ -32,17 +32,16 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
         """Where to go, who goes, and how.
 
         Attributes:
-            x: Where to (m).
-            y: Where to (m).
+            x: The place (m).
+            y: The place (m).
             turtle: Which turtle goes: it has ``<turtle>/pose`` and ``<turtle>/cmd_vel``.
             tolerance: How near is near enough (m), above zero.
             max_linear: Highest speed (m/s), above zero.
             max_angular: Highest turn rate (rad/s), above zero.
             style: ``natural``, ``fastest``, ``forward`` or ``rotate_then_drive``.
-            theta: In which heading it shall be there (rad), any angle that is exact to
-                `heading_tolerance`; if that is given.
-            heading_tolerance: How far off the heading may be (rad), above zero; if it is 0, any
-                heading will do.
+            theta: The heading at the place (rad), if `heading_tolerance` is above zero; any angle
+                that is exact to that tolerance.
+            heading_tolerance: The largest error of the heading (rad); 0 allows any heading.
         """
 
         x: float64 = 0.0
@@ -61,7 +60,7 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
         Attributes:
             distance: How far the turtle went (m).
             duration: How long it took (s), by the clock of the graph.
-            bound: How long it takes at least (s), whoever drives at these speeds in this style.
+            bound: The shortest possible time (s) at these speeds and in this style.
         """
 
         distance: float64 = 0.0
@@ -73,7 +72,7 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
 
         Attributes:
             pose: Where the turtle is.
-            distance_remaining: How far it still is, in a straight line (m).
+            distance_remaining: The remaining distance in a straight line (m).
         """
 
         pose: TurtlePose = TurtlePose()

@@ -1,7 +1,7 @@
 """``/patrol``: a turtle visits a list of places; ``/command_turtle``: the lecture's patrol.
 
-The second has exactly the interface and the messages of the lecture on ROS actions (see
-``docs/tutorial.md``); the first says more on the way and can do more.
+``/command_turtle`` has exactly the interface and the messages of the lecture on ROS actions (see
+``docs/tutorial.md``). ``/patrol`` has more options and reports more.
 
 Source: nav2's waypoint follower for ``stop_on_failure`` and ``missed``.
 """
@@ -32,10 +32,10 @@ PERIOD = 1.0
 """Seconds between two feedback messages on the way to a target."""
 
 WHOLE = 24
-"""Stops that count in the bound with their turns (10 ms of work); later ones count straight."""
+"""How many stops count in the bound with their turns (10 ms of work). Later ones count straight."""
 
 AT_ONCE = 16
-"""This many stops of a round take at least a tick, and so does a shorter round."""
+"""A round takes at least one tick, and at least one tick for this many stops."""
 
 
 class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
@@ -48,8 +48,8 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
             targets: The places (m), in order; z is ignored.
             loops: How many more rounds are made after the first.
             turtle: Which turtle goes: it has ``<turtle>/pose`` and ``<turtle>/cmd_vel``.
-            stop_on_failure: Whether a target that is not reached in time ends the patrol; if not,
-                it is missed and the next one is headed for.
+            stop_on_failure: Whether a target that is not reached in time ends the patrol. If not,
+                the turtle heads for the next target.
             tolerance: How near is near enough (m), above zero.
             max_linear: Highest speed (m/s), above zero.
             max_angular: Highest turn rate (rad/s), above zero.
@@ -73,8 +73,8 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
             missed: The indices of those that were missed, round by round.
             distance: How far the turtle went (m).
             duration: How long it took (s), by the clock of the graph.
-            bound: How long it takes at least (s) to reach all of them, whoever drives at these
-                speeds in this style.
+            bound: The shortest possible time (s) through all targets, at these speeds and in this
+                style.
         """
 
         reached: int32 = 0
@@ -89,10 +89,10 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
         Attributes:
             index: Which target this is about, counted from 0.
             target: That target.
-            is_reached: Whether it has just been reached; if not, it is headed for.
+            is_reached: Whether the turtle has just reached it; if not, it is on its way there.
             reached: How many have been reached so far, over all rounds.
             pose: Where the turtle is.
-            distance_remaining: How far it still is through all targets, in straight lines (m).
+            distance_remaining: The remaining distance through all targets, in straight lines (m).
         """
 
         index: int32 = 0
@@ -136,7 +136,7 @@ class _Tour:
         self.stops = len(targets) * rounds
 
     def index(self, stop: int) -> int:
-        """Which target a stop is."""
+        """The index of the target at a stop."""
         return stop % len(self._targets)
 
     def target(self, stop: int) -> Point | None:
@@ -148,9 +148,10 @@ class _Tour:
         return self._sum_from(stop, self._legs)
 
     async def bound(self, drive: Drive, goal: Patrol.Goal) -> float:
-        """How long it takes at least (s): the first stops, and the straight legs of the others.
+        """The shortest possible time (s); later stops only count with their straight legs.
 
-        The first round may prove more than all rounds do, as the fewer stops the finer the search.
+        The first round alone may give a higher bound than all rounds, because the search is finer
+        with fewer stops.
         """
         straight = [max(0.0, leg - 2.0 * goal.tolerance) for leg in self._legs]
         least = 0.0
@@ -289,7 +290,7 @@ class _Leg:
         self._tell = tell
 
     async def run(self) -> bool:
-        """Drive there; False if it takes far longer than it could."""
+        """Drive to a stop; False if it takes far too long."""
         drive, clock, target = self._drive, self._clock, self._target
         after = self._tour.target(self._stop + 1)
         deadline = drive.deadline(target)
@@ -304,7 +305,7 @@ class _Leg:
         return True
 
     def tell(self, *, is_reached: bool) -> None:
-        """Publish how it goes."""
+        """Publish feedback."""
         remaining = self._tour.length_from(self._stop)
         if not is_reached:
             remaining += self._drive.distance_to([self._target])

@@ -230,7 +230,7 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
     """A goal that is about to be sent, once.
 
     ``await`` sends it and gives the result. If the waiting task is cancelled, the goal is canceled
-    too, and the task waits for the goal's end before it continues to be cancelled.
+    too. The task waits for the goal's end, and then ends cancelled.
 
     ``async with`` sends it and gives a handle. If you leave the block while the goal is active, the
     goal is canceled and you wait for its end, unless you have detached it.

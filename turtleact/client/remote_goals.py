@@ -9,8 +9,8 @@ requests: one sends it, the other waits for its result. There are two ways to se
   sends the requests one after the other.
 - A ROS 2 server gets one request after the other, because ROS 2 services may answer in any order.
 
-Whenever something must be awaited, a task does it, and the client owns that task: for an unknown
-server, for a cancel, for feedback that arrives after the result, or for a server that has gone.
+If something must be awaited, a task of the client does it: for an unknown server, a cancel,
+feedback that arrives after the result, or a server that has gone.
 
 Source: rcl_action ``action_client.c``, ``goal_state_machine.c``, and
 ``rcl_action_process_result_request``.

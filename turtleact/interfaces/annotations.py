@@ -235,7 +235,7 @@ def marked(annotation: object, mark: Limit) -> object:
 
 
 def with_form(element: FieldType, limit: Limit | None) -> FieldType:
-    """Return the type of a sequence of such elements."""
+    """Return the type of a sequence with this element type."""
     if element.is_sequence:
         problem = f"ROS has no lists of lists: put the {element} into a message of its own"
         raise InvalidInterface(problem, source="")

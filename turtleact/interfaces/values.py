@@ -78,7 +78,7 @@ SHORT = ShortRepr()
 
 
 class Spelled:
-    """A value in a text that errors show as it was written; most of these fit no field.
+    """A value that errors show as it was written in the text; most such values fit no field.
 
     Attributes:
         word: The value as it was written, or a description.

@@ -2,7 +2,7 @@
 
 A pixel is coloured if its centre lies in the line: a rectangle as wide as the pen that reaches
 half a width beyond both ends, left and upper edges included. x counts from the left, y from the
-top. Knows no turtle, no ROS and no clock.
+top. This module knows no turtle, no ROS and no clock.
 
 Source: turtlesim 1.8.2, ``path_image_`` in ``turtle_frame.cpp``; Qt 5, ``QPen`` (square caps) and
 "Coordinate System" (fill rule).
@@ -121,7 +121,7 @@ def _within(low: float, high: float) -> tuple[int, int]:
 def _strip(dx: float, dy: float, low: float, high: float) -> tuple[float, float, float]:
     """Where ``low <= dx * x + dy * y < high``: the slope of x by y, and its bounds at y = 0.
 
-    No bounds where that says nothing of x: the rows are chosen accordingly.
+    There are no bounds where the condition does not depend on x; the rows are chosen accordingly.
     """
     if abs(dx) < FLAT:
         return 0.0, -inf, inf

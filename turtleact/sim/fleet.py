@@ -9,10 +9,10 @@ Angles, straight ways, turns on the spot, walls and the end of a command match `
 bit. Along a curve the chained turns are rounded differently: after 20,000 steps of random driving,
 places differed by 6e-14 m.
 
-Where turtles collide, each is a disc. A step that would bring two discs nearer to each other than
-they were, and nearer than they may be, moves neither turtle. A turtle that stays where it was may
-then be in the way of a third, which stays too, and so on. So discs that lie apart never come to
-overlap, discs that overlap can only part, and the order of the turtles does not matter.
+Where turtles collide, each is a disc. If a step would make two discs overlap and bring them closer
+than before, neither turtle moves. A turtle that stays where it was may then be in the way of a
+third, which stays too, and so on. So discs that lie apart never come to overlap, discs that overlap
+can only part, and the order of the turtles does not matter.
 
 Knows no names, no ROS and no clock.
 
@@ -71,14 +71,14 @@ BODY: Final = 0.3
 """The radius of a turtle (m), as in its picture, without head and tail."""
 
 _COLUMNS: Final = 1 << 20
-"""How much the number of a cell grows from row to row: more than there are columns."""
+"""How far apart the numbers of a cell and of the one above it are; above the number of columns."""
 
 _AROUND: Final = [row * _COLUMNS + column for row in (-1, 0, 1) for column in (-1, 0, 1)]
 """Maps a cell's number to its neighbours' numbers and its own."""
 
 
 class Fleet:
-    """Many turtles as arrays, the same `Turtles` as a `Handful`.
+    """Many turtles as arrays; does the same as `Handful`.
 
     Args:
         places: Where they stand, by index.
@@ -125,13 +125,13 @@ class Fleet:
         self._is_awake = self._is_disturbed = True
 
     def insert(self, index: int, place: Place) -> None:
-        """Have one more turtle, at rest, that gets this index; as `place` otherwise."""
+        """Insert a turtle at rest at this index; otherwise like `place`."""
         self._rearrange(np.insert(np.arange(len(self)), index, 0))  # a double of any, for its room
         self.place(index, place)
         self._rest(np.array([index]))
 
     def remove(self, index: int) -> None:
-        """Have one turtle less."""
+        """Remove a turtle."""
         self._rearrange(np.delete(np.arange(len(self)), index))
 
     def state(self, index: int) -> State:
@@ -199,9 +199,10 @@ class Fleet:
         self._expires[at] = NEVER
 
     def _rearrange(self, order: _Indices) -> None:
-        """Use these turtles in this order; their motions start afresh from where they are.
+        """Use these turtles in this order; each starts a new motion from where it is.
 
-        So a fleet is the same, to the last bit, however its turtles have come together.
+        So a fleet with the same turtles is the same to the last bit, whatever happened to it
+        before.
         """
         self._place, self._theta = self._place[order], self._theta[order]
         self._speeds, self._turn = self._speeds.take(order, axis=1), self._turn[order]
@@ -227,7 +228,7 @@ class Fleet:
                 self._unwind_one(index)
 
     def _unwind(self, at: _Indices) -> None:
-        """Take a whole turn off these angles; `_wrap`, if that is not the right thing to do."""
+        """Take a whole turn off these angles; if that is not enough, call `_wrap`."""
         theta = self._theta[at]
         unwound = theta - np.copysign(2.0 * self._half, theta)
         if np.absolute(unwound).max() >= self._half:
@@ -237,7 +238,7 @@ class Fleet:
         self._step[at] *= 1.0 - 1j * np.copysign(self._slip, theta)
 
     def _unwind_one(self, index: int) -> None:
-        """`_unwind` for one turtle: a tenth of the time."""
+        """`_unwind` for one turtle, in a tenth of the time."""
         theta = float(self._theta[index])
         unwound = theta - math.copysign(2.0 * self._half, theta)
         if abs(unwound) >= self._half:
@@ -295,7 +296,7 @@ def stopped(before: Sequence[complex], after: Sequence[complex], radius: float =
 
 
 class _Block:
-    """Some neighbours of a fleet: views of its arrays, and room for intermediate values."""
+    """Consecutive turtles: views of the fleet's arrays, and room for intermediate values."""
 
     def __init__(self, fleet: Fleet, where: slice) -> None:
         self.where = where
@@ -314,7 +315,7 @@ class _Block:
         self._outside = np.frombuffer(self._outside_bytes, np.bool_)
 
     def turn(self) -> bool:
-        """Turn by one step; tells whether an angle may be out of range."""
+        """Turn by one step; return whether an angle may be out of range."""
         np.add(self._theta, self._turn, self._theta)
         np.absolute(self._theta, self._magnitude)
         np.greater_equal(self._magnitude, self._half, self._over)
@@ -326,7 +327,7 @@ class _Block:
         return at
 
     def move(self) -> bool:
-        """Move by one step, turn the next one; tells whether a turtle may be outside the walls."""
+        """Move by one step, and turn the next; return whether a turtle may be outside the walls."""
         np.add(self._place_parts, self._step_parts, self._place_parts)
         np.multiply(self._step, self._spin, self._step)
         # As unsigned integers, the bits of SIDE are below those of any larger or negative
@@ -335,7 +336,7 @@ class _Block:
         return 1 in self._outside_bytes
 
     def clamp(self) -> _Caught:
-        """Bring the turtles back inside; tells which `move` has flagged, and from where."""
+        """Bring the turtles flagged by `move` back inside; return them and where they were."""
         at = self._outside.nonzero()[0]
         np.right_shift(at, _ONE, at)  # two parts a turtle
         before = self._place[at]

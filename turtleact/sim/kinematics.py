@@ -53,7 +53,7 @@ COMMAND_TICKS = 63
 
 
 NEVER = 2**62
-"""A tick that does not come."""
+"""A tick that never comes."""
 
 
 class StepRule(enum.Enum):
@@ -109,11 +109,11 @@ class Hit(NamedTuple):
 
 
 Hits: TypeAlias = "Sequence[Hit]"
-"""The turtles that hit a wall in one step, in the order of their indices; mostly none."""
+"""The turtles that hit a wall in one step, in the order of their indices; usually none."""
 
 
 class Turtles(Protocol):
-    """What `Handful` and ``Fleet`` both are: turtles by index, and one step for all of them."""
+    """The interface of `Handful` and ``Fleet``: turtles by index, and one step for all of them."""
 
     def __len__(self) -> int: ...
 
@@ -127,10 +127,10 @@ class Turtles(Protocol):
         """Put a turtle somewhere; the next step wraps its angle and brings it inside the walls."""
 
     def insert(self, index: int, place: Place) -> None:
-        """Have one more turtle, at rest, that gets this index; as `place` otherwise."""
+        """Insert a turtle at rest at this index; otherwise like `place`."""
 
     def remove(self, index: int) -> None:
-        """Have one turtle less."""
+        """Remove a turtle."""
 
     def state(self, index: int) -> State:
         """The state of one turtle."""
@@ -147,8 +147,7 @@ class Turtles(Protocol):
     def step(self, tick: int) -> Hits:
         """Move all turtles by one step, which completes tick number ``tick``.
 
-        Returns:
-            The turtles that hit a wall, in the order of their indices; mostly none.
+        Returns: The turtles that hit a wall, in the order of their indices; usually none.
         """
 
 
@@ -161,7 +160,7 @@ def displacement(
         theta: The heading in which the step ends (rad).
         vx: Speed ahead (m/s).
         vy: Speed to the left (m/s).
-        chord: What `chord` says of the step.
+        chord: What `chord` returns for the step.
     """
     lag, length = chord
     cos_, sin_ = cos(theta - lag), sin(theta - lag)
@@ -237,11 +236,11 @@ class Handful:
         turtle.x, turtle.depth, turtle.theta = place
 
     def insert(self, index: int, place: Place) -> None:
-        """Have one more turtle, at rest, that gets this index; as `place` otherwise."""
+        """Insert a turtle at rest at this index; otherwise like `place`."""
         self._turtles.insert(index, _Turtle(place))
 
     def remove(self, index: int) -> None:
-        """Have one turtle less."""
+        """Remove a turtle."""
         del self._turtles[index]
 
     def state(self, index: int) -> State:

@@ -7,7 +7,7 @@
 - ``<turtle>/rotate_absolute``, one goal at a time; `Rotation` is turtlesim's controller of it, pure
   and called once a tick. Where turtlesim rounds to float32, so does this.
 
-Knows no clock: `turtlesim` tells it of each tick.
+This module knows no clock: `turtlesim` calls it at each tick.
 
 Source: turtlesim 1.8.2, ``turtle.cpp`` (for the controller ``Turtle::update`` and
 ``Turtle::rotateAbsoluteAcceptCallback``) and ``qos.hpp``.
@@ -87,10 +87,10 @@ class Turtle:
     Args:
         name: Its name, by which the world knows it.
         habitat: What it shares with the others.
-        on_demand: Whether other processes are told of it only when they ask; see `Node`.
+        on_demand: Whether other processes see it only when they ask for it; see `Node`.
 
     Raises:
-        InvalidName: if topics cannot be called so; then nothing is open.
+        InvalidName: if topics cannot have this name; nothing is open then.
 
     Attributes:
         name: Its name.
@@ -151,7 +151,7 @@ class Turtle:
             self._on_read(self)
 
     def take_up(self, twist: Twist) -> None:
-        """Take up a command; it ends a rotation that it comes after."""
+        """Take up a command; it ends a rotation that began before the command."""
         try:
             self._world.set_velocity(self.name, twist.linear.x, twist.linear.y, twist.angular.z)
         except SimError as error:
@@ -237,7 +237,7 @@ class _Turn:
     """A goal of ``rotate_absolute`` that runs.
 
     Attributes:
-        ended: Set once it is over.
+        ended: Set at its end.
     """
 
     def __init__(self, rotation: Rotation, handle: Handle) -> None:
@@ -258,7 +258,7 @@ class _Turn:
         return self.result
 
     def tick(self, theta: float) -> float | None:
-        """Work out how to turn, and tell the client how far it is; None if it is there."""
+        """Return the turn rate, and publish what remains; None if the turtle is there."""
         omega = self._rotation.tick(theta)
         self._handle.publish_feedback(RotateAbsolute.Feedback(self._rotation.remaining))
         if omega is None:
@@ -279,7 +279,7 @@ class Rotation:
         theta: The heading at the start (rad).
 
     Attributes:
-        remaining: How far it still was before the last tick (rad, float32): positive to the left.
+        remaining: The turn that was left before the last tick (rad, float32); positive to the left.
         delta: The heading at the start minus that before the last tick (rad, float32).
     """
 
@@ -295,8 +295,7 @@ class Rotation:
 
         Exactly opposite turns right.
 
-        Returns:
-            The turn rate (rad/s), or None if the turtle is there and is to stand still.
+        Returns: The turn rate (rad/s), or None if the turtle is there and must stand still.
         """
         now, turned = array("f", (theta, self._start - theta))
         remaining = wrap(self._target - now, _HALF)

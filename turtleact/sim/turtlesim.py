@@ -1,9 +1,9 @@
 """The world as a node: it ticks, turtles come and go, and their drawing is visible.
 
-For all turtles together there are the services ``spawn``, ``kill``, ``clear`` and ``reset``, and
-the parameters ``background_r``, ``background_g``, ``background_b`` and ``holonomic``; `turtle` says
-what each turtle has, `simulation` what there is for time, `poses` and `pictures` for those who look
-on. Only these modules and this one know ROS, and only `ticking` and this one a clock.
+The world has the services ``spawn``, ``kill``, ``clear`` and ``reset``, and the parameters
+``background_r``, ``background_g``, ``background_b`` and ``holonomic``. `turtle` has the topics and
+services of each turtle, `world_services` those for time, poses and pictures. Only these two modules
+and this one know ROS and a clock.
 
 Where turtlesim would exit (a turtle with an invalid name) or turn forever (numbers that are not
 finite), this logs a message and goes on.
@@ -50,7 +50,7 @@ rest appear on demand."""
 
 
 class Turtlesim:
-    """A world that lives on a node; it ticks from the moment it is made until it is closed.
+    """A world on a node; it ticks from its creation until it is closed.
 
     The ticks follow an absolute schedule of the node's clock, 16 ms apart, so they do not drift.
     While the world is paused, that clock stands still, and so does everything that waits on it.
@@ -102,7 +102,7 @@ class Turtlesim:
         return self._ticking.is_paused
 
     def pause(self) -> None:
-        """Let time stand still from now on; a second time does nothing."""
+        """Stop time; if it stands still already, do nothing."""
         self._ticking.pause()
 
     def resume(self) -> None:

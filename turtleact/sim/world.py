@@ -138,7 +138,7 @@ class World:
     def set_velocity(
         self, turtle: str | int, vx: float, vy: float = 0.0, omega: float = 0.0
     ) -> None:
-        """Command a turtle; taken up by the next step, and replaces an earlier command.
+        """Command a turtle from the next step on; this replaces an earlier command.
 
         The command moves the turtle in that step and 62 more, unless another one follows.
 
@@ -188,7 +188,7 @@ class World:
         self._is_asked = True
 
     def teleport_absolute(self, turtle: str | int, x: float, y: float, theta: float) -> None:
-        """Put a turtle somewhere at the next step; outside the walls it is brought back by them.
+        """Put a turtle somewhere at the next step; the walls bring it back from outside.
 
         Args:
             turtle: Its name or index.
@@ -215,7 +215,7 @@ class World:
         self._teleport(turtle, Relative.of(linear, angular))
 
     def spawn(self, x: float, y: float, theta: float, name: str = "") -> str:
-        """Put a new turtle into the world; outside the walls its first step brings it back.
+        """Put a new turtle into the world; its first step brings it back from outside.
 
         Args:
             x: Distance from the left edge (m); like the other numbers, rounded to float32.
@@ -260,7 +260,7 @@ class World:
         self._begin(self._first)
 
     def take_up(self) -> None:
-        """Do now what the next step would begin with; later requests wait for that step."""
+        """Do what the next step would do first; later requests wait for that step."""
         if self._is_asked:
             self._take_up()
 
@@ -321,7 +321,7 @@ class World:
         return poses
 
     def index(self, turtle: str | int) -> int:
-        """The index of a turtle, given that or its name.
+        """Return the index of a turtle, given its index or its name.
 
         Raises:
             SimError: if there is no such turtle.
@@ -371,7 +371,7 @@ class World:
 
 
 class Names:
-    """The names of the turtles that there are.
+    """The names of the existing turtles.
 
     Args:
         names: The first names, in any order; the numbers of new names continue after them.
@@ -387,7 +387,7 @@ class Names:
         self._count = len(self.names)
 
     def index(self, turtle: str | int) -> int:
-        """The index of a turtle, given that or its name.
+        """Return the index of a turtle, given its index or its name.
 
         Raises:
             SimError: if there is no such turtle.
@@ -404,7 +404,7 @@ class Names:
         )
 
     def free_name(self, name: str = "") -> str:
-        """The name of a turtle that is to come: the next free ``turtle1``, … if none is given.
+        """Return the name for a new turtle: the given one, or the next that is free.
 
         Raises:
             SimError: if there is a turtle of that name.
@@ -417,7 +417,7 @@ class Names:
         return name
 
     def add(self, name: str) -> int:
-        """Add a turtle of a free name; gives its index, which others may have had."""
+        """Add a turtle with a free name; return its index. The indices of others may change."""
         index = bisect(self.names, name)
         self._note((*self.names[:index], name, *self.names[index:]))
         return index

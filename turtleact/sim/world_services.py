@@ -1,8 +1,8 @@
 """What a world offers beyond turtlesim: time that can be paused and stepped, all poses, pictures.
 
-- `Ticking` makes the ticks, 16 ms apart on an absolute schedule. While there are none, the clock
-  stands still, so nobody who waits by it misses a tick, and after a pause the schedule goes on as
-  if there had been none.
+- `Ticking` makes the ticks, 16 ms apart on an absolute schedule. While the world is paused, the
+  clock stands still: code that waits by it misses no tick, and the schedule continues after the
+  pause.
 - `Simulation` serves time as other simulators do: ``~/get_simulator_features``,
   ``~/get_simulation_state``, ``~/set_simulation_state``, ``~/step_simulation`` and
   ``~/reset_simulation``, and the action ``~/simulate_steps``.
@@ -10,7 +10,8 @@
   longer to make than a tick lasts, and ``geometry_msgs/msg/PoseArray`` has no names.
 - `Pictures` serves ``~/snapshot``; `pictures` makes the picture, in a thread.
 
-Source: simulation_interfaces 2.1.0; for the names Gazebo, which also serves them below its node's.
+Source: simulation_interfaces 2.1.0; Gazebo for the names, which are below the node's name there,
+too.
 """
 
 from __future__ import annotations
@@ -92,10 +93,10 @@ FORMATS: Final[dict[str, Callable[[Snapshot], bytes]]] = {
 
 
 class Ticking:
-    """Makes ticks from its creation until it is closed; its owner has made the first one.
+    """Makes ticks from its creation until it is closed. Its owner makes the first tick.
 
     Args:
-        clock: The clock to follow; it stands still while there are no ticks.
+        clock: The clock to follow; it stands still during a pause.
         tick: Called for each tick.
         is_paused: Whether it starts paused.
 
@@ -121,7 +122,7 @@ class Ticking:
         return self._step is not None
 
     def pause(self) -> None:
-        """Make no tick until `resume`, and let the clock stand; a step under way ends here."""
+        """Make no tick until `resume`, and stop the clock; a `step` that is under way ends now."""
         now = self._clock.time()
         self._clock.stop_at(now)
         # A tick that is late now would come at once after the pause, as if time had passed in it.
@@ -131,7 +132,7 @@ class Ticking:
         self.is_paused = True
 
     def resume(self) -> None:
-        """Go on, the clock too; a step under way ends here."""
+        """Continue, with the clock; a `step` that is under way ends now."""
         self._end_step("resumed")
         self.is_paused = False
         self._clock.stop_at(math.inf)
@@ -178,7 +179,7 @@ class Ticking:
             raise SimError(f"the world was {step.how} after {made}: pause it, and step on")
 
     async def aclose(self) -> None:
-        """Make no more ticks; the clock goes on."""
+        """Make no more ticks; the clock continues."""
         await self._running.aclose()
         self._end_step("closed")
         self._clock.stop_at(math.inf)
@@ -328,7 +329,7 @@ class Poses(Message, type_name="turtleact_interfaces/msg/Poses"):
 
     Attributes:
         stamp: ROS time of the tick.
-        names: The turtles; the numbers of each stand in the same place.
+        names: The turtles; the other lists have the same order.
         x: From the left edge (m).
         y: From the lower edge (m).
         theta: Heading (rad).
@@ -372,7 +373,7 @@ class TakeSnapshot(Service, type_name="turtleact_interfaces/srv/TakeSnapshot"):
 
         Attributes:
             data: What is in the file; empty if there is none.
-            problem: Why there is none; empty if there is one.
+            problem: Why there is no picture; empty if there is one.
         """
 
         data: bytes = b""
@@ -416,7 +417,7 @@ class _Step:
         self._on_tick = on_tick
 
     def note(self) -> None:
-        """Note that one was made."""
+        """Note that a tick was made."""
         self.left -= 1
         if self._on_tick is not None:
             self._on_tick()

@@ -251,7 +251,7 @@ class Publication(Closeable, Protocol):
 
 
 class Source(Protocol):
-    """Makes the messages of a topic: the current state, and only while somebody reads it.
+    """Makes the messages of a topic from the current state, but only while somebody reads it.
 
     A subclass without a state implements `readers_changed` alone.
     """
@@ -288,8 +288,8 @@ class Target(msgspec.Struct, frozen=True, gc=False):
 
     Attributes:
         servers: ``"all"``, as in ROS 2, or ``"one"``: the nearest. With all, the first reply wins.
-        counts: Tells from a reply's bytes whether it may win. A reply that may not is used only if
-            no server sends a better one. May be called in any thread.
+        counts: Decides by a reply's bytes whether it may win. Another reply is used only if no
+            server sends one that may. May be called in any thread.
     """
 
     servers: Literal["one", "all"] = "all"

@@ -78,7 +78,7 @@ class Connection:
         self._group: TaskGroup | None = None
 
     async def run(self) -> None:
-        """Serve the client until it disconnects, is let go, or the bridge is closed."""
+        """Serve the client until its connection ends or the bridge is closed."""
         try:
             async with anyio.create_task_group() as group:
                 self._group = group
@@ -124,7 +124,7 @@ class Connection:
         self._filled.fire()
 
     def shrink(self) -> int:
-        """Hold less, as all clients together hold too much; gives how much it still holds."""
+        """Hold less, since all clients hold too much; return how much this one still holds."""
         if self.mailbox.shed():
             return self.mailbox.size
         self.let_go("too much waits for all clients, and most of it for this one")

@@ -3,8 +3,9 @@
 Time comes in as ``now=``.
 
 - What a client has asked for is kept in order and never dropped: responses, results, goals. A
-  client that lets too much of it pile up is let go (`Mailbox.is_overfull`).
-- Of a topic's messages and of feedback the newest are kept; `Mailbox.dropped` counts the others.
+  client that lets too much of it pile up is disconnected (`Mailbox.is_overfull`).
+- Only the newest messages of a topic, and the newest feedback, are kept; `Mailbox.dropped` counts
+  the others.
 - `Budget` bounds the memory of all clients together. Without it, each client could stay below its
   own limits while a hundred of them take a gigabyte.
 
@@ -22,13 +23,13 @@ from turtleact.web.message_conversion import Compression, Frame, Rendering
 __all__ = ["Budget", "Holder", "Mailbox", "Throttle"]
 
 MOST_OF_ONE: Final = 32
-"""Most frames of one topic or goal that wait."""
+"""The maximum number of frames that wait for one topic or goal."""
 
 MOST_DROPPABLE: Final = 4 * 2**20
 """Most bytes that wait and may be dropped; the newest frame stays, whatever its size."""
 
 MOST_KEPT: Final = 1024
-"""Most frames that wait and must not be dropped."""
+"""The maximum number of waiting frames that must not be dropped."""
 
 MOST_KEPT_BYTES: Final = 32 * 2**20
 """Most bytes that wait and must not be dropped."""
@@ -38,14 +39,14 @@ class Holder(Protocol):
     """Something that holds memory for a client."""
 
     def shrink(self) -> int:
-        """Hold less, or let the client go; gives how much it still holds (bytes)."""
+        """Hold less, or disconnect the client; return how much it still holds (bytes)."""
 
 
 class Budget:
     """How much memory all clients together may hold.
 
-    If it is exceeded, the holder of the most must shrink, not the one that asked last: otherwise a
-    few clients that fill the budget would shut out all others.
+    If it is exceeded, the client that holds the most must give some up, not the client that asked
+    last. Otherwise a few clients could fill the budget and shut out all others.
 
     Args:
         most: How much that is (bytes).
@@ -111,7 +112,7 @@ class Mailbox:
 
     @property
     def is_overfull(self) -> bool:
-        """Whether more waits than for any client that reads at all."""
+        """Whether more is waiting than for any client that still reads."""
         return len(self._kept) > MOST_KEPT or self._kept_bytes > MOST_KEPT_BYTES
 
     def keep(self, frame: Frame) -> None:
@@ -225,7 +226,7 @@ class Throttle:
         return None
 
     def release(self, now: float) -> Rendering | None:
-        """The message whose time has come, if there is one."""
+        """Return the message that is due now, if there is one."""
         if self.due is None or now < self.due:
             return None
         message = self._waiting.popleft()

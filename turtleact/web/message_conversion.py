@@ -79,7 +79,7 @@ TYPED_ARRAYS = {
 """The tag of a list of such numbers, little-endian, and how `struct` writes one of them."""
 
 LARGE: Final = 2000
-"""This many values can be checked in a few milliseconds."""
+"""How many values can be checked in a few milliseconds."""
 
 Frame: TypeAlias = str | bytes
 Compression = Literal["none", "png", "cbor", "cbor-raw"]

@@ -112,7 +112,7 @@ class CallService(Base, tag="call_service", frozen=True, kw_only=True):
 
 
 class AdvertiseService(Base, tag="advertise_service", frozen=True, kw_only=True):
-    """The client serves a service."""
+    """The client starts to serve a service."""
 
     service: str
     type: str
@@ -125,7 +125,7 @@ class UnadvertiseService(Base, tag="unadvertise_service", frozen=True, kw_only=T
 
 
 class ServiceResponse(Base, tag="service_response", frozen=True, kw_only=True):
-    """The client's answer to a ``call_service`` of ours."""
+    """The client's answer to a ``call_service`` that we sent it."""
 
     service: str | None = None
     values: Arguments | str = None
@@ -148,7 +148,7 @@ class CancelActionGoal(Base, tag="cancel_action_goal", frozen=True, kw_only=True
 
 
 class AdvertiseAction(Base, tag="advertise_action", frozen=True, kw_only=True):
-    """The client serves an action."""
+    """The client starts to serve an action."""
 
     action: str
     type: str
@@ -238,7 +238,7 @@ def parse(frame: str | bytes) -> Operation | Malformed:
 
 
 def _is_sound(frame: str) -> bool:
-    """Whether all text in a frame can be encoded, to be quoted in an answer."""
+    """Whether all text in a frame can be encoded, so that an answer can quote it."""
     try:
         json.dumps(json.loads(frame), ensure_ascii=False).encode()
     except (ValueError, RecursionError):

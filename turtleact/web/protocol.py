@@ -4,8 +4,8 @@ It knows what a client has opened and under which ids, how much that may be, and
 wants to be told. It knows no graph, no loop and no time. The effects it returns must be carried out
 in order.
 
-- Several subscriptions of a topic, told apart by their ids, are one to the graph: the shortest
-  ``throttle_rate`` and the newest ``compression`` hold for all.
+- Several subscriptions of one topic, with different ids, share one subscription on the graph. The
+  shortest ``throttle_rate`` and the newest ``compression`` apply to all of them.
 - Without an id, ``unsubscribe`` and ``unadvertise`` mean all of them.
 - Only clients that have sent ``set_level`` get ``status``: the libraries fail on operations that
   they do not expect.
@@ -40,10 +40,10 @@ __all__ = [
 LEVELS: Final = {"none": 0, "error": 1, "warning": 2, "info": 3}
 
 LONGEST_QUEUE: Final = 1000
-"""A client's ``queue_length`` and ``queue_size`` count up to here."""
+"""Larger values of a client's ``queue_length`` and ``queue_size`` are reduced to this."""
 
 LONGEST_INTERVAL: Final = 3600.0
-"""A client's ``throttle_rate`` counts up to here (s)."""
+"""Larger values of a client's ``throttle_rate`` are reduced to this (s)."""
 
 
 class Delivery(msgspec.Struct, frozen=True):

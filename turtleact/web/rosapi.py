@@ -4,7 +4,7 @@ Its services are answered here, for web clients only; they are not on the graph.
 those of ROS 2 (``pkg/msg/Name``), typedefs those of rosapi.
 
 A parameter with a colon in its name, ``/turtlesim:background_b``, belongs to a node, whose services
-are called. Any other belongs to the clients: the bridge keeps it as long as it runs. Values are
+are called. All other parameters belong to the clients, and last as long as the bridge. Values are
 JSON text.
 
 Source: rosapi ``rosapi_node.py``, ``proxy.py``, ``params.py``, ``objectutils.py`` and
@@ -85,7 +85,8 @@ KINDS: Final[dict[int, tuple[bool, type]]] = {
     ParameterType.PARAMETER_DOUBLE_ARRAY: (True, float),
     ParameterType.PARAMETER_STRING_ARRAY: (True, str),
 }
-"""Whether a kind of value is a list, and of which type; likelier ones come first."""
+"""For each kind of value, whether it is a list, and the type of its items; likelier kinds come
+first."""
 
 PROBLEM: Final = "expected true, false, a number, text, or a list of one of these"
 
@@ -137,7 +138,7 @@ class Rosapi:
         }
 
     async def call(self, service: str, args: object) -> Values | None:
-        """The values of a response; None if that is no service of rosapi.
+        """Return the values of a response; None if the service is not one of rosapi's.
 
         Args:
             service: The name as a client spells it, with or without the leading slash.
@@ -169,7 +170,7 @@ class Rosapi:
         return {"topics": list(topics), "types": [types[0] for types in topics.values()]}
 
     def _topics_and_raw_types(self) -> Values:
-        """Without ``/rosout``, Foxglove and Lichtblick take the graph for one of ROS 1."""
+        """Without ``/rosout``, Foxglove and Lichtblick mistake the graph for one of ROS 1."""
         listed = self._topics()
         for topic, type in ALWAYS.items():
             if topic not in listed["topics"]:

@@ -3,11 +3,11 @@
 uvicorn runs on asyncio, and so does this, uvloop included; on trio a bridge can be mounted into
 whatever serves ASGI there. uvicorn's protocols trust their clients a little less here:
 
-- A client that connects and says nothing, or half a request, is let go, and the number of
-  connections is bounded: otherwise it costs nothing to take all that the process may open.
-- The app can cut off a client that does not read. A client that answers no ping is gone, unless it
-  has much to say: its answer stands in line behind that.
-- A text that is not UTF-8 is the client's mistake: one line in the log, no traceback.
+- A client that connects and sends no whole request is disconnected, and the number of connections
+  is limited. Otherwise anybody could use up all connections that the process may have.
+- The app can cut off a client that does not read. A client that does not answer a ping is gone,
+  unless it is still sending: its answer then arrives after the rest.
+- A text that is not UTF-8 is the client's mistake, so the log gets one line and no traceback.
 
 Source: uvicorn ``server.py``, ``h11_impl.py`` and ``websockets_sansio_impl.py``; RFC 6455, section
 8.1.
@@ -67,12 +67,12 @@ LINGER: Final = 1.0
 """How long the server still reads, and drops, a client's data after disconnecting it (s)."""
 
 OVERHEAD: Final = 64
-"""What Python takes for a part of a message, whatever its length (bytes)."""
+"""The memory that Python uses for each part of a message, besides its contents (bytes)."""
 
 TOO_MUCH: Final = "all clients together hold too much memory, and this one most of it"
 
 MOST_PINGS: Final = 100
-"""Most pings that a client may send in a second."""
+"""The maximum number of pings from a client in a second."""
 
 
 class Web(msgspec.Struct, frozen=True):
@@ -199,7 +199,7 @@ class _Config(uvicorn.Config):
 
 
 class _Log(logging.Logger):
-    """What uvicorn's protocols log of one connection.
+    """What uvicorn's protocols log about one connection.
 
     They log each request that they refuse, in words of their own; those are counted, like all
     refusals. Bugs are logged as they are.
@@ -314,7 +314,7 @@ class Socket(WebSocketsSansIOProtocol):
         self._count()
 
     def shrink(self) -> int:
-        """End the connection, as all clients together hold too much and this one most of it."""
+        """End the connection: all clients together hold too much, and this one holds the most."""
         logger.warning("a web client was let go: %s", TOO_MUCH)
         self._is_let_go = True
         self.frames = []
@@ -349,7 +349,7 @@ class Socket(WebSocketsSansIOProtocol):
         super().handle_cont(event)
 
     async def receive(self) -> Message:  # type: ignore[override]  # uvicorn's types are private
-        """Give the app the next message when it has handled the earlier ones."""
+        """Give the app the next message once it has handled the earlier ones."""
         if self.queue.empty():
             self._unread = 0
             self._count()
@@ -432,7 +432,7 @@ def bound(host: str, port: int) -> Iterator[socket.socket]:
 
 
 def _cost(part: Frame) -> int:
-    """What it takes to hold a part of a message (bytes): many tiny ones are large, too."""
+    """The memory used for a part of a message (bytes); many tiny parts use much, too."""
     return len(part.data) + OVERHEAD
 
 

@@ -1,7 +1,7 @@
 """The services and actions that one client serves: requests go out, answers come back.
 
-On the graph, the bridge is the server. Each request and each goal is put to the client under an id,
-and waits until the client has answered or gone.
+On the graph, the bridge is the server. Each request and each goal is sent to the client with an id,
+and waits until the client answers or leaves.
 
 Source: rosbridge_library ``capabilities/advertise_{service,action}.py``.
 """
@@ -91,7 +91,7 @@ class Serving:
         return self._servers.pop((kind, name))
 
     def answer(self, said: ServiceResponse | ActionResult) -> bool:
-        """Take the client's answer; False if it was not asked."""
+        """Take the client's answer; return False if it was not asked."""
         question = self._asked.get(str(said.id))
         if question is not None:
             question.answer(said)
@@ -124,7 +124,7 @@ class Serving:
         service_type: ServiceType[Message, Message],
         message: Message,
     ) -> Message:
-        """Have the client answer a request."""
+        """Let the client answer a request."""
         name = said.service
         question = self._ask("service", name, "service_request")
         try:
@@ -148,7 +148,7 @@ class Serving:
         goal: Message,
         handle: ServerGoalHandle[Any, Any, Any],
     ) -> Message:
-        """Have the client carry out a goal; the body of the action."""
+        """Let the client carry out a goal; this is the body of the action."""
         name = said.action
         question = self._ask("action", name, "action_goal")
         feedback_type = cast("type[Message]", action_type.Feedback)
@@ -194,14 +194,14 @@ class Serving:
 
 
 class _Question:
-    """A request or a goal that was put to the client.
+    """A request or a goal that was sent to the client.
 
     Attributes:
         id: Its id in frames.
         about: Which service or action it is for.
         said: The answer; None until there is one.
-        is_lost: Whether there will be none.
-        take_feedback: Takes the values of feedback, if it is a goal.
+        is_lost: Whether no answer will come.
+        take_feedback: Takes the values of feedback, if this is a goal.
     """
 
     def __init__(self, id: str, about: tuple[str, str], changed: Signal) -> None:
@@ -236,10 +236,10 @@ async def _no_feedback(_values: object) -> None:
 async def _result(
     said: ServiceResponse | ActionResult | None, result_type: type[Message]
 ) -> Message:
-    """What the client's answer means for the body: a result to return, or an error to raise.
+    """Turn the client's answer into what the body does: return a result, or raise an error.
 
     Raises:
-        Abort: if the client has gone, has failed, or says what does not fit.
+        Abort: if the client has gone or has failed, or if its answer does not fit the action.
         Cancel: if the client has canceled the goal.
     """
     if said is None:

@@ -1,14 +1,14 @@
 """What all clients of a bridge share: the node, the topics they read, their goals and services.
 
 - A topic is subscribed to once, however many clients read it, and each frame is made once
-  (`Feeds`). Only a latched topic is subscribed to anew for each client: otherwise a late one would
-  not get what the publishers keep.
+  (`Feeds`). A latched topic gets a new subscription for each client, because only a new one gets
+  the messages that the publishers keep.
 - Clients of services and actions are kept open for the next web client (`Pool`).
-- Each goal is followed to its end (`Goals`). It goes on when its client disconnects, unless the
-  bridge is told otherwise: clients come and go during a goal, and cancel it from another
+- Each goal is followed to its end (`Goals`). It continues when its client disconnects, unless
+  `cancel_on_disconnect` is set. Clients come and go during a goal, and may cancel it from another
   connection. Web clients choose the ids of their goals themselves, so two may choose the same: a
-  cancel means the client's own goal of that id, otherwise the only goal of that id that anybody
-  has sent. A cancel that comes before the server has accepted the goal is remembered.
+  cancel means the client's own goal of that id, otherwise the only goal of that id that anybody has
+  sent. A cancel that comes before the server has accepted the goal is remembered.
 
 Source: rosbridge_library ``capabilities/action_*.py``; its issues 1003, 1013, 1139 and 1152.
 """
@@ -65,7 +65,7 @@ DEPTH = 32
 """How many messages wait for the task that hands them to all clients."""
 
 MOST_IDLE: Final = 64
-"""How many idle ones are kept open: opening one announces it on the whole graph."""
+"""How many idle ones are kept open. Opening one announces it on the whole graph."""
 
 MOST_GOALS: Final = 1024
 """The maximum number of goals followed at once, including those of disconnected clients."""
@@ -85,8 +85,8 @@ class Limits(msgspec.Struct, frozen=True):
         message_size: Longest message that a client may send (bytes).
         memory: How much all clients together may make the server hold (bytes): messages that have
             not arrived in full or not been read yet, and frames that wait to be sent. If it is
-            exceeded, the client that holds the most loses its messages of topics and feedback, or
-            else is let go.
+            exceeded, the client that holds the most loses its waiting topic messages and feedback.
+            If it has none, it is disconnected.
     """
 
     connections: int = 100
@@ -119,7 +119,7 @@ class Shared:
         )
 
     async def call(self, said: CallService) -> object:
-        """Call a service, of rosapi or of the graph, and give the values of its response.
+        """Call a service of rosapi or of the graph, and return the values of its response.
 
         Raises:
             TurtleactError: if there is no response.
@@ -226,7 +226,7 @@ class Feeds:
 
 
 class Closing(Protocol):
-    """What a pool holds."""
+    """An entry of a pool."""
 
     async def aclose(self) -> None:
         """Leave the graph."""
@@ -312,7 +312,7 @@ class Goals:
         return len(self._sent)
 
     def send(self, said: SendActionGoal, teller: Teller) -> None:
-        """Send a goal and tell of it, its end in any case."""
+        """Send a goal and report on it; its end is always reported."""
         if said.id is not None and self._own(said.id, teller) is not None:
             _tell_failure(said, teller, f"a goal of the id '{said.id}' is under way: say another")
         elif len(self._sent) >= MOST_GOALS:
@@ -336,7 +336,7 @@ class Goals:
         return ""
 
     def lose(self, teller: Teller) -> None:
-        """Stop telling a client that has gone."""
+        """Stop reporting to a client that has gone."""
         for sent in self._sent.values():
             if sent.teller is teller:
                 sent.teller = None
@@ -399,8 +399,8 @@ class _Sent:
     """One goal.
 
     Attributes:
-        number: Tells it from all others of the bridge.
-        said: What its client has said.
+        number: Different from the numbers of all other goals of the bridge.
+        said: What its client has sent for it.
         teller: Its client; None once that has gone.
         goal_id: Its 16 bytes.
         following: The task that follows it.
@@ -432,7 +432,7 @@ class _Sent:
             self._handle.cancel_nowait()
 
     def tell_feedback(self, feedback: Message) -> None:
-        """Tell its client of feedback."""
+        """Send its client a feedback message."""
         self.tell("action_feedback", feedback)
 
     def tell(self, op: str, message: Message, **members: object) -> None:

@@ -102,7 +102,7 @@ class Reader:
     Attributes:
         source: The code so far.
         pending: The run that is not read yet.
-        place: Where it starts; None if only the variable ``p`` knows.
+        place: Where it starts; None if only the variable ``p`` has it.
         places: Where it may start in that case.
     """
 

@@ -177,7 +177,7 @@ def places_after(items: Sequence[Item], places: Places) -> Places:
 
 
 def places_aligned(size: int, places: Places) -> Places:
-    """Return these places, and those where a value aligned to this size begins after them."""
+    """Return these places, and the aligned places after them for a value of this size."""
     return places | {(place + padding(place, size)) % WIDEST for place in places}
 
 

@@ -151,7 +151,7 @@ class WireService:
             self._context.crew.run(answering, f"a request to {self._name}")
 
     def _answer_nowait(self, offer: _Offer, beside: Attachment, request: object) -> bool:
-        """Have a request answered without a task, now or later; return False if it needs one."""
+        """Let the handler answer without a task, now or later; return False if it needs one."""
         if offer.sync is None:
             return False
         try:
@@ -394,7 +394,7 @@ class WireCaller:
         return "the server went away before there was an answer"
 
     def _why_otherwise(self) -> str:
-        """Give another possible reason, if a server that was asked may still exist."""
+        """Return another possible reason, if a server that got the request may still exist."""
         if self._context.is_open and any(map(self._fits, self._servers())):
             return "dropped the request: ROS 2 keeps 10 that wait"
         return ""
