@@ -8,12 +8,15 @@ other loops names them: ``@pytest.mark.loops("asyncio", "trio")``.
 
 from __future__ import annotations
 
+import faulthandler
 import functools
 import gc
 import inspect
 import os
 import signal
 import threading
+import time
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -40,8 +43,11 @@ ONE_LOOP = {"actions", "commands", "fuzz", "interfaces", "interop", "render", "s
 """The folders whose async tests run on asyncio only, if no mark says otherwise."""
 TESTS = Path(__file__).parent
 SECONDS = 30.0
+FROZEN = 90.0
 
 os.environ["ROS_DOMAIN_ID"] = "231"  # no test is to see what else runs on this machine
+# The programs that tests start compile turtleact once, not each of them again.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 if os.name != "posix":  # these use pseudo-terminals, alarm clocks, bash and processes of POSIX
     collect_ignore = [
@@ -58,8 +64,10 @@ if hasattr(signal, "SIGQUIT") and signal.getsignal(signal.SIGQUIT) is signal.SIG
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Declare the mark."""
+    """Declare the mark, and watch the tests of this process."""
     config.addinivalue_line("markers", "loops(*names): the event loops that a test runs on")
+    WATCHDOG.stderr = os.dup(2)
+    WATCHDOG.start()
 
 
 @pytest.fixture
@@ -93,8 +101,14 @@ COLLECTED: dict[str, Any] = {}
 
 
 def pytest_collection_finish() -> None:
-    """Remembers the interfaces that are known once all test modules are imported."""
+    """Remembers the interfaces that are known once all test modules are imported.
+
+    The tests and the modules live until the end. Garbage collections pass them over from now on: a
+    full one takes 0.2 s otherwise, and there are hundreds.
+    """
     COLLECTED.update((name, REGISTRY.get(name)) for name in REGISTRY.names())
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)
@@ -115,13 +129,34 @@ def handlers() -> Iterator[None]:
         signal.signal(number, handler)
 
 
-@pytest.fixture(scope="module")
-def small_heap() -> Iterator[None]:
-    """Leaves what is there already, most of it pytest's, out of garbage collections."""
-    gc.collect()
-    gc.freeze()
-    yield
-    gc.unfreeze()
+class Watchdog(threading.Thread):
+    """One thread that keeps real time, whatever clock a test has.
+
+    It cancels an async test that runs for `SECONDS`. As long as it can run itself, it keeps winding
+    up faulthandler, which otherwise ends the process after `FROZEN` seconds and shows every thread.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(name="watchdog", daemon=True)
+        self.stderr = 2
+        self.watched: tuple[float, Callable[[], object]] | None = None
+        """When the running test is to be canceled, and how."""
+
+    def run(self) -> None:
+        wind_up = 0.0
+        while True:
+            now = time.monotonic()
+            if now >= wind_up:
+                faulthandler.dump_traceback_later(FROZEN, exit=True, file=self.stderr)
+                wind_up = now + FROZEN / 9
+            if (watched := self.watched) and now >= watched[0]:
+                self.watched = None
+                # A thread of its own, for the test may end right now, and its loop never answer.
+                threading.Thread(target=watched[1], daemon=True).start()
+            time.sleep(min(1.0, SECONDS))
+
+
+WATCHDOG = Watchdog()
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -133,15 +168,18 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Generator[None, object, o
 
 
 def watched(test: Callable[..., Awaitable[None]]) -> Callable[..., Awaitable[None]]:
-    """The same test, cancelled from a thread that keeps real time whatever clock the test has."""
+    """The same test, cancelled by the watchdog once it has run for `SECONDS`."""
 
     @functools.wraps(test)
     async def run(**fixtures: object) -> None:
         token = anyio.lowlevel.current_token()
         with anyio.CancelScope() as scope:
-            cancel = functools.partial(anyio.from_thread.run_sync, scope.cancel, token=token)
-            timer = threading.Timer(SECONDS, cancel)
-            timer.start()
+
+            def cancel() -> None:
+                with suppress(RuntimeError):  # the loop is closed
+                    anyio.from_thread.run_sync(scope.cancel, token=token)
+
+            WATCHDOG.watched = time.monotonic() + SECONDS, cancel
             try:
                 await test(**fixtures)
             except anyio.get_cancelled_exc_class():
@@ -149,7 +187,7 @@ def watched(test: Callable[..., Awaitable[None]]) -> Callable[..., Awaitable[Non
                     pytest.fail(f"still waiting after {SECONDS:g} s; where, is shown above")
                 raise
             finally:
-                timer.cancel()
+                WATCHDOG.watched = None
 
     return run
 

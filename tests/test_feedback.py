@@ -392,7 +392,6 @@ async def closed_over(reading, source):
 WAYS = pytest.mark.parametrize("leave", [broken_off, failed, canceled, wrapped, closed_over])
 
 
-@pytest.mark.usefixtures("small_heap")
 @READERS
 @WAYS
 async def test_a_body_goes_on_however_its_reader_is_left(read, leave):
@@ -454,7 +453,6 @@ async def test_two_readers_of_one_handle_share_its_feedback():
         assert [message.so_far[0] for message in read] == list(range(100))
 
 
-@pytest.mark.usefixtures("small_heap")
 @READERS
 async def test_a_body_goes_on_although_its_reader_is_collected_in_another_thread(read):
     source = Source()

@@ -717,7 +717,6 @@ def relay(numbers: list[int], callback: Callable[[object], object] | None):
     return body
 
 
-@pytest.mark.usefixtures("small_heap")
 @pytest.mark.parametrize(
     "options",
     [

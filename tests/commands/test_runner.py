@@ -136,6 +136,7 @@ def test_a_task_that_ignores_its_cancellation_is_named_with_its_line(interrupts,
 @pytest.mark.filterwarnings("ignore")
 def test_a_thread_that_does_not_end_is_left(interrupts, capsys, in_executor):
     over = threading.Event()
+    before = set(threading.enumerate())
 
     async def command():
         loop = asyncio.get_running_loop()
@@ -152,7 +153,7 @@ def test_a_thread_that_does_not_end_is_left(interrupts, capsys, in_executor):
         assert f"turtleact: leaving without what does not end: {name}" in capsys.readouterr().err
     finally:
         over.set()
-    while threading.active_count() > 1 and not loop.is_closed():
+    while set(threading.enumerate()) - before and not loop.is_closed():
         time.sleep(0.001)
         loop.run_until_complete(asyncio.sleep(0))
     loop.close()

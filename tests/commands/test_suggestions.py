@@ -69,8 +69,11 @@ async def {name}(goal):
 
 
 def texts_of(path: Path) -> Iterator[str]:
-    """What a module can print: its strings, without docstrings."""
-    tree = ast.parse(path.read_text("utf-8"))
+    """What a module can print of turtleact: its strings, without docstrings."""
+    source = path.read_text("utf-8")
+    if "turtleact " not in source:
+        return
+    tree = ast.parse(source)
     kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     first = [node.body[0] for node in ast.walk(tree) if isinstance(node, kinds) and node.body]
     docstrings = {id(each.value) for each in first if isinstance(each, ast.Expr)}

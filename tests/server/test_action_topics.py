@@ -6,7 +6,6 @@ import gc
 from typing import Any, cast
 
 import anyio
-import pytest
 
 from turtleact import Abort, GoalStatus
 from turtleact.goal import Goal
@@ -131,7 +130,6 @@ def goals_in_memory() -> set[Goal]:
     return {each for each in gc.get_objects() if type(each) is Goal}
 
 
-@pytest.mark.usefixtures("small_heap")
 async def test_no_goal_is_kept_for_those_who_do_not_read_bytes():
     before = goals_in_memory()
     async with lab(act, result_timeout=0.0) as served:

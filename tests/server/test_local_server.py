@@ -956,7 +956,6 @@ async def stay_flat(send) -> int:
     return len(gc.get_objects()) - before
 
 
-@pytest.mark.usefixtures("small_heap")
 @pytest.mark.parametrize("way", ["awaited", "entered", "given id", "failing"])
 async def test_many_goals_leave_nothing_behind(way, caplog):
     caplog.set_level(logging.CRITICAL)
