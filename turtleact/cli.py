@@ -112,7 +112,7 @@ def _report(error: BaseException) -> int:
     from turtleact.errors import InvalidMessage, InvalidName, TurtleactError, UsageError
 
     if isinstance(error, TurtleactError):
-        _note(str(error))
+        _note(f"{error}{_advice(error)}")
         return USAGE if isinstance(error, UsageError | InvalidName | InvalidMessage) else FAILED
     if isinstance(error, OSError):
         return _report_broken_output(error)
@@ -125,6 +125,18 @@ def _report(error: BaseException) -> int:
     name = type(error).__name__
     _note(f"a bug in turtleact: {name}: {error}; 'PYTHONDEVMODE=1 turtleact …' shows where")
     return FAILED
+
+
+def _advice(error: BaseException) -> str:
+    """What to do about an interface that is not known; nothing for other errors."""
+    from turtleact.commands.output import ELSEWHERE
+    from turtleact.errors import UnknownInterface
+
+    if isinstance(error, UnknownInterface):
+        return f"{' Otherwise' if error.suggestion else ':'} {ELSEWHERE}"
+    if isinstance(error.__cause__, UnknownInterface):  # a file uses it
+        return f"\nto make it known, {ELSEWHERE}"
+    return ""
 
 
 def _leaf(error: BaseException) -> BaseException:

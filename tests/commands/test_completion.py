@@ -15,6 +15,7 @@ from turtleact.app import open_world
 from turtleact.commands import VERBS, completion, graph, verbs
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import get_interface, type_hash
+from turtleact.interfaces.types import REGISTRY
 from turtleact.testing import run
 from turtleact.transports import QoS
 from turtleact.transports.base import Endpoint, EndpointKind
@@ -124,6 +125,32 @@ def test_verbs_are_completed_and_told_of(offered):
     ],
 )
 def test_what_typer_knows_is_completed(completed, words, expected):
+    assert completed(*words) == expected
+
+
+@pytest.fixture
+def lab(tmp_path, monkeypatch):
+    """A working directory with a package that has an action and an executable."""
+    (tmp_path / "lab" / "action").mkdir(parents=True)
+    (tmp_path / "lab" / "action" / "Go.action").write_text("int32 far\n---\n---\n")
+    (tmp_path / "lab" / "pyproject.toml").write_text("[project.scripts]\ngo = 'lab.go:main'\n")
+    (tmp_path / "listen.py").touch()
+    monkeypatch.chdir(tmp_path)
+    with REGISTRY.isolated():
+        yield
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["run", "l"], ["lab", "listen.py"]),
+        (["run", "lab", ""], ["go"]),
+        (["interface", "show", "lab"], ["lab/action/Go"]),
+        (["interface", "package", "la"], ["lab"]),
+        (["topic", "pub", "/x", "lab/action/Go", "{"], ["{far: 0}"]),
+    ],
+)
+def test_packages_of_the_working_directory_are_completed_silently(lab, completed, words, expected):
     assert completed(*words) == expected
 
 

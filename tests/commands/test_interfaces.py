@@ -13,6 +13,7 @@ import pytest
 import turtleact.actions  # noqa: F401  # for the interfaces that they declare
 from turtleact.commands import interfaces
 from turtleact.errors import UsageError
+from turtleact.interfaces import get_interface
 from turtleact.interfaces.types import REGISTRY
 
 GOLDEN = json.loads(Path(__file__).with_name("golden").joinpath("verbs.json").read_text())
@@ -161,11 +162,9 @@ def test_both_options_on_comments_are_refused(turtleact):
     assert "give one of --all-comments and --no-comments" in ran.problem
 
 
-def test_a_file_that_says_something_else_than_what_is_used_is_not_shown(turtleact, install):
+def test_a_sourced_file_with_another_definition_is_the_one_that_is_shown(turtleact, install):
     install("turtlesim/msg/Color", "# Another.\nfloat64 hue\n")
-    assert turtleact("interface", "show", "turtlesim/msg/Color").out == (
-        "uint8 r\nuint8 g\nuint8 b\n"
-    )
+    assert turtleact("interface", "show", "turtlesim/msg/Color").out == "# Another.\nfloat64 hue\n"
 
 
 def test_a_class_without_a_file_is_shown(turtleact):
@@ -200,14 +199,6 @@ def test_a_type_is_taken_before_the_pipe_ends(interrupts, monkeypatch):
     with os.fdopen(file) as stdin, os.fdopen(other, "wb"):
         monkeypatch.setattr(sys, "stdin", stdin)
         assert interfaces.read_type("-", interrupts) == "std_msgs/msg/String"
-
-
-def test_an_unknown_type_is_an_error_that_names_the_nearest(turtleact):
-    ran = turtleact("interface", "show", "std_msgs/msg/Strin")
-    assert (ran.status, ran.out) == (1, "")
-    assert ran.err == (
-        "turtleact: unknown interface 'std_msgs/msg/Strin', did you mean 'std_msgs/msg/String'?\n"
-    )
 
 
 # --- proto ----------------------------------------------------------------------------------
@@ -252,3 +243,69 @@ def test_a_goal_may_be_of_a_type_of_a_folder(turtleact, install):
         "send-goal", "fibonacci", "paint_interfaces/action/Mix", "--interfaces", str(folder)
     )
     assert ran.err.endswith("not as paint_interfaces/action/Mix\n")
+
+
+# --- near the working directory -------------------------------------------------------------
+
+
+def test_an_interface_near_the_working_directory_is_found_with_a_note(
+    turtleact, tmp_path, monkeypatch
+):
+    for name in ("Go", "Come"):
+        put(tmp_path / "src" / "lab" / "action" / f"{name}.action", "int32 x\n---\n---\n")
+    monkeypatch.chdir(tmp_path)
+    ran = turtleact("interface", "proto", "lab/action/Go", "--no-quotes")
+    assert ran == (0, "x: 0\n\n", f"turtleact: found lab/action/Go in {tmp_path}/src/lab\n")
+    assert "lab/action/Come" in turtleact("interface", "package", "lab").out
+    assert turtleact("interface", "show", "std_msgs/msg/Bool").err == ""
+
+
+def test_the_note_comes_once(tmp_path, monkeypatch, capsys):
+    for name in ("Go", "Come"):
+        put(tmp_path / "lab" / "action" / f"{name}.action", "---\n---\n")
+    monkeypatch.chdir(tmp_path)
+    interfaces.make_found(None)
+    for name in ("Go", "Come"):
+        get_interface(f"lab/action/{name}")
+    assert capsys.readouterr().err == f"turtleact: found lab/action/Go in {tmp_path}/lab\n"
+
+
+def test_the_option_comes_before_the_workspace_and_that_before_the_working_directory(
+    turtleact, install, tmp_path, monkeypatch
+):
+    install("lab/msg/Here", "int32 installed")
+    for folder, name in (("here", "Here"), ("here", "There"), ("option", "There")):
+        put(tmp_path / folder / "lab" / "msg" / f"{name}.msg", f"int32 {folder}")
+    monkeypatch.chdir(tmp_path / "here")
+    shown = [
+        turtleact("interface", "show", f"lab/msg/{name}", "--interfaces", f"{tmp_path}/option").out
+        for name in ("Here", "There")
+    ]
+    assert shown == ["int32 installed\n", "int32 option\n"]
+
+
+ADVICE = "source the ROS workspace that has it, give --interfaces DIR, or change to the folder of"
+
+
+@pytest.mark.parametrize(
+    ("type_name", "problem"),
+    [
+        ("labs/action/Gone", f"unknown interface 'labs/action/Gone': {ADVICE} its package"),
+        ("std_msgs/msg/Strin", f"did you mean 'std_msgs/msg/String'? Otherwise {ADVICE} its"),
+        ("lab/msg/Out", "lab/msg/Out.msg:1:1: unknown interface 'labs/msg/Gone'"),
+        ("lab/msg/Out", f"\nto make it known, {ADVICE} its package\n"),
+    ],
+)
+def test_an_unknown_interface_comes_with_what_to_do(
+    turtleact, tmp_path, monkeypatch, type_name, problem
+):
+    put(tmp_path / "lab" / "msg" / "Out.msg", "labs/Gone x")
+    monkeypatch.chdir(tmp_path)
+    ran = turtleact("interface", "show", type_name)
+    assert (ran.status, ran.out) == (1, "")
+    assert problem in ran.err
+
+
+def put(path, text):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)

@@ -35,6 +35,7 @@ from turtleact.interfaces.loading import (
     load_message,
     load_service,
     load_workspace,
+    offer_interfaces,
     package_texts,
 )
 from turtleact.interfaces.parse import parse
@@ -93,6 +94,11 @@ def test_a_file_uses_the_classes_that_ship():
 def test_an_unknown_interface_gets_the_nearest(name, suggestion):
     with pytest.raises(UnknownInterface, match=f"did you mean '{suggestion}'"):
         get_interface(name)
+
+
+def test_a_similar_package_alone_is_no_reason_to_suggest_its_interface():
+    with pytest.raises(UnknownInterface, match=r"'turtle_interfaces/action/Grip'$"):
+        get_interface("turtle_interfaces/action/Grip")
 
 
 @pytest.mark.parametrize("name", ["", "/", "a/b/c/d", "no_package/msg/Zzz", "../msg/Point", "\0"])
@@ -282,14 +288,90 @@ def test_an_interface_of_an_installed_package_is_found(tmp_path):
         get_interface("example_msgs/action/Outre")
 
 
-def test_an_installed_package_comes_after_what_ships_and_what_was_loaded(tmp_path):
-    write(tmp_path / "own", "example_msgs/msg/Order", "int32 own")
-    write(tmp_path / "share", "example_msgs/msg/Order", "int32 installed")
-    write(tmp_path / "share", "std_msgs/msg/Header", "int32 installed")
+def names_in(type_name: str) -> list[str]:
+    return [field.name for field in fields(get_message(type_name))]
+
+
+def test_what_was_loaded_comes_first_then_a_workspace_then_what_is_nearby(tmp_path):
+    names = [f"example_msgs/msg/{name}" for name in ("Nearby", "Installed", "Own")]
+    files = {name: write(tmp_path / "near", name, "int32 nearby") for name in names}
+    for name in names[1:]:
+        write(tmp_path / "share", name, "int32 installed")
+    write(tmp_path / "own", names[2], "int32 own")
+    offer_interfaces(files)
     load_workspace(tmp_path)
     load_interfaces(tmp_path / "own")
-    assert [field.name for field in fields(get_message("example_msgs/Order"))] == ["own"]
-    assert len(fields(get_message("std_msgs/msg/Header"))) == 2
+    assert [names_in(name) for name in names] == [["nearby"], ["installed"], ["own"]]
+
+
+@pytest.mark.parametrize("is_known_before", [True, False])
+@pytest.mark.parametrize("is_installed", [True, False])
+def test_a_file_with_another_definition_replaces_what_ships(
+    tmp_path, is_known_before, is_installed
+):
+    name = "std_msgs/msg/ColorRGBA"
+    if is_known_before:
+        assert names_in(name) == ["r", "g", "b", "a"]
+    path = write(tmp_path / "share", name, "float32 hue")
+    load_workspace(tmp_path) if is_installed else offer_interfaces({name: path})
+    assert names_in(name) == ["hue"]
+    assert interface_source(name) == "float32 hue"
+
+
+@pytest.mark.parametrize("is_installed", [True, False])
+def test_a_file_with_the_same_definition_leaves_what_ships(tmp_path, is_installed):
+    path = write(tmp_path / "share", "geometry_msgs/msg/Point", "float64 x\nfloat64 y\nfloat64 z")
+    used: list[str] = []
+    if is_installed:
+        load_workspace(tmp_path)
+    else:
+        offer_interfaces({"geometry_msgs/msg/Point": path}, lambda name, _: used.append(name))
+    assert get_interface("geometry_msgs/msg/Point") is Point
+    path.write_text("float64 changed")  # it is not read again
+    assert get_interface("geometry_msgs/msg/Point") is Point
+    assert used == []
+
+
+def test_it_is_told_when_a_nearby_interface_is_first_used(tmp_path):
+    inner = write(tmp_path, "example_msgs/msg/Inner", "int32 x")
+    outer = write(tmp_path, "example_msgs/msg/Outer", "Inner inner")
+    used: list[tuple[str, str]] = []
+    files = {"example_msgs/msg/Inner": inner, "example_msgs/msg/Outer": outer}
+    offer_interfaces(files, lambda *use: used.append(use))
+    assert set(files) <= set(known_interfaces())
+    assert used == []
+    for _ in range(2):
+        get_interface("example_msgs/Outer")
+    assert used == [
+        ("example_msgs/msg/Outer", str(outer)),
+        ("example_msgs/msg/Inner", str(inner)),
+    ]
+
+
+@pytest.mark.parametrize("name", ["example_msgs/msg/Bad", "std_msgs/msg/String"])
+def test_a_malformed_nearby_file_is_an_error_each_time_it_is_asked_for(tmp_path, name):
+    path = write(tmp_path, name, "int32 x\nfloat46 y")
+    offer_interfaces({name: path})
+    assert get_interface("std_msgs/msg/Bool")
+    for _ in range(2):
+        with pytest.raises(InvalidInterface, match=f"{path}:2:1: unknown type 'float46'"):
+            get_interface(name)
+
+
+def test_an_unknown_message_in_a_file_is_shown_at_its_line(tmp_path):
+    text = "# of others\nstring foo\n  other_msgs/Foo[] foos # Foo\n---\n---"
+    path = write(tmp_path, "example_msgs/action/Go", text)
+    offer_interfaces({"example_msgs/action/Go": path})
+    with pytest.raises(InvalidInterface) as raised:
+        get_interface("example_msgs/action/Go")
+    assert str(raised.value).startswith(f"{path}:3:3: unknown interface 'other_msgs/msg/Foo'")
+    assert isinstance(raised.value.__cause__, UnknownInterface)
+
+
+def test_a_folder_may_be_a_package_itself(tmp_path):
+    write(tmp_path, "example_msgs/msg/Order", "int32 x")
+    assert load_interfaces(tmp_path / "example_msgs") == ("example_msgs/msg/Order",)
+    assert names_in("example_msgs/msg/Order") == ["x"]
 
 
 def test_the_first_prefix_that_has_an_interface_gives_it(tmp_path):
@@ -324,10 +406,8 @@ def test_a_mistake_in_an_installed_file_names_it(tmp_path):
 def test_the_source_of_an_interface_is_the_installed_one_if_it_says_the_same(tmp_path):
     assert interface_source("std_msgs/Bool") == "bool data\n"
     write(tmp_path / "share", "std_msgs/msg/Bool", "# Yes or no.\nbool data")
-    write(tmp_path / "share", "std_msgs/msg/String", "# Another.\nwstring data")
     load_workspace(tmp_path)
     assert interface_source("std_msgs/msg/Bool") == "# Yes or no.\nbool data"
-    assert interface_source("std_msgs/msg/String") == "string data\n"
 
 
 def test_the_source_of_a_loaded_interface_comes_first(tmp_path):

@@ -191,15 +191,16 @@ def packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001
 @_silent
 def messages(ctx: typer.Context, incomplete: str) -> Candidates:  # as above
     """A message with its default values, of the type that was typed before, on one line."""
-    from turtleact.commands.interfaces import first_message, make_known
+    from turtleact.commands.interfaces import first_message, make_found, make_known
     from turtleact.interfaces import get_interface, to_dict
     from turtleact.interfaces.text import flow
 
     type_name = ctx.params["type_name"]
+    make_found(_folder(ctx), is_silent=True)
     try:  # most interfaces are known without what `make_known` imports
         get_interface(type_name)
     except UnknownInterface:
-        make_known(_folder(ctx))
+        make_known(_folder(ctx), is_silent=True)
     text = flow(to_dict(first_message(type_name)))
     # Of the three shells, bash alone types a value as it is: there the quotes must come with it.
     is_bash = os.environ.get("_TURTLEACT_COMPLETE") == "complete_bash"
@@ -295,7 +296,7 @@ def _interfaces(ctx: typer.Context, kind: str | None = None) -> list[str]:
     from turtleact.commands.interfaces import make_known
     from turtleact.interfaces import known_interfaces
 
-    make_known(_folder(ctx))
+    make_known(_folder(ctx), is_silent=True)
     return [name for name in known_interfaces() if kind in (None, name.split("/")[1])]
 
 

@@ -16,6 +16,7 @@ import anyio
 
 from turtleact.commands import runner
 from turtleact.commands.locks import mode_of
+from turtleact.commands.output import ELSEWHERE
 from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface, UsageError
 from turtleact.graph import Kind, names_like, types_by_name
 from turtleact.interfaces import get_interface
@@ -161,8 +162,8 @@ def interface_class(base: type[I], type_name: str, where: str = "") -> type[I]:
     except UnknownInterface:
         if not where:
             raise
-        hint = "source the ROS workspace that has it, or give --interfaces DIR"
-        raise TurtleactError(f"{where}: its type {type_name} is not known here: {hint}") from None
+        problem = f"{where}: its type {type_name} is not known here: {ELSEWHERE}"
+        raise TurtleactError(problem) from None
     if not issubclass(found, base):
         raise InvalidInterface(f"it is no {base.__name__.lower()}", source=found.type_name)
     return found

@@ -1,7 +1,7 @@
 """The verbs of ``interface``: list, show and print prototypes of interfaces.
 
-They need no graph. Interfaces ship with turtleact, lie in the folder of ``--interfaces``, or belong
-to the sourced ROS workspace.
+They need no graph. Interfaces ship with turtleact, are in the folder of ``--interfaces``, belong to
+the sourced ROS workspace, or are found near the working directory.
 
 Source: ros2cli ``ros2interface/verb/*.py`` for what is printed; its Jazzy for the words.
 """
@@ -15,7 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from turtleact.commands.output import say
+from turtleact.commands.output import note, say
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.interfaces import (
     Action,
@@ -25,10 +25,12 @@ from turtleact.interfaces import (
     known_interfaces,
     load_interfaces,
     load_workspace,
+    offer_interfaces,
     to_yaml,
 )
 from turtleact.interfaces.definition import did_you_mean
 from turtleact.interfaces.parse import Line, parse_member, without_comment
+from turtleact.workspace import find_interfaces
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
 __all__ = [
     "KINDS",
     "first_message",
+    "make_found",
     "make_known",
     "print_list",
     "print_package",
@@ -54,21 +57,53 @@ LONGEST_LINE: Final = 2**12
 """How many bytes of a pipe are read for a name; no name is longer."""
 
 
-def make_known(folder: str | None) -> None:
-    """Register our own interfaces, those of a folder, and those of the sourced ROS workspace.
+def make_known(folder: str | None, *, is_silent: bool = False) -> None:
+    """Register all interfaces that a command may need: our own, and those of `make_found`.
 
     Args:
-        folder: As for `turtleact.interfaces.load_interfaces`; none if None.
+        folder: As for `make_found`.
+        is_silent: As for `make_found`.
 
     Raises:
         InvalidInterface: if there is no such folder.
     """
     for module in ("actions", "sim.world_services"):  # they declare interfaces
         import_module(f"turtleact.{module}")
+    make_found(folder, is_silent=is_silent)
 
+
+def make_found(folder: str | None, *, is_silent: bool = False) -> None:
+    """Make known the interfaces of a folder, of the sourced workspace, and near the working one.
+
+    Of several definitions the first counts, in this order. All of them count before the built-in
+    ones. The first time that an interface near the working directory is used, a line on stderr says
+    where it was found.
+
+    Args:
+        folder: As for `turtleact.interfaces.load_interfaces`; none if None.
+        is_silent: Whether to print no such line.
+
+    Raises:
+        InvalidInterface: if there is no such folder.
+    """
     load_workspace(*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
+    found = find_interfaces(Path())
+    if found:
+        offer_interfaces(found, None if is_silent else _OneNote())
     if folder is not None:
         load_interfaces(folder)
+
+
+class _OneNote:
+    """Tells the user once in which folder an interface was found."""
+
+    def __init__(self) -> None:
+        self._is_told = False
+
+    def __call__(self, type_name: str, file: str) -> None:
+        if not self._is_told:
+            self._is_told = True
+            note(f"found {type_name} in {Path(file).absolute().parents[1]}")
 
 
 def print_list(kinds: Sequence[str]) -> None:

@@ -10,7 +10,13 @@ import os
 import sys
 from typing import TextIO
 
-__all__ = ["abandon", "note", "printable", "say", "say_names", "tell_exit"]
+__all__ = ["ELSEWHERE", "abandon", "note", "printable", "say", "say_names", "tell_exit"]
+
+ELSEWHERE = (
+    "source the ROS workspace that has it, give --interfaces DIR, or change to the folder of its "
+    "package"
+)
+"""What to do about an interface that is not known."""
 
 HALF = 2000
 """A note has at most twice this many characters."""

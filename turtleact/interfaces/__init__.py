@@ -31,6 +31,7 @@ from turtleact.interfaces.loading import (
     load_message,
     load_service,
     load_workspace,
+    offer_interfaces,
 )
 from turtleact.interfaces.type_hash import type_hash
 from turtleact.interfaces.types import (
@@ -102,6 +103,7 @@ __all__ = [
     "load_service",
     "load_workspace",
     "nanoseconds",
+    "offer_interfaces",
     "snapshot",
     "snapshotter",
     "stamp_of",

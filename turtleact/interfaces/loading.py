@@ -1,13 +1,15 @@
 """Finds interfaces by name, or loads them from a file or text.
 
 ``get_interface`` searches these places in order: classes declared in Python, folders given to
-``load_interfaces``, the built-in classes in ``standard``, and the ROS packages of
-``load_workspace``. A class is imported, or made from its text, on first use. In this package, only
-this module opens files.
+``load_interfaces``, the ROS packages of ``load_workspace``, the files of ``offer_interfaces``, and
+the built-in classes in ``standard``. A file with the definition of a built-in class does not
+replace it. A class is imported, or made from its text, on first use. In this package, only this
+module opens files.
 """
 
 from __future__ import annotations
 
+import re
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -30,9 +32,11 @@ from turtleact.interfaces.definition import (
     type_name_pattern,
 )
 from turtleact.interfaces.parse import parse
-from turtleact.interfaces.types import REGISTRY, Action, Message, Service, definition
+from turtleact.interfaces.types import REGISTRY, SHIPPED, Action, Message, Service, definition
+from turtleact.workspace import interface_files
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
     from importlib.resources.abc import Traversable
     from typing import Any, ClassVar
 
@@ -75,6 +79,7 @@ __all__ = [
     "load_message",
     "load_service",
     "load_workspace",
+    "offer_interfaces",
     "package_texts",
 ]
 
@@ -184,7 +189,8 @@ def load_interfaces(folder: str | Path) -> tuple[str, ...]:
     root = Path(folder)
     if not root.is_dir():
         raise InvalidInterface("no such folder", source=str(folder))
-    found = {named(name_of(path), str(path)): path for path in files_in(root, *LAYOUTS)}
+    found = interface_files(root)
+    found |= {named(name_of(path), str(path)): path for path in files_in(root, *LAYOUTS)}
     for name, path in found.items():
         # A built-in class is imported now; later it would not be compared with the file.
         held = REGISTRY.get(name) or shipped_class(name)
@@ -195,10 +201,11 @@ def load_interfaces(folder: str | Path) -> tuple[str, ...]:
 
 
 def load_workspace(*prefixes: str | Path) -> None:
-    """Make the interfaces of installed ROS packages known, after the built-in ones.
+    """Make the interfaces of installed ROS packages known.
 
-    Looks for ``share/PACKAGE/KIND/NAME.EXT`` when an interface is first used. A prefix that does
-    not exist is ignored, as in ROS.
+    Looks for ``share/PACKAGE/KIND/NAME.EXT`` when an interface is first used. If a built-in one has
+    another definition, the file takes precedence. A prefix that does not exist is ignored, as in
+    ROS.
 
     Args:
         prefixes: The folders in ``AMENT_PREFIX_PATH``. If two have the same interface, the first
@@ -206,11 +213,30 @@ def load_workspace(*prefixes: str | Path) -> None:
     """
     added = [str(prefix) for prefix in prefixes if prefix]
     REGISTRY.prefixes = tuple(dict.fromkeys((*REGISTRY.prefixes, *added)))
+    REGISTRY.settled.clear()
+
+
+def offer_interfaces(
+    files: Mapping[str, Path], on_use: Callable[[str, str], object] | None = None
+) -> None:
+    """Make interface files known that were found rather than chosen; see `turtleact.workspace`.
+
+    A file is read when its interface is first used, so a malformed one does no harm before. It
+    takes precedence over a built-in interface with another definition.
+
+    Args:
+        files: The files by type name.
+        on_use: Called with the type name and the file when one of them is first used.
+    """
+    REGISTRY.nearby.update({name: str(path) for name, path in files.items()})
+    REGISTRY.on_nearby = on_use
+    REGISTRY.settled.clear()
 
 
 def known_interfaces() -> tuple[str, ...]:
     """Return the names of all available interfaces, without the types that others imply."""
-    names = {*REGISTRY.names(), *REGISTRY.files, *shipped_names(), *installed_names()}
+    files = {*REGISTRY.files, *REGISTRY.nearby}
+    names = {*REGISTRY.names(), *files, *shipped_names(), *installed_names()}
     return tuple(sorted(name for name in names if owner_and_part(name)[0] not in names))
 
 
@@ -240,7 +266,7 @@ def interface_source(type_name: str) -> str:
     """
     cls = get_interface(type_name)
     said, name = definition(cls), cls.type_name
-    for file in (given(name), installed(name), shipped(name)):
+    for file in (given(name), installed(name), nearby(name), shipped(name)):
         text = "" if file is None else read(file)
         if file is not None and parse(text, name, source=str(file)) == said:
             return text
@@ -326,15 +352,69 @@ def look_up(type_name: str, making: tuple[str, ...]) -> Interface | None:
     owner, part = owner_and_part(type_name)
     found = part_of(look_up(owner, making), part) if part else None
     found = found or REGISTRY.get(type_name)
-    if found is not None:
+    if found is not None and not may_be_replaced(found, type_name):
         return found
-    file = given(type_name)
+    file = None if found is not None else given(type_name)
     if file is None:
-        found = shipped_class(type_name)
-        if found is not None:
-            return found
-        file = installed(type_name)
-    return None if file is None else build(parse(read(file), type_name, source=str(file)), making)
+        found = found or shipped_class(type_name)
+        file = other_file(type_name, found)
+    return found if file is None else built_from(file, type_name, making)
+
+
+def may_be_replaced(found: Interface, type_name: str) -> bool:
+    """Whether a file in a workspace may replace a class: if it is built in and was not compared."""
+    if not (REGISTRY.prefixes or REGISTRY.nearby) or type_name in REGISTRY.settled:
+        return False
+    return found.__module__.startswith(SHIPPED)
+
+
+def other_file(type_name: str, held: Interface | None) -> Traversable | None:
+    """Return the file of an interface in a workspace or nearby, or None.
+
+    Args:
+        type_name: The full name.
+        held: The built-in class. If the file has the same definition, the class stays, and None is
+            returned. Otherwise it is forgotten.
+
+    Raises:
+        InvalidInterface: if there is a built-in class, and the file is malformed.
+    """
+    file, on_use = installed(type_name), None
+    if file is None:
+        file, on_use = nearby(type_name), REGISTRY.on_nearby
+    if held is not None:
+        same = file is None or parse(read(file), type_name, source=str(file)) == definition(held)
+        if same:
+            REGISTRY.settled.add(type_name)
+            return None
+        REGISTRY.forget(type_name)
+    if file is not None and on_use is not None:
+        on_use(type_name, str(file))
+    return file
+
+
+def built_from(file: Traversable, type_name: str, making: tuple[str, ...]) -> Interface:
+    """Make the class of an interface from its file.
+
+    Raises:
+        InvalidInterface: if the file is malformed; with its line even if a message is unknown.
+    """
+    text = read(file)
+    try:
+        return build(parse(text, type_name, source=str(file)), making)
+    except InvalidInterface as error:
+        unknown = error.__cause__
+        if error.line or not isinstance(unknown, UnknownInterface):
+            raise
+        package, _, name = unknown.type_name.split("/")
+        used = re.compile(rf"\s*({package}/(msg/)?)?{name}\b")
+        [number, line] = next(
+            each for each in enumerate(text.splitlines(), 1) if used.match(each[1])
+        )
+        column = len(line) - len(line.lstrip()) + 1
+        raise InvalidInterface(
+            str(unknown), source=str(file), line=number, column=column, text=line
+        ) from unknown
 
 
 def shipped_class(type_name: str) -> Interface | None:
@@ -388,10 +468,17 @@ def needed(found: Interface | None, type_name: str) -> Interface:
 
 
 def suggestion(type_name: str) -> str:
-    """Return the known interface that was most likely meant."""
+    """Return the known interface that was most likely meant, or an empty string.
+
+    Two packages often have similar names, such as ``arm_interfaces`` and ``leg_interfaces``. So an
+    interface of another package is suggested only if its own name is similar.
+    """
     known = known_interfaces()
-    ending = f"/{type_name.rpartition('/')[2]}"
-    return next((name for name in known if name.endswith(ending)), "") or nearest(type_name, known)
+    package, _, name = type_name.rpartition("/")
+    same = next((each for each in known if each.endswith(f"/{name}")), "")
+    found = same or nearest(type_name, known)
+    is_similar = found.startswith(f"{package}/") or nearest(name, [found.rpartition("/")[2]])
+    return found if is_similar else ""
 
 
 def as_path(source: str | Path) -> Path | None:
@@ -437,6 +524,12 @@ def read(file: Traversable) -> str:
 def given(type_name: str) -> Traversable | None:
     """Return the file that `load_interfaces` found for an interface, or None."""
     path = REGISTRY.files.get(type_name)
+    return None if path is None else Path(path)
+
+
+def nearby(type_name: str) -> Traversable | None:
+    """Return the file that `offer_interfaces` was given for an interface, or None."""
+    path = REGISTRY.nearby.get(type_name)
     return None if path is None else Path(path)
 
 

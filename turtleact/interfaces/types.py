@@ -143,12 +143,18 @@ class Registry:
     Attributes:
         files: The interface files that `load_interfaces` has found, by type name.
         prefixes: The folders where ROS packages are installed, in order of precedence.
+        nearby: The interface files that `offer_interfaces` was given, by type name.
+        on_nearby: Called with the type name and the file when one of these is first used.
+        settled: The built-in interfaces that no file outside of turtleact replaces.
     """
 
     def __init__(self) -> None:
         self._known: dict[str, tuple[Interface, Definition]] = {}
         self.files: dict[str, str] = {}
         self.prefixes: tuple[str, ...] = ()
+        self.nearby: dict[str, str] = {}
+        self.on_nearby: Callable[[str, str], object] | None = None
+        self.settled: set[str] = set()
 
     def add(self, interface: Interface, definition: Definition) -> None:
         """Register a class."""
@@ -178,10 +184,12 @@ class Registry:
     def isolated(self) -> Iterator[None]:
         """Forget at the end of the block everything registered inside it. For tests."""
         kept = dict(self._known), dict(self.files), self.prefixes
+        offered = dict(self.nearby), self.on_nearby, set(self.settled)
         try:
             yield
         finally:
             self._known, self.files, self.prefixes = kept
+            self.nearby, self.on_nearby, self.settled = offered
 
 
 #: The package with the built-in classes.

@@ -150,8 +150,10 @@ def _running(program: Program, arguments: Sequence[str], domain: int) -> Job:
     """The job of running a program of the user's."""
 
     def job(interrupts: Interrupts) -> int:
+        from turtleact.commands.interfaces import make_found
         from turtleact.commands.programs import run_program
 
+        make_found(None)
         os.environ["ROS_DOMAIN_ID"] = str(domain)  # the program reads it, as any ROS program
         return run_program(program, arguments, interrupts)
 

@@ -1,0 +1,102 @@
+"""Packages and interface files near a folder, found by a bounded search."""
+
+from __future__ import annotations
+
+import pytest
+
+from turtleact import workspace
+from turtleact.workspace import find_interfaces, folders_near, interface_files, package_name
+
+
+def write(folder, name="Go", kind="action"):
+    """Write an empty interface into the package in a folder, and return its path."""
+    path = folder / kind / f"{name}.{kind}"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.touch()
+    return path
+
+
+@pytest.mark.parametrize("kind", ["msg", "srv", "action"])
+@pytest.mark.parametrize(
+    "place",
+    [
+        "lab",
+        "src/lab",
+        "src/repository/lab",
+        "install/lab/share/lab",
+        "install/share/lab",
+    ],
+)
+def test_an_interface_is_found(tmp_path, place, kind):
+    path = write(tmp_path / place, "Go", kind)
+    assert find_interfaces(tmp_path) == {f"lab/{kind}/Go": path}
+
+
+def test_an_interface_is_found_in_the_folder_itself(tmp_path):
+    path = write(tmp_path / "lab")
+    assert find_interfaces(tmp_path / "lab") == {"lab/action/Go": path}
+
+
+@pytest.mark.parametrize("place", ["a/b/lab", "src/a/b/lab", ".hidden/lab", "src/.hidden/lab"])
+def test_a_package_is_not_looked_for_elsewhere(tmp_path, place):
+    write(tmp_path / place)
+    assert find_interfaces(tmp_path) == {}
+
+
+def test_sources_come_before_what_was_installed(tmp_path):
+    write(tmp_path / "install" / "lab" / "share" / "lab")
+    source = write(tmp_path / "src" / "lab")
+    assert find_interfaces(tmp_path) == {"lab/action/Go": source}
+
+
+@pytest.mark.parametrize("name", ["go", "2Go", "Go-1", "Go Home"])
+def test_files_that_are_no_interfaces_are_left_out(tmp_path, name):
+    write(tmp_path / "lab", name)
+    (tmp_path / "lab" / "action" / "Readme.md").touch()
+    assert find_interfaces(tmp_path) == {}
+
+
+def test_the_name_of_a_package_is_in_its_package_xml(tmp_path):
+    path = write(tmp_path / "my-repository")
+    assert interface_files(tmp_path / "my-repository") == {}
+    (tmp_path / "my-repository" / "package.xml").write_text("<package>\n<name> arm </name>")
+    assert interface_files(tmp_path / "my-repository") == {"arm/action/Go": path}
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [("", "lab"), ("<name></name>", "lab"), ("\0", "lab"), ("<name>../x</name>", "")],
+)
+def test_without_a_name_in_its_package_xml_a_package_is_called_as_its_folder(tmp_path, text, name):
+    (tmp_path / "lab").mkdir()
+    (tmp_path / "lab" / "package.xml").write_text(text)
+    assert package_name(tmp_path / "lab") == name
+
+
+def test_only_so_many_folders_are_looked_at(tmp_path, monkeypatch):
+    for number in range(9):
+        (tmp_path / f"lab{number}").mkdir()
+    monkeypatch.setattr(workspace, "MOST_FOLDERS", 5)
+    assert [each.name for each in folders_near(tmp_path)][1:] == ["lab0", "lab1", "lab2", "lab3"]
+
+
+def test_what_cannot_be_read_is_passed_over(tmp_path, monkeypatch):
+    path = write(tmp_path / "lab")
+    blocked = write(tmp_path / "src" / "closed").parents[1]
+    listing = type(tmp_path).iterdir
+
+    def iterdir(folder):
+        if blocked in (folder, *folder.parents):
+            raise PermissionError
+        return listing(folder)
+
+    monkeypatch.setattr(type(tmp_path), "iterdir", iterdir)  # root may read everything
+    assert find_interfaces(tmp_path) == {"lab/action/Go": path}
+
+
+def test_a_folder_that_is_gone_has_nothing(tmp_path):
+    assert find_interfaces(tmp_path / "gone") == {}
+
+
+def test_a_folder_with_a_name_too_long_for_the_system_is_passed_over(tmp_path):
+    assert find_interfaces(tmp_path / ("x" * 5000)) == {}
