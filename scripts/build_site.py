@@ -161,7 +161,7 @@ def expanded(nav: Nav, pages: list[str]) -> Nav:
         return {title: expanded(each, pages) for title, each in nav.items()}
     if not nav.endswith("/"):
         return nav
-    inside = sorted(page for page in pages if page.startswith(nav) and page != f"{nav}index.md")
+    inside = [page for page in pages if page.startswith(nav) and page != f"{nav}index.md"]
     return [f"{nav}index.md", *inside]
 
 

@@ -76,9 +76,13 @@ def commands() -> Pages:
     rows = []
     for verb, summary in VERBS.items():
         command = load(verb)
-        shown = command.commands if verb in GROUPS else {"": command}
-        parts = [_command(f"{verb} {name}".strip(), each) for name, each in shown.items()]
-        pages[f"reference/cli/{verb}.md"] = f"# {verb}\n\n{_code(summary)}\n\n" + "\n".join(parts)
+        if verb in GROUPS:
+            parts = [f"# turtleact {verb}", f"{_code(summary)}\n"]
+            parts += [_command(f"{verb} {name}", each) for name, each in command.commands.items()]
+            text = "\n\n".join(parts)
+        else:
+            text = _command(verb, command, "#")
+        pages[f"reference/cli/{verb}.md"] = text
         rows.append(f"| [`{verb}`]({verb}.md) | {_code(summary)} |")
     intro = (
         "These pages list every option, as `--help` does. "
@@ -108,23 +112,20 @@ def interface_packages() -> Pages:
     return files | {"reference/interfaces/index.md": table}
 
 
-def _command(name: str, command: Any) -> str:  # noqa: ANN401  # of click, which Typer hides
+def _command(name: str, command: Any, level: str = "##") -> str:  # noqa: ANN401  # of click, which Typer hides
     """The section of one verb: usage, arguments, options by heading, examples."""
     arguments = [each for each in command.params if not each.opts[0].startswith("-")]
     options = [each for each in command.params if each.opts[0].startswith("-")]
     usage = " ".join([each.metavar if each.required else f"[{each.metavar}]" for each in arguments])
-    lines = [f"## turtleact {name}\n", f"{_code(command.help)}\n"]
+    lines = [f"{level} turtleact {name}\n", f"{_code(command.help)}\n"]
     lines.append(_fence(f"turtleact {name} [OPTIONS] {usage}".rstrip(), "text"))
     if arguments:
-        rows = [f"| `{each.metavar}` | {_code(each.help)} | |" for each in arguments]
-        lines.append("\n".join(["| argument | meaning | |", "|---|---|---|", *rows, ""]))
-    by_panel = groupby(
-        sorted(options, key=_panel), key=_panel
-    )  # stable: each panel keeps the order of its options
-    for panel, grouped in by_panel:
+        rows = [f"| `{each.metavar}` | {_code(each.help)} |" for each in arguments]
+        lines.append("\n".join(["| argument | meaning |", "|---|---|", *rows, ""]))
+    # A stable sort: the options of a heading keep their order.
+    for (_, panel), grouped in groupby(sorted(options, key=_panel), key=_panel):
         rows = [_option(each) for each in grouped if not each.hidden]
-        heading = panel[1] or "option"
-        lines.append("\n".join([f"| {heading} | meaning | default |", "|---|---|---|", *rows, ""]))
+        lines.append("\n".join([f"| {panel or 'option'} | meaning |", "|---|---|", *rows, ""]))
     if command.epilog:
         text = inspect.cleandoc(re.sub(r"\[/?\w*\]", "", command.epilog)).partition("\n")[2]
         lines.append(f"Examples:\n\n{_fence(inspect.cleandoc(text), 'sh')}")
@@ -139,10 +140,11 @@ def _panel(option: Any) -> tuple[bool, str]:  # noqa: ANN401  # as above
 def _option(option: Any) -> str:  # noqa: ANN401  # as above
     names = ", ".join(f"`{name}`" for name in [*option.opts, *option.secondary_opts])
     value = "" if option.is_flag else f" {option.metavar or 'VALUE'}"
-    default = "" if option.default in (None, False) else f"`{option.default}`"
-    if option.envvar:
-        default += f" or `{option.envvar}`"
-    return f"| {names}{value} | {_code(option.help or '')} | {default} |"
+    has_default = option.default is not None and option.default is not False
+    notes = [f"`{option.envvar}`"] if option.envvar else []
+    notes += [f"`{option.default}`"] if has_default else []
+    default = f" Default: {' or '.join(notes)}." if notes else ""
+    return f"| {names}{value} | {_code(option.help or '')}{default} |"
 
 
 def _table(title: str, intro: str, heads: str, rows: list[str]) -> str:

@@ -61,7 +61,7 @@ def test_the_navigation_has_only_pages_that_exist(build, made):
 
 def test_a_folder_in_the_navigation_stands_for_its_pages(build):
     nav = [{"Examples": "examples/"}, "wire.md"]
-    pages = ["wire.md", "examples/02_b.md", "examples/index.md", "examples/01_a.md"]
+    pages = ["wire.md", "examples/01_a.md", "examples/index.md", "examples/02_b.md"]
     inside = ["examples/index.md", "examples/01_a.md", "examples/02_b.md"]
     assert build.expanded(nav, pages) == [{"Examples": inside}, "wire.md"]
 
@@ -113,16 +113,16 @@ def test_the_reference_has_every_public_name(made):
 
 def test_the_reference_has_every_verb(made):
     for verb in VERBS:
-        inner = GROUPS.get(verb, ("",))
-        shown = {f"turtleact {verb} {name}".strip() for name in inner}
-        assert headings(made[f"reference/cli/{verb}.md"]) == shown
+        page = made[f"reference/cli/{verb}.md"]
+        assert page.startswith(f"# turtleact {verb}\n")
+        assert headings(page) == {f"turtleact {verb} {name}" for name in GROUPS.get(verb, ())}
 
 
 def test_a_verb_is_shown_with_its_arguments_options_and_examples(made):
     page = made["reference/cli/serve.md"]
     assert "turtleact serve [OPTIONS] [TARGET]" in page
-    assert "| `--speed` FACTOR | How fast time passes, up to 100. | `1.0` |" in page
-    assert "or `ROS_DOMAIN_ID` |" in page
+    assert "| `--speed` FACTOR | How fast time passes, up to 100. Default: `1.0`. |" in page
+    assert "0 to 232. Default: `ROS_DOMAIN_ID` or `0`. |" in page
     assert "\nturtleact serve --web 9090\n" in page
 
 
