@@ -22,6 +22,7 @@ from turtleact.app import open_world
 from turtleact.geometry import shortest_turn
 from turtleact.interfaces.standard import Point, TurtlePose
 from turtleact.sim.kinematics import DT
+from turtleact.sim.pictures import SVG_TURTLE, svg_shades
 
 TARGETS = ((9.0, 7.0), (5.0, 1.0), (1.0, 7.0), (2.0, 9.0))
 TOLERANCE = 0.1
@@ -35,17 +36,6 @@ SAMPLE = 4  # ticks from one sample of the animation to the next
 BACKGROUND = "rgb(69,86,255)"
 PEN = "rgb(179,184,255)"
 REACHED = "rgb(255,221,87)"
-
-# About 0.5 m long, heading along x.
-TURTLE = """\
-<g fill="rgb(116,160,62)" stroke="rgb(44,66,24)">
-<ellipse cx="7" cy="-9" rx="4" ry="2.5" transform="rotate(-50 7 -9)"/>
-<ellipse cx="7" cy="9" rx="4" ry="2.5" transform="rotate(50 7 9)"/>
-<ellipse cx="-8" cy="-9" rx="4" ry="2.5" transform="rotate(50 -8 -9)"/>
-<ellipse cx="-8" cy="9" rx="4" ry="2.5" transform="rotate(-50 -8 9)"/>
-<ellipse cx="14" cy="0" rx="5" ry="4"/>
-<ellipse cx="0" cy="0" rx="12" ry="9.5" fill="rgb(146,110,60)"/>
-</g>"""
 
 
 class Message(msgspec.Struct, frozen=True):
@@ -182,8 +172,8 @@ def draw_turtle(recording: Recording) -> str:
         for kind, values in (("translate", places), ("rotate", turns))
     )
     return (
-        f'<g transform="translate({places[-1]})">\n{along}\n'
-        f'<g transform="rotate({turns[-1]})">\n{turn}\n{TURTLE}\n</g>\n</g>'
+        f'<g {svg_shades("turtle1")} transform="translate({places[-1]})">\n{along}\n'
+        f'<g transform="rotate({turns[-1]})">\n{turn}\n{SVG_TURTLE}\n</g>\n</g>'
     )
 
 

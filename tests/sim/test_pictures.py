@@ -16,10 +16,19 @@ import pytest
 from turtleact.sim import drawing as drawing_module
 from turtleact.sim.canvas import SIZE, Colour, Pen
 from turtleact.sim.drawing import Drawing
-from turtleact.sim.pictures import BACKGROUND, SHELL, Figure, Snapshot, thumbnail, to_png, to_svg
+from turtleact.sim.pictures import (
+    BACKGROUND,
+    Figure,
+    Snapshot,
+    shades_of,
+    thumbnail,
+    to_png,
+    to_svg,
+)
 
 RED = Pen(Colour(255, 0, 0), 5)
 MIDDLE = complex(250, 250) / 45.0
+SKIN, SHELL, _ = shades_of("turtle1")
 SVG = "{http://www.w3.org/2000/svg}"
 
 
@@ -76,31 +85,47 @@ def test_the_drawing_is_shown_pixel_by_pixel():
     assert (pixels[layers[..., 3] == 0] == BACKGROUND).all()
 
 
-def shell(pixels):
-    """The pixels that are wholly a turtle's, as x + 1j * y of their centres."""
-    y, x = (pixels == SHELL).all(axis=2).nonzero()
+def found(colour, pixels):
+    """The pixels that wholly have a colour, as x + 1j * y of their centres."""
+    y, x = (pixels == colour).all(axis=2).nonzero()
     return x + 0.5 + 1j * (y + 0.5)
 
 
 @pytest.mark.parametrize("theta", [0.0, 1.0, math.pi / 2, -2.5])
-def test_a_turtle_points_where_it_looks(theta):
-    found = shell(pixels_of(picture(turtles=[Figure(MIDDLE, theta)])))
-    tip = 250 + 250j + 22 * complex(math.cos(theta), -math.sin(theta))
-    assert np.abs(found - tip).min() < 4.0
-    assert np.abs(found - (500 + 500j - tip)).min() > 4.0
-    assert 400 < len(found) < 700
+def test_a_turtle_has_eyes_where_it_looks_and_legs_around_its_shell(theta):
+    pixels = pixels_of(picture(turtles=[Figure(MIDDLE, theta, "turtle1")]))
+    turn = complex(math.cos(theta), math.sin(theta))  # pixels count down
+    shell, skin = (((found(colour, pixels) - 250 - 250j) * turn) for colour in (SHELL, SKIN))
+    y, x = (pixels.max(axis=2) < 110).nonzero()  # nearly black
+    eyes = (x + 0.5 + 1j * (y + 0.5) - 250 - 250j) * turn
+    assert np.abs(eyes - 19.35).max() < 4.0
+    assert np.abs(shell).max() < 14.0
+    for leg in (8.5 + 10.4j, 8.5 - 10.4j, -9.0 + 9.5j, -9.0 - 9.5j):
+        assert np.abs(skin - leg).min() < 3.0
+    assert np.abs(np.concatenate([eyes, shell, skin])).max() < 23.0
 
 
 def test_the_edges_of_a_turtle_are_smooth():
-    pixels = pixels_of(picture(turtles=[Figure(MIDDLE, 0.3)])).reshape(-1, 3)
-    shades = np.unique(pixels, axis=0)
-    assert len(shades) > 5
-    low, high = np.minimum(SHELL, BACKGROUND), np.maximum(SHELL, BACKGROUND)
-    assert ((low <= shades) & (shades <= high)).all()
+    pixels = pixels_of(picture(turtles=[Figure(MIDDLE, 0.3, "turtle1")])).reshape(-1, 3)
+    assert len(np.unique(pixels, axis=0)) > 20
+
+
+def test_each_turtle_has_its_own_colours_in_every_picture():
+    names = [f"turtle{number}" for number in range(1, 9)]
+    shells = [shades_of(name).shell for name in names]
+    assert len(set(shells)) == 8
+    assert BACKGROUND not in shells
+    assert shades_of("turtle9") == shades_of("turtle1")
+    assert shades_of("Leonardo") == shades_of("Leonardo")
+    turtles = [Figure(1 + number + 1j, 0.0, name) for number, name in enumerate(names)]
+    pixels = pixels_of(picture(turtles=turtles))
+    for turtle, shell in zip(turtles, shells, strict=True):
+        assert np.abs(found(shell, pixels) - turtle.place * 45).max() < 14.0
 
 
 def test_turtles_are_painted_over_the_drawing():
-    pixels = pixels_of(picture(drawn(MIDDLE - 1, MIDDLE + 1), [Figure(MIDDLE, 0.0)]))
+    turtle = Figure(MIDDLE, 0.0, "turtle1")
+    pixels = pixels_of(picture(drawn(MIDDLE - 1, MIDDLE + 1), [turtle]))
     assert tuple(pixels[250, 250]) == SHELL
     assert tuple(pixels[250, 220]) == RED.colour
 
@@ -110,8 +135,8 @@ def test_turtles_are_painted_over_the_drawing():
     [0j, 11.0888 + 0j, 11.0888j, 11.0888 + 11.0888j, 11.8 + 5j, 5 + 11.8j, -0.7j, 30 + 5j, -1e30j],
 )
 def test_a_turtle_at_the_edge_or_outside_is_cut_off(place):
-    found = shell(pixels_of(picture(turtles=[Figure(place, 0.5)])))
-    assert len(found) < 300
+    turtle = Figure(place, 0.5, "turtle1")
+    assert len(found(SHELL, pixels_of(picture(turtles=[turtle])))) < 300
 
 
 # SVG
@@ -137,10 +162,18 @@ def test_an_svg_has_a_polyline_for_each_with_colour_width_and_points():
 
 
 def test_an_svg_has_a_shape_for_each_turtle():
-    turtles = [Figure(MIDDLE, 0.0), Figure(MIDDLE, math.pi / 2)]
+    turtles = [Figure(MIDDLE, 0.0, "turtle1"), Figure(1 + 2j, math.pi / 2, "turtle2")]
     root = ElementTree.fromstring(to_svg(picture(turtles=turtles)))
-    shapes = [shape.get("points") for shape in root.iter(f"{SVG}polygon")]
-    assert shapes == ["272,250 232,265 240,250 232,235", "250,228 265,268 250,260 235,268"]
+    uses = [(each.get("transform"), each.get("fill")) for each in root.iter(f"{SVG}use")]
+    skins = ["#" + bytes(shades_of(name).skin).hex() for name in ("turtle1", "turtle2")]
+    assert uses == [
+        ("translate(250,250) rotate(0)", skins[0]),
+        ("translate(45,90) rotate(-90)", skins[1]),
+    ]
+
+
+def test_an_svg_without_turtles_has_no_shape():
+    assert "polygon" not in to_svg(picture())
 
 
 def test_an_svg_of_a_drawing_beyond_its_bound_has_the_rest_as_an_image(monkeypatch):

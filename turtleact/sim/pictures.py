@@ -1,17 +1,21 @@
 """A picture of a world: the drawing and the turtles on it, as SVG and as PNG.
 
-500×500 pixels, like turtlesim's window. A turtle is an arrowhead that points along its heading; it
-has the size of turtlesim's pictures of turtles, 45 pixels. All functions are pure.
+500×500 pixels, like turtlesim's window. A turtle is seen from above and looks along its heading; it
+has the size of turtlesim's pictures of turtles, 45 pixels. Its colours follow from its name, so
+they are the same in every picture. All functions are pure.
 
-Source: W3C, Scalable Vector Graphics 1.1; W3C, Portable Network Graphics, third edition.
+Source: W3C, Scalable Vector Graphics 2; W3C, Portable Network Graphics, third edition.
 """
 
 from __future__ import annotations
 
 import base64
 import cmath
+import math
+import re
 import struct
 import zlib
+from colorsys import hls_to_rgb
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from turtleact.sim.canvas import METER, SIZE, Colour
@@ -23,26 +27,54 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-__all__ = ["BACKGROUND", "Snapshot", "thumbnail", "to_png", "to_svg"]
+__all__ = [
+    "BACKGROUND",
+    "SVG_TURTLE",
+    "Figure",
+    "Shades",
+    "Snapshot",
+    "shades_of",
+    "svg_shades",
+    "thumbnail",
+    "to_png",
+    "to_svg",
+]
 
 BACKGROUND: Final = Colour(69, 86, 255)
 """turtlesim's background, unless its parameters change it."""
 
-SHELL: Final = Colour(46, 125, 50)
-"""The colour of a turtle."""
-
-ARROW: Final = (22.0 + 0.0j, -18.0 + 15.0j, -10.0 + 0.0j, -18.0 - 15.0j)
-"""A turtle that looks to the right, around its own place (pixels)."""
+HUES: Final = (145, 38, 340, 175, 15, 80, 295, 55)
+"""The hues of turtles (degrees); none is the blue of the background."""
 
 FINE: Final = 4
 """The number of samples per pixel, in each direction, that smooth a turtle's edges."""
 
 
+class Shades(NamedTuple):
+    """The colours of a turtle."""
+
+    skin: Colour
+    shell: Colour
+    eye: Colour = Colour(17, 17, 17)
+
+
+def shades_of(name: str) -> Shades:
+    """The colours of a turtle: ``turtle1`` is green, ``turtle2`` orange, and so on.
+
+    A name without a number has one of the same colours.
+    """
+    number = re.search(r"[0-9]+$", name)
+    index = int(number[0]) - 1 if number else zlib.crc32(name.encode())
+    hue = HUES[index % len(HUES)] / 360
+    return Shades(_colour(hue, 0.64, 0.65), _colour(hue, 0.3, 0.6))
+
+
 class Figure(NamedTuple):
-    """A turtle in a picture: its place ``x + 1j * depth`` (m) and heading (rad)."""
+    """A turtle in a picture: its place ``x + 1j * depth`` (m), heading (rad) and name."""
 
     place: complex
     theta: float
+    name: str = ""
 
 
 class Snapshot(NamedTuple):
@@ -82,8 +114,13 @@ def to_svg(snapshot: Snapshot) -> str:
         stroke = f'stroke="{_css(pen.colour)}" stroke-width="{pen.width}"'
         lines.append(f'<polyline {stroke} points="{_svg_points(points)}"/>')
     lines.append("</g>")
+    if snapshot.turtles:
+        lines += ["<defs>", f'<g id="turtle">\n{SVG_TURTLE}\n</g>', "</defs>"]
     for turtle in snapshot.turtles:
-        lines.append(f'<polygon fill="{_css(SHELL)}" points="{_svg_points(_outline(turtle))}"/>')
+        place = turtle.place * METER
+        turn = _short(0.0 - math.degrees(turtle.theta))  # y counts down
+        moved = f"translate({_short(place.real)},{_short(place.imag)}) rotate({turn})"
+        lines.append(f'<use href="#turtle" {svg_shades(turtle.name)} transform="{moved}"/>')
     return "\n".join([*lines, "</svg>", ""])
 
 
@@ -95,7 +132,10 @@ def to_png(snapshot: Snapshot) -> bytes:
     is_drawn = layers[..., 3:] != 0
     picture = np.where(is_drawn, layers[..., :3], np.array(snapshot.background, np.uint8))
     for turtle in snapshot.turtles:
-        _paint(picture, _outline(turtle))
+        shades, turned = shades_of(turtle.name), cmath.exp(-1j * turtle.theta)
+        for shade, outline in _PARTS:
+            corners = np.array(outline) * turned + turtle.place * METER
+            _paint(picture, corners, getattr(shades, shade))
     return _png(picture.tobytes(), channels=3)
 
 
@@ -121,17 +161,72 @@ def _unpacked(pixel: int) -> Colour | None:
     return Colour(pixel & 255, pixel >> 8 & 255, pixel >> 16 & 255) if pixel else None
 
 
-def _outline(turtle: Figure) -> list[complex]:
-    """The corners of a turtle (pixels); y counts down, so angles turn the other way."""
-    turned = cmath.exp(-1j * turtle.theta)
-    return [turtle.place * METER + corner * turned for corner in ARROW]
+def svg_shades(name: str) -> str:
+    """The attributes that give `SVG_TURTLE` the colours of a turtle."""
+    shades = shades_of(name)
+    return f'fill="{_css(shades.skin)}" color="{_css(shades.shell)}"'
 
 
-def _paint(picture: npt.NDArray[np.uint8], outline: Sequence[complex]) -> None:
+class _Part(NamedTuple):
+    """A part of a turtle at 0 that looks to the right: a name of `Shades`, and its outline."""
+
+    shade: str
+    outline: tuple[complex, ...]
+
+
+def _ellipse(centre: complex, across: float, up: float, turn: float = 0.0) -> tuple[complex, ...]:
+    """An ellipse; lengths in metres, the outline in pixels."""
+    angles = (math.tau * i / 32 for i in range(32))
+    points = (complex(across * math.cos(each), up * math.sin(each)) for each in angles)
+    return tuple((centre + point * cmath.rect(1.0, turn)) * METER for point in points)
+
+
+def _seam(angle: float) -> tuple[complex, ...]:
+    """A line on the shell, from the middle plate to the edge."""
+    start, end = (complex(a * math.cos(angle), b * math.sin(angle)) for a, b in _SEAM)
+    aside = 1j * (end - start) / abs(end - start) * _LINE / 2
+    return tuple(each * METER for each in (start + aside, end + aside, end - aside, start - aside))
+
+
+_LINE: Final = 0.022
+_SEAM: Final = (0.14, 0.12), (0.28, 0.23)
+_PARTS: Final = (
+    _Part("skin", _ellipse(0.37, 0.14, 0.11)),
+    *(_Part("skin", _ellipse(0.19 + 0.23j * side, 0.12, 0.07, 0.7 * side)) for side in (1, -1)),
+    *(_Part("skin", _ellipse(-0.2 + 0.21j * side, 0.11, 0.065, -0.6 * side)) for side in (1, -1)),
+    _Part("skin", _ellipse(-0.34, 0.09, 0.03)),
+    *(_Part("eye", _ellipse(0.43 + 0.045j * side, 0.02, 0.02)) for side in (1, -1)),
+    _Part("shell", _ellipse(0.0, 0.29, 0.24)),
+    *(_Part("skin", _seam(angle)) for angle in (0.6, 2.5, 3.8, 5.7)),
+    _Part("skin", _ellipse(0.0, 0.14 + _LINE / 2, 0.12 + _LINE / 2)),
+    _Part("shell", _ellipse(0.0, 0.14 - _LINE / 2, 0.12 - _LINE / 2)),
+)
+"""From the lowest to the topmost: head, legs, tail, eyes, and the shell with its plates."""
+
+_SVG_FILLS: Final = {"skin": "", "shell": ' fill="currentColor"', "eye": ' fill="#111"'}
+
+
+def _svg_points(points: Sequence[complex]) -> str:
+    return " ".join(f"{_short(point.real)},{_short(point.imag)}" for point in points)
+
+
+def _short(number: float) -> str:
+    """A hundredth of a pixel is more than enough."""
+    return f"{number:.2f}".rstrip("0").rstrip(".")
+
+
+SVG_TURTLE: Final = "\n".join(
+    f'<polygon{_SVG_FILLS[part.shade]} points="{_svg_points(part.outline)}"/>' for part in _PARTS
+)
+"""The shape of a turtle at 0 that looks to the right. `svg_shades` belong to what holds it."""
+
+
+def _paint(
+    picture: npt.NDArray[np.uint8], corners: npt.NDArray[np.complex128], colour: Colour
+) -> None:
     """Fill a polygon by the even-odd rule, with smooth edges."""
     import numpy as np
 
-    corners = np.array(outline)
     left, top = (int(part.min()) - 1 for part in (corners.real, corners.imag))
     width, height = (int(np.ptp(part)) + 4 for part in (corners.real, corners.imag))
     x = left + (np.arange(width * FINE) + 0.5) / FINE
@@ -145,7 +240,7 @@ def _paint(picture: npt.NDArray[np.uint8], outline: Sequence[complex]) -> None:
     rows, columns = _shown(top, height), _shown(left, width)
     share = cover[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
     under = picture[rows, columns]
-    painted = under + (np.array(SHELL) - under) * share[..., None]
+    painted = under + (np.array(colour) - under) * share[..., None]
     picture[rows, columns] = np.rint(painted).astype(np.uint8)
 
 
@@ -169,14 +264,10 @@ def _chunk(kind: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data)) + body + struct.pack(">I", zlib.crc32(body))
 
 
+def _colour(hue: float, lightness: float, saturation: float) -> Colour:
+    red, green, blue = (round(255 * each) for each in hls_to_rgb(hue, lightness, saturation))
+    return Colour(red, green, blue)
+
+
 def _css(colour: Colour) -> str:
     return "#" + bytes(colour).hex()
-
-
-def _svg_points(points: Sequence[complex]) -> str:
-    return " ".join(f"{_short(point.real)},{_short(point.imag)}" for point in points)
-
-
-def _short(number: float) -> str:
-    """A hundredth of a pixel is more than enough."""
-    return f"{number:.2f}".rstrip("0").rstrip(".")

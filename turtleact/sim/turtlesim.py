@@ -125,7 +125,10 @@ class Turtlesim:
         drawing, world = self._pens.drawing, self._world
         colour = (channel.value for channel in self._background)
         places = map(complex, world.places())
-        figures = [Figure(place, world.heading(index)) for index, place in enumerate(places)]
+        figures = [
+            Figure(place, world.heading(index), name)
+            for index, (place, name) in enumerate(zip(places, world.names, strict=True))
+        ]
         return Snapshot(
             Colour(*colour), drawing.pixels(), drawing.base(), drawing.polylines(), figures
         )
