@@ -1,9 +1,9 @@
-"""Builds the site of the documentation in the folder ``site``: ``python -m scripts.build_site``.
+"""Builds the site of the documentation in ``build/site``: ``python -m scripts.build_site``.
 
 The links of the pages in docs/ lead to files of the repository, so that its readers can follow
-them. This script copies the pages to ``.site``, changes the links to those of the site, adds the
-pages that are made from the source, and runs Zensical. It needs the extra ``docs`` and no network.
-A link that leads nowhere fails the build.
+them. This script copies the pages to ``build/pages``, changes the links to those of the site, adds
+the pages that are made from the source, and runs Zensical. It needs the extra ``docs`` and no
+network. A link that leads nowhere fails the build.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ import yaml
 from scripts import site_reference
 
 ROOT = Path(__file__).parents[1]
-STAGE = ROOT / ".site"
-SITE = ROOT / "site"
+STAGE = ROOT / "build" / "pages"
+SITE = ROOT / "build" / "site"
 
 Nav: TypeAlias = "str | list[Nav] | dict[str, Nav]"
 
