@@ -161,7 +161,7 @@ async def test_a_pose_that_is_none_waits_for_who_drives():
             place.poses.publish(TurtlePose(x=math.nan))
             await place.clock.sleep(0.016)
         place.poses.publish(TurtlePose(x=math.nan))
-        with pytest.raises(Abort, match=r"^robot/pose: x: is nan: nobody knows where that is$"):
+        with pytest.raises(Abort, match=r"^robot/pose: x: is nan, which is not a place$"):
             await drive.towards(FAR)
 
 

@@ -323,7 +323,7 @@ async def test_two_turtles_patrol_side_by_side():
 
 NO = "must be finite and above zero, not"
 REFUSED = [
-    ({"turtle": "turtle1/"}, "'turtle1/' is no name of a turtle: it ends in a slash"),
+    ({"turtle": "turtle1/"}, "'turtle1/' is not a valid name of a turtle: it ends in a slash"),
     ({"targets": []}, "targets is empty: give at least one, such as {x: 9.0, y: 7.0}"),
     (
         {"targets": points((1.0, 1.0), (20.0, 3.0))},
@@ -363,7 +363,7 @@ async def test_what_cannot_be_done_is_rejected_by_name(options, reason):
 
 async def test_a_name_that_no_turtle_can_have_is_rejected():
     reason = await rejection(patrol((1.0, 1.0), turtle="my turtle"))
-    assert reason.startswith("'my turtle' is no name of a turtle: ")
+    assert reason.startswith("'my turtle' is not a valid name of a turtle: ")
 
 
 @pytest.mark.parametrize("name", ["turtle1", "/turtle1"])

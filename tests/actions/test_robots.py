@@ -239,7 +239,7 @@ async def test_a_pose_that_is_no_number_aborts_the_goal():
         await one.node.clock.sleep(1.0)
         one.pose = (math.nan, 0.0, 0.0)
         reason = (await goal.outcome()).reason
-    assert reason == "/rover/odom: x: is nan: nobody knows where that is"
+    assert reason == "/rover/odom: x: is nan, which is not a place"
 
 
 async def test_a_heading_that_is_no_rotation_aborts_the_goal():
@@ -290,7 +290,7 @@ def test_a_turtles_pose_is_read_as_it_is():
 @pytest.mark.parametrize("name", ["x", "y", "theta"])
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_a_turtle_that_is_nowhere_is_no_sighting(name, value):
-    with pytest.raises(InvalidMessage, match=f"^{name}: is {value}: nobody knows where that is$"):
+    with pytest.raises(InvalidMessage, match=f"^{name}: is {value}, which is not a place$"):
         Robot().read(TurtlePose(**{name: value}))
 
 

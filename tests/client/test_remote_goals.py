@@ -241,7 +241,11 @@ async def test_if_only_the_second_request_takes_waiting_the_goal_is_sent_once():
     ("answers", "error", "said"),
     [
         ([ACCEPTED, UNKNOWN], UnknownGoal, "'/count' holds no goal"),
-        ([ACCEPTED, GONE, UNKNOWN], UnknownGoal, "went away, and who serves '/count' now does not"),
+        (
+            [ACCEPTED, GONE, UNKNOWN],
+            UnknownGoal,
+            "and the next server of '/count' lacks it",
+        ),
         ([ACCEPTED, GONE, GONE, GONE, SUCCEEDED], ServerUnavailable, "the server went away"),
         ([ACCEPTED, ServiceTimeout("/count", 600), SUCCEEDED], None, ""),
         ([ACCEPTED, GONE, GONE, SUCCEEDED], None, ""),

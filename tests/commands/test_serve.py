@@ -671,7 +671,7 @@ def test_an_empty_token_names_the_option_of_the_command_line(tmp_path):
     options = ("--no-sim", "--listen", free_endpoint(), "--web", "0.0.0.0:0", "--token", "")
     status, out, err = ended(start(tmp_path, "serve", *options))
     assert (status, out) == (2, "")
-    assert err.startswith("turtleact: --token: must not be empty where other machines come in")
+    assert err.startswith("turtleact: --token: must not be empty if other machines can connect")
 
 
 def test_a_signal_ends_a_server_that_is_not_ready_yet(lab):

@@ -26,5 +26,5 @@ async def test_a_picture_of_another_kind_is_refused():
     async with stage() as here:
         answer = await here.call(TakeSnapshot, "world/snapshot", "bmp")
     assert answer == TakeSnapshot.Response(
-        problem="there is no picture as 'bmp': ask for png or svg"
+        problem="there is no picture format 'bmp': ask for png or svg"
     )

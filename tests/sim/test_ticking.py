@@ -144,7 +144,7 @@ async def test_steps_are_made_for_one_who_asks_at_a_time():
     async with ticks(is_paused=True) as here:
         async with running(lambda: here.ticking.step(1000)) as first:
             assert here.ticking.is_stepping
-            with pytest.raises(SimError, match="wait until they are, or pause to end them"):
+            with pytest.raises(SimError, match="wait for the last step, or pause to end it"):
                 await here.ticking.step()
             await first.done.wait()
         assert (len(here.log), here.ticking.is_stepping) == (1000, False)

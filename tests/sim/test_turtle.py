@@ -261,7 +261,7 @@ async def test_a_command_that_comes_after_the_goal_aborts_it(caplog):
         async with here.rotations().send_goal(Goal(3.0)) as goal:
             await here.pass_ticks(20)
             here.command(x=1.0)
-            with pytest.raises(GoalAborted, match="a velocity command has come") as caught:
+            with pytest.raises(GoalAborted, match="a velocity command arrived") as caught:
                 await goal.result()
         pose = here.world.pose("turtle1")
     assert caught.value.result.delta == pytest.approx(-0.30399999, abs=1e-6)

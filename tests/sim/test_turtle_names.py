@@ -47,5 +47,7 @@ def test_an_unknown_turtle_is_refused_with_some_of_those_there_are(turtle):
 
 
 def test_an_empty_roster_says_so():
-    with pytest.raises(SimError, match=r"^there is no turtle 'a', nor any other: spawn one$"):
+    with pytest.raises(
+        SimError, match=r"^there is no turtle 'a', because the world is empty: spawn one$"
+    ):
         Names([]).index("a")

@@ -485,7 +485,9 @@ def test_the_last_turtle_may_be_killed():
     world.kill("turtle1")
     assert not world.step()
     assert world.poses().shape == (0, 5)
-    with pytest.raises(SimError, match=r"^there is no turtle 'turtle1', nor any other: spawn one$"):
+    with pytest.raises(
+        SimError, match=r"^there is no turtle 'turtle1', because the world is empty: spawn one$"
+    ):
         world.pose("turtle1")
 
 

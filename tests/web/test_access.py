@@ -70,7 +70,7 @@ def test_pages_that_were_allowed_come_in(origin):
 @pytest.mark.parametrize("token", ["", "Secret", "secret ", "sécret"])
 def test_a_wrong_token_is_refused(token):
     access = Access(token="secret")
-    assert "the token is wrong" in access.problem(host="localhost", origin=None, token=token)
+    assert "the token is missing" in access.problem(host="localhost", origin=None, token=token)
 
 
 def test_the_right_token_comes_in():

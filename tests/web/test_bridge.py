@@ -175,6 +175,6 @@ async def test_a_bridge_can_be_mounted():
 async def test_a_bridge_is_no_app_of_its_own():
     client = Line()
     async with bridged() as (_, bridge):
-        with pytest.raises(TurtleactError, match="a bridge knows no 'lifespan'"):
+        with pytest.raises(TurtleactError, match="a bridge cannot handle 'lifespan'"):
             await bridge({"type": "lifespan"}, client.receive, client.send)
     client.close()

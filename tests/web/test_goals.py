@@ -152,7 +152,7 @@ async def test_an_id_that_is_in_use_is_refused():
         send(client)
         send(client)
         assert (await client.hear())["values"] == (
-            "a goal of the id 'g:1' is under way: say another"
+            "a goal of the id 'g:1' is under way: use another id"
         )
         gate.opened.set()
         assert (await client.hear())["status"] == 4
@@ -302,7 +302,7 @@ async def test_a_client_whose_bridge_is_closed_is_told_that_it_will_not_hear_of_
         send(client, feedback=True)
         await gate.started.wait()
         await bridge.aclose()
-        problem = "The server is closing: there will be no word of this goal"
+        problem = "The server is closing: you will not hear of this goal any more"
         assert of(await client.hear()) == ("action_result", problem, 0, False)
         gate.opened.set()
         assert client.closed["code"] == 1001
@@ -389,7 +389,7 @@ async def test_a_client_serves_an_action():
             {"result": True, "status": 5, "values": {"counted": [1]}},
             "ABORTED",
             [1],
-            "the client canceled it unasked",
+            "the client canceled it without being asked",
         ),
         (
             {"result": True, "values": {"count": [1]}},

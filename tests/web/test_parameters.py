@@ -167,7 +167,7 @@ async def test_a_value_is_of_the_kind_that_the_node_has_declared(
     node.service(GetParameters, "~/get_parameters", lambda _: GetParameters.Response([held[0]]))
     node.service(SetParameters, "~/set_parameters", put)
     values = await rosapi.call("/rosapi/set_param", ["/lab:it", text])
-    assert values == {"successful": False, "reason": "the node says nothing"}
+    assert values == {"successful": False, "reason": "the node does not answer"}
     assert held[0].type == kind
     assert json.loads((await rosapi.call("/rosapi/get_param", ["/lab:it"]))["value"]) == json.loads(
         text

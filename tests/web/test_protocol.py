@@ -356,16 +356,18 @@ MISTAKES = [
     pytest.param('{"op":"\\ud800"', "half a surrogate", id="half-cut"),
     pytest.param('{"op":"\ud800"}', "half a surrogate", id="half-raw"),
     pytest.param('{"op":"x","id":"\\ud83d\\ude00"}', "Invalid value 'x'", id="whole-pair"),
-    pytest.param(b"\x00\xff", "a binary frame", id="binary"),
+    pytest.param(b"\x00\xff", "binary frames are not supported", id="binary"),
     pytest.param(
         '{"op":"subscribe","topic":"a","compression":"zip"}',
         "no compression 'zip'",
         id="compression",
     ),
     pytest.param(
-        '{"op":"unsubscribe","topic":"a"}', "'a' is not subscribed to so", id="unsubscribe"
+        '{"op":"unsubscribe","topic":"a"}', "'a' has no such subscription", id="unsubscribe"
     ),
-    pytest.param('{"op":"unadvertise","topic":"a"}', "'a' is not advertised so", id="unadvertise"),
+    pytest.param(
+        '{"op":"unadvertise","topic":"a"}', "'a' has no such advertisement", id="unadvertise"
+    ),
     pytest.param(
         '{"op":"unadvertise_service","service":"a"}', "service 'a' is not advertised", id="service"
     ),

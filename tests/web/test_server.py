@@ -88,7 +88,7 @@ async def test_a_busy_port_is_one_clear_error():
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
-        ({"port": 70_000}, "option 'port': 70000 is no port: say 0 to 65535"),
+        ({"port": 70_000}, "option 'port': 70000 is not a port: give 0 to 65535"),
         (
             {"host": "a..b", "token": "x"},
             "option 'host': a..b:9090 cannot be bound",
@@ -99,7 +99,7 @@ async def test_a_busy_port_is_one_clear_error():
         ),
         (
             {"host": "0.0.0.0", "token": ""},
-            "option 'token': must not be empty where other machines",
+            "option 'token': must not be empty if other machines",
         ),
     ],
 )
@@ -126,7 +126,7 @@ async def test_a_server_that_does_not_start_is_one_clear_error(monkeypatch, capl
 @ON_TRIO
 async def test_on_trio_there_is_no_server():
     async with turtleact.open_node("lab") as node:
-        with pytest.raises(TurtleactError, match="the web server runs on asyncio alone"):
+        with pytest.raises(TurtleactError, match="the web server only runs on asyncio"):
             async with open_web(node, port=0):
                 pass
 
@@ -253,8 +253,8 @@ async def test_unfinished_messages_of_all_clients_are_bounded_together(caplog):
         for _, writer in lines:
             writer.close()
     assert caplog.messages == [
-        "a web client was let go: all clients together hold too much memory, and this one most of"
-        " it"
+        "a web client was disconnected: all clients together hold too much memory,"
+        " and this one most of it"
     ]
 
 
@@ -335,7 +335,7 @@ async def test_a_reader_that_never_reads_is_cut_off_and_slows_nobody(caplog, mon
             while web.bridge.statistics().connections == 2:
                 publisher.publish(Text(data=text))
                 assert json.loads(await reader.recv())["msg"]["data"] == text
-        assert "a web client was let go: it took nothing for 0.05 s" in caplog.text
+        assert "a web client was disconnected: it read nothing for 0.05 s" in caplog.text
 
 
 @ON_ASYNCIO
@@ -396,7 +396,7 @@ async def test_a_text_that_is_none_is_a_line_in_the_log(caplog):
             await client.recv()
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == 1007
-    assert caplog.messages == ["a web client was let go: it sent a text that is not UTF-8"]
+    assert caplog.messages == ["a web client was disconnected: it sent a text that is not UTF-8"]
 
 
 @ON_ASYNCIO
@@ -422,7 +422,7 @@ async def test_a_client_that_does_nothing_but_ping_is_let_go(caplog, monkeypatch
         for _ in range(4):
             await client.ping()
         await client.wait_closed()
-    assert caplog.messages == ["a web client was let go: it sent 4 pings in a second"]
+    assert caplog.messages == ["a web client was disconnected: it sent 4 pings in a second"]
 
 
 class Impatient(Socket):

@@ -372,7 +372,7 @@ class Turtles:
                 validate_name(turtle)
             publishers = self._node.count_publishers(poses)
         except InvalidName as error:
-            raise Reject(f"'{turtle}' is no name of a turtle: {error.problem}") from None
+            raise Reject(f"'{turtle}' is not a valid name of a turtle: {error.problem}") from None
         if not publishers:
             raise Reject(f"there is no turtle '{turtle}': nobody publishes {poses}")
         if self._topic(turtle) in self._driven:

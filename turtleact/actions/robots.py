@@ -153,7 +153,7 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
         seen = _read_turtle(message) if fields is None else _read_stamped(message, fields)
         for name, value in zip(("x", "y", "theta"), seen.pose, strict=True):
             if not math.isfinite(value):
-                raise InvalidMessage(name, f"is {value}: nobody knows where that is")
+                raise InvalidMessage(name, f"is {value}, which is not a place")
         return seen
 
     def write(self, speeds: Speeds, now: int) -> Message:

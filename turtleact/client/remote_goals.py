@@ -362,7 +362,7 @@ class RemoteGoals:
             if asked is None:
                 name, goal = self._endpoints.name, remote.goal
                 if lost:
-                    what = f"its server went away, and who serves '{name}' now does not hold it"
+                    what = f"its server went away, and the next server of '{name}' lacks it"
                     raise UnknownGoal(f"{goal.hex}: {what}")
                 raise UnknownGoal(f"'{name}' holds no goal {goal.hex}, or no longer holds it")
             self._endpoints.takes_both = False

@@ -159,7 +159,7 @@ class Turtle:
             return
         if self.turn is not None:
             logger.warning("Velocity command received during rotation goal. Aborting goal")
-            self.turn.abort("a velocity command has come")
+            self.turn.abort("a velocity command arrived")
             self.turn = None
 
     def rotate(self, turn: _Turn) -> None:

@@ -397,7 +397,7 @@ class Names:
             return index
         last = len(self.names) - 1
         if last < 0:
-            raise SimError(f"there is no turtle {turtle!r}, nor any other: spawn one")
+            raise SimError(f"there is no turtle {turtle!r}, because the world is empty: spawn one")
         known = ", ".join(self.names[:3]) + (", …" if last > 2 else "")
         raise SimError(
             f"there is no turtle {turtle!r}: give a name ({known}) or an index to {last}"

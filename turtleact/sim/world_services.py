@@ -157,7 +157,7 @@ class Ticking:
             raise SimError("the world is not paused: pause it first")
         if self._step is not None:
             raise SimError(
-                "steps are being made already: wait until they are, or pause to end them"
+                "the world is being stepped already: wait for the last step, or pause to end it"
             )
         if not ticks:
             return
@@ -176,7 +176,7 @@ class Ticking:
             raise
         if step.left:
             made = f"{ticks - step.left} of {ticks} steps"
-            raise SimError(f"the world was {step.how} after {made}: pause it, and step on")
+            raise SimError(f"the world was {step.how} after {made}: pause it, then step again")
 
     async def aclose(self) -> None:
         """Make no more ticks; the clock continues."""
@@ -395,7 +395,9 @@ class Pictures:
     async def _take(self, request: TakeSnapshot.Request) -> TakeSnapshot.Response:
         make = FORMATS.get(request.format)
         if make is None:
-            problem = f"there is no picture as '{request.format}': ask for {' or '.join(FORMATS)}"
+            problem = (
+                f"there is no picture format '{request.format}': ask for {' or '.join(FORMATS)}"
+            )
             return TakeSnapshot.Response(problem=problem)
         # The snapshot is taken here, between two ticks; only the picture is made in the thread.
         return TakeSnapshot.Response(await anyio.to_thread.run_sync(make, self._look()))

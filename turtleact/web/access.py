@@ -51,13 +51,15 @@ class Access(msgspec.Struct, frozen=True):
         """
         name = _name_of(f"//{host}")
         if not (_is_address(name) or is_loopback(name) or name in self.hosts):
-            return f"host '{host[:100]}' is not known here: allow it by 'hosts', or --allow-host"
+            return f"host '{host[:100]}' is not allowed here: allow it with 'hosts' or --allow-host"
         if origin is not None and not self._is_allowed(origin, host):
-            named = f"pages of '{origin[:100]}' may not come in"
-            return f"{named}: allow them by 'origins', or --allow-origin"
+            named = f"pages of '{origin[:100]}' may not connect"
+            return f"{named}: allow them with 'origins' or --allow-origin"
         # Compared in constant time: how long it takes must not tell how much of a guess was right.
         if self.token and not hmac.compare_digest(token.encode(), self.token.encode()):
-            return "the token is wrong: say it as ?token=… or as 'Authorization: Bearer …'"
+            return (
+                "the token is missing or wrong: send it as ?token=… or as 'Authorization: Bearer …'"
+            )
         return ""
 
     def _is_allowed(self, origin: str, host: str) -> bool:

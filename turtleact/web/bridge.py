@@ -91,7 +91,9 @@ class Bridge:
         elif scope["type"] == "http":
             await self._answer(HTTPConnection(scope))(scope, receive, send)
         else:
-            raise TurtleactError(f"a bridge knows no '{scope['type']}': open it with open_bridge")
+            raise TurtleactError(
+                f"a bridge cannot handle '{scope['type']}': open it with open_bridge"
+            )
 
     def statistics(self) -> Statistics:
         """A snapshot of the bridge."""
@@ -174,10 +176,10 @@ class Bridge:
 
     def _answer(self, asked: HTTPConnection) -> Response:
         if asked.scope["method"] not in ("GET", "HEAD"):
-            return _text(405, "there is nothing but to GET here")
+            return _text(405, "only GET works here")
         found = FILES.get(_path(asked))
         if found is None:
-            return _text(404, "there is one page, at the path /")
+            return _text(404, "the only page is at the path /")
         name, media_type = found
         problem = self._problem(asked) if media_type == "text/html" else ""
         if problem:

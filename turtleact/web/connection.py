@@ -111,7 +111,7 @@ class Connection:
         """Send a frame that must arrive."""
         self.mailbox.keep(frame)
         if self.mailbox.is_overfull:
-            self.let_go("too much waits for it")
+            self.let_go("too much data waits for it")
         self._shared.budget.hold(self, self.mailbox.size)
         self._filled.fire()
 
@@ -127,7 +127,7 @@ class Connection:
         """Hold less, since all clients hold too much; return how much this one still holds."""
         if self.mailbox.shed():
             return self.mailbox.size
-        self.let_go("too much waits for all clients, and most of it for this one")
+        self.let_go("too much data waits for all clients, and most of it for this one")
         return 0
 
     def let_go(self, reason: str) -> None:
@@ -135,7 +135,9 @@ class Connection:
         if self._group is None or self._group.cancel_scope.cancel_called:
             return
         logger.warning(
-            "a web client was let go: %s (%d frames dropped before)", reason, self.mailbox.dropped
+            "a web client was disconnected: %s (%d frames dropped before)",
+            reason,
+            self.mailbox.dropped,
         )
         # Cancelling the writer does not help where its bytes wait in the transport: only the server
         # around the app can cut the connection, if it offers that.
@@ -186,7 +188,7 @@ class Connection:
                 self._end()
         self._last_size = len(frame)
         if scope.cancelled_caught:
-            self.let_go(f"it took nothing for {PATIENCE:g} s")
+            self.let_go(f"it read nothing for {PATIENCE:g} s")
 
     def _end(self) -> None:
         cast("TaskGroup", self._group).cancel_scope.cancel()
@@ -337,7 +339,7 @@ class Connection:
                 await self._serving.take_feedback(operation)
             case operations.ServiceResponse() | operations.ActionResult():
                 if not self._serving.answer(operation):
-                    problem = f"nothing was asked under the id '{operation.id}'"
+                    problem = f"no request has the id '{operation.id}'"
                     self._complain(problem, operation.id, level="warning")
 
     def _call(self, said: CallService) -> None:

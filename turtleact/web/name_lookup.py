@@ -145,7 +145,7 @@ class Directory:
             return message_class(ALWAYS[topic])
         if len(types) != 1:
             known = f"has the types {', '.join(types)}" if types else "is not on the graph"
-            raise InvalidOption("type", f"topic '{topic}' {known}: say its type")
+            raise InvalidOption("type", f"topic '{topic}' {known}: give its type")
         return message_class(types[0])
 
     def service_class(self, service: str, spelled: str) -> type[Service]:

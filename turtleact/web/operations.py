@@ -223,7 +223,7 @@ def parse(frame: str | bytes) -> Operation | Malformed:
     '/pose'
     """
     if isinstance(frame, bytes):
-        return Malformed("a binary frame: say it as JSON in a text frame")
+        return Malformed("binary frames are not supported: send JSON in a text frame")
     # Counted before it is read, which is fast; brackets inside texts count too, and do no harm.
     if frame.count("[") + frame.count("{") > MOST_NESTED:
         return Malformed(f"more than {MOST_NESTED} objects and lists")

@@ -223,7 +223,7 @@ class Protocol:
         wishes = self._readers.get(said.topic)
         if wishes is None or (said.id is not None and said.id not in wishes):
             return self.complain(
-                f"'{said.topic}' is not subscribed to so", said.id, level="warning"
+                f"'{said.topic}' has no such subscription", said.id, level="warning"
             )
         if said.id is not None and len(wishes) > 1:
             del wishes[said.id]
@@ -249,7 +249,9 @@ class Protocol:
     def _unadvertise(self, said: operations.Unadvertise) -> list[Effect]:
         ids = self._writers.get(said.topic)
         if ids is None or (said.id is not None and said.id not in ids):
-            return self.complain(f"'{said.topic}' is not advertised so", said.id, level="warning")
+            return self.complain(
+                f"'{said.topic}' has no such advertisement", said.id, level="warning"
+            )
         if said.id is not None and len(ids) > 1:
             ids.remove(said.id)
             self._opened -= 1

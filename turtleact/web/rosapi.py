@@ -349,7 +349,7 @@ class Parameters:
         node, _, parameter = name.partition(":")
         request = SetParameters.Request([Parameter(parameter, wanted)])
         answer = await self._ask(absolute(f"{node}/set_parameters"), SetParameters, request)
-        result = next(iter(answer.results), SetParametersResult(reason="the node says nothing"))
+        result = next(iter(answer.results), SetParametersResult(reason="the node does not answer"))
         return {"successful": result.successful, "reason": result.reason}
 
 

@@ -140,12 +140,14 @@ async def open_web(
         TurtleactError: if the event loop is not asyncio's or uvloop's.
     """
     if anyio.get_cancelled_exc_class() is not asyncio.CancelledError:
-        raise TurtleactError("the web server runs on asyncio alone: elsewhere mount an open_bridge")
+        raise TurtleactError(
+            "the web server only runs on asyncio: on trio, mount open_bridge in another server"
+        )
     limits = limits or Limits()
     if token is None:
         token = "" if is_loopback(host) else secrets.token_urlsafe(16)
     if not token and not is_loopback(host):
-        raise InvalidOption("token", f"must not be empty where other machines come in ({host})")
+        raise InvalidOption("token", f"must not be empty if other machines can connect ({host})")
     with bound(host, port) as listener:
         async with open_bridge(
             node,
@@ -315,7 +317,7 @@ class Socket(WebSocketsSansIOProtocol):
 
     def shrink(self) -> int:
         """End the connection: all clients together hold too much, and this one holds the most."""
-        logger.warning("a web client was let go: %s", TOO_MUCH)
+        logger.warning("a web client was disconnected: %s", TOO_MUCH)
         self._is_let_go = True
         self.frames = []
         is_open = self.handshake_complete and not self.transport.is_closing()
@@ -382,7 +384,9 @@ class Socket(WebSocketsSansIOProtocol):
         if self._pings <= MOST_PINGS:
             super().handle_ping()
         elif self._pings == MOST_PINGS + 1:
-            logger.warning("a web client was let go: it sent %d pings in a second", self._pings)
+            logger.warning(
+                "a web client was disconnected: it sent %d pings in a second", self._pings
+            )
             self.transport.abort()
 
     def keepalive_timeout(self) -> None:
@@ -399,7 +403,7 @@ class Socket(WebSocketsSansIOProtocol):
         self._fragments = 0
         is_read = self.curr_msg_data_type == "text" and not self.close_sent
         if is_read and not _is_text(self.frames):
-            logger.warning("a web client was let go: it sent a text that is not UTF-8")
+            logger.warning("a web client was disconnected: it sent a text that is not UTF-8")
             self.frames = []
             self.conn.send_close(1007)
             self.handle_parser_exception()
@@ -415,7 +419,7 @@ def bound(host: str, port: int) -> Iterator[socket.socket]:
         InvalidOption: if it cannot.
     """
     if not 0 <= port <= 65535:
-        raise InvalidOption("port", f"{port} is no port: say 0 to 65535")
+        raise InvalidOption("port", f"{port} is not a port: give 0 to 65535")
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         listener = socket.create_server((host, port), family=family, backlog=128)

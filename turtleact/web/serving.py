@@ -190,7 +190,7 @@ class Serving:
             # In ROS 2 a goal ends CANCELED only if somebody asked for that.
             if handle.is_cancel_requested:
                 raise
-            raise Abort("the client canceled it unasked", verdict.result) from None
+            raise Abort("the client canceled it without being asked", verdict.result) from None
 
 
 class _Question:

@@ -71,7 +71,7 @@ MOST_GOALS: Final = 1024
 """The maximum number of goals followed at once, including those of disconnected clients."""
 
 NO_SERVER: Final = "No action server available"
-CLOSING: Final = "The server is closing: there will be no word of this goal"
+CLOSING: Final = "The server is closing: you will not hear of this goal any more"
 REJECTED: Final = "Action goal was rejected"
 
 
@@ -314,7 +314,9 @@ class Goals:
     def send(self, said: SendActionGoal, teller: Teller) -> None:
         """Send a goal and report on it; its end is always reported."""
         if said.id is not None and self._own(said.id, teller) is not None:
-            _tell_failure(said, teller, f"a goal of the id '{said.id}' is under way: say another")
+            _tell_failure(
+                said, teller, f"a goal of the id '{said.id}' is under way: use another id"
+            )
         elif len(self._sent) >= MOST_GOALS:
             _tell_failure(said, teller, f"{len(self._sent)} goals are under way: wait for some")
         else:

@@ -91,7 +91,7 @@ def decode(
         data = bytes(memoryview(data))
     order = BYTE_ORDERS.get(data[:2])
     if order is None or len(data) < 4:
-        problem = f"its header is 0001 or 0000 and two more bytes, not '{data[:4].hex()}'"
+        problem = f"its header must be 0000 or 0001 and two more bytes, not '{data[:4].hex()}'"
         raise InvalidMessage("message", f"not plain CDR: {problem}")
     read: Callable[[bytes], M] = decoder(cls, order, arrays)
     try:
