@@ -263,10 +263,9 @@ def executables(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG
 
 
 def _runnable() -> dict[str, dict[str, Program | None]]:
-    from turtleact.commands.packages import runnable
-    from turtleact.commands.verbs.run import PROGRAMS
+    from turtleact.commands.verbs.run import runnable_here
 
-    return runnable(Path(), PROGRAMS)
+    return runnable_here()
 
 
 # what they share

@@ -51,8 +51,14 @@ SETTINGS: Final[dict[str, Any]] = {
 _VALUE: Final = re.compile(r"-[\d.\s]|---\s")
 """How a value with a leading dash begins: ``-5``, ``- x: 1``, or a YAML document."""
 
+_NO_BUILD: Final = (
+    "nothing has to be built or sourced; 'turtleact run --help' lists what can be run here"
+)
+
 _ELSEWHERE: Final = {
     "bag": "'turtleact topic echo NAME --csv' prints messages, one a line, to keep in a file",
+    "build": _NO_BUILD,
+    "colcon": _NO_BUILD,
     "component": "a node is a program here, such as 'turtleact serve'",
     "control": "it has no controllers",
     "doctor": "'turtleact node list' tells whether a graph is in reach",
@@ -61,7 +67,10 @@ _ELSEWHERE: Final = {
     "launch": "start each program by itself, such as 'turtleact serve'",
     "lifecycle": "it has no managed nodes",
     "multicast": "nodes find each other through a router, such as 'turtleact serve'",
-    "pkg": "'turtleact interface packages' lists the packages with interfaces",
+    "pkg build": _NO_BUILD,
+    "pkg prefix": "'turtleact pkg executables' lists what packages can run",
+    "pkg xml": "'turtleact pkg executables' lists what packages can run",
+    "rosdep": "pip installs what Python programs need; 'turtleact pkg list' lists what is here",
     "security": "'turtleact serve --config FILE' says who may connect",
     "service echo": "nodes do not publish their service calls; use 'turtleact service call'",
     "wtf": "'turtleact node list' tells whether a graph is in reach",
@@ -200,8 +209,13 @@ def load(verb: str) -> Any:  # noqa: ANN401  # of click, which Typer brings alon
     return command
 
 
-def new_group(name: str) -> typer.Typer:
-    """A group that prints its help if no verb is given, as in ``ros2``."""
+def new_group(name: str, summary: str = "") -> typer.Typer:
+    """A group that prints its help if no verb is given, as in ``ros2``.
+
+    Args:
+        name: The name of the group.
+        summary: The first line of its help, unless its verbs are those of ``ros2``.
+    """
 
     def print_help(ctx: typer.Context) -> None:
         if ctx.invoked_subcommand is None:
@@ -209,7 +223,7 @@ def new_group(name: str) -> typer.Typer:
 
     return typer.Typer(
         name=name,
-        help=f"The verbs of 'ros2 {name}', with the same options and output.",
+        help=summary or f"The verbs of 'ros2 {name}', with the same options and output.",
         cls=Group,
         callback=print_help,
         invoke_without_command=True,
