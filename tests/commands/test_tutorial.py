@@ -94,8 +94,11 @@ class Terminals:
                 self.running.append(self.start(arguments, shown))
             elif command == "python":
                 self.start(arguments, shown).check()
+            elif command == "cat":
+                check((self.folder / arguments[0]).read_text("utf-8"), shown)
             else:
-                reach = () if "interface" in arguments else ("--connect", self.address)
+                is_local = arguments[0] in {"interface", "pkg"}
+                reach = () if is_local else ("--connect", self.address)
                 with REGISTRY.isolated():  # each command knows only what it finds itself
                     ran = self.turtleact(*arguments, *reach)
                 check(ran.err + ran.out, shown)
