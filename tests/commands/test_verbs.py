@@ -61,7 +61,7 @@ USAGE = [
     (["serve", "--speed", "max"], "'--speed': 'max' is not a factor"),
     (["serve", "--speed", "0"], "'--speed': '0' is not a factor above 0 and at most 100"),
     (["serve", "--web", "localhost"], "the port of --web is a whole number, 0 to 65535"),
-    (["serve", "--token", "x"], "--token, --allow-host and --allow-origin are for --web"),
+    (["serve", "--token", "x"], "--token, --allow-host and --allow-origin need --web"),
     (
         ["serve", "--web", "0", "--allow-origin", "example.com"],
         "--allow-origin takes an origin such as https://example.com, not 'example.com'",

@@ -60,7 +60,7 @@ Executable: TypeAlias = Annotated[
 ]
 Arguments: TypeAlias = Annotated[
     list[str] | None,
-    typer.Argument(metavar="ARGUMENTS", help="What the program itself takes.", show_default=False),
+    typer.Argument(metavar="ARGUMENTS", help="The program's own arguments.", show_default=False),
 ]
 
 
