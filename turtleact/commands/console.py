@@ -177,7 +177,10 @@ class WindowsConsole:
         return None
 
     def takes_text(self, _: TextIO) -> bool:
-        """Always: Windows cannot tell. Writing waits only while the user selects text in the window."""
+        """Always true, because Windows cannot tell.
+
+        Writing waits only while the user selects text in the window.
+        """
         return True
 
     def silence(self, stream: TextIO, *, by_key: bool) -> object | None:

@@ -174,7 +174,9 @@ def find_goals(goals: Iterable[HeldGoal], wanted: str) -> HeldGoal | None:
 
 
 async def find_goal(node: Node, wanted: str) -> HeldGoal:
-    """The goal on the graph whose id begins with a text. Prints a note if its server does not answer.
+    """The goal on the graph whose id begins with a text.
+
+    Prints a note if its server does not answer.
 
     Raises:
         UsageError: if there are several.
