@@ -63,6 +63,7 @@ if TYPE_CHECKING:
         Verdict,
     )
     from turtleact.goal import CancelResponse, GoalResponse, GoalStatus
+    from turtleact.goal_journal import Resumed
     from turtleact.interfaces import (
         Action,
         Message,
@@ -76,6 +77,7 @@ if TYPE_CHECKING:
         load_message,
         load_service,
     )
+    from turtleact.journal import Journal, JournalError, open_journal
     from turtleact.node import (
         ActionServer,
         Node,
@@ -110,6 +112,11 @@ __all__ = [
     "Parameter",
     "Timer",
     "Tick",
+    # goals on disk
+    "open_journal",
+    "Journal",
+    "JournalError",
+    "Resumed",
     # bodies and callbacks
     "action",
     "parameter",
@@ -178,6 +185,7 @@ _HOMES = {
         "StatusChanged",
     ),
     "goal": ("CancelResponse", "GoalResponse", "GoalStatus"),
+    "goal_journal": ("Resumed",),
     "interfaces": (
         "Action",
         "Message",
@@ -191,6 +199,7 @@ _HOMES = {
         "load_message",
         "load_service",
     ),
+    "journal": ("Journal", "JournalError", "open_journal"),
     "node": ("ActionServer", "Node", "Parameter", "ServerGoalHandle", "Tick", "Timer", "open_node"),
     "parameters": ("parameter",),
     "services": ("ServiceClient", "ServiceServer"),

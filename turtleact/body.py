@@ -34,11 +34,13 @@ from typing import (
     TypeVar,
     Unpack,
     cast,
+    get_args,
     overload,
 )
 
 from turtleact.errors import InvalidBody, InvalidOption
 from turtleact.goal import CancelResponse, GoalResponse
+from turtleact.goal_journal import GoalJournal, OnRestart
 from turtleact.interfaces import Message
 from turtleact.names import validate_name
 from turtleact.slot import Policy
@@ -122,6 +124,8 @@ class ServerOptions(TypedDict, total=False):
     result_timeout: float | None
     on_client_lost: Literal["keep", "cancel"]
     grace: float
+    journal: GoalJournal | None
+    on_restart: OnRestart
 
 
 def check_options(options: ServerOptions) -> None:
@@ -140,6 +144,9 @@ def check_options(options: ServerOptions) -> None:
     grace = options.get("grace", 0.0)
     if not isinstance(grace, int | float) or isinstance(grace, bool) or not 0 <= grace < 1e9:
         raise InvalidOption("grace", f"expected seconds from 0 up, not {grace!r}")
+    if options.get("on_restart", "abort") not in get_args(OnRestart):
+        problem = f"expected 'abort' or 'resume', not {options.get('on_restart')!r}"
+        raise InvalidOption("on_restart", problem)
     for name in ("goal_callback", "cancel_callback"):
         callback = options.get(name)
         if callback is not None and not callable(callback):

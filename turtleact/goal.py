@@ -178,6 +178,9 @@ class Goal(msgspec.Struct, eq=False):
             raise.
         body: The running body, while it can be canceled.
         ended: When it ended (ns since the epoch); 0 before.
+        is_decided: Whether its end is settled. With a journal, it is announced a little later, and
+            only then has the goal ended.
+        resumed: What an earlier process has left of it; None if it began in this one.
         waiters: How many callers wait for its result. The table keeps the goal while there are any.
         parent: The goal whose body sent this one, if any.
         sender: The client that sent it.
@@ -201,6 +204,8 @@ class Goal(msgspec.Struct, eq=False):
     end_callbacks: tuple[Callable[[], object], ...] = ()
     body: Cancelable | None = None
     ended: int = 0
+    is_decided: bool = False
+    resumed: object = None
     waiters: int = 0
     parent: Goal | None = None
     sender: object = None
@@ -363,6 +368,12 @@ class GoalTable:
             self._pinned.add(goal)
             if not goal.waiters:
                 self.unpin(goal)
+
+    def hold_ended(self, goal: Goal) -> None:
+        """Hold a goal that ended in an earlier process, for the rest of its time."""
+        if goal.id is not None:
+            self._named[goal.id] = goal
+            self._schedule(goal)
 
     def unpin(self, goal: Goal) -> None:
         """Call this when the last waiter has left: an expired goal is then forgotten."""

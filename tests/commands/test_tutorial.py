@@ -25,8 +25,6 @@ from typing import NamedTuple
 
 import pytest
 
-from turtleact.interfaces.types import REGISTRY
-
 PAGE = Path(__file__).parents[2] / "docs" / "tutorial.md"
 BLOCK = re.compile(r"^<!-- (save|terminal) (.*?) -->\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 SECTIONS = [
@@ -79,9 +77,7 @@ class Terminals:
 
     def save(self, name, text):
         text = text.replace("open_zenoh()", f"open_zenoh([{self.address!r}])")
-        path = self.folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, "utf-8")
+        (self.folder / name).write_text(text, "utf-8")
 
     def type(self, where, text):
         for line, shown in commands_of(text):
@@ -94,14 +90,9 @@ class Terminals:
                 self.running.append(self.start(arguments, shown))
             elif command == "python":
                 self.start(arguments, shown).check()
-            elif command == "cat":
-                check((self.folder / arguments[0]).read_text("utf-8"), shown)
             else:
-                is_local = arguments[0] in {"interface", "pkg"}
-                reach = () if is_local else ("--connect", self.address)
-                with REGISTRY.isolated():  # each command knows only what it finds itself
-                    ran = self.turtleact(*arguments, *reach)
-                check(ran.err + ran.out, shown)
+                ran = self.turtleact(*arguments, "--connect", self.address)
+                check(ran.out + ran.err, shown)
         if not where.endswith("meanwhile"):
             while self.running:
                 self.running.pop().check()

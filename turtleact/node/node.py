@@ -33,7 +33,7 @@ from turtleact.parameters import Bounds, ParameterDeclaration, Value, parameter
 from turtleact.server.endpoints import ActionEndpoints
 from turtleact.server.execution import CURRENT_GOAL, Execution, Served
 from turtleact.server.goal_handle import GoalHandle
-from turtleact.server.local_server import LocalActionServer, SlotRequest
+from turtleact.server.local_server import LocalActionServer, SlotRequest, restore_all
 from turtleact.services import LocalServiceServer, ServiceClient, ServiceServer, ServiceType
 from turtleact.slot import Rules, Slot, Slots
 from turtleact.tasks import Background, Home, current_tasks
@@ -80,6 +80,7 @@ class Node:
         self._resources = Resources()
         self._slots = Slots[SlotRequest]()
         self._hooks: list[Transition] = []
+        self._to_restore: list[LocalActionServer] = []
         self._parameters: NodeParameters | None = None
         self._membership = transport.enter(self.fully_qualified_name)
 
@@ -201,6 +202,17 @@ class Node:
             "action server", server, endpoints.stop_taking_goals
         )
         return server
+
+    def _restore_soon(self, local: LocalActionServer) -> None:
+        """Restore a server's goals on the loop's next turn, with those of its siblings."""
+        if local.durable is not None:
+            if not self._to_restore:
+                self._tasks.from_anywhere(self._restore)  # also on trio not before the next turn
+            self._to_restore.append(local)
+
+    def _restore(self) -> None:
+        servers, self._to_restore = self._to_restore, []
+        restore_all(servers)
 
     def on_transition(self, hook: Transition) -> None:
         """Call ``hook(goal, old, new)`` at each change of a goal served on this node.
@@ -576,6 +588,7 @@ class ActionServer(Generic[G, R, F]):
         if rivals.has_built_in():
             logger.warning("%s: the built-in action makes way for this one", self.name)
         self._endpoints.open()
+        self.node._restore_soon(self._local)
         self.is_serving = True
         self._turned.fire()
 

@@ -68,7 +68,7 @@ class BodyTask(Coroutine[object, object, None]):
         cancellation while `_task` is not known yet; the cancellation is then made up for.
         """
         self._task = self._tasks.spawn(self, name, context, is_eager=True)
-        if self._is_cancel_due and not self._goal.ended:
+        if self._is_cancel_due and not self._goal.is_decided:
             self.cancel()
 
     def cancel(self) -> None:
@@ -106,7 +106,7 @@ class BodyTask(Coroutine[object, object, None]):
         """Run one step."""
         running = self._running
         if running is None:
-            if self._goal.ended:  # cancelled before the first step
+            if self._goal.is_decided:  # cancelled before the first step
                 raise StopIteration
             running = self._running = self._runner.run(self._goal, self)
         return self._step(running.send, value)

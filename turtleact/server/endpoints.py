@@ -42,7 +42,14 @@ from turtleact.server.local_server import SHUTDOWN, LocalActionServer
 from turtleact.services import LocalServiceServer
 from turtleact.summaries import STOPPED
 from turtleact.tasks import GRACE, Tasks, wait_while
-from turtleact.transports.base import STATUS_QOS, Closeable, MakeEndpoint, Reply, Transport
+from turtleact.transports.base import (
+    STATUS_QOS,
+    Closeable,
+    MakeEndpoint,
+    Reply,
+    Respond,
+    Transport,
+)
 
 __all__ = ["ActionEndpoints"]
 
@@ -181,9 +188,7 @@ class _ActionService:
         with self._counting():
             return await self.handle(request, caller)
 
-    def reply_nowait(
-        self, request: object, caller: bytes, respond: Callable[[Reply], object]
-    ) -> bool:
+    def reply_nowait(self, request: object, caller: bytes, respond: Respond) -> bool:
         """Answer a request from another process without a task, if that is possible."""
         reply = self.handle_nowait(request, caller)
         if reply is None:
@@ -325,7 +330,7 @@ class _GetResult(_ActionService):
         self,
         request: Any,  # noqa: ANN401  # of the action's own class
         caller: bytes,  # noqa: ARG002
-        respond: Callable[[Reply], object],
+        respond: Respond,
     ) -> bool:
         """Answer when the goal has ended; an unknown goal needs a task."""
         goal = self.server.find(request.goal_id.uuid)
@@ -341,6 +346,7 @@ class _GetResult(_ActionService):
 
     async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401, ARG002
         goal_id = request.goal_id.uuid
+        await self.server.wait_until_restored()
         if self.server.find(goal_id) is None:
             # The goal's own request may have arrived just before, in a task that has not begun.
             await self._tasks.checkpoint()
@@ -350,10 +356,12 @@ class _GetResult(_ActionService):
             await self._decided.wait()
         goal.is_asked_for = True
         await self.server.wait_for_end(goal)
+        if goal.error is not None:  # the server stops, and the goal goes on after a restart
+            raise goal.error
         return self._end(goal)
 
-    def _respond(self, goal: Goal, respond: Callable[[Reply], object]) -> None:
-        respond(self._end(goal))
+    def _respond(self, goal: Goal, respond: Respond) -> None:
+        respond(self._end(goal) if goal.error is None else goal.error)
         self.waiting -= 1
         self.answered.fire()
 

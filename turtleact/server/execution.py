@@ -14,16 +14,18 @@ import logging
 import math
 from collections.abc import Callable
 from contextvars import Context, ContextVar
+from functools import partial
 from typing import NamedTuple, Protocol, TypeAlias, cast
 
 from turtleact.body import ActionType, Body, Steps
-from turtleact.errors import Abort, Cancel, InvalidMessage, InvalidTransition
+from turtleact.errors import Abort, Cancel, InvalidMessage, InvalidTransition, TurtleactError
 from turtleact.feedback import FeedbackLog
 from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable
 from turtleact.goal_id import new_goal_id
 from turtleact.interfaces import Message, snapshotter
 from turtleact.observers import Observers
 from turtleact.server.body_task import BodyTask
+from turtleact.server.durable import DurableGoals
 from turtleact.summaries import STOPPED, STOPS, loggable, summary, text_of
 from turtleact.tasks import Home, Signal, Tasks, is_cancellation, wait_while
 
@@ -94,6 +96,8 @@ class Execution:
         observers: Told of each change of a goal and, if they want it, of feedback.
         outlet: The feedback topic; None while nobody reads it.
         bodies: The tasks of the running bodies, with their goals.
+        durable: The goals in the server's journal, if it has one.
+        is_suspended: Whether bodies are being stopped while their goals go on in the journal.
     """
 
     def __init__(
@@ -107,6 +111,8 @@ class Execution:
         self.served = served
         self.observers = Observers(served.name)
         self.outlet: FeedbackOutlet | None = None
+        self.durable: DurableGoals | None = None
+        self.is_suspended = False
         self.bodies: dict[BodyTask, Goal] = {}
         self._call = served.body.call
         self._table = table
@@ -128,7 +134,7 @@ class Execution:
         """
         if goal.status is GoalStatus.CANCELING or goal.reason:
             self._end_canceled(goal)
-        if goal.ended:
+        if goal.is_decided:
             return
         task = goal.body = BodyTask(self, goal, self._tasks)
         self.bodies[task] = goal
@@ -147,8 +153,6 @@ class Execution:
             if body.is_generator:
                 running = self._drive(goal, running)  # type: ignore[arg-type]  # see Body
             result = await running  # type: ignore[misc]  # see Body
-            # A future journal would be awaited here and in `_fail`, before anybody hears of the
-            # goal's end.
             self._succeed(goal, result)
         except BaseException as error:
             if _is_closed_by_loop(error):
@@ -202,7 +206,8 @@ class Execution:
     def _publish_or_emit(self, goal: Goal, feedback: object) -> bool:
         """Publish feedback; return whether a callback or observer has cancelled the goal."""
         outlet = self.outlet
-        if outlet is not None and not self.observers.want_feedback and outlet.emit(goal, feedback):
+        may_emit = outlet is not None and self.durable is None and not self.observers.want_feedback
+        if may_emit and outlet.emit(goal, feedback):  # type: ignore[union-attr]  # it is not None
             return False
         status, reason = goal.status, goal.reason
         self.publish(goal, feedback)
@@ -211,6 +216,8 @@ class Execution:
     async def _pause(self, goal: Goal) -> None:
         """Let other tasks run, and wait for the sender's stream if it is far behind."""
         await self._tasks.checkpoint()
+        if self.durable is not None:
+            await self.durable.written()
         if self.outlet is not None and self.outlet.is_congested:
             await self.outlet.drained()
         log = goal.feedback
@@ -235,8 +242,30 @@ class Execution:
             InvalidTransition: if the goal is neither EXECUTING nor CANCELING.
         """
         message = self._check_feedback(feedback)
-        if goal.ended or goal.status is GoalStatus.ACCEPTED:
+        if goal.is_decided or goal.status is GoalStatus.ACCEPTED:
             raise InvalidTransition(goal.status, "feedback", goal.hex)
+        if self.durable is None:
+            self._announce(goal, message)
+        else:
+            self.durable.feedback(goal, message, partial(self._announce, goal, message))
+
+    def set_partial_result(self, goal: Goal, result: object) -> None:
+        """Set the result to report if the goal is canceled or aborted.
+
+        Raises:
+            InvalidMessage: if it is not this action's Result, or a value does not fit its type.
+            InvalidTransition: if the goal has ended.
+        """
+        if goal.is_decided:
+            raise InvalidTransition(goal.status, "a partial result", goal.hex)
+        goal.result = self.check_result(result)
+        if self.durable is not None:
+            self.durable.partial_result(goal)
+
+    def _announce(self, goal: Goal, message: Message) -> None:
+        """Pass a copy of feedback to every reader."""
+        if goal.ended:  # the server was stopped before the journal had written the feedback
+            return
         goal.last_feedback = message
         if goal.is_streamed:
             log = goal.feedback
@@ -287,6 +316,8 @@ class Execution:
         """
         before = goal.status
         goal.apply(event)
+        if self.durable is not None and not goal.is_decided:
+            self.durable.moved(goal)
         if self.observers.are_any:
             self.observers.goal_changed(goal, before, goal.status)
 
@@ -298,22 +329,46 @@ class Execution:
 
     def end_unstarted(self, goal: Goal) -> None:
         """End a goal that was cancelled before its body took the first step."""
-        if not goal.ended:
+        if not goal.is_decided:
             task = goal.body
             self._end_canceled(goal)
             if isinstance(task, BodyTask):
                 self._forget(task)
 
     def end(self, goal: Goal, event: GoalEvent, result: object, reason: str = "") -> None:
-        """End a goal; does nothing if it has already ended, for example by being given up."""
-        if goal.ended:
+        """Decide how a goal ends, and announce it, with a journal as soon as it is on disk.
+
+        Does nothing if its end is decided already, for example because its body was given up. While
+        the server is suspended, only a success and a client's cancel count.
+        """
+        if goal.is_decided:
             return
+        goal.body = None
+        canceling = goal.status is GoalStatus.CANCELING
+        if self.is_suspended and not canceling and event is not GoalEvent.SUCCEED:
+            return
+        goal.is_decided = True
         if result is not None:
             goal.result = result
         elif goal.result is None:
             goal.result = self._result_type()
+        if self.durable is None:
+            self._announce_end(goal, event, reason)
+        else:
+            self.durable.end(goal, event, reason, partial(self._announce_end, goal, event, reason))
+
+    def lose(self, goal: Goal, error: TurtleactError) -> None:
+        """Tell whoever waits for a goal that its server has stopped before its end."""
+        goal.is_decided = True
+        goal.error, goal.status = error, GoalStatus.UNKNOWN
+        self._table.end(goal, self._now())
+        if goal.listener is not None:
+            goal.listener.fire()
+        self._call_back(goal)
+
+    def _announce_end(self, goal: Goal, event: GoalEvent, reason: str) -> None:
+        """End a goal for everybody who reads it."""
         goal.reason = reason
-        goal.body = None
         goal.parent = goal.on_feedback = None  # so that a chain of goals can be freed
         before = goal.status
         goal.apply(event)
@@ -323,11 +378,17 @@ class Execution:
         # must not run inside the step of the body that has just ended.
         if self.observers.are_any:
             self.observers.goal_changed(goal, before, goal.status)
+        if goal.end_callbacks:
+            self._call_back(goal)
+        if start_next is not None:
+            self._tasks.call_soon(start_next)
+        if self.durable is not None:
+            self._ended.fire()
+
+    def _call_back(self, goal: Goal) -> None:
         callbacks, goal.end_callbacks = goal.end_callbacks, ()
         for callback in callbacks:
             callback()
-        if start_next is not None:
-            self._tasks.call_soon(start_next)
 
     def _succeed(self, goal: Goal, result: object) -> None:
         if result is None or not self.served.body.is_generator:  # `_drive` has checked the others
@@ -397,6 +458,8 @@ class Execution:
             )
             task.cancel()  # once more, in case the body has swallowed the first
             self.end(goal, GoalEvent.ABORT, None, goal.reason or reason)
+        if self.durable is not None and not self.is_suspended:
+            await wait_while(lambda: self._table.active, self._ended, grace)
         if self.bodies and not self._tasks.can_let_go:
             logger.error("%s waits for its bodies: trio cannot let go of a task", self.served.name)
             await wait_while(lambda: self.bodies, self._ended, math.inf)

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import Generic, TypeVar, cast
 
-from turtleact.errors import InvalidTransition
 from turtleact.goal import Goal, GoalStatus
+from turtleact.goal_journal import Resumed
 from turtleact.interfaces import Message, stamp_of
 from turtleact.interfaces.standard import Time
 from turtleact.server.execution import Execution
@@ -64,6 +64,15 @@ class GoalHandle(Generic[G, R, F]):
         """Whether a client has asked to cancel the goal and the server has agreed."""
         return self._goal.status is GoalStatus.CANCELING
 
+    @property
+    def resumed(self) -> Resumed[R, F] | None:
+        """What an earlier process has left of this goal; None if it began in this one.
+
+        Only a server with a journal resumes goals; see ``on_restart`` of
+        `turtleact.Node.action_server`.
+        """
+        return cast("Resumed[R, F] | None", self._goal.resumed)
+
     def publish_feedback(self, feedback: F) -> None:
         """Send a copy of ``feedback``; you may change the message and send it again.
 
@@ -84,6 +93,4 @@ class GoalHandle(Generic[G, R, F]):
             TurtleactError: if this is called in another thread or event loop.
         """
         self._execution.served.home.check()
-        if self._goal.ended:
-            raise InvalidTransition(self._goal.status, "a partial result", self._goal.hex)
-        self._goal.result = self._execution.check_result(result)
+        self._execution.set_partial_result(self._goal, result)

@@ -15,8 +15,11 @@ from contextvars import copy_context
 from functools import partial
 from typing import cast
 
+import anyio
+import msgspec
+
 from turtleact.body import ServerOptions, check_options
-from turtleact.errors import GoalRejected
+from turtleact.errors import GoalRejected, ServerUnavailable
 from turtleact.goal import (
     CancelCode,
     Goal,
@@ -26,16 +29,19 @@ from turtleact.goal import (
     cancel_code,
     select,
 )
+from turtleact.goal_id import new_goal_id
+from turtleact.goal_journal import GoalRecord
 from turtleact.goal_server import GoalOrder, cancel_and_wait
 from turtleact.interfaces import Action, FeedbackFormat, Message, snapshotter, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
 from turtleact.observers import Observers
 from turtleact.server.callbacks import Callbacks
+from turtleact.server.durable import DurableGoals
 from turtleact.server.execution import CURRENT_GOAL, Execution, Served
 from turtleact.slot import Admission, Slot
 from turtleact.tasks import GRACE, Background, Signal, Tasks
 
-__all__ = ["SHUTDOWN", "LocalActionServer", "SlotRequest"]
+__all__ = ["SHUTDOWN", "LocalActionServer", "SlotRequest", "restore_all"]
 
 _ACCEPTED = GoalStatus.ACCEPTED
 _EXECUTING = GoalStatus.EXECUTING
@@ -104,6 +110,7 @@ class LocalActionServer:
         observers: Told of each change of the goals.
         slot: The slot that goals run in; None if they need none, or after the server has closed.
         grace: How long a body may clean up (s, event loop time).
+        durable: The goals in the server's journal; None if it has none.
 
     Raises:
         InvalidOption: if the value of an option is not allowed.
@@ -127,17 +134,28 @@ class LocalActionServer:
         self._now = now
         self.slot = slot
         self._callbacks = Callbacks(served.name, options, tasks)
+        self.durable = self._open_durable(options)
         self._cancels_lost = options.get("on_client_lost", "keep") == "cancel"
         self._table = GoalTable(options.get("result_timeout", 10.0))
         release = None if slot is None else self._release
         self.execution = Execution(served, self._table, tasks, now, release)
+        self.execution.durable = self.durable
         self.observers: Observers = self.execution.observers
         goal_type = cast("type[Message]", served.action_type.Goal)
         self._check_goal = cast("Callable[[object], Message]", snapshotter(goal_type, root="goal"))
         self._until_turn = IN_A_ROW
         self._preparing: Counter[object] = Counter()  # goals not decided yet, counted by sender
         self._lost: set[object] = set()  # those of these senders that have gone
+        self._accepting: dict[bytes, anyio.Event] = {}  # goals on their way to the disk, by id
         self._cancels: dict[Goal, Background] = {}  # goals whose cancel_callback has not answered
+
+    def _open_durable(self, options: ServerOptions) -> DurableGoals | None:
+        journal = options.get("journal")
+        if journal is None:
+            return None
+        on_restart, keep = options.get("on_restart", "abort"), options.get("result_timeout", 10.0)
+        action_type = cast("type[Action]", self.served.action_type)
+        return DurableGoals(journal, action_type, self.name, on_restart, keep)
 
     @property
     def is_idle(self) -> bool:
@@ -181,21 +199,79 @@ class LocalActionServer:
 
     async def take(self, order: GoalOrder, *, is_streamed: bool) -> Goal:
         """Accept a goal after asking the callback if needed; ``is_streamed`` keeps its feedback."""
+        if self.durable is not None:
+            return await self._take_durably(order, self.durable, is_streamed=is_streamed)
         goal = self.take_nowait(order, is_streamed=is_streamed)
         if goal is None:
             request = await self._prepare(order)
-            goal = self._admit(order, request, is_streamed=is_streamed)
+            goal = self._admit(self._new_goal(order, request, is_streamed=is_streamed))
         return goal
 
     def take_nowait(self, order: GoalOrder, *, is_streamed: bool) -> Goal | None:
         """Accept a goal without waiting, or do nothing and return None if that needs waiting.
 
-        It does if there is a ``goal_callback``, and after `IN_A_ROW` goals in a row.
+        It does if there is a ``goal_callback`` or a journal, and after `IN_A_ROW` goals in a row.
         """
         self._until_turn -= 1
-        if self._until_turn <= 0 or self._callbacks.ask_about_goals:
+        if self._until_turn <= 0 or self._callbacks.ask_about_goals or self.durable is not None:
             return None
-        return self._admit(order, order.request, is_streamed=is_streamed)
+        return self._admit(self._new_goal(order, order.request, is_streamed=is_streamed))
+
+    async def _take_durably(
+        self, order: GoalOrder, durable: DurableGoals, *, is_streamed: bool
+    ) -> Goal:
+        """Accept a goal once it is on disk, or join the goal that has its id already.
+
+        Cancelling: takes effect at the next wait, when the goal is held.
+        """
+        await durable.restored.wait()
+        goal_id = order.goal_id or new_goal_id()
+        while (held := self.find(goal_id)) is None and goal_id in self._accepting:
+            await self._accepting[goal_id].wait()
+        if held is not None:
+            return self._join(held, self._check_goal(order.request), is_streamed=is_streamed)
+        decided = self._accepting[goal_id] = anyio.Event()
+        try:
+            order = msgspec.structs.replace(order, goal_id=goal_id)
+            return await self._accept_durably(order, durable, is_streamed=is_streamed)
+        finally:
+            del self._accepting[goal_id]
+            decided.set()
+
+    async def _accept_durably(
+        self, order: GoalOrder, durable: DurableGoals, *, is_streamed: bool
+    ) -> Goal:
+        """Put a goal on disk and admit it; join the goal if the file has its id already."""
+        request = await self._prepare(order)
+        goal = self._new_goal(order, request, is_streamed=is_streamed)
+        status = _EXECUTING if self.slot is None else _ACCEPTED
+        known = await durable.accept(goal, status)
+        if known is not None:
+            held = self._find_known(known, durable)
+            return self._join(held, goal.request, is_streamed=is_streamed)
+        try:
+            return self._admit(goal)
+        except GoalRejected:
+            await durable.withdraw(goal)
+            raise
+
+    def _join(self, goal: Goal, request: object, *, is_streamed: bool) -> Goal:
+        """Return a goal that was sent before, if it was sent with the same request."""
+        if self.durable is None or not self.durable.is_same(goal, request):
+            raise GoalRejected(f"the id {goal.hex} belongs to another goal")
+        goal.is_streamed = goal.is_streamed or is_streamed
+        return goal
+
+    def _find_known(self, record: GoalRecord, durable: DurableGoals) -> Goal:
+        """Return the goal of a record; one whose result has expired is held once more."""
+        goal = self.find(record.id)
+        if goal is None:
+            if record.action != self.name or not record.ended:
+                raise GoalRejected(f"the id {record.id.hex()} belongs to another goal")
+            goal = durable.ended(record, self._now())
+            goal.ended = self._now()
+            self._table.hold_ended(goal)
+        return goal
 
     async def _prepare(self, order: GoalOrder) -> object:
         """Let other tasks run and ask the ``goal_callback``; return the request to admit.
@@ -223,19 +299,19 @@ class LocalActionServer:
                 del self._preparing[sender]
                 self._lost.discard(sender)
 
-    def _admit(self, order: GoalOrder, request: object, *, is_streamed: bool) -> Goal:
-        """Hold a goal, then start it or let it wait.
+    def _new_goal(self, order: GoalOrder, request: object, *, is_streamed: bool = False) -> Goal:
+        """Make a goal that starts at once, or whose state is set back when it must wait.
 
         Raises:
             InvalidGoal: if the request does not fit the action.
-            GoalRejected: if it is rejected.
+            GoalRejected: if the server is closed.
         """
         if not self.is_open:
             raise GoalRejected(f"the server of '{self.name}' is shutting down")
         on_feedback = order.on_feedback
         if on_feedback is not None:  # runs in the sender's context, not the body's
             on_feedback = partial(copy_context().run, on_feedback)  # type: ignore[call-arg]
-        goal = Goal(
+        return Goal(
             self._check_goal(request),
             self._now(),
             _EXECUTING,
@@ -246,7 +322,15 @@ class LocalActionServer:
             parent=CURRENT_GOAL.get(),
             sender=order.sender,
         )
-        # A future journal would have to record the goal here, before anybody hears of it.
+
+    def _admit(self, goal: Goal) -> Goal:
+        """Hold a goal, then start it or let it wait.
+
+        Raises:
+            GoalRejected: if it is rejected.
+        """
+        if not self.is_open:
+            raise GoalRejected(f"the server of '{self.name}' is shutting down")
         if not self._table.add(goal):
             raise GoalRejected(f"the server still holds a goal with the id {goal.hex}")
         if self.slot is None:
@@ -277,7 +361,7 @@ class LocalActionServer:
             raise GoalRejected(entry.reason)
         if self.observers.are_any:
             self.observers.goal_changed(goal, GoalStatus.UNKNOWN, _ACCEPTED)
-        if goal.ended:  # an observer has cancelled it
+        if goal.is_decided:  # an observer has cancelled it
             return
         if entry.admission is Admission.START:
             goal.body = None
@@ -307,6 +391,7 @@ class LocalActionServer:
 
     async def attach(self, goal_id: bytes) -> Goal | None:
         """Return the goal with that id, if it is held, and keep its feedback from now on."""
+        await self.wait_until_restored()
         goal = self.find(goal_id)
         if goal is not None:
             goal.is_streamed = True
@@ -361,6 +446,8 @@ class LocalActionServer:
         kept: list[Goal] = []
         for goal in select(held, wanted, stamp):
             (canceled if await self._ask_and_cancel(goal) else kept).append(goal)
+        if canceled and self.durable is not None:
+            await self.durable.written()  # a goal that was being canceled is not resumed
         asked = len(canceled) + sum(goal.status.is_active for goal in kept)
         code = cancel_code(named, by_id=by_id, asked=asked, let_go=len(canceled))
         return CancelGoal.Response(int(code), [self.info(goal) for goal in canceled])
@@ -370,6 +457,8 @@ class LocalActionServer:
         if goal.ended and self.find(self.name_goal(goal)) is not goal:
             return CancelGoal.Response(CancelCode.UNKNOWN_GOAL_ID)
         if await self._ask_and_cancel(goal):
+            if self.durable is not None:
+                await self.durable.written()
             return CancelGoal.Response(CancelCode.NONE, [self.info(goal)])
         is_kept = goal.status.is_active
         return CancelGoal.Response(CancelCode.REJECTED if is_kept else CancelCode.GOAL_TERMINATED)
@@ -402,8 +491,8 @@ class LocalActionServer:
             self._cancels.pop(goal, None)
 
     def _cancel(self, goal: Goal) -> bool:
-        """Cancel a goal; False if it has already ended."""
-        if not goal.status.is_active:
+        """Cancel a goal; False if it has already ended, or is about to."""
+        if goal.is_decided or not goal.status.is_active:
             return False
         if goal.status is not GoalStatus.CANCELING:
             self.execution.move(goal, GoalEvent.CANCEL_GOAL)
@@ -413,7 +502,8 @@ class LocalActionServer:
 
     def evict(self, goal: Goal, reason: str) -> None:
         """Cancel a goal because the server decided so, unless it is already being cancelled."""
-        if goal.status.is_active and not goal.reason and goal.status is not GoalStatus.CANCELING:
+        is_wanted = goal.status.is_active and goal.status is not GoalStatus.CANCELING
+        if is_wanted and not goal.reason and not goal.is_decided:
             goal.reason = reason
             if goal.body is not None:
                 goal.body.cancel()
@@ -427,7 +517,65 @@ class LocalActionServer:
                 if goal.sender == sender:
                     self._cancel(goal)
 
+    # after a restart
+
+    async def wait_until_restored(self) -> None:
+        """Wait until the goals of an earlier process are held again. Cancelling: safe."""
+        if self.durable is not None:
+            await self.durable.restored.wait()
+
+    def restore(self, record: GoalRecord) -> None:
+        """Hold a goal of an earlier process again, and go on with it if it has not ended."""
+        durable = self.durable
+        if durable is None or not self.is_open or self.find(record.id) is not None:
+            return
+        if record.ended:
+            self._table.hold_ended(durable.ended(record, self._now()))
+            return
+        goal = durable.unfinished(record)
+        self._table.add(goal)
+        if self.observers.are_any:
+            self.observers.goal_changed(goal, GoalStatus.UNKNOWN, _ACCEPTED)
+        if why := durable.why_not_resumed(record):
+            canceling = record.status is GoalStatus.CANCELING
+            self.execution.move(goal, GoalEvent.EXECUTE)
+            if canceling:
+                self.execution.move(goal, GoalEvent.CANCEL_GOAL)
+            event = GoalEvent.CANCELED if canceling else GoalEvent.ABORT
+            self.execution.end(goal, event, None, "" if canceling else why)
+        else:
+            durable.restart(record, partial(self._go_on, goal))
+
+    def _go_on(self, goal: Goal) -> None:
+        """Start a restored goal, or let it wait for its turn."""
+        if not self.is_open or goal.is_decided:
+            return
+        if self.slot is None:
+            self.execution.move(goal, GoalEvent.EXECUTE)
+            self.execution.start(goal)
+            return
+        try:
+            self._enter(goal, self.slot)
+        except GoalRejected as rejected:
+            self._table.add(goal)
+            self.execution.move(goal, GoalEvent.EXECUTE)
+            self.execution.end(goal, GoalEvent.ABORT, None, rejected.reason)
+
     # closing
+
+    async def _suspend(self, durable: DurableGoals) -> None:
+        """Stop the bodies; their goals go on after a restart."""
+        self.execution.is_suspended = True
+        self.slot = None
+        for goal in self._table.active:
+            if goal.status is not _ACCEPTED:  # waiting goals keep their place in the queue
+                self.evict(goal, SHUTDOWN)
+        await self.execution.wait_for_bodies(self.grace, SHUTDOWN)
+        left = [goal for goal in self._table.active if not goal.is_decided]
+        await durable.stop(left)
+        for goal in self._table.active:
+            problem = "its server was stopped; the goal goes on when the server is back"
+            self.execution.lose(goal, ServerUnavailable(self.name, problem))
 
     async def wait_until_idle(self) -> None:
         """Wait until no goal waits or runs. Cancelling: safe."""
@@ -438,12 +586,37 @@ class LocalActionServer:
 
         They end ABORTED with the reason "shutdown", and every waiter gets its answer. A body that
         ignores its cancellation for `grace` seconds is given up; see `Execution`.
+
+        With a journal and ``on_restart="resume"``, goals do not end but go on after a restart.
+        Whoever waits for one gets `ServerUnavailable`.
         """
         self.is_open = False
         self._callbacks.close()
-        for goal in self._table.active:
-            self.evict(goal, SHUTDOWN)
-        await self.execution.wait_for_bodies(self.grace, SHUTDOWN)
+        if self.durable is not None and self.durable.resumes:
+            await self._suspend(self.durable)
+        else:
+            for goal in self._table.active:
+                self.evict(goal, SHUTDOWN)
+            await self.execution.wait_for_bodies(self.grace, SHUTDOWN)
         self.slot = None  # from now on no goal gets a place
         for asking in list(self._cancels.values()):
             await asking.aclose(self.grace)
+
+
+def restore_all(servers: list[LocalActionServer]) -> None:
+    """Let servers go on with the goals that their journals hold.
+
+    Servers may share a slot. Therefore the goals of all of them come in one order: first those that
+    ran, then those that waited for their turn.
+    """
+    durable = [(server, server.durable) for server in servers if server.durable is not None]
+    found = [(record, server) for server, goals in durable for record in goals.load()]
+    for record, server in sorted(found, key=_by_turn):
+        server.restore(record)
+    for _, goals in durable:
+        goals.restored.set()
+
+
+def _by_turn(found: tuple[GoalRecord, LocalActionServer]) -> tuple[bool, int]:
+    record, _ = found
+    return record.status is not _EXECUTING, record.number

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, TypeVar, runtime
 
 import msgspec
 
-from turtleact.errors import InvalidMessage
+from turtleact.errors import InvalidMessage, TurtleactError
 
 if TYPE_CHECKING:
     from turtleact.clock import Clock
@@ -50,6 +50,7 @@ __all__ = [
     "Publication",
     "QoS",
     "Reply",
+    "Respond",
     "ServerKind",
     "Serving",
     "Source",
@@ -360,14 +361,16 @@ class AsyncHandler(Protocol):
         """Answer a request; ``caller`` is the gid of its client."""
 
 
+Respond: TypeAlias = Callable[[Reply | TurtleactError], object]
+"""Takes the answer to a request."""
+
+
 @runtime_checkable
 class SyncHandler(Protocol):
     """An `AsyncHandler` that can answer some requests without a task."""
 
-    def reply_nowait(
-        self, request: object, caller: bytes, respond: Callable[[Reply], object]
-    ) -> bool:
-        """Answer a request by calling ``respond`` once, now or later.
+    def reply_nowait(self, request: object, caller: bytes, respond: Respond) -> bool:
+        """Answer a request by calling ``respond`` once, now or later, with a reply or an error.
 
         Returns:
             Whether ``respond`` has been or will be called. If not, nothing has happened, and the

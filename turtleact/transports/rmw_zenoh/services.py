@@ -170,8 +170,11 @@ class WireService:
         finally:
             self._refuse(beside, self._closed())  # does nothing if the request was answered
 
-    def _respond(self, beside: Attachment, reply: Reply) -> None:
+    def _respond(self, beside: Attachment, reply: Reply | TurtleactError) -> None:
         """Answer a request that is under way; never raises."""
+        if isinstance(reply, TurtleactError):
+            self._refuse(beside, reply)
+            return
         try:
             payload = self._format.encode(reply.message)
         except Exception as error:

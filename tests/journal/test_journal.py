@@ -1,0 +1,335 @@
+"""The journal itself: its file, its thread, and what it does when the disk fails."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import anyio
+import pytest
+
+import turtleact
+from turtleact.errors import InvalidOption
+from turtleact.goal import GoalStatus
+from turtleact.goal_journal import GoalChange, GoalRecord
+from turtleact.journal import Journal, JournalError, open_journal, prune, read_goals
+from turtleact.journal.database import Accept, Change, Database, Withdraw
+
+from ..lab import Count, Gate, goal, result, running, settle
+
+pytestmark = pytest.mark.loops("asyncio")
+
+ID = bytes(range(16))
+NOW = 1_700_000_000_000_000_000
+"""A time (ns since the epoch)."""
+
+
+@pytest.fixture
+def path(tmp_path) -> Path:
+    return Path(tmp_path, "goals.db")
+
+
+def record(number: int = 0, accepted: int = NOW) -> GoalRecord:
+    return GoalRecord(
+        id=number.to_bytes(16),
+        action="/count",
+        type_name="lab_interfaces/action/Count",
+        type_hash="RIHS01_0",
+        request=b"request",
+        stamp=accepted,
+        accepted=accepted,
+    )
+
+
+def ended(at: int, expires: int) -> GoalChange:
+    return GoalChange(status=GoalStatus.SUCCEEDED, result=b"result", ended=at, expires=expires)
+
+
+# --- the file -----------------------------------------------------------------------------------
+
+
+def test_what_was_written_is_read_in_order(path):
+    database = Database(path)
+    changes: list[Accept | Change | Withdraw] = [
+        Accept(record(1)),
+        Accept(record(2)),
+        Change(record(1).id, GoalChange(status=GoalStatus.EXECUTING, feedback=b"1", crashes=0)),
+        Change(record(1).id, GoalChange(feedback=b"2", partial_result=b"3")),
+        Change(record(2).id, ended(NOW, NOW + 1)),
+    ]
+    database.write(changes, is_durable=True)
+    first, second = read_goals(path)  # while the database is open
+    database.close()
+    assert (first.id, first.status) == (record(1).id, GoalStatus.EXECUTING)
+    assert (first.feedback, first.feedback_count, first.partial_result) == (b"2", 2, b"3")
+    assert (second.status, second.result, second.ended) == (GoalStatus.SUCCEEDED, b"result", NOW)
+
+
+def test_a_write_that_fails_writes_nothing(path):
+    database = Database(path)
+    broken = Change(record(1).id, GoalChange(reason=object()))  # type: ignore[arg-type]
+    with pytest.raises(sqlite3.Error):
+        database.write([Accept(record(1)), broken], is_durable=True)
+    database.close()
+    assert list(read_goals(path)) == []
+
+
+def test_a_known_id_gives_the_known_goal(path):
+    database = Database(path)
+    database.write([Accept(record(1))], is_durable=True)
+    again = Accept(record(1, accepted=NOW + 5))
+    database.write([again], is_durable=True)
+    database.close()
+    assert again.known is not None
+    assert again.known.accepted == NOW
+
+
+def test_only_what_matters_is_loaded(path):
+    database = Database(path)
+    goals = [record(number) for number in range(4)]
+    lives = [None, ended(NOW, NOW + 10), ended(NOW, 0), ended(NOW, NOW + 1)]
+    database.write([Accept(each) for each in goals], is_durable=False)
+    changes = [
+        Change(each.id, life) for each, life in zip(goals, lives, strict=True) if life is not None
+    ]
+    database.write(changes, is_durable=False)
+    loaded = {each.id for each in database.load(NOW + 5)}
+    database.close()
+    assert loaded == {goals[0].id, goals[1].id, goals[2].id}
+
+
+def test_goals_are_read_by_time_and_id(path):
+    database = Database(path)
+    database.write([Accept(record(number, NOW + number)) for number in range(3)], is_durable=False)
+    database.close()
+    assert [each.accepted - NOW for each in read_goals(path, since=NOW + 1)] == [1, 2]
+    assert [each.accepted - NOW for each in read_goals(path, goal_id=record(2).id)] == [2]
+
+
+def test_pruning_deletes_what_has_ended_and_expired(path):
+    database = Database(path)
+    database.write([Accept(record(number)) for number in range(4)], is_durable=False)
+    database.write([Change(record(1).id, ended(NOW, NOW + 1))], is_durable=False)
+    database.write([Change(record(2).id, ended(NOW, 0))], is_durable=False)  # kept for ever
+    database.write([Change(record(3).id, ended(NOW + 9, NOW + 10))], is_durable=False)
+    assert prune(path, NOW + 5) == 1  # while the database is open
+    database.close()
+    assert [each.id for each in read_goals(path)] == [record(0).id, record(2).id, record(3).id]
+
+
+# --- files that cannot be used ------------------------------------------------------------------
+
+
+async def test_a_second_writer_is_told_who_writes(path):
+    async with open_journal(path):
+        with pytest.raises(JournalError, match=f"process {os.getpid()} .* writes it; one process"):
+            async with open_journal(path):
+                pass
+
+
+async def test_the_journal_of_a_killed_process_can_be_opened(path):
+    program = (
+        "import anyio, os, turtleact\n"
+        "async def main():\n"
+        f"    async with turtleact.open_journal({str(path)!r}):\n"
+        "        os._exit(9)\n"
+        "anyio.run(main)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 9
+    async with open_journal(path) as journal:
+        assert journal.load("/count") == []
+
+
+def test_a_newer_journal_is_left_alone(path):
+    Database(path).close()
+    connection = sqlite3.connect(path)
+    connection.execute("PRAGMA user_version = 7")
+    connection.close()
+    with pytest.raises(JournalError, match=r"its layout is 7, from a newer turtleact; .* update"):
+        Database(path)
+    with pytest.raises(JournalError, match="layout is 7"):
+        list(read_goals(path))
+
+
+def test_the_file_of_another_program_is_left_alone(path):
+    connection = sqlite3.connect(path)
+    connection.execute("CREATE TABLE mine (x)")
+    connection.close()
+    with pytest.raises(JournalError, match="the file of another program"):
+        Database(path)
+
+
+@pytest.mark.parametrize(
+    "damage", [b"not a database at all, but long enough to be read", b"SQLite"]
+)
+async def test_a_damaged_file_is_renamed_and_kept(path, caplog, damage):
+    path.write_bytes(damage * 20)
+    async with open_journal(path) as journal:
+        assert await journal.accept(record(1)) is None
+    (kept,) = path.parent.glob("goals.db.damaged-*")
+    assert kept.read_bytes() == damage * 20
+    assert f"is damaged; it is now {kept}" in caplog.text
+
+
+def test_a_missing_folder_is_named(tmp_path):
+    with pytest.raises(JournalError, match="there is no folder"):
+        Database(tmp_path / "none" / "goals.db")
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write everywhere")
+def test_a_read_only_folder_is_named(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(JournalError, match="check the permissions"):
+        Database(tmp_path / "goals.db")
+
+
+@pytest.mark.parametrize("content", [None, b"text" * 100])
+def test_reading_what_is_no_journal_is_an_error(path, content):
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(JournalError):
+        list(read_goals(path))
+
+
+def test_reading_an_empty_database_is_an_error(path):
+    sqlite3.connect(path).close()
+    path.touch()
+    with pytest.raises(JournalError, match="it is not a journal"):
+        list(read_goals(path))
+
+
+@pytest.mark.parametrize("count", [0, -1, True, 2.5, "3"])
+async def test_max_starts_is_a_count(path, count):
+    with pytest.raises(InvalidOption, match="'max_starts': expected a whole number from 1"):
+        async with open_journal(path, max_starts=count):
+            pass
+
+
+# --- a disk that fails --------------------------------------------------------------------------
+
+
+class Disk:
+    """Lets writes fail as on a full disk."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.is_full = False
+        write = Database.write
+
+        def refuse(database: Database, jobs: object, *, is_durable: bool) -> None:
+            if self.is_full:
+                error = sqlite3.OperationalError("database or disk is full")
+                error.sqlite_errorname = "SQLITE_FULL"
+                raise error
+            write(database, jobs, is_durable=is_durable)  # type: ignore[arg-type]
+
+        monkeypatch.setattr(Database, "write", refuse)
+        monkeypatch.setattr("turtleact.journal.writer.RETRY", 0.01)
+
+
+async def test_a_full_disk_refuses_new_goals_and_lets_running_ones_end(path, monkeypatch, caplog):
+    disk, gate = Disk(monkeypatch), Gate()
+    async with open_journal(path) as journal, turtleact.open_node("lab") as node:
+        node.action_server(Count, "count", gate.stream, journal=journal)
+        client = node.action_client(Count, "count")
+        async with client.send_goal(goal(), goal_id=ID) as handle:
+            await anext(handle)
+            disk.is_full = True
+            with pytest.raises(turtleact.GoalRejected, match="the disk is full"):
+                await client.send_goal(goal())
+            gate.opened.set()
+            await settle()
+            assert not handle.done  # its end waits for the disk
+            disk.is_full = False
+            assert await handle.result() == result(3)
+        (kept,) = read_goals(path)
+    assert (kept.id, kept.status) == (ID, GoalStatus.SUCCEEDED)
+    assert "goals go on, and it is tried again" in caplog.text
+    assert "can be written again" in caplog.text
+
+
+async def test_feedback_goes_on_though_the_disk_is_full(path, monkeypatch):
+    disk = Disk(monkeypatch)
+    async with open_journal(path) as journal:
+        await journal.accept(record(1))
+        disk.is_full = True
+        told = anyio.Event()
+        journal.progress(record(1).id, GoalChange(feedback=b"1"), told.set)
+        await told.wait()
+        disk.is_full = False
+        journal.progress(record(1).id, GoalChange(partial_result=b"2"))
+        await journal.written()
+        (kept,) = read_goals(path)
+    assert (kept.feedback, kept.partial_result) == (b"1", b"2")
+
+
+async def test_a_closing_journal_does_not_wait_for_a_full_disk_for_ever(path, monkeypatch, caplog):
+    monkeypatch.setattr("turtleact.journal.writer.CLOSING", 0.0)
+    disk = Disk(monkeypatch)
+    async with open_journal(path) as journal:
+        await journal.accept(record(1))
+        disk.is_full = True
+        journal.end(record(1).id, ended(NOW, NOW), lambda: None)
+    assert "1 changes of goals are lost" in caplog.text
+
+
+# --- closed and shared --------------------------------------------------------------------------
+
+
+async def test_a_closed_journal_takes_no_goals(path, caplog):
+    async with open_journal(path) as journal:
+        pass
+    with pytest.raises(JournalError, match="it is closed"):
+        await journal.accept(record(1))
+    told: list[str] = []
+    note: Callable[[], object] = lambda: told.append("over")  # noqa: E731
+    journal.end(record(1).id, ended(NOW, NOW), note)
+    journal.progress(record(1).id, GoalChange(feedback=b"1"), note)
+    assert told == ["over", "over"]
+    assert "a goal ends without a record" in caplog.text
+
+
+async def test_results_that_have_expired_are_forgotten_in_memory(path):
+    async with open_journal(path) as journal:
+        for number in range(3):
+            await journal.accept(record(number))
+            journal.end(record(number).id, ended(NOW, NOW + 1), lambda: None)
+        assert journal.load("/count") == []
+
+
+async def test_many_goals_at_once_share_commits(path, monkeypatch):
+    writes = list[int]()
+    write = Database.write
+
+    def note(database: Database, jobs: list[object], *, is_durable: bool) -> None:
+        writes.append(len(jobs))
+        write(database, jobs, is_durable=is_durable)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Database, "write", note)
+    async with open_journal(path) as journal, anyio.create_task_group() as senders:
+        for number in range(50):
+            senders.start_soon(journal.accept, record(number))
+    assert sum(writes) == 50
+    assert len(writes) < 25
+
+
+@pytest.mark.loops("asyncio", "trio")
+async def test_a_journal_belongs_to_its_event_loop(path):
+    async with open_journal(path) as journal:
+        with pytest.raises(turtleact.TurtleactError, match="belongs to another event loop"):
+            await anyio.to_thread.run_sync(Journal.load, journal, "/count")
+
+
+async def test_a_gate_of_two_servers_shares_a_journal(path):
+    gate = Gate()
+    async with open_journal(path) as journal, turtleact.open_node("lab") as node:
+        for name in ("one", "two"):
+            node.action_server(Count, name, gate.wait, journal=journal)
+        async with running(lambda: node.action_client(Count, "one").send_goal(goal())) as first:
+            gate.opened.set()
+            await node.action_client(Count, "two").send_goal(goal())
+            await first.done.wait()
+    assert sorted(each.action for each in read_goals(path)) == ["/one", "/two"]

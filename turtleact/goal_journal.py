@@ -1,0 +1,149 @@
+"""What an action server asks of a journal, which keeps its goals on disk, and a goal's record.
+
+A journal is not an observer. The server waits for it twice: before it accepts a goal, and before it
+announces the end of one. When the server starts, it loads the goals that an earlier process left.
+
+`turtleact.journal` implements the journal with SQLite. The server knows only this interface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Generic, Literal, Protocol, TypeAlias, TypeVar
+
+import msgspec
+
+from turtleact.goal import GoalStatus
+from turtleact.interfaces import Message
+
+__all__ = ["GoalChange", "GoalJournal", "GoalRecord", "OnRestart", "Resumed"]
+
+R = TypeVar("R", bound=Message)
+F = TypeVar("F", bound=Message)
+
+OnRestart: TypeAlias = Literal["abort", "resume"]
+"""What becomes of goals that an earlier process has left unfinished."""
+
+
+class Resumed(msgspec.Struct, Generic[R, F], frozen=True):
+    """What is left of a goal that an earlier process began.
+
+    Attributes:
+        feedback: The newest feedback in the journal; None if there was none.
+        partial_result: The partial result that the body had set before; None if there was none.
+    """
+
+    feedback: F | None = None
+    partial_result: R | None = None
+
+
+class GoalRecord(msgspec.Struct, kw_only=True):
+    """A goal as a journal keeps it. Messages are kept as CDR bytes.
+
+    Attributes:
+        id: Its 16 bytes.
+        action: The fully qualified name of its action.
+        type_name: The action's type, ``pkg/action/Name``.
+        type_hash: The hash of that type.
+        request: The goal message.
+        stamp: When the server accepted it (ns since the epoch, by the graph's clock).
+        accepted: The same by the wall clock. The graph's clock may be virtual.
+        status: Its state.
+        is_nested: Whether another goal's body has sent it.
+        sender: The gid of the client that sent it, if that is in another process.
+        number: Its place in the order of acceptance; the journal counts.
+        crashes: How often its server has crashed since its newest feedback.
+        is_stopped: Whether its server has stopped in order since its last start.
+        feedback: The newest feedback; empty if there is none.
+        feedback_count: How many feedback messages there have been.
+        partial_result: The partial result; empty if there is none.
+        result: The result; empty until the end.
+        reason: Why it was aborted.
+        ended: When it ended (ns, wall clock); 0 before.
+        expires: Until when its result can be asked for (ns, wall clock); 0 for ever.
+    """
+
+    id: bytes
+    action: str
+    type_name: str
+    type_hash: str
+    request: bytes
+    stamp: int
+    accepted: int
+    status: GoalStatus = GoalStatus.ACCEPTED
+    is_nested: bool = False
+    sender: bytes = b""
+    number: int = 0
+    crashes: int = 0
+    is_stopped: bool = False
+    feedback: bytes = b""
+    feedback_count: int = 0
+    partial_result: bytes = b""
+    result: bytes = b""
+    reason: str = ""
+    ended: int = 0
+    expires: int = 0
+
+
+class GoalChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What has changed in a goal; None where nothing has. See `GoalRecord` for the rest.
+
+    Attributes:
+        status: Its new state.
+        feedback: Its newest feedback.
+        partial_result: Its partial result.
+        is_stopped: Whether its server stops in order.
+        crashes: How often its server has crashed since its newest feedback.
+        result: Its result, when it ends.
+        reason: Why it was aborted, when it ends.
+        ended: When it ended.
+        expires: Until when its result can be asked for.
+    """
+
+    status: GoalStatus | None = None
+    feedback: bytes | None = None
+    partial_result: bytes | None = None
+    is_stopped: bool | None = None
+    crashes: int | None = None
+    result: bytes | None = None
+    reason: str | None = None
+    ended: int | None = None
+    expires: int | None = None
+
+
+class GoalJournal(Protocol):
+    """Keeps goals on disk. What is written in order is on disk in that order.
+
+    Attributes:
+        max_starts: After so many crashes of its server without feedback in between, a goal is not
+            started again; None for no limit.
+    """
+
+    max_starts: int | None
+
+    def load(self, action: str) -> list[GoalRecord]:
+        """Return the goals of an action that have not ended, or whose result can be asked for."""
+
+    async def accept(self, record: GoalRecord) -> GoalRecord | None:
+        """Put a new goal on disk; if its id is known, return the record of that goal instead.
+
+        Raises:
+            TurtleactError: if it cannot be written; its text says why.
+        """
+
+    async def withdraw(self, goal_id: bytes) -> None:
+        """Remove a goal that was not accepted after all."""
+
+    def progress(
+        self, goal_id: bytes, change: GoalChange, then: Callable[[], object] | None = None
+    ) -> None:
+        """Write a change soon, and call ``then`` when a killed process would not lose it.
+
+        If the disk cannot take it, ``then`` is called nevertheless, because the goal goes on.
+        """
+
+    def end(self, goal_id: bytes, change: GoalChange, then: Callable[[], object]) -> None:
+        """Put a goal's end on disk, and call ``then`` when it is there, however long that takes."""
+
+    async def written(self) -> None:
+        """Wait until all changes so far have been written, or have failed to be."""

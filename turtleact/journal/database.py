@@ -1,0 +1,409 @@
+"""The journal's file: one SQLite table with a row for each goal.
+
+All functions here block. The journal calls them in one thread of its own. Other processes may read
+the file at the same time, because it is in WAL mode.
+
+A commit with ``synchronous=FULL`` waits for the disk and survives a power loss. One with ``NORMAL``
+survives a killed process only, and costs a fiftieth.
+
+Source: sqlite.org, "Write-Ahead Logging" and "PRAGMA Statements".
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import sqlite3
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import msgspec
+
+from turtleact.errors import TurtleactError
+from turtleact.goal import GoalStatus
+from turtleact.goal_journal import GoalChange, GoalRecord
+
+__all__ = [
+    "Accept",
+    "Change",
+    "Database",
+    "JournalError",
+    "Withdraw",
+    "explain",
+    "prune",
+    "read_goals",
+]
+
+APPLICATION = 0x7475_7274
+"""Marks a file as a journal of turtleact ("turt"); SQLite keeps it as ``application_id``."""
+
+VERSION = 1
+"""The layout of the file; SQLite keeps it as ``user_version``."""
+
+BUSY = 5.0
+"""How long a reader or a prune waits for the writer (s)."""
+
+_COLUMNS = GoalRecord.__struct_fields__
+
+_SCHEMA = f"""
+CREATE TABLE goal (
+    number INTEGER PRIMARY KEY,
+    id BLOB NOT NULL UNIQUE,
+    action TEXT NOT NULL,
+    type_name TEXT NOT NULL,
+    type_hash TEXT NOT NULL,
+    request BLOB NOT NULL,
+    stamp INTEGER NOT NULL,
+    accepted INTEGER NOT NULL,
+    status INTEGER NOT NULL,
+    is_nested INTEGER NOT NULL,
+    sender BLOB NOT NULL,
+    crashes INTEGER NOT NULL,
+    is_stopped INTEGER NOT NULL,
+    feedback BLOB NOT NULL,
+    feedback_count INTEGER NOT NULL,
+    partial_result BLOB NOT NULL,
+    result BLOB NOT NULL,
+    reason TEXT NOT NULL,
+    ended INTEGER NOT NULL,
+    expires INTEGER NOT NULL
+);
+CREATE INDEX unfinished ON goal (number) WHERE ended = 0;
+CREATE INDEX expiry ON goal (expires) WHERE ended > 0;
+CREATE INDEX acceptance ON goal (accepted);
+CREATE TABLE holder (process INTEGER NOT NULL, host TEXT NOT NULL, command TEXT NOT NULL);
+PRAGMA application_id = {APPLICATION};
+PRAGMA user_version = {VERSION};
+"""
+
+
+class JournalError(TurtleactError):
+    """A journal cannot be opened, read or written.
+
+    Attributes:
+        path: The file.
+        problem: What is wrong, and what to do about it.
+    """
+
+    def __init__(self, path: Path, problem: str) -> None:
+        super().__init__(path, problem)
+        self.path = path
+        self.problem = problem
+
+    def __str__(self) -> str:
+        return f"journal '{self.path}': {self.problem}"
+
+
+class Accept(msgspec.Struct):
+    """A goal to write.
+
+    Attributes:
+        record: The goal; writing it sets its number.
+        known: The goal that already had its id, once this was written.
+    """
+
+    record: GoalRecord
+    known: GoalRecord | None = None
+
+
+class Change(msgspec.Struct):
+    """A change to write.
+
+    Attributes:
+        goal_id: The goal.
+        change: What changes.
+    """
+
+    goal_id: bytes
+    change: GoalChange
+
+
+class Withdraw(msgspec.Struct):
+    """A goal to remove.
+
+    Attributes:
+        goal_id: The goal.
+    """
+
+    goal_id: bytes
+
+
+class Database:
+    """The file, opened by the one process that writes it.
+
+    Args:
+        path: The file. It is created if it does not exist.
+
+    Attributes:
+        path: As given.
+        moved_to: Where a damaged file was put; None if the file was sound.
+
+    Raises:
+        JournalError: if it cannot be opened.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.moved_to: Path | None = None
+        self._lock = _lock(path)
+        try:
+            self._open()
+        except BaseException:
+            self._lock.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file, so that another process may write it."""
+        with suppress(sqlite3.Error):  # a full disk must not keep the program from ending
+            self._connection.execute("DELETE FROM holder")
+        self._connection.close()
+        self._lock.close()
+
+    # writing
+
+    def write(self, jobs: Sequence[Accept | Change | Withdraw], *, is_durable: bool) -> None:
+        """Write everything in one transaction, or nothing of it.
+
+        Args:
+            jobs: What to write, in order. Of several changes of a goal, only the sum is written.
+            is_durable: Whether to wait for the disk.
+
+        Raises:
+            sqlite3.Error: if it cannot be written.
+        """
+        execute = self._connection.execute
+        execute(f"PRAGMA synchronous = {'FULL' if is_durable else 'NORMAL'}")
+        execute("BEGIN IMMEDIATE")
+        try:
+            changes: dict[bytes, dict[str, object]] = {}
+            for job in jobs:
+                if isinstance(job, Accept):
+                    self._insert(job)
+                elif isinstance(job, Withdraw):
+                    execute("DELETE FROM goal WHERE id = ?", (job.goal_id,))
+                else:
+                    _add(changes.setdefault(job.goal_id, {}), job.change)
+            for goal_id, columns in changes.items():
+                self._update(goal_id, columns)
+            execute("COMMIT")
+        except BaseException:
+            with suppress(sqlite3.Error):  # SQLite has rolled back by itself after some errors
+                execute("ROLLBACK")
+            raise
+
+    def _insert(self, job: Accept) -> None:
+        record = job.record
+        columns = [name for name in _COLUMNS if name != "number"]
+        values = [getattr(record, name) for name in columns]
+        marks = ", ".join("?" * len(columns))
+        statement = f"INSERT OR IGNORE INTO goal ({', '.join(columns)}) VALUES ({marks})"  # noqa: S608  # our own names
+        cursor = self._connection.execute(statement, values)
+        if cursor.rowcount:
+            record.number = cursor.lastrowid or 0
+        else:
+            job.known = next(self._select("WHERE id = ?", (record.id,)))
+
+    def _update(self, goal_id: bytes, columns: dict[str, object]) -> None:
+        added = columns.pop("feedback_count", 0)
+        names = [f"{name} = ?" for name in columns] + ["feedback_count = feedback_count + ?"]
+        statement = f"UPDATE goal SET {', '.join(names)} WHERE id = ?"  # noqa: S608  # our own names
+        self._connection.execute(statement, (*columns.values(), added, goal_id))
+
+    # reading
+
+    def load(self, now: int) -> list[GoalRecord]:
+        """Return the goals that have not ended, or whose result can be asked for at ``now``."""
+        return [
+            *self._select("WHERE ended = 0 ORDER BY number"),
+            *self._select("WHERE ended > 0 AND expires = 0 ORDER BY number"),
+            *self._select("WHERE ended > 0 AND expires > ? ORDER BY number", (now,)),
+        ]
+
+    def _select(self, where: str, values: Sequence[object] = ()) -> Iterator[GoalRecord]:
+        return _select(self._connection, where, values)
+
+    # opening
+
+    def _open(self) -> None:
+        try:
+            self._connection = self._connect()
+        except sqlite3.DatabaseError as error:
+            if not _is_damaged(error):
+                raise JournalError(self.path, explain(error)) from error
+            self._set_aside()
+            self._connection = self._connect()
+
+    def _connect(self) -> sqlite3.Connection:
+        connection = sqlite3.connect(self.path, timeout=BUSY, isolation_level=None)
+        try:
+            connection.execute("PRAGMA journal_mode = WAL")
+            _check_version(self.path, connection)
+            if not _has_tables(connection):
+                connection.executescript(f"BEGIN; {_SCHEMA} COMMIT;")
+            connection.execute("DELETE FROM holder")
+            holder = (os.getpid(), socket.gethostname(), " ".join(sys.argv)[:200])
+            connection.execute("INSERT INTO holder VALUES (?, ?, ?)", holder)
+            for _ in _select(connection, "WHERE ended = 0"):
+                pass  # a damaged file fails here, and not in the middle of a run
+        except BaseException:
+            connection.close()
+            raise
+        return connection
+
+    def _set_aside(self) -> None:
+        """Rename a damaged file and what belongs to it; nothing is deleted."""
+        stamp = time.strftime("%Y%m%d-%H%M%S")
+        self.moved_to = self.path.with_name(f"{self.path.name}.damaged-{stamp}")
+        for suffix in ("", "-wal", "-shm"):
+            part = self.path.with_name(self.path.name + suffix)
+            if part.exists():
+                part.rename(f"{self.moved_to}{suffix}")
+
+
+def read_goals(path: Path, since: int = 0, goal_id: bytes | None = None) -> Iterator[GoalRecord]:
+    """Read goals from a journal, also while a server writes it.
+
+    Args:
+        path: The file.
+        since: Only goals accepted at or after this time (ns since the epoch, wall clock).
+        goal_id: Only the goal with this id.
+
+    Raises:
+        JournalError: if there is no such file, or it is not a journal.
+    """
+    with _reading(path) as connection:
+        if goal_id is not None:
+            yield from _select(connection, "WHERE id = ?", (goal_id,))
+        elif since:
+            yield from _select(connection, "WHERE accepted >= ? ORDER BY number", (since,))
+        else:
+            yield from _select(connection, "ORDER BY number")
+
+
+def prune(path: Path, before: int) -> int:
+    """Delete the goals that ended before ``before`` (ns since the epoch, wall clock).
+
+    Works while a server writes the journal. Goals whose result can still be asked for stay.
+
+    Returns:
+        How many goals were deleted.
+
+    Raises:
+        JournalError: if there is no such file, or it cannot be written.
+    """
+    with _reading(path, mode="rw") as connection:
+        gone = "ended > 0 AND ended < ? AND expires > 0 AND expires < ?"
+        statement = f"DELETE FROM goal WHERE {gone}"  # noqa: S608  # our own text
+        cursor = connection.execute(statement, (before, time.time_ns()))
+        connection.commit()
+        return cursor.rowcount
+
+
+@contextmanager
+def _reading(path: Path, mode: str = "ro") -> Iterator[sqlite3.Connection]:
+    if not path.is_file():
+        raise JournalError(path, "there is no such file")
+    connection = None
+    try:
+        connection = sqlite3.connect(
+            f"{path.absolute().as_uri()}?mode={mode}", uri=True, timeout=BUSY
+        )
+        _check_version(path, connection)
+        if not _has_tables(connection):
+            raise JournalError(path, "it is not a journal of turtleact")
+        yield connection
+    except sqlite3.Error as error:
+        raise JournalError(path, explain(error)) from error
+    finally:
+        if connection is not None:
+            connection.close()
+
+
+def _select(
+    connection: sqlite3.Connection, where: str, values: Sequence[object] = ()
+) -> Iterator[GoalRecord]:
+    statement = f"SELECT {', '.join(_COLUMNS)} FROM goal {where}"  # noqa: S608  # our own text
+    for row in connection.execute(statement, values):
+        record = GoalRecord(**dict(zip(_COLUMNS, row, strict=True)))
+        record.status = GoalStatus(record.status)
+        record.is_nested, record.is_stopped = bool(record.is_nested), bool(record.is_stopped)
+        yield record
+
+
+def _add(columns: dict[str, object], change: GoalChange) -> None:
+    """Add a change to those of the same goal that are written with it."""
+    for name in change.__struct_fields__:
+        value = getattr(change, name)
+        if value is not None:
+            columns[name] = value
+    if change.feedback is not None:
+        columns["feedback_count"] = int(str(columns.get("feedback_count", 0))) + 1
+
+
+def _lock(path: Path) -> sqlite3.Connection:
+    """Take the lock that lets one process write the journal; the system frees it with the process.
+
+    The lock is a transaction in a second, empty SQLite file, which works alike on all systems.
+    """
+    if not path.parent.is_dir():
+        raise JournalError(path, f"there is no folder '{path.parent}'")
+    connection = sqlite3.connect(
+        f"{path}-lock", timeout=0.0, isolation_level=None, check_same_thread=False
+    )
+    try:
+        connection.execute("BEGIN EXCLUSIVE")
+    except sqlite3.Error as error:
+        connection.close()
+        if "locked" in str(error):
+            raise JournalError(
+                path, f"{_holder(path)} writes it; one process can at a time"
+            ) from None
+        raise JournalError(path, explain(error)) from error
+    return connection
+
+
+def _holder(path: Path) -> str:
+    """Name the process that holds a journal."""
+    with suppress(JournalError), _reading(path) as connection:
+        for process, host, command in connection.execute("SELECT * FROM holder"):
+            where = "" if host == socket.gethostname() else f" on {host}"
+            return f"process {process}{where} ({command})"
+    return "another process"
+
+
+def _check_version(path: Path, connection: sqlite3.Connection) -> None:
+    (application,) = connection.execute("PRAGMA application_id").fetchone()
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    if application not in (0, APPLICATION) or (not application and _has_any(connection)):
+        raise JournalError(path, "it is the file of another program; choose another name")
+    if version > VERSION:
+        problem = (
+            f"its layout is {version}, from a newer turtleact; this one knows {VERSION}: update"
+        )
+        raise JournalError(path, problem)
+
+
+def _has_any(connection: sqlite3.Connection) -> bool:
+    return connection.execute("SELECT 1 FROM sqlite_master").fetchone() is not None
+
+
+def _has_tables(connection: sqlite3.Connection) -> bool:
+    names = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
+    return {"goal", "holder"} <= {name for (name,) in names}
+
+
+def _is_damaged(error: sqlite3.DatabaseError) -> bool:
+    return getattr(error, "sqlite_errorname", "").startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB"))
+
+
+def explain(error: sqlite3.Error) -> str:
+    """Say what an error means and what to do."""
+    name = getattr(error, "sqlite_errorname", "")
+    if name == "SQLITE_FULL":
+        return "the disk is full"
+    if name.startswith(("SQLITE_READONLY", "SQLITE_CANTOPEN")):
+        return "it cannot be written: check the permissions of the file and its folder"
+    return str(error)

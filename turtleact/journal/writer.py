@@ -1,0 +1,351 @@
+"""The journal that servers use: a thread that writes, and what the event loop knows of it.
+
+Everything to be written goes to one thread, in order. The thread writes all that has come meanwhile
+in one transaction. While it waits for the disk, more comes; thus a hundred goals at once cost a few
+waits and not a hundred.
+
+If the disk cannot take it, new goals are refused with the reason, running goals go on, and what
+belongs to them is kept in memory and tried again until it can be written.
+"""
+
+from __future__ import annotations
+
+import logging
+import sqlite3
+import threading
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from functools import partial
+from pathlib import Path
+
+import anyio
+import anyio.to_thread
+import msgspec
+
+from turtleact.errors import InvalidOption
+from turtleact.goal_journal import GoalChange, GoalRecord
+from turtleact.journal.database import (
+    Accept,
+    Change,
+    Database,
+    JournalError,
+    Withdraw,
+    explain,
+)
+from turtleact.tasks import Home, Tasks, current_tasks
+
+__all__ = ["Journal", "open_journal"]
+
+logger = logging.getLogger("turtleact.journal")
+
+RETRY = 1.0
+"""After a failure, what could not be written is tried again after this time (s)."""
+
+CLOSING = 5.0
+"""How long a closing journal goes on trying to write what is left (s)."""
+
+
+class _Job(msgspec.Struct, eq=False):
+    """Something to write.
+
+    Attributes:
+        work: What to write; None to learn only that all before it was written.
+        done: Called in the event loop when it is written, or, if it need not be, has failed.
+        failed: Called in the event loop with the reason instead of trying again.
+        is_durable: Whether it must survive a power loss.
+        is_told: Whether ``done`` was called although the write has failed.
+    """
+
+    work: Accept | Change | Withdraw | None
+    done: Callable[[], object] | None = None
+    failed: Callable[[sqlite3.Error], object] | None = None
+    is_durable: bool = False
+    is_told: bool = False
+
+
+class Journal:
+    """Keeps the goals of servers in a file; made by `open_journal`.
+
+    One process writes a journal at a time. Any process may read it: see `read_goals`.
+
+    Attributes:
+        path: The file.
+        max_starts: After so many crashes of its server without feedback in between, a goal is not
+            started again; None for no limit.
+    """
+
+    def __init__(self, path: Path, max_starts: int | None, tasks: Tasks) -> None:
+        self.path = path
+        self.max_starts = max_starts
+        self._tasks = tasks
+        self._home = Home(f"journal '{path}'")
+        self._held: dict[bytes, GoalRecord] = {}
+        self._expiring: deque[GoalRecord] = deque()
+        self._jobs: deque[_Job] = deque()
+        self._changed = threading.Condition()
+        self._is_closing = False
+        self._deadline = 0.0
+        self._is_failing = False
+        self._opened = anyio.Event()
+        self._ended = anyio.Event()
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._work, name=f"journal {path}", daemon=True)
+
+    # what servers ask for; see `turtleact.goal_journal.GoalJournal`
+
+    def load(self, action: str) -> list[GoalRecord]:
+        """Return the goals of an action that have not ended, or whose result can be asked for."""
+        self._home.check()
+        now = time.time_ns()
+        held = [each for each in self._held.values() if each.action == action]
+        return [each for each in held if not each.ended or not 0 < each.expires <= now]
+
+    async def accept(self, record: GoalRecord) -> GoalRecord | None:
+        """Put a new goal on disk; if its id is known, return the record of that goal instead.
+
+        Raises:
+            JournalError: if it cannot be written, or the journal is closed.
+        """
+        accept = Accept(record)
+        await self._write(accept)
+        if accept.known is not None:
+            return self._held.get(record.id, accept.known)
+        return None
+
+    async def withdraw(self, goal_id: bytes) -> None:
+        """Remove a goal that was not accepted after all."""
+        try:
+            await self._write(Withdraw(goal_id))
+        except JournalError as error:
+            logger.error("%s; the rejected goal %s stays in it", error, goal_id.hex())
+        self._held.pop(goal_id, None)
+
+    def progress(
+        self, goal_id: bytes, change: GoalChange, then: Callable[[], object] | None = None
+    ) -> None:
+        """Write a change soon, and call ``then`` when a killed process would not lose it."""
+        self._apply(goal_id, change)
+        self._put(_Job(Change(goal_id, change), then))
+
+    def end(self, goal_id: bytes, change: GoalChange, then: Callable[[], object]) -> None:
+        """Put a goal's end on disk, and call ``then`` when it is there, however long that takes."""
+        self._apply(goal_id, change)
+        record = self._held.get(goal_id)
+        if record is not None:
+            self._expiring.append(record)
+            self._forget_expired()
+        self._put(_Job(Change(goal_id, change), then, is_durable=True))
+
+    async def written(self) -> None:
+        """Wait until all changes so far have been written, or have failed to be."""
+        reached = anyio.Event()
+        self._put(_Job(None, reached.set))
+        await reached.wait()
+
+    # the event loop's side
+
+    async def open(self) -> None:
+        """Open the file.
+
+        Raises:
+            JournalError: if it cannot be opened.
+        """
+        self._thread.start()
+        with anyio.CancelScope(shield=True):
+            await self._opened.wait()
+        if self._error is not None:
+            raise self._error
+
+    async def aclose(self) -> None:
+        """Write what is left and close the file."""
+        with self._changed:
+            self._is_closing = True
+            self._deadline = time.monotonic() + CLOSING
+            self._changed.notify()
+        with anyio.CancelScope(shield=True):
+            await self._ended.wait()
+
+    async def _write(self, work: Accept | Withdraw) -> None:
+        """Put something on disk and wait until it is there.
+
+        Raises:
+            JournalError: if it cannot be written, or the journal is closed.
+        """
+        over = anyio.Event()
+        errors = list[sqlite3.Error]()
+
+        def fail(error: sqlite3.Error) -> None:
+            errors.append(error)
+            over.set()
+
+        done = over.set
+        if isinstance(work, Accept):
+            done = partial(self._accepted, work, over)
+        if not self._put(_Job(work, done, fail, is_durable=True)):
+            raise JournalError(self.path, "it is closed")
+        await over.wait()
+        if errors:
+            raise JournalError(self.path, explain(errors[0]))
+
+    def _accepted(self, accept: Accept, over: anyio.Event) -> None:
+        if accept.known is None:
+            self._held[accept.record.id] = accept.record
+        over.set()
+
+    def _apply(self, goal_id: bytes, change: GoalChange) -> None:
+        """Bring the record in memory up to date."""
+        record = self._held.get(goal_id)
+        if record is None:
+            return
+        for name in change.__struct_fields__:
+            value = getattr(change, name)
+            if value is not None:
+                setattr(record, name, value)
+        if change.feedback is not None:
+            record.feedback_count += 1
+
+    def _forget_expired(self) -> None:
+        """Forget ended goals, of which the file has a copy, when their time is over."""
+        now = time.time_ns()
+        while self._expiring and 0 < self._expiring[0].expires <= now:
+            record = self._expiring.popleft()
+            if self._held.get(record.id) is record:
+                del self._held[record.id]
+
+    def _put(self, job: _Job) -> bool:
+        """Give the thread something to do; False if the journal is closed."""
+        with self._changed:
+            if self._is_closing:
+                is_open = False
+            else:
+                self._jobs.append(job)
+                self._changed.notify()
+                is_open = True
+        if not is_open and job.done is not None and job.failed is None:
+            if job.is_durable:
+                problem = "%s is closed: a goal ends without a record; close its server first"
+                logger.error(problem, self.path)
+            job.done()
+        return is_open
+
+    def _hold(self, records: list[GoalRecord]) -> None:
+        self._held = {record.id: record for record in records}
+        ended = (record for record in records if record.ended)
+        self._expiring = deque(sorted(ended, key=_by_expiry))
+
+    # the thread's side
+
+    def _work(self) -> None:
+        try:
+            database = Database(self.path)
+            try:
+                self._hold(database.load(time.time_ns()))
+            except BaseException:
+                database.close()
+                raise
+        except BaseException as error:
+            self._error = error
+            self._tasks.from_anywhere(self._opened.set)
+            return
+        if database.moved_to is not None:
+            problem = "%s is damaged; it is now %s, and a new journal was begun"
+            logger.error(problem, self.path, database.moved_to)
+        self._tasks.from_anywhere(self._opened.set)
+        try:
+            while jobs := self._next():
+                self._serve(database, jobs)
+        finally:
+            database.close()
+            self._tasks.from_anywhere(self._ended.set)
+
+    def _next(self) -> list[_Job]:
+        """Take all that has come; nothing when the journal is closed and all is written."""
+        with self._changed:
+            if self._is_failing and not self._is_closing:
+                self._changed.wait(RETRY)
+            while not self._jobs and not self._is_closing:
+                self._changed.wait()
+            jobs = list(self._jobs)
+            self._jobs.clear()
+        if jobs and self._is_closing and self._is_failing:
+            if time.monotonic() > self._deadline:
+                logger.error("%s: %d changes of goals are lost", self.path, len(jobs))
+                return []
+            time.sleep(RETRY / 10)
+        return jobs
+
+    def _serve(self, database: Database, jobs: list[_Job]) -> None:
+        """Write jobs together and report to the event loop."""
+        work = [job.work for job in jobs if job.work is not None]
+        try:
+            if work:
+                database.write(work, is_durable=any(job.is_durable for job in jobs))
+        except sqlite3.Error as error:
+            self._fail(jobs, error)
+            return
+        if self._is_failing:
+            self._is_failing = False
+            logger.warning("%s can be written again", self.path)
+        done = [job.done for job in jobs if job.done is not None and not job.is_told]
+        if done:
+            self._tasks.from_anywhere(partial(_call_all, done))
+
+    def _fail(self, jobs: list[_Job], error: sqlite3.Error) -> None:
+        """Refuse what can be refused, and keep the rest to try again."""
+        if not self._is_failing:
+            self._is_failing = True
+            problem = "%s cannot be written: %s; goals go on, and it is tried again"
+            logger.error(problem, self.path, explain(error))
+        calls = list[Callable[[], object]]()
+        kept = list[_Job]()
+        for job in jobs:
+            if job.failed is not None:
+                calls.append(partial(job.failed, error))
+                continue
+            if not (job.is_durable or job.is_told) and job.done is not None:
+                calls.append(job.done)
+                job.is_told = True
+            if job.work is not None:
+                kept.append(job)
+        with self._changed:
+            self._jobs.extendleft(reversed(kept))
+        if calls:
+            self._tasks.from_anywhere(partial(_call_all, calls))
+
+
+def _call_all(calls: list[Callable[[], object]]) -> None:
+    for call in calls:
+        call()
+
+
+def _by_expiry(record: GoalRecord) -> tuple[bool, int]:
+    return not record.expires, record.expires
+
+
+@asynccontextmanager
+async def open_journal(path: str | Path, *, max_starts: int | None = 3) -> AsyncIterator[Journal]:
+    """Open a journal for the length of a block; servers of several nodes may share it.
+
+    Close the servers before the journal, as the order of ``async with`` does.
+
+    Args:
+        path: The file; it is created if it does not exist. SQLite keeps two files beside it.
+        max_starts: A goal whose server has crashed so often since its newest feedback ends ABORTED
+            instead of being started again; None for no limit.
+
+    Raises:
+        InvalidOption: if ``max_starts`` is not a whole number from 1 up, or None.
+        JournalError: if the file cannot be opened, for example because another process writes it.
+    """
+    is_count = isinstance(max_starts, int) and not isinstance(max_starts, bool) and max_starts > 0
+    if max_starts is not None and not is_count:
+        problem = f"expected a whole number from 1, or None for no limit, not {max_starts!r}"
+        raise InvalidOption("max_starts", problem)
+    journal = Journal(Path(path), max_starts, current_tasks())
+    await journal.open()
+    try:
+        yield journal
+    finally:
+        await journal.aclose()

@@ -1,0 +1,221 @@
+"""An action server's goals in a journal: recording them, and going on with them after a restart.
+
+The journal decides when others hear of something. A goal is accepted when it is on disk, feedback
+is published when it has been written, and an end is announced when it is on disk. All of these pass
+through the journal in order.
+
+Sources: Temporal's activity heartbeats, whose details a retry gets back; DBOS for workflow ids that
+make a call idempotent.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import cast
+
+import anyio
+
+from turtleact.errors import GoalRejected, InvalidMessage, TurtleactError
+from turtleact.goal import Goal, GoalEvent, GoalStatus
+from turtleact.goal_journal import GoalChange, GoalJournal, GoalRecord, OnRestart, Resumed
+from turtleact.interfaces import Action, Message, WireFormat, type_hash
+from turtleact.summaries import encodable
+
+__all__ = ["DurableGoals"]
+
+_STATUS_AFTER = {
+    GoalEvent.SUCCEED: GoalStatus.SUCCEEDED,
+    GoalEvent.ABORT: GoalStatus.ABORTED,
+    GoalEvent.CANCELED: GoalStatus.CANCELED,
+}
+
+
+class DurableGoals:
+    """The goals of one server, as its journal keeps them.
+
+    Args:
+        journal: The journal.
+        action_type: The action.
+        name: The fully qualified name of the action.
+        on_restart: What becomes of goals that an earlier process has left unfinished.
+        result_timeout: How long results can be asked for (s); None for ever.
+
+    Attributes:
+        resumes: Whether unfinished goals go on after a restart.
+        restored: Set when the goals of the earlier process are held again.
+    """
+
+    def __init__(
+        self,
+        journal: GoalJournal,
+        action_type: type[Action],
+        name: str,
+        on_restart: OnRestart,
+        result_timeout: float | None,
+    ) -> None:
+        self.resumes = on_restart == "resume"
+        self.restored = anyio.Event()
+        self._journal = journal
+        self._action_type = action_type
+        self._type_hash = type_hash(action_type)
+        self._name = name
+        self._keep_ns = None if result_timeout is None else round(result_timeout * 1e9)
+        self._goals = WireFormat(action_type.Goal)
+        self._feedback = WireFormat(action_type.Feedback)
+        self._results = WireFormat(action_type.Result)
+
+    # accepting
+
+    async def accept(self, goal: Goal, status: GoalStatus) -> GoalRecord | None:
+        """Put a new goal on disk; if its id is known, return the record of that goal instead.
+
+        Its status is EXECUTING if it starts at once, and ACCEPTED if it may have to wait.
+
+        Cancelling: takes effect only after this.
+
+        Raises:
+            GoalRejected: if the journal cannot take it.
+        """
+        sender = goal.sender if isinstance(goal.sender, bytes) else b""
+        record = GoalRecord(
+            id=self._id(goal),
+            action=self._name,
+            type_name=self._action_type.type_name,
+            type_hash=self._type_hash,
+            request=self._goals.encode(goal.request),
+            stamp=goal.stamp,
+            accepted=time.time_ns(),
+            status=status,
+            is_nested=goal.parent is not None,
+            sender=sender,
+        )
+        try:
+            with anyio.CancelScope(shield=True):
+                known = await self._journal.accept(record)
+        except TurtleactError as error:
+            raise GoalRejected(f"the journal cannot take it: {error}") from error
+        return known
+
+    async def withdraw(self, goal: Goal) -> None:
+        """Remove a goal that was rejected after all."""
+        with anyio.CancelScope(shield=True):
+            await self._journal.withdraw(self._id(goal))
+
+    def is_same(self, goal: Goal, request: object) -> bool:
+        """Whether a goal was sent with this request."""
+        known = goal.request
+        return known is not None and self._goals.encode(known) == self._goals.encode(request)
+
+    # while it runs
+
+    def moved(self, goal: Goal) -> None:
+        """Record a goal's new state."""
+        self._journal.progress(self._id(goal), GoalChange(status=goal.status))
+
+    def feedback(self, goal: Goal, message: Message, publish: Callable[[], object]) -> None:
+        """Record feedback, and publish it when it is written."""
+        change = GoalChange(feedback=self._feedback.encode(message), crashes=0)
+        self._journal.progress(self._id(goal), change, publish)
+
+    def partial_result(self, goal: Goal) -> None:
+        """Record a goal's partial result."""
+        change = GoalChange(partial_result=self._results.encode(goal.result))
+        self._journal.progress(self._id(goal), change)
+
+    async def written(self) -> None:
+        """Wait until everything so far is written."""
+        await self._journal.written()
+
+    def end(
+        self, goal: Goal, event: GoalEvent, reason: str, announce: Callable[[], object]
+    ) -> None:
+        """Record a goal's end, and announce it when it is on disk."""
+        now = time.time_ns()
+        change = GoalChange(
+            status=_STATUS_AFTER[event],
+            result=self._results.encode(goal.result),
+            reason=encodable(reason),
+            ended=now,
+            expires=0 if self._keep_ns is None else now + self._keep_ns,
+        )
+        self._journal.end(self._id(goal), change, announce)
+
+    async def stop(self, goals: list[Goal]) -> None:
+        """Record that the server stops in order before these goals have ended."""
+        for goal in goals:
+            self._journal.progress(self._id(goal), GoalChange(is_stopped=True))
+        with anyio.CancelScope(shield=True):
+            await self._journal.written()
+
+    # after a restart
+
+    def load(self) -> list[GoalRecord]:
+        """Return what the journal holds of this action."""
+        return self._journal.load(self._name)
+
+    def ended(self, record: GoalRecord, now: int) -> Goal:
+        """Make the goal of a record that has ended; ``now`` is the graph's time (ns)."""
+        # The graph's clock may be virtual and start anew, so the wall clock tells how long ago the
+        # goal ended. That clock may have been set back.
+        ago = max(0, time.time_ns() - record.ended)
+        goal = self._goal(record)
+        goal.result = self._decode(self._results, record, record.result)
+        if goal.result is None:
+            goal.result = self._action_type.Result()
+        goal.status, goal.reason = record.status, record.reason
+        goal.ended, goal.is_decided = max(1, now - ago), True
+        return goal
+
+    def unfinished(self, record: GoalRecord) -> Goal:
+        """Make the goal of a record that has not ended, as it was when its server went away."""
+        goal = self._goal(record)
+        feedback = self._decode(self._feedback, record, record.feedback)
+        partial_result = self._decode(self._results, record, record.partial_result)
+        goal.resumed = Resumed(feedback, partial_result)
+        goal.last_feedback, goal.result = feedback, partial_result
+        return goal
+
+    def why_not_resumed(self, record: GoalRecord) -> str:
+        """Say why an unfinished goal cannot go on; empty if it can."""
+        limit, crashes = self._journal.max_starts, self._crashes(record)
+        if record.status is GoalStatus.CANCELING:
+            return "it was being canceled"
+        if record.type_hash != self._type_hash:
+            return f"the type {record.type_name} has changed since the goal was accepted"
+        if record.is_nested:
+            return "its parent starts it again"
+        if not self.resumes:
+            return "its server was restarted"
+        if limit is not None and crashes >= limit:
+            return f"its server has crashed {crashes} times since its newest feedback"
+        return ""
+
+    def restart(self, record: GoalRecord, start: Callable[[], object]) -> None:
+        """Record that a goal starts again, then start it.
+
+        The record is written first, so that a goal that kills its process is counted.
+        """
+        change = GoalChange(crashes=self._crashes(record), is_stopped=False)
+        self._journal.progress(record.id, change, start)
+
+    def _crashes(self, record: GoalRecord) -> int:
+        has_crashed = record.status is GoalStatus.EXECUTING and not record.is_stopped
+        return record.crashes + has_crashed
+
+    def _goal(self, record: GoalRecord) -> Goal:
+        request = self._decode(self._goals, record, record.request)
+        return Goal(request, record.stamp, id=record.id, sender=record.sender or None)
+
+    def _decode(self, format: WireFormat, record: GoalRecord, data: bytes) -> Message | None:
+        """Decode a recorded message; None if there is none, or if its type has changed."""
+        if not data or record.type_hash != self._type_hash:
+            return None
+        try:
+            return format.decode(data)
+        except InvalidMessage:  # the file was changed by something else
+            return None
+
+    @staticmethod
+    def _id(goal: Goal) -> bytes:
+        return cast("bytes", goal.id)  # every goal of a server with a journal has one
