@@ -23,7 +23,9 @@ IN_WHEEL = (
     "turtleact/__init__.py",
     "turtleact/py.typed",
     "turtleact/interfaces/standard/example_interfaces/action/Fibonacci.action",
-    "turtleact/web/page.html",
+    "turtleact/web/page/page.html",
+    "turtleact/web/page/page.css",
+    "turtleact/web/page/main.js",
 )
 IN_SDIST = ("LICENSE", "README.md", "pyproject.toml", "scripts/check_dist.py", "tests/conftest.py")
 

@@ -136,10 +136,25 @@ async def test_the_page_is_served():
         assert answer.text.startswith("<!doctype html>")
 
 
-async def test_the_icon_is_served():
+@pytest.mark.parametrize(
+    ("path", "media_type"),
+    [
+        ("/favicon.ico", "image/svg+xml"),
+        ("/page.css", "text/css; charset=utf-8"),
+        ("/main.js", "text/javascript; charset=utf-8"),
+    ],
+)
+async def test_the_files_of_the_page_need_no_token(path, media_type):
     async with bridged(token="secret") as (_, bridge), browser(bridge) as http:
-        answer = await http.get("/favicon.ico")
-        assert (answer.status_code, answer.headers["content-type"]) == (200, "image/svg+xml")
+        answer = await http.get(path)
+        assert (answer.status_code, answer.headers["content-type"]) == (200, media_type)
+
+
+async def test_the_page_runs_no_script_but_its_own_files():
+    async with bridged() as (_, bridge), browser(bridge) as http:
+        policy = (await http.get("/")).headers["content-security-policy"]
+        assert "script-src 'self'; style-src 'self';" in policy
+        assert "unsafe" not in policy
 
 
 @pytest.mark.parametrize(

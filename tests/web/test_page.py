@@ -1,158 +1,69 @@
-"""The page in a real browser, where there is one: driven over its DevTools protocol, no more."""
+"""The page in a real browser. All tests share one browser; each opens a page or two."""
 
 from __future__ import annotations
 
-import json
-import os
 import re
-import shutil
-import signal
-import subprocess
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from html.parser import HTMLParser
 from importlib import resources
-from pathlib import Path
 from typing import Any
 
-import anyio
 import pytest
-from websockets.asyncio.client import ClientConnection, connect
 
 import turtleact
+from turtleact import GoalResponse, Reject
 from turtleact.actions.patrol import Patrol
 from turtleact.app import open_world
-from turtleact.interfaces.standard import Twist
+from turtleact.interfaces import load_action, load_message
+from turtleact.interfaces.standard import Point, Twist
 from turtleact.web import open_web
+from turtleact.web.bridge import FILES
 
 from ..lab import Count, Gate, goal
+from .browser import CHROMIUM, Tab, open_tab, running_browser
 
-CHROMIUM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), ""
-)
-PAGE = resources.files("turtleact.web").joinpath("page.html").read_text("utf-8")
+FOLDER = resources.files("turtleact.web").joinpath("page")
+SOURCES = {each.name: each.read_text("utf-8") for each in FOLDER.iterdir()}
+PALETTES = re.findall(r":root \{(.*?)\}", SOURCES["page.css"], re.DOTALL)
+
 in_a_browser = pytest.mark.skipif(not CHROMIUM, reason="no Chromium is installed")
 on_asyncio = pytest.mark.parametrize(
     "anyio_backend", [pytest.param(("asyncio", {"use_uvloop": False}), id="asyncio")]
 )
-OPTIONS = [
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-dev-shm-usage",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--remote-debugging-port=0",
-]
 
 
-class Tab:
-    """A page of the browser."""
-
-    def __init__(self, devtools: ClientConnection) -> None:
-        self._devtools = devtools
-        self._count = 0
-        self.complaints: list[str] = []
-
-    async def do(self, method: str, **params: object) -> Any:
-        self._count += 1
-        asked = {"id": self._count, "method": method, "params": params}
-        await self._devtools.send(json.dumps(asked))
-        heard = await self._hear(lambda message: message.get("id") == asked["id"])
-        assert "error" not in heard, heard
-        return heard["result"]
-
-    async def go(self, url: str) -> None:
-        """Load a page."""
-        await self.do("Page.navigate", url=url)
-        await self._hear(lambda message: message.get("method") == "Page.loadEventFired")
-
-    async def _hear(self, is_wanted: Callable[[dict[str, Any]], bool]) -> Any:
-        """The next message of that sort; what the page complains of before it is noted."""
-        while True:
-            heard = json.loads(await self._devtools.recv())
-            if is_wanted(heard):
-                return heard
-            if heard.get("method") in ("Runtime.exceptionThrown", "Log.entryAdded"):
-                self.complaints.append(json.dumps(heard["params"]))
-
-    async def run(self, script: str) -> Any:
-        """What a script gives, once it is there."""
-        answer = await self.do(
-            "Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True
-        )
-        assert "exceptionDetails" not in answer, answer
-        return answer["result"].get("value")
-
-    async def until(self, condition: str) -> None:
-        """Wait until a condition holds; it is looked at in each frame."""
-        await self.run(
-            "new Promise(done => { const look = () => "
-            f"({condition}) ? done() : requestAnimationFrame(look); look(); }})"
-        )
-
-    async def press(self, key: str, kind: str) -> None:
-        await self.do("Input.dispatchKeyEvent", type=kind, key=key, code=key)
-
-    async def hit(self, key: str) -> None:
-        """Press a key and let it go, with what the browser itself does about it."""
-        number, text = {"Tab": (9, ""), "Enter": (13, "\r"), " ": (32, " ")}[key]
-        pressed = {"key": key, "code": key, "windowsVirtualKeyCode": number}
-        await self.do("Input.dispatchKeyEvent", type="keyDown", text=text, **pressed)
-        await self.do("Input.dispatchKeyEvent", type="keyUp", **pressed)
+@pytest.fixture(scope="module")
+def devtools(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of the browser that all tests share."""
+    with running_browser(tmp_path_factory.mktemp("browser")) as address:
+        yield address
 
 
 @asynccontextmanager
-async def tab(url: str, folder: Path) -> AsyncIterator[Tab]:
-    """A browser with one page, for the length of a block."""
-    async with await anyio.open_process(
-        [CHROMIUM, *OPTIONS, f"--user-data-dir={folder}", "about:blank"],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        start_new_session=True,
-    ) as process:
-        try:
-            assert process.stderr is not None
-            said = b""
-            while not (found := re.search(rb"ws://([^/\s]+)/devtools/browser\S+\n", said)):
-                said += await process.stderr.receive()
-            place = found[1].decode()
-            async with connect(found[0].decode().strip(), max_size=None) as browser:
-                await browser.send(json.dumps({"id": 1, "method": "Target.getTargets"}))
-                targets = json.loads(await browser.recv())["result"]["targetInfos"]
-                (page,) = [each for each in targets if each["type"] == "page"]
-            devtools = f"ws://{place}/devtools/page/{page['targetId']}"
-            async with connect(devtools, max_size=None) as connection:
-                opened = Tab(connection)
-                await opened.do("Runtime.enable")
-                await opened.do("Log.enable")
-                await opened.do("Page.enable")
-                await opened.go(url)
-                yield opened
-        finally:
-            os.killpg(process.pid, signal.SIGKILL)
+async def connected(devtools: str, url: str) -> AsyncIterator[Tab]:
+    """A page that is connected."""
+    async with open_tab(devtools, url) as page:
+        await page.until("$('line').textContent === 'connected'")
+        yield page
 
 
 @in_a_browser
 @on_asyncio
-async def test_the_page_drives_patrols_and_cancels(tmp_path):
+async def test_the_page_drives_patrols_and_cancels(devtools):
     async with (
         open_world() as node,
         open_web(node, port=0) as web,
-        tab(web.url, tmp_path) as page,
+        connected(devtools, web.url) as page,
     ):
-        await page.until("$('line').textContent === 'connected'")
-        await page.until("turtles.get('turtle1')?.pose")
-
         # what is on the graph can be asked for
-        await page.run("look()")
-        assert not await page.run("$('do-spawn').disabled")
-        await page.run("$('do-spawn').click()")
-        await page.until("turtles.get('turtle2')?.pose")
+        await page.until("!$('spawn-here').disabled")
+        await page.click("#spawn-here")
+        await page.until("$('turtle').options.length === 2")
 
         # driving with the keyboard
         commands = node.subscription(Twist, "/turtle1/cmd_vel")
-        await page.run("canvas.focus()")
+        await page.run("$('world').focus()")
         await page.press("ArrowUp", "keyDown")
         assert (await anext(commands)).linear.x == 2.0
         await page.press("ArrowUp", "keyUp")
@@ -160,110 +71,292 @@ async def test_the_page_drives_patrols_and_cancels(tmp_path):
             if twist == Twist():
                 break
 
-        # a click adds a target, so does the form; a patrol goes there and is canceled
-        await page.run(
-            "const box = canvas.getBoundingClientRect();"
-            "for (const kind of ['pointerdown', 'pointerup']) canvas.dispatchEvent("
-            "new PointerEvent(kind, {pointerId: 1, clientX: box.left + box.width / 2,"
-            " clientY: box.top + box.height / 4}))"
-        )
-        await page.run("$('add').requestSubmit()")
-        assert await page.run("targets.length") == 2
-        client = node.action_client(Patrol, "/patrol")
-        await page.run("$('send').click()")
-        await page.until("[...goals.values()].some(goal => goal.feedback)")
-        assert await page.run("document.querySelector('#goals strong').textContent") == (
-            "/patrol executing"
-        )
-        await page.run("document.querySelector('#goals button').click()")
-        await page.until("[...goals.values()].some(goal => goal.state === 5)")
-        await client.aclose()
+        # clicks on the map pick targets for the chosen turtle, and a patrol goes there
+        await page.until("$('action').value === '/patrol' && $('fields').children.length")
+        await page.click_map(9.0, 1.0)
+        await page.click_map(1.0, 10.0)
+        await page.until("$('draft-text').textContent.startsWith('2')")
+        assert await page.text("#draft-text") == "2 places for turtle1 · /patrol"
+        await page.click("#draft-send")
+        await page.until("document.querySelector('#active progress, #active .track:not([hidden])')")
+        shown = await page.text("#active article")
+        assert "/patrol" in shown
+        assert "0 of 2" in shown or "1 of 2" in shown
+        assert re.search(r"distance remaining\s+[\d.]+ m", shown)
+        assert await page.run("$('draft-send').hidden")
+
+        # it is canceled, and stays in the history
+        await page.click("#active .foot button")
+        await page.until("document.querySelector('#ended .pill')?.textContent === 'canceled'")
+        assert await page.run("$('active').children.length") == 0
         assert page.complaints == []
 
 
-@in_a_browser
-@on_asyncio
-async def test_the_page_connects_again_by_itself_and_says_so(tmp_path):
-    async with open_world() as node, AsyncExitStack() as stack:
-        async with open_web(node, port=0) as web:
-            page = await stack.enter_async_context(tab(web.url, tmp_path))
-            await page.until("$('line').textContent === 'connected'")
-            await page.run("ros.wait = 1")
-        await page.until("/^not connected, trying again in/.test($('line').textContent)")
-        async with open_web(node, port=web.port):
-            await page.until("$('line').textContent === 'connected'")
-            await page.run("turtles.forEach(turtle => turtle.pose = null)")
-            await page.until("turtles.get('turtle1')?.pose")
+IS_DRAWN = """(() => {
+    const {width, height} = $('world');
+    const {data} = $('world').getContext('2d').getImageData(0, 0, width, height);
+    const isNear = (value, wanted) => Math.abs(value - wanted) < 4;
+    for (let i = 0; i < data.length; i += 4)
+      if (isNear(data[i], 179) && isNear(data[i + 1], 184) && data[i + 3] > 250) return true;
+    return false;
+})()"""  # whether the map shows the colour of the first pen
 
 
 @in_a_browser
 @on_asyncio
-async def test_a_patrol_is_sent_with_the_keyboard_alone(tmp_path):
-    async with (
-        open_world() as node,
-        open_web(node, port=0) as web,
-        tab(web.url, tmp_path) as page,
-    ):
-        await page.until("actions.has('/patrol')")
-        tabs = 0
-        while await page.run("document.activeElement.id") != "x":
-            await page.hit("Tab")
-            tabs += 1
-        assert tabs == 5  # the world, its three buttons, and here
-        for _ in range(3):
-            await page.hit("Enter")
-        await page.run("$('targets').querySelectorAll('button')[1].focus()")
-        await page.hit(" ")
-        assert await page.run("document.activeElement.ariaLabel") == "Remove target 2"
-        await page.hit("Enter")
-        assert await page.run("document.activeElement.ariaLabel") == "Remove target 1"
-        await page.hit("Tab")
-        assert await page.run("document.activeElement.id") == "send"
-        await page.hit("Enter")
-        await page.until("[...goals.values()].some(goal => goal.state === 2)")
-        assert page.complaints == []
+async def test_goals_and_trails_survive_a_reload_and_appear_in_another_browser(devtools):
+    async with open_world(speed=20) as node, open_web(node, port=0) as web:
+        async with connected(devtools, web.url) as page:
+            await page.until("$('turtle').options.length")
+            client = node.action_client(Patrol, "/patrol")
+            await client.send_goal(Patrol.Goal(targets=[Point(x=9.0, y=9.0), Point(x=2.0, y=2.0)]))
+            await page.until("document.querySelector('#ended .pill')?.textContent === 'succeeded'")
+            await page.do("Page.reload")
+            await page.until("document.querySelector('#ended .pill')?.textContent === 'succeeded'")
+            await page.until(IS_DRAWN)
+        async with connected(devtools, web.url) as another:
+            await another.until("document.querySelector('#ended summary')")
+            await another.until(IS_DRAWN)
+            await another.click("#ended summary")
+            await another.until("document.querySelector('#ended dl')")
+            opened = await another.text("#ended details")
+            assert re.search(r"reached\s+2\b", opened)
+            assert re.search(r"targets\s+9, 9; 2, 2", opened)
 
 
 @in_a_browser
 @on_asyncio
-async def test_a_goal_that_the_page_has_lost_sight_of_is_unknown_until_it_is_seen_again(tmp_path):
+async def test_the_page_connects_again_by_itself_and_says_so(devtools):
     gate = Gate()
     async with turtleact.open_node("lab") as node, AsyncExitStack() as stack:
-        node.action_server(Count, "count", gate.wait)
+        node.action_server(Count, "count", gate.stream)
         async with open_web(node, port=0) as web:
-            page = await stack.enter_async_context(tab(web.url, tmp_path))
-            await page.until("actions.has('/count')")
+            page = await stack.enter_async_context(connected(devtools, web.url))
+            await page.until("$('action').value === '/count'")
             handle = await stack.enter_async_context(
                 node.action_client(Count, "count").send_goal(goal())
             )
-            await page.until("[...goals.values()].some(goal => goal.state === 2)")
-            await page.run("ros.wait = 1")
-        title = "document.querySelector('#goals strong').textContent"
-        await page.until(f"{title} === '/count unknown'")
-        assert await page.run("document.querySelector('#goals button').disabled")
+            await page.until("document.querySelector('#active .pill')?.textContent === 'executing'")
+        await page.until("/^not connected, trying again in/.test($('line').textContent)")
+        assert await page.run("$('do-send').disabled")
         async with open_web(node, port=web.port):
-            await page.until(f"{title} === '/count executing'")
-            await page.run("document.querySelector('#goals button').click()")
+            await page.until("$('line').textContent === 'connected'")
+            await page.until("document.querySelector('#active .pill')?.textContent === 'executing'")
+            await page.click("#active .foot button")
             assert (await handle.outcome()).status.name == "CANCELED"
 
 
-class Names(HTMLParser):
-    """The elements of the page that one can act on, and what names them."""
+@in_a_browser
+@on_asyncio
+async def test_a_patrol_is_sent_with_the_keyboard_alone(devtools):
+    async with (
+        open_world() as node,
+        open_web(node, port=0) as web,
+        connected(devtools, web.url) as page,
+    ):
+        await page.until("$('action').value === '/patrol' && $('fields').children.length")
+        order: list[str] = []
+        while not order or order[-1] != "tab-goals":
+            await page.hit("Tab")
+            order.append(
+                await page.run("document.activeElement.id || document.activeElement.ariaLabel")
+            )
+        assert order == [
+            *("pause", "world", "nearer", "farther", "turtle"),
+            *("Forward", "Turn left", "Backward", "Turn right"),
+            *("spawn-here", "clear", "tab-goals"),
+        ]
+        await page.hit("ArrowRight")
+        assert await page.run("document.activeElement.id") == "tab-send"
+        await page.hit("Tab")
+        assert await page.run("document.activeElement.id") == "action"
+        await page.hit("Tab")
+        assert await page.run("document.activeElement.innerText") == "Add to targets"
+        await page.hit("Enter")
+        await page.run("document.activeElement.select()")
+        for key in "9":
+            await page.do("Input.insertText", text=key)
+        await page.hit("Enter")  # a form is sent with Enter
+        await page.until("document.querySelector('#active .pill')?.textContent === 'executing'")
+        assert await page.run("document.activeElement.id") == "tab-goals"
+        assert page.complaints == []
+
+
+INNER = "float64 x 1.5 # where to [m]\nstring<=3 tag"
+DEEP = """\
+lab_page/Inner[<=2] many
+lab_page/Inner[2] two
+int64 large
+bool sure true
+string label
+---
+string said
+---
+string said
+"""
+
+
+@in_a_browser
+@on_asyncio
+async def test_any_action_is_sent_from_a_form_made_from_its_type(devtools):
+    load_message(INNER, type_name="lab_page/msg/Inner")
+    deep: Any = load_action(DEEP, type_name="lab_page/action/Deep")
+    heard: list[Any] = []
+    markup = "<img src=x onerror=document.title='broken'>"
+
+    async def answer(goal: Any) -> Any:
+        heard.append(goal)
+        return deep.Result(said=markup)
+
+    def check(goal: Any) -> GoalResponse:
+        if goal.many[0].x > 10:
+            raise Reject("many[0].x is too far away")
+        return GoalResponse.ACCEPT
+
+    async with turtleact.open_node("lab") as node, open_web(node, port=0) as web:
+        node.action_server(deep, "deep", answer, goal_callback=check)
+        async with connected(devtools, web.url) as page:
+            await page.until("$('action').value === '/deep' && $('fields').children.length")
+            await page.click("#tab-send")
+            fill = """
+                const input = name => [...document.querySelectorAll('#fields .field')].find(
+                  each => each.querySelector('label').textContent === name).querySelector('input');
+                const put = (name, value) => { input(name).value = value;
+                  input(name).dispatchEvent(new Event('input', {bubbles: true})); };"""
+
+            # bounds are known before anything is sent
+            add = (
+                "[...document.querySelectorAll('#fields button')].find("
+                "each => each.textContent === 'Add to many')"
+            )
+            await page.run(f"{add}.click(); {add}.click()")
+            assert await page.run(f"{add}.disabled")
+            await page.run(f"{fill} put('x', 'far'); put('tag', 'long'); put('large', '1e3')")
+            await page.click("#do-send")
+            wrong = "[...document.querySelectorAll('#fields .error:not(:empty)')]"
+            assert await page.run(f"{wrong}.map(each => each.textContent)") == [
+                "Enter a number",
+                "Enter at most 3 characters, not 4",
+                "Enter a whole number",
+            ]
+            assert await page.run("document.activeElement.value") == "far"
+
+            # what the server says about a field is shown there, too
+            await page.run(f"{fill} put('x', '11'); put('tag', 'é'); put('large', '{2**63 - 1}')")
+            await page.run(f"{fill} put('label', {markup!r})")
+            await page.click("#do-send")
+            await page.until(f"{wrong}.length === 1")
+            assert await page.run(f"{wrong}[0].textContent") == "many[0].x is too far away"
+            assert await page.run("document.activeElement.getAttribute('aria-invalid')") == "true"
+
+            await page.run(f"{fill} put('x', '2.5')")
+            await page.click("#copy")
+            await page.until("!$('command').hidden")
+            assert (await page.text("#command")).startswith(
+                'turtleact send-goal /deep lab_page/action/Deep \'{"many":[{"x":2.5,"tag":"é"}'
+            )
+            await page.click("#do-send")
+            await page.until("document.querySelector('#ended .pill.good')")
+            (sent,) = heard
+            assert (sent.large, sent.sure, sent.label) == (2**63 - 1, True, markup)
+            assert [(each.x, each.tag) for each in sent.many] == [(2.5, "é"), (1.5, "")]
+            assert [each.x for each in sent.two] == [1.5, 1.5]
+
+            # what comes from the network is text, never markup
+            await page.click("#ended summary")
+            await page.until("document.querySelector('#ended dl')")
+            assert markup in await page.text("#ended")
+            assert await page.run("document.querySelector('img') === null")
+            assert await page.run("document.title") == "turtleact"
+            assert page.complaints == []
+
+
+@in_a_browser
+@on_asyncio
+async def test_the_page_fits_a_phone_and_a_screen_reader(devtools):
+    async with (
+        open_world(turtles=2) as node,
+        open_web(node, port=0) as web,
+        connected(devtools, web.url) as page,
+    ):
+        await page.do(
+            "Emulation.setDeviceMetricsOverride",
+            **{"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True},
+        )
+        await page.until("innerWidth === 390 && $('turtle').options.length === 2")
+        assert await page.run("document.documentElement.scrollWidth") == 390
+        assert await page.run("document.querySelector('.bar').getBoundingClientRect().bottom") < 844
+        for tab in "send", "turtles", "topics", "goals":
+            await page.click(f"#tab-{tab}")
+            assert await page.run("document.documentElement.scrollWidth") == 390
+            nodes = (await page.do("Accessibility.getFullAXTree"))["nodes"]
+            roles = ("button", "textbox", "checkbox", "combobox", "tab", "progressbar", "image")
+            unnamed = [
+                each
+                for each in nodes
+                if each.get("role", {}).get("value") in roles
+                and not each.get("ignored")
+                and not each.get("name", {}).get("value")
+            ]
+            assert unnamed == []
+
+
+class Outside(HTMLParser):
+    """What the page loads."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.outside: list[str] = []
+        self.loaded: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        given = dict(attrs)
-        for name in ("src", "href"):
-            if given.get(name) not in (None, "favicon.ico"):
-                self.outside.append(f"{tag} {name}={given[name]}")
+        assert not any(name == "style" or name.startswith("on") for name, _ in attrs)
+        self.loaded += [value or "" for name, value in attrs if name in ("src", "href")]
 
 
-def test_the_page_needs_nothing_from_elsewhere():
-    names = Names()
-    names.feed(PAGE)
-    assert names.outside == []
-    assert "innerHTML" not in PAGE
-    assert re.findall(r"https?://\S+", PAGE) == []
+def test_the_page_loads_only_files_of_its_own():
+    found = Outside()
+    found.feed(SOURCES["page.html"])
+    loaded = {"", *found.loaded}
+    for text in SOURCES.values():
+        loaded |= {name.removeprefix("./") for name in re.findall(r' from "([^"]+)"', text)}
+    assert {f"/{name}" for name in loaded} == set(FILES)
+    assert {name for name, _ in FILES.values()} == set(SOURCES)
+
+
+def test_the_page_sets_text_never_markup_and_names_no_other_host():
+    for name, text in SOURCES.items():
+        assert not re.search(
+            r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\b", text
+        )
+        others = set(re.findall(r"https?://[^\s\"')]+", text)) - {"http://www.w3.org/2000/svg"}
+        assert not others, name
+
+
+def test_the_page_is_small():
+    assert sum(len(text.encode()) for text in SOURCES.values()) < 90_000
+
+
+def luminance(colour: str) -> float:
+    """The relative luminance of #rgb or #rrggbb; WCAG 2.2."""
+    digits = colour[1:] if len(colour) == 7 else "".join(2 * each for each in colour[1:])
+    channels = [int(digits[at : at + 2], 16) / 255 for at in (0, 2, 4)]
+    linear = [
+        each / 12.92 if each <= 0.04045 else ((each + 0.055) / 1.055) ** 2.4 for each in channels
+    ]
+    return sum(weight * each for weight, each in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
+
+
+def contrast(one: str, other: str) -> float:
+    light, dark = sorted((luminance(one), luminance(other)), reverse=True)
+    return (light + 0.05) / (dark + 0.05)
+
+
+@pytest.mark.parametrize("palette", PALETTES, ids=["light", "dark"])
+def test_text_can_be_read_in_both_schemes(palette):
+    colours = dict(re.findall(r"--([\w-]+): (#\w+)", palette))
+    for name in "ink", "dim", "run", "good", "bad", "warn":
+        for ground in "card", "back":
+            assert contrast(colours[name], colours[ground]) >= 4.5, (name, ground)
+    assert contrast(colours["on-run"], colours["run"]) >= 4.5
+    for ground in "card", "back":
+        assert contrast(colours["edge"], colours[ground]) >= 3.0  # of what one can act on

@@ -129,6 +129,11 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         return stamp_of(self._reader.goal.stamp)
 
     @property
+    def request(self) -> Message | None:
+        """The goal message; None if another process holds the goal and another client sent it."""
+        return cast("Message | None", self._reader.goal.request)
+
+    @property
     def status(self) -> GoalStatus:
         """The goal's state, as far as the client knows."""
         return self._reader.goal.status

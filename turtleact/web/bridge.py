@@ -33,9 +33,9 @@ FAREWELL: Final = 2.0
 """How long clients may take for their last frames when the bridge is closed (s)."""
 
 POLICY: Final = (
-    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-    "img-src 'self' data:; connect-src 'self' ws: wss:; base-uri 'none'; form-action 'none'; "
-    "frame-ancestors 'none'"
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+    "connect-src 'self' ws: wss:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
+    "require-trusted-types-for 'script'; trusted-types 'none'"
 )
 HEADERS: Final = {
     "Content-Security-Policy": POLICY,
@@ -44,10 +44,31 @@ HEADERS: Final = {
     "Cache-Control": "no-cache",
     "Connection": "close",  # a client that says nothing more holds none
 }
+MODULES: Final = (
+    "connection",
+    "draft",
+    "driving",
+    "elements",
+    "fields",
+    "goals",
+    "main",
+    "places",
+    "timeline",
+    "topics",
+    "turtles",
+    "values",
+    "watch",
+    "world",
+)
+"""The page's JavaScript modules."""
+
 FILES: Final = {
     "/": ("page.html", "text/html"),
+    "/page.css": ("page.css", "text/css"),
     "/favicon.ico": ("icon.svg", "image/svg+xml"),
+    **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in MODULES},
 }
+"""The files of the page by path; only the first needs the token, as the others hold no data."""
 
 
 class Statistics(msgspec.Struct, frozen=True):
@@ -230,4 +251,4 @@ def _text(status: int, text: str) -> Response:
 
 @cache
 def _file(name: str) -> bytes:
-    return resources.files("turtleact.web").joinpath(name).read_bytes()
+    return resources.files("turtleact.web").joinpath("page", name).read_bytes()

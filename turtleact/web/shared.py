@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import AsyncIterator, Callable, Hashable
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any, Final, Generic, Protocol, TypeAlias, TypeVar, cast
 
 import msgspec
@@ -38,6 +38,7 @@ from turtleact.web.message_conversion import Rendering, json_values, read_messag
 from turtleact.web.name_lookup import Directory, absolute, action_class
 from turtleact.web.operations import CallService, CancelActionGoal, Id, SendActionGoal
 from turtleact.web.rosapi import Parameters, Rosapi
+from turtleact.web.watching import Watch
 
 __all__ = [
     "MOST_IDLE",
@@ -113,29 +114,32 @@ class Shared:
         self.directory = Directory(node.transport)
         self.feeds = Feeds(node, self.directory)
         self.goals = Goals(node, cancel_on_disconnect=cancel_on_disconnect)
+        self.watch = self.goals.watch = Watch(node, self.goals.client)
         self.rosapi = Rosapi(node, self.directory, Parameters(node, self._ask))
         self._clients: Pool[tuple[str, Any], ServiceClient[Message, Message]] = Pool(
             lambda key: node.service_client(key[1], key[0])
         )
 
     async def call(self, said: CallService) -> object:
-        """Call a service of rosapi or of the graph, and return the values of its response.
+        """Call a service of rosapi, the page or the graph, and return its response's values.
 
         Raises:
             TurtleactError: if there is no response.
         """
         values = await self.rosapi.call(said.service, said.args)
+        if values is None:
+            values = await self.watch.call(said.service, said.args)
         if values is not None:
             return values
         name = absolute(said.service)
         service_type = self.directory.service_class(name, said.type or "")
         request = await read_message(service_type.Request, said.args, root="args")
         timeout = said.timeout if said.timeout is not None and said.timeout > 0 else None
-        return json_values(
-            await self._ask(
-                name, cast("ServiceType[Message, Message]", service_type), request, timeout
-            )
+        response = await self._ask(
+            name, cast("ServiceType[Message, Message]", service_type), request, timeout
         )
+        self.watch.note_call(name, request)
+        return json_values(response)
 
     async def _ask(
         self,
@@ -149,6 +153,7 @@ class Shared:
 
     async def aclose(self) -> None:
         """Close all that was opened."""
+        await self.watch.aclose()
         await self.goals.aclose()
         await self._clients.aclose()
 
@@ -298,9 +303,13 @@ class Goals:
     Args:
         node: Sends them.
         cancel_on_disconnect: Whether a client's goals are canceled when it disconnects.
+
+    Attributes:
+        watch: Is told what was sent, if somebody watches.
     """
 
     def __init__(self, node: Node, *, cancel_on_disconnect: bool = False) -> None:
+        self.watch: Watch | None = None
         self._cancel_on_disconnect = cancel_on_disconnect
         self._clients: Pool[tuple[str, Any], Client] = Pool(
             lambda key: node.action_client(key[1], key[0])
@@ -310,6 +319,12 @@ class Goals:
 
     def __len__(self) -> int:
         return len(self._sent)
+
+    def client(
+        self, name: str, action_type: ActionType[Message, Message, Message]
+    ) -> AbstractAsyncContextManager[Client]:
+        """A client of an action, for the length of a block."""
+        return self._clients.use((name, action_type))
 
     def send(self, said: SendActionGoal, teller: Teller) -> None:
         """Send a goal and report on it; its end is always reported."""
@@ -385,11 +400,26 @@ class Goals:
         name, action_type = absolute(said.action), action_class(said.action_type)
         goal = await read_message(action_type.Goal, said.args, root="goal")
         key = (name, cast("ActionType[Message, Message, Message]", action_type))
-        on_feedback = sent.tell_feedback if said.feedback else None
+        try:
+            await self._carry_out(sent, key, goal)
+        except GoalRejected as rejected:
+            if self.watch is not None:
+                self.watch.note_rejection((name, action_type.type_name), goal, rejected.reason)
+            raise
+
+    async def _carry_out(
+        self,
+        sent: _Sent,
+        key: tuple[str, ActionType[Message, Message, Message]],
+        goal: Message,
+    ) -> None:
+        on_feedback = sent.tell_feedback if sent.said.feedback else None
         async with (
             self._clients.use(key) as client,
             client.send_goal(goal, goal_id=sent.goal_id, feedback_callback=on_feedback) as handle,
         ):
+            if self.watch is not None:
+                self.watch.note_request(sent.goal_id, goal)
             # Detached: leaving this block, when the bridge closes, must not cancel the goal.
             handle.detach()
             sent.accept(handle)

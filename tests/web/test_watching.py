@@ -1,0 +1,239 @@
+"""What pages get from the bridge: goals of all actions, trails, the graph and forms."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import anyio
+import pytest
+
+import turtleact
+from turtleact import Abort
+from turtleact.app import open_world
+from turtleact.interfaces.standard import Empty, SetPen, TurtlePose
+from turtleact.transports import MemoryTransport
+from turtleact.web import open_bridge
+from turtleact.web.watching import MOST_FOLLOWED
+
+from ..lab import Count, Gate, count, goal, settle
+from .line import Line, bridged, line
+
+TYPE = "lab_interfaces/action/Count"
+Values = dict[str, Any]
+
+
+async def watch(client: Line, **args: object) -> Values:
+    answer = await client.call("/turtleact/web/watch", args=args)
+    assert answer["result"], answer
+    values: Values = answer["values"]
+    return values
+
+
+async def goals(client: Line) -> list[Values]:
+    """The goals that the bridge knows once all tasks have had their turns."""
+    await settle()
+    found: list[Values] = (await watch(client))["goals"]
+    return found
+
+
+async def test_a_goal_of_anybody_is_watched_to_its_end():
+    gate = Gate()
+    async with bridged() as (node, bridge), line(bridge) as client:
+        node.action_server(Count, "count", gate.stream)
+        assert (await watch(client))["goals"] == []
+        async with node.action_client(Count, "count").send_goal(goal(5)) as handle:
+            (running,) = await goals(client)
+            assert running["id"] == handle.goal_id.hex()
+            assert (running["action"], running["type"]) == ("/count", TYPE)
+            assert (running["status"], running["has_ended"]) == ("EXECUTING", False)
+            assert (running["request"], running["feedback"]) == ({"upto": 5}, {"so_far": [0]})
+            gate.opened.set()
+            await handle.outcome()
+        (ended,) = await goals(client)
+        assert (ended["status"], ended["has_ended"]) == ("SUCCEEDED", True)
+        assert ended["result"] == {"counted": [5]}
+        assert ended["duration"] >= 0.0
+
+
+async def test_a_goal_that_ended_before_the_first_page_is_shown_while_its_server_holds_it():
+    async with bridged() as (node, bridge), line(bridge) as client:
+        node.action_server(Count, "count", count)
+        async with node.action_client(Count, "count").send_goal(goal(2)) as handle:
+            assert handle.goal_id  # a goal without an id is forgotten at its end
+            await handle.outcome()
+        await watch(client)
+        (ended,) = await goals(client)
+        assert (ended["status"], ended["result"]) == ("SUCCEEDED", {"counted": [0, 1]})
+        assert ended["duration"] is None  # nobody saw its end
+
+
+async def test_a_goal_that_fails_tells_why():
+    async def fail(goal: Count.Goal) -> Count.Result:
+        raise Abort("the road is closed")
+
+    async with bridged() as (node, bridge), line(bridge) as client:
+        node.action_server(Count, "count", fail)
+        await watch(client)
+        async with node.action_client(Count, "count").send_goal(goal()) as handle:
+            await handle.outcome()
+        (ended,) = await goals(client)
+        assert (ended["status"], ended["reason"]) == ("ABORTED", "the road is closed")
+
+
+async def test_a_rejected_goal_of_a_web_client_is_kept_with_its_reason():
+    async with bridged() as (node, bridge), line(bridge) as client:
+        gate = Gate()
+        node.action_server(Count, "count", gate.wait, policy="reject")
+        await watch(client)
+        members = {"action": "/count", "action_type": TYPE}
+        for id, upto in ("a", 1), ("b", 2):
+            client.say("send_action_goal", id=id, args={"upto": upto}, **members)
+        assert not (await client.hear())["result"]
+        rejected, running = await goals(client)
+        assert (running["status"], running["request"]) == ("EXECUTING", {"upto": 1})
+        assert (rejected["status"], rejected["request"]) == ("REJECTED", {"upto": 2})
+        assert rejected["reason"]
+        gate.opened.set()
+
+
+async def test_nothing_is_watched_before_a_page_asks():
+    async with bridged() as (node, bridge), line(bridge) as client:
+        node.action_server(Count, "count", count)
+        client.say("send_action_goal", action="/count", action_type=TYPE, args={"upto": 1})
+        assert (await client.hear())["result"]
+        assert node.count_publishers("/count/_action/status") == 1
+        topics = [each for each in node.transport.endpoints() if each.kind == "subscription"]
+        assert not [each for each in topics if each.name == "/count/_action/status"]
+
+
+async def test_a_server_that_goes_away_leaves_its_goal_unknown():
+    transport = MemoryTransport()
+    gate = Gate()
+    async with bridged(transport) as (_, bridge), line(bridge) as client:
+        async with turtleact.open_node("other", transport=transport) as other:
+            other.action_server(Count, "count", gate.wait)
+            await watch(client)
+            client.say("send_action_goal", action="/count", action_type=TYPE)
+            await gate.started.wait()
+            assert [each["status"] for each in await goals(client)] == ["EXECUTING"]
+        (ended,) = await heard_goals(client)
+        assert (ended["status"], ended["reason"]) == ("ABORTED", "shutdown")
+
+
+async def heard_goals(client: Line) -> list[Values]:
+    """The goals, when the result of the client's own goal may arrive first."""
+    await settle()
+    client.say("call_service", id="goals", service="/turtleact/web/watch")
+    while (frame := await client.hear()).get("id") != "goals":
+        pass
+    found: list[Values] = frame["values"]["goals"]
+    return found
+
+
+async def test_more_goals_than_can_be_followed_are_still_shown():
+    gate = Gate()
+    async with bridged() as (node, bridge), line(bridge) as client:
+        node.action_server(Count, "count", gate.wait)
+        await watch(client)
+        many = MOST_FOLLOWED + 3
+        sender = node.action_client(Count, "count")
+        async with anyio.create_task_group() as group:
+            for _ in range(many):
+                group.start_soon(sender.send_goal, goal())
+            await settle()
+            found = await goals(client)
+            assert {each["status"] for each in found} == {"EXECUTING"}
+            assert len(found) == many
+            gate.opened.set()
+        await settle()
+        found = await goals(client)
+        assert {each["status"] for each in found} == {"SUCCEEDED"}
+
+
+async def test_a_page_gets_what_is_new_and_waits_for_it():
+    async with bridged() as (node, bridge), line(bridge) as client:
+        node.action_server(Count, "count", count)
+        first = await watch(client)
+        assert first["is_whole"]
+        assert first["graph"]["actions"] == {"/count": TYPE}
+        known = {"session": first["session"], "since": first["revision"]}
+        client.say("call_service", id="w", service="/turtleact/web/watch", args=known)
+        await settle()
+        await node.action_client(Count, "count").send_goal(goal(1))
+        news = (await client.hear())["values"]
+        assert (news["is_whole"], "graph" in news) == (False, False)
+        assert [each["status"] for each in news["goals"]] == ["SUCCEEDED"]
+        assert news["revision"] > first["revision"]
+
+
+async def test_a_page_of_a_server_before_this_one_gets_everything():
+    async with bridged() as (_, bridge), line(bridge) as client:
+        await watch(client)
+        assert (await watch(client, session="another", since=99))["is_whole"]
+
+
+async def test_trails_are_kept_for_the_next_page():
+    async with turtleact.open_node("robot") as node, open_bridge(node) as bridge:
+        poses = node.publisher(TurtlePose, "turtle1/pose")
+
+        async def set_pen(request: SetPen.Request) -> SetPen.Response:
+            return SetPen.Response()
+
+        async def clear(request: Empty.Request) -> Empty.Response:
+            return Empty.Response()
+
+        node.service(SetPen, "turtle1/set_pen", set_pen)
+        node.service(Empty, "clear", clear)
+        node.service(Empty, "reset", clear)
+        async with line(bridge) as client:
+            assert (await watch(client))["trails"] == {}
+            for x in 1.0, 2.0, 3.0:
+                poses.publish(TurtlePose(x=x))
+            await client.call("/turtle1/set_pen", args={"r": 255, "width": 7})
+            poses.publish(TurtlePose(x=4.0))
+            poses.publish(TurtlePose(x=5.0))
+        async with line(bridge) as another:
+            trail = (await watch(another))["trails"]["turtle1"]
+            assert trail["is_whole"]
+            assert [point[0] for point in trail["points"]] == [1.0, 2.0, 3.0, 4.0]
+            assert trail["points"][-1] == [4.0, 0.0, "#ff0000", 7]
+            for service in "/clear", "/reset", "/turtleact/web/clear_trails":
+                poses.publish(TurtlePose(x=9.0))
+                await another.call(service)
+                assert (await watch(another))["trails"]["turtle1"]["points"] == []
+
+
+async def test_a_turtle_of_the_world_is_followed():
+    async with open_world() as node, open_bridge(node) as bridge, line(bridge) as client:
+        first = await watch(client)
+        assert first["graph"]["topics"]["/turtle1/pose"] == "turtlesim/msg/Pose"
+        known = {"session": first["session"], "since": first["revision"]}
+        news = await watch(client, **known)
+        assert news["trails"]["turtle1"]["points"][0][:2] == [5.544, 5.544]
+
+
+@pytest.mark.parametrize(
+    ("service", "args", "problem"),
+    [
+        ("watch", {"since": "now"}, "args.since: expected a whole number"),
+        ("watch", [1], "args: expected an object"),
+        ("form", {}, "args.type: expected text"),
+        ("form", {"type": "nobody/Knows"}, "unknown interface 'nobody/action/Knows'"),
+    ],
+)
+async def test_a_mistake_is_answered(service, args, problem):
+    async with bridged() as (_, bridge), line(bridge) as client:
+        answer = await client.call(f"/turtleact/web/{service}", args=args)
+        assert (answer["result"], answer["values"]) == (False, problem)
+
+
+async def test_a_form_is_answered():
+    async with bridged() as (_, bridge), line(bridge) as client:
+        values = (await client.call("/turtleact/web/form", args={"type": TYPE}))["values"]
+        assert [field["name"] for field in values["goal"]] == ["upto"]
+
+
+async def test_other_services_below_turtleact_are_those_of_the_graph():
+    async with bridged() as (_, bridge), line(bridge) as client:
+        answer = await client.call("/turtleact/web/nothing")
+        assert answer["values"] == "service '/turtleact/web/nothing': no server answers"

@@ -1,0 +1,197 @@
+"""The goals that the page shows: those that run, and the last ones that have ended.
+
+The history only records what `watching` tells it. Each change gets the next revision, so a page can
+ask for what is newer than the revision it knows. Times are seconds of the graph's clock, except
+that `GoalRecord.at` is a time of day. Pure.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from itertools import takewhile
+from typing import Final
+
+import msgspec
+
+from turtleact.goal import GoalStatus
+from turtleact.interfaces import Message
+from turtleact.web.excerpts import Plain, excerpt, numbers_in
+
+__all__ = ["MOST_ACTIVE", "MOST_ENDED", "REJECTED", "GoalHistory", "GoalRecord", "Series"]
+
+MOST_ENDED: Final = 200
+"""This many ended goals are kept."""
+
+MOST_ACTIVE: Final = 500
+"""This many running goals are kept."""
+
+REJECTED: Final = "REJECTED"
+"""What the page shows for a goal that was rejected; in ROS that is no status."""
+
+MOST_POINTS: Final = 64
+"""A plot has at most this many points."""
+
+
+class Series:
+    """The values of a number over time, thinned out as they become many.
+
+    The first and the newest value are always kept.
+    """
+
+    def __init__(self) -> None:
+        self.points: list[tuple[float, float]] = []
+        self._spacing = 0.0
+
+    def add(self, time: float, value: float) -> None:
+        """Add a value; ``time`` never decreases."""
+        points, time = self.points, round(time, 3)
+        is_close = len(points) > 1 and time - points[-2][0] < self._spacing
+        if is_close or (points and time <= points[-1][0]):
+            points.pop()
+        points.append((time, value))
+        if len(points) > MOST_POINTS:
+            self.points = [*points[:-1:2], points[-1]]
+            self._spacing = (time - points[0][0]) / (MOST_POINTS / 2)
+
+
+class GoalRecord:
+    """What is known of a goal.
+
+    Attributes:
+        id: Its id in hexadecimal; a rejected goal has one, too.
+        action: The name of its action.
+        type: The full name of the action's type.
+        accepted: When it was accepted.
+        at: When it was accepted, as a time of day (s since the epoch).
+        status: The name of its status, or `REJECTED`.
+        request: The goal; None if nobody in this process knows it.
+        feedback: The newest feedback.
+        result: Its result, after its end.
+        reason: Why it was aborted or rejected.
+        duration: How long it took; None while it runs, or if its end was not seen.
+        revision: When it last changed.
+    """
+
+    def __init__(self, id: str, action: str, type: str, *, accepted: float, at: float) -> None:
+        self.id = id
+        self.action = action
+        self.type = type
+        self.accepted = accepted
+        self.at = at
+        self.status = GoalStatus.ACCEPTED.name
+        self.request: Message | None = None
+        self.feedback: Message | None = None
+        self.result: Message | None = None
+        self.reason = ""
+        self.duration: float | None = None
+        self.revision = 0
+        self.has_ended = False
+        self._series: dict[str, Series] = {}
+
+    def take(self, feedback: Message, now: float) -> None:
+        """Take feedback."""
+        self.feedback = feedback
+        for path, value in numbers_in(feedback):
+            self._series.setdefault(path, Series()).add(now - self.accepted, value)
+
+    def plain(self) -> dict[str, Plain]:
+        """The record as the page gets it."""
+        series: dict[str, Plain] = {
+            path: [[time, value] for time, value in each.points]
+            for path, each in self._series.items()
+        }
+        return {
+            "id": self.id,
+            "action": self.action,
+            "type": self.type,
+            "accepted": self.accepted,
+            "at": self.at,
+            "status": self.status,
+            "has_ended": self.has_ended,
+            "request": None if self.request is None else excerpt(self.request),
+            "feedback": None if self.feedback is None else excerpt(self.feedback),
+            "result": None if self.result is None else excerpt(self.result),
+            "reason": self.reason,
+            "duration": self.duration,
+            "series": series,
+        }
+
+
+class Changes(msgspec.Struct, frozen=True):
+    """What has changed since a revision.
+
+    Attributes:
+        goals: The goals that are new or different, the latest change first.
+        dropped: The ids of goals that are no longer kept.
+        is_complete: Whether this is all there is to know. If not, too many goals were dropped since
+            then, and the page must ask for everything.
+    """
+
+    goals: list[GoalRecord]
+    dropped: list[str]
+    is_complete: bool
+
+
+class GoalHistory:
+    """The goals of all actions, those of the latest change last.
+
+    Args:
+        revise: Returns the next revision; called at each change.
+    """
+
+    def __init__(self, revise: Callable[[], int]) -> None:
+        self._revise = revise
+        self._records: dict[str, GoalRecord] = {}
+        self._dropped: deque[tuple[int, str]] = deque(maxlen=MOST_ENDED + MOST_ACTIVE)
+        self._forgotten = 0  # the revision up to which dropped goals are not remembered
+
+    def __len__(self) -> int:
+        return len(self._records)
+
+    def find(self, id: str) -> GoalRecord | None:
+        """The record of a goal, if it is kept."""
+        return self._records.get(id)
+
+    def add(self, record: GoalRecord) -> None:
+        """Keep a new goal; the oldest ones are dropped if there are too many."""
+        self.change(record)
+        self._bound()
+
+    def change(self, record: GoalRecord) -> None:
+        """Note that a record has changed."""
+        # Taken out and put in again, so that the record changed last is the last one.
+        self._records.pop(record.id, None)
+        record.revision = self._revise()
+        self._records[record.id] = record
+
+    def end(self, record: GoalRecord, status: str, now: float | None = None) -> None:
+        """Note the end of a goal.
+
+        Args:
+            record: The goal.
+            status: Its last status, or `REJECTED`.
+            now: The time; None if nobody saw when the goal ended.
+        """
+        record.status = status
+        record.has_ended = True
+        if now is not None:
+            record.duration = round(now - record.accepted, 3)
+        self.change(record)
+        self._bound()
+
+    def since(self, revision: int) -> Changes:
+        """What has changed after a revision."""
+        newest_first = reversed(self._records.values())
+        goals = list(takewhile(lambda record: record.revision > revision, newest_first))
+        dropped = [id for when, id in self._dropped if when > revision]
+        return Changes(goals, dropped, is_complete=revision >= self._forgotten)
+
+    def _bound(self) -> None:
+        for has_ended, most in ((True, MOST_ENDED), (False, MOST_ACTIVE)):
+            alike = [each for each in self._records.values() if each.has_ended is has_ended]
+            for record in alike[: max(0, len(alike) - most)]:
+                del self._records[record.id]
+                if len(self._dropped) == self._dropped.maxlen:
+                    self._forgotten = self._dropped[0][0]
+                self._dropped.append((self._revise(), record.id))

@@ -1,0 +1,221 @@
+// The goal that is being made: the form of the tab Send, and the places picked on the map.
+
+import {$, make, say, setText} from "./elements.js";
+import {Leaf, List, messageControl, takesXY, toJson} from "./fields.js";
+import {placesIn} from "./places.js";
+
+export class Draft extends EventTarget {
+  #controls = new Map();
+  #forms = new Map();
+  #turtle = "";
+  #isPicked = false;
+  #sent = null;
+  action = "";
+
+  // Events: "change", and "accepted".
+  constructor(connection, watch) {
+    super();
+    this.connection = connection;
+    this.watch = watch;
+    watch.addEventListener("graph", () => this.#list());
+    watch.addEventListener("goal", ({detail}) => this.#notice(detail));
+    connection.addEventListener("up", () => { this.#forms.clear(); this.#changed(); });
+    connection.addEventListener("down", () => this.#changed());
+    $("action").onchange = () => this.#choose($("action").value);
+    $("form").onsubmit = event => { event.preventDefault(); this.send(); };
+    $("form").addEventListener("input", () => { this.#isPicked = true; this.#changed(); });
+    $("defaults").onclick = () => { this.#controls.delete(this.action); this.#choose(this.action); };
+    $("copy").onclick = () => this.#copy();
+    $("draft-send").onclick = () => this.send();
+    $("draft-clear").onclick = () => { this.clearPlaces(); $("world").focus(); };
+    this.#list();
+  }
+
+  // The description of an action's type, asked for once.
+  describe(type) {
+    if (!this.#forms.has(type)) {
+      const form = this.connection.call("/turtleact/web/form", {type});
+      this.#forms.set(type, form);
+      form.catch(() => this.#forms.delete(type));
+    }
+    return this.#forms.get(type);
+  }
+
+  get control() {
+    return this.#controls.get(this.action);
+  }
+
+  // The turtle that the draft would move, if it names one.
+  get turtle() {
+    const field = this.control?.controls.get("turtle");
+    return field instanceof Leaf ? field.input.value : "";
+  }
+
+  // The places in the form, as far as they can be read.
+  places() {
+    if (!this.control || !this.#isPicked) return [];
+    return placesIn(this.control.read([]));
+  }
+
+  // A place picked on the map goes to the first list of places, or to x and y.
+  async addPlace(x, y) {
+    if (!this.#takesPlaces()) {
+      if (!("/patrol" in this.watch.graph.actions)) return say(`${this.action || "No action"} takes no places`);
+      await this.#choose("/patrol");
+    }
+    const place = {x: +x.toFixed(3), y: +y.toFixed(3)}, list = this.#placeList();
+    if (list) {
+      if (list.isFull) return say("The list of places is full");
+      list.append(place);
+    } else this.#placeGroup().write(place);
+    this.#isPicked = true;
+    this.#changed();
+  }
+
+  clearPlaces() {
+    this.#placeList()?.write([]);
+    this.#isPicked = false;
+    this.#changed();
+  }
+
+  // The turtle chosen below the map is the one that the form names, unless it was changed there.
+  chooseTurtle(name) {
+    const before = this.#turtle;
+    this.#turtle = name;
+    const field = this.control?.controls.get("turtle");
+    if (field instanceof Leaf && (field.input.value === before || !before)) field.write(name);
+    this.#changed();
+  }
+
+  async send() {
+    const args = this.#read();
+    if (args === null) return;
+    const type = this.watch.graph.actions[this.action];
+    this.#sent = {action: this.action, at: performance.now()};
+    say(`Sending the goal to ${this.action} …`);
+    try {
+      await this.connection.sendGoal(this.action, type, toJson(args));
+      say("");
+    } catch (error) {
+      if (this.#sent) this.#fail(error.message);
+    }
+  }
+
+  #list() {
+    const names = Object.keys(this.watch.graph.actions), select = $("action");
+    const shown = [...select.options].map(option => option.value);
+    if (names.join() !== shown.join()) {
+      select.replaceChildren(...names.map(name => make("option", {value: name}, name)));
+    }
+    if (!names.includes(this.action)) this.#choose(names.includes("/patrol") ? "/patrol" : names[0] ?? "");
+    else select.value = this.action;
+    $("do-send").disabled = $("copy").disabled = !names.length;
+  }
+
+  async #choose(action) {
+    this.action = action;
+    $("action").value = action;
+    setText($("form-error"), "");
+    $("command").hidden = true;
+    this.#isPicked = false;
+    const type = this.watch.graph.actions[action] ?? "";
+    setText($("action-type"), type.replace("/action/", "/"));
+    if (type && !this.#controls.has(action)) {
+      try {
+        const form = await this.describe(type);
+        if (!this.#controls.has(action)) this.#make(action, form);
+      } catch (error) {
+        setText($("form-error"), error.message);
+      }
+    }
+    if (this.action !== action) return;
+    $("fields").replaceChildren(...(this.control ? [this.control.element] : []));
+    this.chooseTurtle(this.#turtle);
+  }
+
+  #make(action, form) {
+    const control = messageControl(form.goal), turtle = control.controls.get("turtle");
+    this.#controls.set(action, control);
+    if (turtle instanceof Leaf) {
+      turtle.input.setAttribute("list", "turtle-names");
+      if (this.#turtle) turtle.write(this.#turtle);
+    }
+  }
+
+  #placeList() {
+    return [...(this.control?.controls.values() ?? [])].find(
+      each => each instanceof List && each.field.fields && takesXY(each.field.fields));
+  }
+
+  #placeGroup() {
+    const groups = [this.control, ...(this.control?.controls.values() ?? [])];
+    return groups.find(each => each?.controls instanceof Map && each.controls.has("x") && each.controls.has("y"));
+  }
+
+  #takesPlaces() {
+    return Boolean(this.#placeList() ?? this.#placeGroup());
+  }
+
+  // The values of the form; null if something does not fit, which is then said at the field.
+  #read() {
+    if (!this.control) return null;
+    setText($("form-error"), "");
+    const problems = [], values = this.control.read(problems);
+    if (!problems.length) return values;
+    this.dispatchEvent(new Event("problem"));
+    problems[0][0].focus();
+    return null;
+  }
+
+  // What the server says about the goal: "goal.targets[1].x: …" or "…: targets[1].x is …".
+  #fail(message) {
+    this.#sent = null;
+    say("");
+    const text = message.replace(/^Action goal was rejected:? ?/, "") || "The goal was rejected.";
+    const path = /^(?:goal\.)?([a-z_]\w*(?:\[\d+\]|\.\w+)*)/.exec(text)?.[1] ?? "";
+    const names = path.match(/[^.[\]]+/g) ?? [];
+    const control = this.control?.controls.has(names[0]) ? this.control.locate(names) : null;
+    this.dispatchEvent(new Event("problem"));
+    if (control && control !== this.control) {
+      control.complain(text.replace(/^goal\./, ""));
+      control.focus();
+    }
+    setText($("form-error"), control instanceof Leaf ? "" : text);
+    if (control instanceof Leaf === false) say(text);
+  }
+
+  #notice({goal, isNews}) {
+    const sent = this.#sent;
+    if (!sent || !isNews || goal.action !== sent.action || goal.status === "REJECTED") return;
+    this.#sent = null;
+    say("");
+    this.dispatchEvent(new Event("accepted"));
+    this.clearPlaces();
+  }
+
+  async #copy() {
+    const values = this.#read();
+    if (values === null) return;
+    const quoted = `'${toJson(values).replaceAll("'", String.raw`'\''`)}'`;
+    const command = `turtleact send-goal ${this.action} ${this.watch.graph.actions[this.action]} ${quoted}`;
+    $("command").hidden = false;
+    setText($("command"), command);
+    try {
+      await navigator.clipboard.writeText(command);
+      say("Copied");
+    } catch {
+      say("Select the command below to copy it");
+    }
+  }
+
+  #changed() {
+    const count = this.places().length, who = this.turtle || this.#turtle;
+    const isPossible = this.#takesPlaces() || "/patrol" in this.watch.graph.actions;
+    const hint = isPossible && this.#turtle ? `Click on the map to choose places for ${who}` : "";
+    setText($("draft-text"), count ? `${count} ${count === 1 ? "place" : "places"} for ${who} · ${this.action}` : hint);
+    $("draft").classList.toggle("idle", !count);
+    $("draft-send").hidden = $("draft-clear").hidden = !count;
+    $("draft-send").disabled = $("do-send").disabled = !this.connection.isUp || !this.action;
+    this.dispatchEvent(new Event("change"));
+  }
+}

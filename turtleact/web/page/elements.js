@@ -1,0 +1,42 @@
+// Small helpers for the page's elements. Text is only ever set as text, never as HTML.
+
+export const $ = id => document.getElementById(id);
+
+// make("p", {class: "dim", onclick: f}, "text", child, …)
+export function make(tag, attributes = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name.startsWith("on")) element[name] = value;
+    else if (value !== false && value != null) element.setAttribute(name, value === true ? "" : value);
+  }
+  element.append(...children);
+  return element;
+}
+
+export function draw(tag, attributes = {}, ...children) {
+  const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+  element.append(...children);
+  return element;
+}
+
+// Sets text only if it differs: screen readers and the selection keep their place.
+export function setText(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+export function say(text) {
+  setText($("said"), text);
+}
+
+// News for screen readers: what comes within a second is said together.
+let waiting = [];
+export function announce(text) {
+  if (!waiting.length) setTimeout(tell, 1000);
+  waiting.push(text);
+}
+function tell() {
+  const many = waiting.length > 3;
+  setText($("live"), many ? `${waiting.length} changes, the last one: ${waiting.at(-1)}` : waiting.join(". "));
+  waiting = [];
+}

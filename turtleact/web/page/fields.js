@@ -1,0 +1,239 @@
+// A form for a message, made from the description of its fields.
+//
+// Each control has `element`, `write(value)`, `read(problems)`, which collects [control, text] for
+// what does not fit, and `locate(names)`, the control that a path such as targets[1].x means.
+
+import {make, setText} from "./elements.js";
+import {label} from "./values.js";
+
+const INTEGER = /^[+-]?\d+$/;
+const IS_INTEGER = /^u?int\d+$|^byte$|^char$/;
+const IS_FLOAT = /^float(32|64)$/;
+
+let count = 0;
+
+export function messageControl(fields) {
+  return new Group(fields);
+}
+
+function controlOf(field) {
+  if (field.array) return new List(field);
+  return single(field);
+}
+
+const single = field => (field.fields ? new Group(field.fields, field) : new Leaf(field));
+
+const shortType = type => type.replace(/\/msg\//, "/");
+
+function limits(field) {
+  const {array, longest} = field, words = [];
+  if (array?.form === "fixed") words.push(`${array.size} values`);
+  if (array?.form === "bounded") words.push(`at most ${array.size}`);
+  if (longest !== undefined) words.push(`at most ${longest} characters`);
+  if (field.least !== undefined && field.type !== "int64" && field.type !== "uint64" && field.type !== "int32" && field.type !== "uint32") {
+    words.push(`${field.least.replace("-", "−")} to ${field.most}`);
+  }
+  return words.join(", ");
+}
+
+const noteOf = (...parts) => parts.filter(Boolean).join(" · ").replaceAll(". · ", ". ");
+const plain = comment => comment.replaceAll("``", "");
+
+// Whether places picked on the map fit.
+export function takesXY(fields) {
+  const names = fields.filter(({type, array}) => !array && IS_FLOAT.test(type)).map(({name}) => name);
+  return names.includes("x") && names.includes("y");
+}
+
+// A few numbers without comments, such as a point, stand side by side.
+const isCompact = fields => fields.length <= 4 && fields.every(
+  ({type, array, comment}) => !array && !comment && (IS_FLOAT.test(type) || IS_INTEGER.test(type)));
+
+export class Leaf {
+  constructor(field, name = label(field.name)) {
+    this.field = field;
+    const id = `field-${++count}`;
+    const note = noteOf(plain(field.comment), limits(field));
+    this.input = make("input", {id, "aria-describedby": `${id}-note ${id}-error`, autocomplete: "off",
+      type: field.type === "bool" ? "checkbox" : "text",
+      inputmode: IS_FLOAT.test(field.type) || IS_INTEGER.test(field.type) ? "decimal" : null});
+    this.error = make("small", {id: `${id}-error`, class: "error"});
+    this.note = make("small", {id: `${id}-note`}, note);
+    this.element = make("div", {class: "field"},
+      make("label", {for: id, title: shortType(field.type)}, name), this.input, this.error, this.note);
+    this.input.oninput = () => this.complain("");
+    this.input.onchange = () => { this.complain(""); this.read([]); };
+    this.write(field.array ? zeroOf(field) : field.default);
+  }
+
+  write(value) {
+    if (this.field.type === "bool") this.input.checked = Boolean(value);
+    else this.input.value = value === null ? "nan" : String(value);
+    this.complain("");
+  }
+
+  // What is wrong with it, or an empty text.
+  complain(text) {
+    setText(this.error, text);
+    if (text) this.input.setAttribute("aria-invalid", "true");
+    else this.input.removeAttribute("aria-invalid");
+  }
+
+  focus() {
+    this.input.focus();
+  }
+
+  read(problems) {
+    const [value, problem] = this.#parsed();
+    if (problem) {
+      this.complain(problem);
+      problems.push([this, problem]);
+    }
+    return value;
+  }
+
+  locate() {
+    return this;
+  }
+
+  #parsed() {
+    const {type, least, most, longest} = this.field, text = this.input.value;
+    if (type === "bool") return [this.input.checked, ""];
+    if (IS_INTEGER.test(type)) {
+      if (!INTEGER.test(text.trim())) return [0, "Enter a whole number"];
+      const value = BigInt(text.trim().replace("+", ""));
+      if (value < BigInt(least) || value > BigInt(most)) return [0, `Enter a number from ${least.replace("-", "−")} to ${most}`];
+      return [Number.isSafeInteger(Number(value)) ? Number(value) : value, ""];
+    }
+    if (IS_FLOAT.test(type)) {
+      if (text.trim().toLowerCase() === "nan") return [null, ""];
+      const value = Number(text.trim().replace(",", ".").replace("−", "-"));
+      if (!text.trim() || Number.isNaN(value)) return [0, "Enter a number"];
+      return Number.isFinite(value) ? [value, ""] : [0, "Enter a finite number"];
+    }
+    if (longest !== undefined && [...text].length > longest) return [text, `Enter at most ${longest} characters, not ${[...text].length}`];
+    return [text, ""];
+  }
+}
+
+function zeroOf({type}) {
+  return type === "bool" ? false : type === "string" || type === "wstring" ? "" : 0;
+}
+
+class Group {
+  constructor(fields, field = null, name = field && label(field.name)) {
+    this.controls = new Map(fields.map(each => [each.name, controlOf(each)]));
+    const inside = [...this.controls.values()].map(({element}) => element);
+    if (!field) this.element = make("div", {}, ...inside);
+    else this.element = make("fieldset", {class: isCompact(fields) ? "compact" : null}, make("legend", {}, name, " ", make("small", {}, plain(field.array ? "" : field.comment))), ...inside);
+    if (field && !field.array && field.default) this.write(field.default);
+  }
+
+  write(values) {
+    for (const [name, value] of Object.entries(values)) this.controls.get(name)?.write(value);
+  }
+
+  read(problems) {
+    return Object.fromEntries([...this.controls].map(([name, control]) => [name, control.read(problems)]));
+  }
+
+  locate([name, ...rest]) {
+    return this.controls.get(name)?.locate(rest) ?? this;
+  }
+
+  complain() {}
+
+  focus() {
+    this.element.querySelector("input, button")?.focus();
+  }
+}
+
+export class List {
+  controls = [];
+
+  constructor(field) {
+    this.field = field;
+    this.items = make("div", {class: "items"});
+    this.error = make("small", {class: "error", role: "alert"});
+    this.isFixed = field.array.form === "fixed";
+    this.add = make("button", {type: "button", hidden: this.isFixed, onclick: () => {
+      this.append().focus();
+      this.#changed();
+    }}, `Add to ${label(field.name)}`);
+    const hint = field.fields && takesXY(field.fields) ? "Click on the map to add one." : "";
+    const note = noteOf(plain(field.comment), limits(field), hint);
+    this.element = make("fieldset", {}, make("legend", {}, label(field.name), " ", make("small", {}, note)),
+      this.items, this.error, make("div", {class: "row"}, this.add));
+    this.write(Array.isArray(field.default) ? field.default : []);
+  }
+
+  get isFull() {
+    return this.field.array.form === "bounded" && this.controls.length >= this.field.array.size;
+  }
+
+  append(value) {
+    const name = `${label(this.field.name)} ${this.controls.length + 1}`;
+    const control = this.field.fields ? new Group(this.field.fields, this.field, name) : new Leaf({...this.field, comment: ""}, name);
+    if (value !== undefined) control.write(value);
+    const item = make("div", {class: "item"}, control.element);
+    if (!this.isFixed) {
+      item.append(make("button", {type: "button", "aria-label": `Remove ${name}`, onclick: () => this.#remove(control)}, "✕"));
+    }
+    this.items.append(item);
+    this.controls.push(control);
+    this.#note();
+    return control;
+  }
+
+  write(values) {
+    this.items.replaceChildren();
+    this.controls = [];
+    for (const value of values) this.append(value);
+    this.#note();
+  }
+
+  read(problems) {
+    return this.controls.map(control => control.read(problems));
+  }
+
+  locate([index, ...rest]) {
+    return this.controls[index]?.locate(rest) ?? this;
+  }
+
+  complain(text) {
+    setText(this.error, text);
+  }
+
+  focus() {
+    (this.items.querySelector("input") ?? this.add).focus();
+  }
+
+  #remove(control) {
+    const at = this.controls.indexOf(control), problems = [];
+    const values = this.controls.filter(each => each !== control).map(each => each.read(problems));
+    this.write(values);
+    const buttons = [...this.items.children].map(item => item.lastChild);
+    (buttons[Math.min(at, buttons.length - 1)] ?? this.add).focus();
+    this.#changed();
+  }
+
+  #note() {
+    this.add.disabled = this.isFull;
+    this.complain("");
+  }
+
+  // Buttons cause no input event of their own.
+  #changed() {
+    this.element.dispatchEvent(new Event("input", {bubbles: true}));
+  }
+}
+
+// JSON text of values that may hold BigInts.
+export function toJson(value) {
+  if (typeof value === "bigint") return String(value);
+  if (Array.isArray(value)) return `[${value.map(toJson).join(",")}]`;
+  if (value !== null && typeof value === "object") {
+    return `{${Object.entries(value).map(([name, each]) => `${JSON.stringify(name)}:${toJson(each)}`).join(",")}}`;
+  }
+  return JSON.stringify(value);
+}

@@ -1,0 +1,194 @@
+// The goals: cards for those that run, lines for those that have ended.
+
+import {$, announce, make, say, setText} from "./elements.js";
+import {placesIn, progressOf, turtleOf} from "./places.js";
+import {FieldList, inWords, label, seconds, timeOfDay, unitsOf} from "./values.js";
+
+const KIND = {
+  ACCEPTED: "run", EXECUTING: "run", CANCELING: "warn", SUCCEEDED: "good",
+  CANCELED: "warn", ABORTED: "bad", REJECTED: "bad", UNKNOWN: "",
+};
+export const kindOf = status => KIND[status] ?? "";
+
+const MOST_STEPS = 30;
+
+export class Goals {
+  #cards = new Map();
+
+  // `names()` gives the turtles that there are, `describe(type)` a promise of an action's form.
+  constructor(watch, {names, describe}) {
+    this.watch = watch;
+    this.names = names;
+    this.describe = describe;
+    watch.addEventListener("goal", ({detail}) => this.#show(detail));
+    watch.addEventListener("dropped", ({detail}) => this.#remove(detail));
+    watch.addEventListener("time", () => this.#tick());
+  }
+
+  #show({goal, before, isNews}) {
+    let card = this.#cards.get(goal.id);
+    if (card && card.hasEnded !== goal.has_ended) {
+      this.#remove(goal.id);
+      card = null;
+    }
+    if (!card) {
+      card = goal.has_ended ? new Line(this, goal) : new Card(this, goal);
+      this.#cards.set(goal.id, card);
+      $(goal.has_ended ? "ended" : "active").prepend(card.element);
+      this.describe(goal.type).then(
+        form => { card.units = {feedback: unitsOf(form.feedback), result: unitsOf(form.result), request: unitsOf(form.goal)};
+          card.show(this.watch.goals.get(goal.id) ?? goal); }, () => {});
+    }
+    card.show(goal);
+    if (isNews && goal.has_ended && !before?.has_ended) announce(`${goal.action} ${goal.status.toLowerCase()}${tail(goal)}`);
+  }
+
+  #remove(id) {
+    const card = this.#cards.get(id);
+    if (!card) return;
+    // The focus must not get lost with the card that has it.
+    if (card.element.contains(document.activeElement)) $("tab-goals").focus();
+    card.element.remove();
+    this.#cards.delete(id);
+  }
+
+  #tick() {
+    let running = 0;
+    for (const [id, card] of this.#cards) {
+      if (card.hasEnded) continue;
+      running++;
+      card.tick(this.watch.goals.get(id));
+    }
+    setText($("running"), running ? String(running) : "");
+    $("no-goals").hidden = this.#cards.size > 0;
+  }
+
+  cancel(goal) {
+    const uuid = btoa(String.fromCharCode(...goal.id.match(/../g).map(pair => parseInt(pair, 16))));
+    const args = {goal_info: {goal_id: {uuid}}};
+    this.watch.connection.call(`${goal.action}/_action/cancel_goal`, args).then(
+      ({return_code}) => say(return_code === 1 ? `${goal.action} does not cancel the goal` : ""),
+      error => say(error.message));
+  }
+}
+
+const tail = goal => (goal.duration === null ? "" : ` after ${seconds(goal.duration)}`);
+
+function heading(goal) {
+  const pill = make("span", {class: "pill"});
+  const clock = make("span", {class: "clock"});
+  const title = make("h3", {}, goal.action);
+  return {pill, clock, title, element: make("div", {class: "head"}, title, pill, clock)};
+}
+
+function setPill(pill, status) {
+  setText(pill, status.toLowerCase());
+  pill.className = `pill ${kindOf(status)}`;
+}
+
+class Card {
+  hasEnded = false;
+  units = {};
+
+  constructor(goals, goal) {
+    this.goals = goals;
+    this.head = heading(goal);
+    this.bar = make("i");
+    this.track = make("div", {class: "track", role: "progressbar", "aria-label": `Progress of ${goal.action}`,
+      "aria-valuemin": 0, "aria-valuemax": 100, hidden: true}, this.bar);
+    this.steps = make("ol", {class: "steps", "aria-label": "Targets", hidden: true});
+    this.fields = new FieldList();
+    this.cancel = make("button", {"aria-label": `Cancel ${goal.action}`, onclick: () => goals.cancel(this.goal)}, "Cancel");
+    this.element = make("article", {class: "goal", "aria-label": goal.action}, this.head.element, this.track,
+      this.steps, this.fields.element, make("div", {class: "foot"}, this.cancel,
+        make("span", {class: "dim", title: goal.id}, `${goal.id.slice(0, 8)} · since ${timeOfDay(goal.at)}`)));
+  }
+
+  show(goal) {
+    this.goal = goal;
+    setPill(this.head.pill, goal.status);
+    this.cancel.disabled = !["ACCEPTED", "EXECUTING"].includes(goal.status);
+    const progress = progressOf(goal), facts = {}, turtle = turtleOf(goal, this.goals.names());
+    if (turtle) facts.turtle = turtle;
+    if (progress?.of) facts.reached = `${progress.done} of ${progress.of}`;
+    const shown = goal.feedback ? "feedback" : "request";
+    this.fields.show({...facts, ...goal[shown], ...facts}, this.units[shown], goal.series);
+    this.#showProgress(progress);
+    this.#showSteps(goal, progress);
+    this.tick(goal);
+  }
+
+  tick(goal) {
+    setText(this.head.clock, seconds(Math.max(0, this.goals.watch.time() - goal.accepted)));
+  }
+
+  #showProgress(progress) {
+    this.track.hidden = progress?.share == null;
+    if (this.track.hidden) return;
+    const percent = Math.round(progress.share * 100);
+    this.bar.style.width = `${percent}%`;
+    this.track.setAttribute("aria-valuenow", percent);
+  }
+
+  #showSteps(goal, progress) {
+    const count = progress?.of ? placesIn(goal.request?.targets).length : 0;
+    this.steps.hidden = !count || count > MOST_STEPS;
+    if (this.steps.hidden) return;
+    while (this.steps.children.length < count) this.steps.append(make("li"));
+    const next = progress.done % count, isOver = progress.done >= progress.of;
+    [...this.steps.children].forEach((step, index) => {
+      const isDone = isOver || index < next;
+      step.className = isDone ? "done" : index === next ? "next" : "";
+      setText(step, `${index + 1}${isDone ? " ✓" : index === next ? " →" : ""}`);
+      step.setAttribute("aria-label", `target ${index + 1}${isDone ? ", reached" : index === next ? ", next" : ""}`);
+    });
+  }
+}
+
+class Line {
+  hasEnded = true;
+  units = {};
+
+  constructor(goals, goal) {
+    this.pill = make("span", {class: "pill"});
+    this.what = make("span", {class: "what"});
+    this.clock = make("span", {class: "clock"});
+    this.body = make("div");
+    const summary = make("summary", {}, this.pill, make("b", {}, goal.action), this.what, this.clock);
+    this.element = make("details", {class: "goal"}, summary, this.body);
+    this.element.ontoggle = () => this.#fill();
+  }
+
+  show(goal) {
+    this.goal = goal;
+    setPill(this.pill, goal.status);
+    const asked = goal.request ? inWords(firstOf(goal.request)) : "";
+    const came = goal.result && goal.status === "SUCCEEDED" ? inWords(firstOf(goal.result)) : "";
+    setText(this.what, goal.reason || [asked, came].filter(Boolean).join(" → "));
+    setText(this.clock, [goal.duration === null ? "" : seconds(goal.duration), timeOfDay(goal.at)].filter(Boolean).join(" · "));
+    this.#fill();
+  }
+
+  // What is shown when the line is opened; most lines never are.
+  #fill() {
+    if (!this.element.open) return;
+    const {goal} = this, parts = [];
+    if (goal.reason) parts.push(make("p", {class: "reason"}, goal.reason));
+    for (const part of ["request", "result", "feedback"]) {
+      if (!goal[part] || !Object.keys(goal[part]).length) continue;
+      const list = new FieldList();
+      list.show(goal[part], this.units[part], part === "feedback" ? goal.series : {});
+      parts.push(make("p", {class: "part"}, part === "request" ? "Goal" : part === "feedback" ? "Last feedback" : "Result"), list.element);
+    }
+    parts.push(make("p", {class: "dim"}, `${goal.type} · ${goal.id}`));
+    this.body.replaceChildren(...parts);
+  }
+}
+
+// A short view of a message: its lists of places as a count, else its first fields.
+function firstOf(values) {
+  const [name, value] = Object.entries(values)[0] ?? [];
+  if (name === undefined) return "";
+  if (Array.isArray(value) && placesIn(value).length) return `${placesIn(value).length} ${label(name)}`;
+  return typeof value === "object" ? value : `${label(name)} ${inWords(value)}`;
+}

@@ -1,0 +1,133 @@
+// The page: puts the parts together.
+
+import {Connection} from "./connection.js";
+import {Draft} from "./draft.js";
+import {Driving} from "./driving.js";
+import {$, announce, make, say, setText} from "./elements.js";
+import {Goals} from "./goals.js";
+import {Timeline} from "./timeline.js";
+import {Topics} from "./topics.js";
+import {Turtles} from "./turtles.js";
+import {degrees} from "./values.js";
+import {Watch} from "./watch.js";
+import {World} from "./world.js";
+
+const connection = new Connection(), watch = new Watch(connection), draft = new Draft(connection, watch);
+const chosen = () => $("turtle").value;
+const turtleNames = make("datalist", {id: "turtle-names"});
+document.body.append(turtleNames);
+
+function choose(name) {
+  driving.stop();
+  $("turtle").value = name;
+  draft.chooseTurtle(name);
+  turtles.refresh();
+  world.refresh();
+  showState();
+}
+
+const world = new World(connection, watch, draft, {chosen, choose});
+const driving = new Driving(connection, world, chosen);
+const turtles = new Turtles(connection, watch, world, {chosen, choose});
+new Goals(watch, {names: () => world.names, describe: type => draft.describe(type)});
+new Topics(connection, watch);
+new Timeline(watch);
+
+// the header
+
+connection.addEventListener("up", () => tell("connected", "good"));
+connection.addEventListener("trying", () => tell("connecting …", ""));
+connection.addEventListener("down", ({detail}) => tell(`not connected, trying again in ${detail / 1000} s`, "bad"));
+connection.addEventListener("up", () => watch.follow());
+connection.addEventListener("status", ({detail}) => say(detail));
+watch.addEventListener("problem", ({detail}) => say(detail));
+
+function tell(text, kind) {
+  setText($("line"), text);
+  $("line").className = `pill ${kind}`;
+  document.body.classList.toggle("down", kind === "bad");
+}
+
+const many = (count, word) => `${count} ${word}${count === 1 ? "" : "s"}`;
+watch.addEventListener("graph", () => {
+  const {nodes, actions} = watch.graph;
+  setText($("graph"), `${many(nodes.length, "node")} · ${many(Object.keys(actions).length, "action")}`);
+  $("pause").hidden = !watch.has("/world/set_simulation_state");
+  turtles.refresh();
+});
+
+const isPaused = () => watch.rate < .001;
+watch.addEventListener("time", () => {
+  const rate = watch.rate < 10 ? watch.rate.toFixed(1).replace(".0", "") : Math.round(watch.rate);
+  setText($("rate"), isPaused() ? "paused" : `time ${rate}×`);
+  setText($("pause"), isPaused() ? "Resume world" : "Pause world");
+});
+$("pause").onclick = () => {
+  const state = isPaused() ? 1 : 2; // STATE_PLAYING, STATE_PAUSED
+  connection.call("/world/set_simulation_state", {state: {state}}).then(
+    ({result}) => say(result.error_message), error => say(error.message));
+};
+
+// the turtles
+
+world.onchange = () => {
+  const names = world.names, before = chosen();
+  $("turtle").replaceChildren(...names.map(name => make("option", {}, name)));
+  $("turtle").disabled = !names.length;
+  turtleNames.replaceChildren(...names.map(name => make("option", {value: name})));
+  choose(names.includes(before) ? before : names[0] ?? "");
+};
+$("turtle").onchange = () => choose(chosen());
+$("spawn-here").onclick = () => turtles.spawnSomewhere();
+$("clear").onclick = () => {
+  const service = watch.has("/clear") ? "/clear" : "/turtleact/web/clear_trails";
+  turtles.attempt(connection.call(service), "");
+};
+
+function showState() {
+  const pose = world.turtles.get(chosen())?.pose;
+  const [place, motion] = $("state").children;
+  setText(place, pose ? `x ${pose.x.toFixed(2)} · y ${pose.y.toFixed(2)}` : "");
+  setText(motion, pose ? `${degrees(pose.theta)} · ${pose.linear_velocity.toFixed(1)} m/s` : "");
+}
+setInterval(() => {
+  showState();
+  if (!$("turtles").hidden) turtles.show();
+}, 200);
+setInterval(() => $("world").setAttribute("aria-label", world.inWords()), 2000);
+
+$("nearer").onclick = () => world.zoom(1.5);
+$("farther").onclick = () => world.zoom(1 / 1.5);
+$("all").onclick = () => { world.showAll(); $("nearer").focus(); };
+
+// the tabs: one can be reached with Tab, the others with the arrow keys
+
+const tabs = [...document.querySelectorAll("[role=tab]")];
+function open(tab) {
+  for (const each of tabs) {
+    each.setAttribute("aria-selected", String(each === tab));
+    each.tabIndex = each === tab ? 0 : -1;
+    $(each.getAttribute("aria-controls")).hidden = each !== tab;
+  }
+}
+tabs.forEach((tab, index) => {
+  tab.onclick = () => open(tab);
+  tab.onkeydown = ({key}) => {
+    const to = {ArrowRight: index + 1, ArrowLeft: index - 1, Home: 0, End: tabs.length - 1}[key];
+    if (to === undefined) return;
+    const next = tabs[(to + tabs.length) % tabs.length];
+    open(next);
+    next.focus();
+  };
+});
+open(tabs[0]);
+
+draft.addEventListener("problem", () => open($("tab-send")));
+draft.addEventListener("accepted", () => {
+  const hadFocus = $("send").contains(document.activeElement);
+  open($("tab-goals"));
+  if (hadFocus) $("tab-goals").focus();
+  announce(`${draft.action} has accepted the goal`);
+});
+
+connection.open();

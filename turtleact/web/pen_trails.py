@@ -1,0 +1,169 @@
+"""The lines that turtles have drawn, for every page that opens later.
+
+They are made from poses, because no topic tells what a turtle draws. So pens are known only as far
+as web clients have set them, and turtles that are cleared by others keep their lines. Pure.
+
+Source: turtlesim ``turtle.cpp`` for the first pen.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable
+from typing import Final, TypeAlias
+
+import msgspec
+
+from turtleact.geometry import distance
+
+__all__ = ["FIRST_PEN", "MOST_POINTS", "Pen", "PenTrails", "Tail"]
+
+MOST_POINTS: Final = 2000
+"""The maximum number of points of one turtle's line; the oldest are dropped."""
+
+DETOUR: Final = 0.0002
+"""How much longer than the line the turtle's way may be between two points (m)."""
+
+LONGEST: Final = 0.3
+"""The maximum length of a straight piece (m), so that a long arc is not taken for a line."""
+
+
+class Pen(msgspec.Struct, frozen=True):
+    """A turtle's pen.
+
+    Attributes:
+        colour: Its colour, as CSS writes it.
+        width: Its width in pixels of turtlesim's window, which is 500 pixels wide.
+        is_off: Whether it draws nothing.
+    """
+
+    colour: str
+    width: int
+    is_off: bool = False
+
+
+FIRST_PEN: Final = Pen("#b3b8ff", 3)
+LIFTED: Final = Pen("", 0, is_off=True)
+
+Point: TypeAlias = tuple[int, float, float, Pen]
+"""The revision, a place (m), and the pen that drew the piece of line that ends there."""
+
+
+class Tail(msgspec.Struct, frozen=True):
+    """The new end of a line.
+
+    Attributes:
+        is_whole: Whether this is the whole line, and replaces what the page has.
+        points: Places, each with its pen.
+    """
+
+    is_whole: bool
+    points: list[tuple[float, float, str, int]]
+
+
+class PenTrails:
+    """The lines of all turtles.
+
+    Args:
+        revise: Returns the next revision; called at each change.
+    """
+
+    def __init__(self, revise: Callable[[], int]) -> None:
+        self._revise = revise
+        self._lines: dict[str, _Line] = {}
+
+    def follow(self, name: str, x: float, y: float) -> None:
+        """Note where a turtle is now."""
+        line = self._lines.get(name)
+        if line is None:
+            line = self._lines[name] = _Line(self._revise())
+        line.follow((x, y), self._revise)
+
+    def set_pen(self, name: str, pen: Pen) -> None:
+        """Draw with another pen from now on."""
+        line = self._lines.get(name)
+        if line is None:
+            line = self._lines[name] = _Line(self._revise())
+        line.turn(self._revise)
+        line.pen = pen
+
+    def lift(self, name: str) -> None:
+        """Note that a turtle is gone: one that comes back under its name begins elsewhere."""
+        if name in self._lines:
+            self._lines[name].lift()
+
+    def clear(self) -> None:
+        """Wipe all lines off; pens stay as they are."""
+        for name, line in self._lines.items():
+            self._lines[name] = _Line(self._revise())
+            self._lines[name].pen = line.pen
+
+    def reset(self) -> None:
+        """Wipe all lines off, and give every turtle its first pen."""
+        for name in self._lines:
+            self._lines[name] = _Line(self._revise())
+
+    def since(self, revision: int) -> dict[str, Tail]:
+        """The ends of the lines that have changed after a revision."""
+        tails = {name: line.since(revision) for name, line in self._lines.items()}
+        return {name: tail for name, tail in tails.items() if tail.is_whole or tail.points}
+
+
+class _Line:
+    """One turtle's line.
+
+    Attributes:
+        pen: What it draws with.
+    """
+
+    def __init__(self, revision: int) -> None:
+        self.pen = FIRST_PEN
+        self._points: list[Point] = []
+        self._begun = revision
+        self._here: tuple[float, float] | None = None
+
+    def follow(self, there: tuple[float, float], revise: Callable[[], int]) -> None:
+        here, self._here = self._here, there
+        if here == there:
+            return
+        if here is None:
+            self._add(there, revise, LIFTED)
+            return
+        last = self._points[-1][1:3]
+        # A straight piece from the last point to there would pass by this place. If the way through
+        # this place is longer, there was a corner here, and it becomes a point.
+        to_here = distance(*last, *here)
+        detour = to_here + distance(*here, *there) - distance(*last, *there)
+        if detour > DETOUR or to_here > LONGEST:
+            self._add(here, revise)
+
+    def turn(self, revise: Callable[[], int]) -> None:
+        """Make the present place a point."""
+        if self._here is not None:
+            self._add(self._here, revise)
+
+    def lift(self) -> None:
+        """Draw nothing on the way to the next place."""
+        self._here = None
+
+    def since(self, revision: int) -> Tail:
+        is_whole = self._begun > revision
+        first = 0 if is_whole else bisect_right(self._points, revision, key=_revision_of)
+        return Tail(
+            is_whole,
+            [
+                (round(x, 3), round(y, 3), "" if pen.is_off else pen.colour, pen.width)
+                for _, x, y, pen in self._points[first:]
+            ],
+        )
+
+    def _add(
+        self, place: tuple[float, float], revise: Callable[[], int], pen: Pen | None = None
+    ) -> None:
+        self._points.append((revise(), *place, pen or self.pen))
+        if len(self._points) > MOST_POINTS:
+            del self._points[: MOST_POINTS // 8]
+
+
+def _revision_of(point: Point) -> int:
+    return point[0]

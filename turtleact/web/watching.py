@@ -1,0 +1,406 @@
+"""What the page watches: the goals of all actions, the trails of turtles, and the graph.
+
+The server keeps all of this, so that it survives a reload and is the same in every browser. It
+begins when the first page asks, and continues until the bridge is closed: programs that only speak
+rosbridge pay nothing.
+
+A page asks by calling services that only web clients can call, like those of rosapi:
+
+- ``/turtleact/web/watch`` answers with what is new after a revision, and waits if nothing is. A
+  slow page therefore asks less often, and nothing piles up for it.
+- ``/turtleact/web/form`` describes an action's type.
+- ``/turtleact/web/clear_trails`` wipes the trails off.
+
+Each goal is followed as any other client would follow it: it is attached to when it appears on its
+action's status topic.
+"""
+
+from __future__ import annotations
+
+import math
+import secrets
+import time
+from collections.abc import Awaitable, Callable
+from contextlib import AbstractAsyncContextManager
+from typing import Any, Final, Protocol, TypeAlias
+
+import anyio
+
+from turtleact.client import ActionClient, FeedbackReceived, ResultReceived, StatusChanged
+from turtleact.errors import InvalidMessage, TurtleactError, UnknownGoal, UnknownInterface
+from turtleact.goal import GoalStatus, status_of
+from turtleact.goal_id import new_goal_id
+from turtleact.interfaces import Message, nanoseconds
+from turtleact.interfaces.standard import GoalStatusArray
+from turtleact.node import Node
+from turtleact.tasks import Background, current_tasks
+from turtleact.topics import Subscription
+from turtleact.transports import QoS
+from turtleact.web.forms import form
+from turtleact.web.goal_history import REJECTED, GoalHistory, GoalRecord
+from turtleact.web.name_lookup import action_class, message_class
+from turtleact.web.pen_trails import Pen, PenTrails
+
+__all__ = [
+    "MOST_ACTIONS",
+    "MOST_FOLLOWED",
+    "MOST_TURTLES",
+    "PACE",
+    "PATIENCE",
+    "OpenClient",
+    "Watch",
+]
+
+PACE: Final = 0.1
+"""A page gets news at most once in this time (s)."""
+
+PATIENCE: Final = 1.0
+"""A page gets an answer at least once in this time (s), so that it knows the time."""
+
+MOST_ACTIONS: Final = 200
+"""The goals of this many actions are watched."""
+
+MOST_FOLLOWED: Final = 256
+"""This many goals are followed at once; of others, only the status is known."""
+
+MOST_TURTLES: Final = 64
+"""The trails of this many turtles are kept."""
+
+MOST_REQUESTS: Final = 64
+"""This many goals may be sent before their status arrives."""
+
+SERVICES: Final = "/turtleact/web/"
+POSE: Final = "/pose"
+POSE_TYPES: Final = frozenset({"turtlesim/msg/Pose", "turtlesim_msgs/msg/Pose"})
+STATUS_QOS: Final = QoS(depth=1, durability="transient_local")
+
+Values: TypeAlias = dict[str, Any]
+Client: TypeAlias = ActionClient[Message, Message, Message]
+
+
+class OpenClient(Protocol):
+    """Opens a client of an action, or shares one that is open."""
+
+    def __call__(self, name: str, action_type: Any) -> AbstractAsyncContextManager[Client]:  # noqa: ANN401  # any action
+        """The client of the action of a name and type, for the length of a block."""
+
+
+class Watch:
+    """Watches a graph for the pages of a bridge.
+
+    Args:
+        node: A node of the graph.
+        open_client: Opens the clients that follow goals.
+
+    Attributes:
+        history: The goals.
+        trails: The trails.
+    """
+
+    def __init__(self, node: Node, open_client: OpenClient) -> None:
+        self._node = node
+        self._open_client = open_client
+        self._tasks = current_tasks()
+        self._changed = self._tasks.signal()
+        self._revision = 0
+        self._session = secrets.token_hex(4)
+        self.history = GoalHistory(self._revise)
+        self.trails = PenTrails(self._revise)
+        self._looked_at = -math.inf
+        self._graph: Values = {}
+        self._graph_revision = 0
+        self._actions: dict[tuple[str, str], _Action] = {}
+        self._poses: dict[str, Subscription[Any]] = {}
+        self._following: dict[str, Background] = {}
+        self._requests: dict[str, Message] = {}
+        self._services: dict[str, Callable[[Values], Awaitable[Values]]] = {
+            "watch": self._watch,
+            "form": _form,
+            "clear_trails": self._clear_trails,
+        }
+
+    @property
+    def is_watching(self) -> bool:
+        """Whether a page has asked."""
+        return self._looked_at > -math.inf
+
+    async def call(self, service: str, args: object) -> Values | None:
+        """The values of a response; None if that is no service for pages.
+
+        Raises:
+            InvalidMessage: if an argument does not fit.
+            TurtleactError: if a type is not known.
+        """
+        name = f"/{service.removeprefix('/')}"
+        answer = self._services.get(name.removeprefix(SERVICES)) if SERVICES in name else None
+        if answer is None:
+            return None
+        if args is not None and not isinstance(args, dict):
+            raise InvalidMessage("args", "expected an object")
+        return await answer(args or {})
+
+    # what other parts of the bridge tell
+
+    def note_request(self, goal_id: bytes, request: Message) -> None:
+        """Note a goal that a web client has sent: servers elsewhere do not tell what was asked."""
+        if not self.is_watching:
+            return
+        record = self.history.find(goal_id.hex())
+        if record is not None:
+            record.request = request
+            self.history.change(record)
+            return
+        self._requests[goal_id.hex()] = request
+        if len(self._requests) > MOST_REQUESTS:
+            del self._requests[next(iter(self._requests))]
+
+    def note_rejection(self, action: tuple[str, str], request: Message, reason: str) -> None:
+        """Note that a goal of a web client was rejected.
+
+        Args:
+            action: The name and the type of the action.
+            request: The goal.
+            reason: Why.
+        """
+        if self.is_watching:
+            record = GoalRecord(new_goal_id().hex(), *action, accepted=self._now(), at=time.time())
+            record.request, record.reason = request, reason
+            self.history.end(record, REJECTED)
+
+    def note_call(self, service: str, request: Any) -> None:  # noqa: ANN401  # any request
+        """Note that a web client has called a service: some change what turtles have drawn."""
+        if service == "/reset":
+            self.trails.reset()
+        elif service == "/clear":
+            self.trails.clear()
+        elif service.endswith("/set_pen") and hasattr(request, "width"):
+            colour = f"#{request.r:02x}{request.g:02x}{request.b:02x}"
+            pen = Pen(colour, request.width, is_off=bool(request.off))
+            self.trails.set_pen(service.removesuffix("/set_pen").removeprefix("/"), pen)
+
+    async def aclose(self) -> None:
+        """Stop watching."""
+        for following in list(self._following.values()):
+            await following.aclose()
+        for action in self._actions.values():
+            await action.aclose()
+        for subscription in self._poses.values():
+            subscription.close()
+
+    # the services
+
+    async def _watch(self, args: Values) -> Values:
+        """News after a revision; everything, if it is 0 or from another session."""
+        since = args.get("since", 0)
+        if not isinstance(since, int):
+            raise InvalidMessage("args.since", "expected a whole number")
+        self._look()
+        if since == 0 or args.get("session") != self._session:
+            return self._news(0)
+        with anyio.move_on_after(PATIENCE):
+            while self._revision <= since:
+                await self._changed.wait()
+            await anyio.sleep(PACE)
+        return self._news(since)
+
+    def _news(self, since: int) -> Values:
+        changes = self.history.since(since)
+        if not changes.is_complete:
+            return self._news(0)
+        news = {
+            "session": self._session,
+            "revision": self._revision,
+            "is_whole": since == 0,
+            "now": self._now(),
+            "goals": [record.plain() for record in changes.goals],
+            "dropped": changes.dropped,
+            "trails": self.trails.since(since),
+        }
+        return news if self._graph_revision <= since else {**news, "graph": self._graph}
+
+    async def _clear_trails(self, _args: Values) -> Values:
+        self.trails.clear()
+        return {}
+
+    # looking around
+
+    def _look(self) -> None:
+        """Follow what is new on the graph, unless somebody has looked a moment ago."""
+        now = anyio.current_time()
+        if now - self._looked_at < PATIENCE:
+            return
+        self._looked_at = now
+        graph = self._node.graph()
+        seen: Values = {
+            "nodes": list(graph.nodes),
+            "topics": {name: types[0] for name, types in graph.topics.items()},
+            "services": {name: types[0] for name, types in graph.services.items()},
+            "actions": {name: types[0] for name, types in graph.actions.items()},
+        }
+        if seen != self._graph:
+            self._graph, self._graph_revision = seen, self._revise()
+        self._look_for_actions(seen["actions"])
+        self._look_for_turtles(seen["topics"])
+
+    def _look_for_actions(self, served: dict[str, str]) -> None:
+        for key in self._actions.keys() - served.items():
+            self._actions.pop(key).leave()
+        for key in served.items():
+            if key not in self._actions and len(self._actions) < MOST_ACTIONS:
+                self._actions[key] = _Action(self._node, key, self._take_statuses)
+
+    def _look_for_turtles(self, topics: dict[str, str]) -> None:
+        found = {
+            name: type
+            for name, type in topics.items()
+            if name.endswith(POSE) and type in POSE_TYPES
+        }
+        for topic in self._poses.keys() - found.keys():
+            self._poses.pop(topic).close()
+            self.trails.lift(_turtle(topic))
+        for topic, type in found.items():
+            if topic not in self._poses and len(self._poses) < MOST_TURTLES:
+                self._follow_turtle(topic, message_class(type))
+
+    def _follow_turtle(self, topic: str, pose_type: type[Message]) -> None:
+        name, follow = _turtle(topic), self.trails.follow
+
+        def take(pose: Any) -> bool:  # noqa: ANN401  # of either package
+            follow(name, pose.x, pose.y)
+            return True
+
+        subscription: Subscription[Any] = self._node.subscription(pose_type, topic, QoS(depth=1))
+        subscription.taker = take
+        self._poses[topic] = subscription
+
+    # goals
+
+    def _take_statuses(self, action: tuple[str, str], message: GoalStatusArray) -> None:
+        """Take what an action says about its goals."""
+        for each in message.status_list:
+            id = bytes(each.goal_info.goal_id.uuid).hex()
+            record, status = self.history.find(id), status_of(each.status)
+            if record is None:
+                stamp = nanoseconds(each.goal_info.stamp) / 1e9
+                record = self._new_record(id, action, stamp, status)
+            elif record.status == GoalStatus.UNKNOWN.name and status.is_active:
+                record.has_ended, record.reason = False, ""  # its server is back
+                self._set_status(record, status)
+            elif record.has_ended or id in self._following:
+                continue
+            elif record.status != status.name:
+                self._set_status(record, status)
+            else:
+                continue
+            self._follow_goal(record)
+
+    def _new_record(
+        self, id: str, action: tuple[str, str], stamp: float, status: GoalStatus
+    ) -> GoalRecord:
+        age = max(0.0, self._now() - stamp)
+        record = GoalRecord(id, *action, accepted=stamp, at=time.time() - age)
+        record.request = self._requests.pop(id, None)
+        record.status = status.name
+        record.has_ended = status.is_terminal
+        self.history.add(record)
+        return record
+
+    def _set_status(self, record: GoalRecord, status: GoalStatus) -> None:
+        if status.is_terminal:
+            self.history.end(record, status.name, self._now())
+        else:
+            record.status = status.name
+            self.history.change(record)
+
+    def _follow_goal(self, record: GoalRecord) -> None:
+        if record.id not in self._following and len(self._following) < MOST_FOLLOWED:
+            self._following[record.id] = Background(
+                self._follow(record), f"the watch of goal {record.id}"
+            )
+
+    async def _follow(self, record: GoalRecord) -> None:
+        """Follow a goal to its end."""
+        try:
+            await self._read(record, is_late=record.has_ended)
+        except (UnknownGoal, UnknownInterface):
+            # The server has forgotten the goal, or nobody here knows its type.
+            pass
+        except TurtleactError as error:
+            record.reason = str(error)
+            self.history.end(record, GoalStatus.UNKNOWN.name, self._now())
+        finally:
+            del self._following[record.id]
+
+    async def _read(self, record: GoalRecord, *, is_late: bool) -> None:
+        async with self._open_client(record.action, action_class(record.type)) as client:
+            handle = await client.attach(bytes.fromhex(record.id))
+            record.request = record.request or handle.request
+            self.history.change(record)
+            async for event in handle.events():
+                match event:
+                    case FeedbackReceived(feedback=feedback):
+                        record.take(feedback, self._now())
+                        self.history.change(record)
+                    case StatusChanged(status=status) if not status.is_terminal:
+                        record.status = status.name
+                        self.history.change(record)
+                    case ResultReceived(outcome=outcome):
+                        record.result, record.reason = outcome.result, outcome.reason
+                        now = None if is_late else self._now()
+                        self.history.end(record, outcome.status.name, now)
+
+    def _revise(self) -> int:
+        self._revision += 1
+        self._changed.fire()
+        return self._revision
+
+    def _now(self) -> float:
+        return self._node.clock.now() / 1e9
+
+
+class _Action:
+    """An action whose goals are watched.
+
+    Args:
+        node: Subscribes to its status.
+        key: Its name and type.
+        take: Called with each message about its goals.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        key: tuple[str, str],
+        take: Callable[[tuple[str, str], GoalStatusArray], None],
+    ) -> None:
+        self._key = key
+        self._take = take
+        topic = f"{key[0]}/_action/status"
+        self._statuses = node.subscription(GoalStatusArray, topic, STATUS_QOS)
+        self._reading = Background(self._read(), f"the watch of {key[0]}")
+
+    def leave(self) -> None:
+        """Stop watching soon."""
+        self._statuses.close()
+
+    async def aclose(self) -> None:
+        """Stop watching."""
+        self._statuses.close()
+        await self._reading.aclose()
+
+    async def _read(self) -> None:
+        # Only the newest message is kept, as each has all goals: under load, some are skipped.
+        async for message in self._statuses:
+            self._take(self._key, message)
+
+
+async def _form(args: Values) -> Values:
+    wanted = args.get("type")
+    if not isinstance(wanted, str):
+        raise InvalidMessage("args.type", "expected text")
+    return form(action_class(wanted))
+
+
+def _turtle(topic: str) -> str:
+    """The name of the turtle that publishes to a topic."""
+    return topic.removesuffix(POSE).removeprefix("/")
