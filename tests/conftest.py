@@ -1,9 +1,10 @@
 """What all tests share: the event loops that an async test runs on, its watchdog, Hypothesis.
 
 An async test runs on asyncio, uvloop and trio, for cancellation, tasks and wake-ups differ between
-them. What is built on top of tasks, nodes and transports does not meet these differences: the tests
-in the folders of `ONE_LOOP` run on asyncio. A test, or through ``pytestmark`` a module, that wants
-other loops names them: ``@pytest.mark.loops("asyncio", "trio")``.
+them. uvloop runs the tasks of asyncio, so of a test with many cases it runs the first and the last.
+What is built on top of tasks, nodes and transports does not meet these differences: the tests in
+the folders of `ONE_LOOP` run on asyncio. A test, or through ``pytestmark`` a module, that wants
+other loops, or all its cases on uvloop, names its loops: ``@pytest.mark.loops("asyncio", "trio")``.
 """
 
 from __future__ import annotations
@@ -94,6 +95,24 @@ def loops_of(test: pytest.Item) -> tuple[str, ...]:
         return mark.args
     folder = test.path.relative_to(TESTS).parts[0]
     return ("asyncio",) if folder in ONE_LOOP else tuple(LOOPS)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pycollect_makeitem() -> Generator[None, object, object]:
+    """Leaves only the first and the last case of a test to uvloop, unless it names its loops."""
+    made = yield
+    if isinstance(made, list):
+        on_uvloop = [each for each in made if is_on_uvloop_by_default(each)]
+        dropped = set(on_uvloop[1:-1])
+        made = [each for each in made if each not in dropped]
+    return made
+
+
+def is_on_uvloop_by_default(item: object) -> bool:
+    if not isinstance(item, pytest.Function) or not hasattr(item, "callspec"):
+        return False
+    on_uvloop = item.callspec.params.get("anyio_backend") == LOOPS["uvloop"]
+    return on_uvloop and item.get_closest_marker("loops") is None
 
 
 COLLECTED: dict[str, Any] = {}

@@ -19,6 +19,8 @@ from turtleact.transports import MemoryTransport
 
 T = TypeVar("T")
 
+ON_EVERY_LOOP = pytest.mark.loops("asyncio", "uvloop", "trio")
+"""For tests that run all their cases on uvloop."""
 ON_ASYNCIO = pytest.mark.parametrize(
     "anyio_backend",
     [

@@ -33,7 +33,19 @@ from .client.test_cancelling import (
     over_zenoh,
 )
 from .conftest import INSTALLED, LOOPS
-from .lab import ON_ASYNCIO, Count, Running, feedback, goal, result, running, settle
+from .lab import (
+    ON_ASYNCIO,
+    ON_EVERY_LOOP,
+    Count,
+    Running,
+    feedback,
+    goal,
+    result,
+    running,
+    settle,
+)
+
+pytestmark = ON_EVERY_LOOP
 
 __all__ = ["address"]  # a fixture
 

@@ -21,7 +21,8 @@ PAGE = (TESTS.parent / "docs" / "conformance.md").read_text("utf-8")
 COLUMNS = ["what", "rclpy", "rclcpp", "turtleact", "proved by"]
 
 PROOF = re.compile(r"`((?:\w+/)*test_\w+\.py::test_\w+)`")
-LOOPS = {"anyio", "asyncio", "trio", "uvloop"}
+EVERY_LOOP = {"asyncio", "trio", "uvloop"}
+LOOPS = EVERY_LOOP | {"anyio"}
 RUNNERS = "turtleact.testing"
 EXCUSES = {"skip", "skipif", "xfail"}
 
@@ -61,7 +62,8 @@ def fault_of(proof: str, folder: Path = TESTS, *, every_loop: bool = True) -> st
         return "its module has event loops of its own"
     shared = assignments_of(folder / "lab.py") if (folder / "lab.py").exists() else {}
     marks = words_of(marks_of(function, module), shared | assignments_of(folder / path))
-    if every_loop and {"anyio_backend", "loops"} & marks:
+    named = not marks >= EVERY_LOOP if "loops" in marks else "anyio_backend" in marks
+    if every_loop and named:
         return "it does not run on every event loop"
     is_async, room = isinstance(function, ast.AsyncFunctionDef), path.split("/")[0]
     if every_loop and is_async and room in one_loop(folder):
@@ -211,6 +213,8 @@ async def test_on_another(): ...
 async def test_on_a_shared_one(): ...
 @pytest.mark.loops("trio")
 async def test_on_a_named_one(): ...
+@pytest.mark.loops("asyncio", "uvloop", "trio")
+async def test_on_all_that_are_named(): ...
 @pytest.mark.parametrize("n", [pytest.param(1, marks=pytest.mark.xfail)])
 async def test_fails(): ...
 def test_runs_one(): anyio.run(body)
@@ -251,6 +255,7 @@ def test_the_rows_of_the_tables_that_compare_are_read():
         "test_it.py::test_on_every_loop",
         "test_it.py::test_on_none",
         "test_it.py::test_in_two_ways",
+        "test_it.py::test_on_all_that_are_named",
         "web/test_it.py::test_y",
     ],
 )

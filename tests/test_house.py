@@ -224,6 +224,26 @@ def test_an_async_test_runs_on_every_loop_unless_its_folder_or_a_mark_says_other
     ]
 
 
+CASES = """
+import pytest
+NUMBERS = pytest.mark.parametrize("number", range(4))
+@NUMBERS
+async def test_shared(number): ...
+@NUMBERS
+@pytest.mark.loops("uvloop")
+async def test_named(number): ...
+"""
+
+
+def test_uvloop_runs_the_first_and_the_last_case_of_a_test_that_does_not_name_it(tmp_path):
+    (tmp_path / "test_cases.py").write_text(CASES, "utf-8")
+    on_uvloop = [name for name in collected(tmp_path) if "uvloop" in name]
+    assert on_uvloop == [
+        *("test_shared[uvloop-0]", "test_shared[uvloop-3]"),
+        *(f"test_named[uvloop-{number}]" for number in range(4)),
+    ]
+
+
 # --- watchdog -------------------------------------------------------------------------------
 
 HANG = """

@@ -16,7 +16,18 @@ from turtleact import CancelResponse, GoalStatus
 from turtleact.errors import InvalidOption
 from turtleact.transports import MemoryTransport, open_zenoh
 
-from ..lab import ON_ASYNCIO, Count, Gate, Running, goal, lab, result, running, settle
+from ..lab import (
+    ON_ASYNCIO,
+    ON_EVERY_LOOP,
+    Count,
+    Gate,
+    Running,
+    goal,
+    lab,
+    result,
+    running,
+    settle,
+)
 from .test_remote_server import Apart, Cut
 
 Call: TypeAlias = Callable[[], Awaitable[object]]
@@ -79,6 +90,7 @@ def address(tmp_path) -> str:
     return f"unixsock-stream/{tmp_path}/zenoh.sock"
 
 
+pytestmark = ON_EVERY_LOOP
 EVERYWHERE = pytest.mark.parametrize("where", [in_process, by_messages, over_zenoh])
 ELSEWHERE = pytest.mark.parametrize("where", [by_messages, over_zenoh])
 
