@@ -88,7 +88,7 @@ def test_in_dev_mode_a_bug_shows_its_traceback():
     [(3, 3, "3"), (None, 0, ""), ("bye", 1, "'bye'"), (False, 0, "False"), (-1, 255, "-1")],
 )
 def test_sys_exit_is_a_line_and_its_status(ends, code, status, said):
-    text = f"turtleact: somebody's code has ended the program: sys.exit({said})\n"
+    text = f"turtleact: your code has ended the program: sys.exit({said})\n"
     assert ends(raises(SystemExit(code))) == (status, text)
 
 

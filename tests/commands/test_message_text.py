@@ -72,7 +72,7 @@ def test_a_file_is_read(read, tmp_path):
     [
         ("missing.yaml", "missing.yaml: cannot be read: No such file or directory"),
         (".", "cannot be read: Is a directory"),
-        ("null\0", "a path holds no null character"),
+        ("null\0", "a path cannot contain a null character"),
     ],
 )
 def test_a_file_that_cannot_be_read_is_an_error(read, tmp_path, name, problem):

@@ -124,7 +124,7 @@ def test_a_task_that_ignores_its_cancellation_is_named_with_its_line(interrupts,
     task = run(command(), interrupts)
     assert interrupts.must_leave
     assert capsys.readouterr().err.startswith(
-        f"turtleact: leaving without what does not end: task 'endless' ({__file__}, line "
+        f"turtleact: ending without waiting for what still runs: task 'endless' ({__file__}, line "
     )
     is_over = True
     task.get_loop().call_soon(task.cancel)
@@ -150,7 +150,10 @@ def test_a_thread_that_does_not_end_is_left(interrupts, capsys, in_executor):
         loop = run(command(), interrupts)
         name = "a thread of the loop's executor" if in_executor else "thread 'endless'"
         assert interrupts.must_leave
-        assert f"turtleact: leaving without what does not end: {name}" in capsys.readouterr().err
+        assert (
+            f"turtleact: ending without waiting for what still runs: {name}"
+            in capsys.readouterr().err
+        )
     finally:
         over.set()
     while set(threading.enumerate()) - before and not loop.is_closed():

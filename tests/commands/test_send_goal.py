@@ -280,7 +280,7 @@ def test_a_goal_that_does_not_end_after_its_timeout_is_left(start, name):
     assert ran.status == 124
     assert ran.err.splitlines()[1:] == [
         "turtleact: no result after 0.01 s",
-        "turtleact: the goal ended with the embedded world; there is nothing to come back to",
+        "turtleact: the goal ended together with the embedded world",
     ]
 
 
@@ -289,7 +289,7 @@ def test_a_server_that_does_not_take_the_goal_in_time_is_given_up(on_stage, monk
     ran = on_stage("send-goal", "consider", "-t", "0.02")
     assert (ran.status, ran.out.count("accepted")) == (124, 0)
     assert ran.err.splitlines()[1:] == [
-        "turtleact: no answer from the server after 0.02 s; giving it up",
+        "turtleact: no answer from the server after 0.02 s; giving up",
         "turtleact: given up before the goal was accepted; there is none",
     ]
 
@@ -311,7 +311,7 @@ async def late(transport):
 
 
 @pytest.mark.parametrize(
-    ("grace", "rest"), [(0.01, "the server may take it yet"), (5.0, "there is none")]
+    ("grace", "rest"), [(0.01, "the server may still accept it"), (5.0, "there is none")]
 )
 def test_a_server_that_does_not_answer_in_time_is_told_from_one_that_takes_no_goal(
     on_graph, monkeypatch, grace, rest
@@ -321,7 +321,7 @@ def test_a_server_that_does_not_answer_in_time_is_told_from_one_that_takes_no_go
     ran = on_graph(late, "send-goal", "stuck", "-t", "0.01")
     assert (ran.status, ran.err) == (
         124,
-        "turtleact: no answer from the server after 0.01 s; giving it up\n"
+        "turtleact: no answer from the server after 0.01 s; giving up\n"
         f"turtleact: given up before the goal was accepted; {rest}\n",
     )
 
@@ -337,13 +337,13 @@ def test_a_server_that_does_not_answer_is_waited_for_until_a_signal(on_graph, mo
     ran = on_graph(late, "send-goal", "stuck")
     assert ran.err == (
         "no answer from the server for 0.01 s; waiting for it\n"
-        "waiting for the server's answer; Ctrl-C again leaves at once\n"
+        "waiting for the server's answer; Ctrl-C again exits at once\n"
         "interrupted before the goal was accepted; there is none\n"
     )
 
 
 @pytest.mark.parametrize(
-    ("grace", "rest"), [(0.01, "the server may take it yet"), (5.0, "there is none")]
+    ("grace", "rest"), [(0.01, "the server may still accept it"), (5.0, "there is none")]
 )
 def test_a_server_that_does_not_answer_is_told_from_one_that_takes_no_goal(
     on_graph, monkeypatch, grace, rest
@@ -353,7 +353,7 @@ def test_a_server_that_does_not_answer_is_told_from_one_that_takes_no_goal(
     ran = on_graph(late, "send-goal", "stuck")
     assert (ran.status, ran.err) == (
         130,
-        "turtleact: waiting for the server's answer; Ctrl-C again leaves at once\n"
+        "turtleact: waiting for the server's answer; Ctrl-C again exits at once\n"
         f"turtleact: interrupted before the goal was accepted; {rest}\n",
     )
 
@@ -370,7 +370,7 @@ def test_a_second_signal_leaves_a_server_that_does_not_answer_at_once(on_graph, 
     monkeypatch.setattr(PlainTranscript, "note", note)
     ran = on_graph(late, "send-goal", "stuck")
     assert left == [130]
-    assert "interrupted before the goal was accepted; the server may take it yet\n" in ran.out
+    assert "interrupted before the goal was accepted; the server may still accept it\n" in ran.out
 
 
 def test_a_server_that_does_not_take_the_goal_is_told_of(start):
@@ -407,7 +407,7 @@ def test_a_signal_cancels_the_goal_and_its_result_is_printed(start, number, stat
     assert ran.out.endswith("Goal finished with status: CANCELED\n")
     assert ran.err == (
         "turtleact: started an embedded world in this process\n"
-        "turtleact: waiting for the goal's end; Ctrl-C again lets go of it\n"
+        "turtleact: waiting for the goal's end; Ctrl-C again exits at once\n"
     )
 
 
@@ -422,7 +422,7 @@ def test_a_second_signal_lets_go_of_the_goal(start, name, lines):
     program.send(signal.SIGINT)
     ran = program.end()
     assert ran.status == 130
-    assert "turtleact: the goal ended with the embedded world;" in ran.err.splitlines()[-1]
+    assert "turtleact: the goal ended together with the embedded world" in ran.err.splitlines()[-1]
     assert all(line in ran.err for line in lines)
 
 
@@ -435,10 +435,10 @@ def test_one_signal_lets_go_of_a_goal_that_does_not_end(start, name, number, sta
     ran = program.end()
     assert (ran.status, ran.err.splitlines()[1], ran.err.splitlines()[-2:]) == (
         status,
-        "turtleact: waiting for the goal's end; Ctrl-C again lets go of it",
+        "turtleact: waiting for the goal's end; Ctrl-C again exits at once",
         [
             "turtleact: the goal has not ended within 2 s",
-            "turtleact: the goal ended with the embedded world; there is nothing to come back to",
+            "turtleact: the goal ended together with the embedded world",
         ],
     )
 

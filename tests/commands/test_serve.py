@@ -278,7 +278,7 @@ def test_a_goal_that_was_left_can_be_found_again(served):
     status, out, err = served.run("send-goal", "endless", "--timeout", "0", "--json")
     goal_id = json.loads(out.splitlines()[0])["goal_id"]
     way_back = f"turtleact watch {goal_id} --connect {served.at}"
-    assert (status, err) == (0, f"turtleact: the goal goes on; '{way_back}' gets back to it\n")
+    assert (status, err) == (0, f"turtleact: the goal goes on; '{way_back}' follows it again\n")
     watcher = served.start("watch", goal_id)
     status, out, _ = served.run("goals")
     assert (goal_id in out, "EXECUTING" in out) == (True, True)
@@ -292,7 +292,7 @@ def test_a_server_that_is_ended_answers_all_who_wait(served, number):
     sender = served.start("send-goal", "endless", "--feedback", "--plain")
     first_lines(sender, "Feedback:")
     status, out, err = served.end(number)
-    assert (status, err) == (0, "turtleact: no new goals are taken; those that run are ended\n")
+    assert (status, err) == (0, "turtleact: no more goals are accepted; running goals are ended\n")
     assert out.splitlines()[-1].endswith("ABORTED: shutdown")
     out, err = sender.communicate(timeout=PATIENCE)
     assert (sender.returncode, out.endswith("status: ABORTED\n")) == (4, True)
@@ -300,8 +300,8 @@ def test_a_server_that_is_ended_answers_all_who_wait(served, number):
 
 
 EXITED = """\
-turtleact: no new goals are taken; those that run are ended
-turtleact: somebody's code has ended the program: sys.exit(7)
+turtleact: no more goals are accepted; running goals are ended
+turtleact: your code has ended the program: sys.exit(7)
 """
 
 
@@ -353,7 +353,7 @@ def test_tasks_and_threads_that_do_not_end_are_named_and_left(tmp_path):
         for name in ("lasting", "threaded"):
             server.run("send-goal", name)
         _, _, err = server.end(signal.SIGTERM)
-    assert "turtleact: leaving without what does not end: task 'endless task' (" in err
+    assert "turtleact: ending without waiting for what still runs: task 'endless task' (" in err
     assert server.process.returncode == 0
 
 
@@ -362,7 +362,7 @@ def test_a_thread_that_does_not_end_is_named_and_left(tmp_path):
     with serving(tmp_path, "servedlasting", "--no-sim") as server:
         server.run("send-goal", "threaded")
         _, _, err = server.end(signal.SIGTERM)
-    assert "turtleact: leaving without what does not end: thread 'endless thread'\n" in err
+    assert "turtleact: ending without waiting for what still runs: thread 'endless thread'\n" in err
     assert server.process.returncode == 0
 
 

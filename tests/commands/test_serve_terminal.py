@@ -103,7 +103,7 @@ def test_a_terminal_shows_a_dashboard_and_is_given_back_with_what_has_happened()
     left = text[text.rindex("\x1b[?25h") :].splitlines()
     assert left[0].startswith(f"\x1b[?25hready at {served.at}, domain 0: /command_turtle, ")
     assert [line.split()[-1] for line in left[1:4]] == ["ACCEPTED", "EXECUTING", "SUCCEEDED"]
-    assert left[4] == "turtleact: no new goals are taken; those that run are ended"
+    assert left[4] == "turtleact: no more goals are accepted; running goals are ended"
 
 
 def test_a_terminal_that_takes_nothing_holds_up_neither_the_world_nor_its_end():
@@ -128,7 +128,7 @@ def test_lines_are_written_where_nothing_can_or_shall_move(option, environment):
         assert served.end() == (
             0,
             f"ready at {served.at}, domain 0: nothing\n"
-            "turtleact: no new goals are taken; those that run are ended\n",
+            "turtleact: no more goals are accepted; running goals are ended\n",
         )
 
 

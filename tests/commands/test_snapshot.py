@@ -55,7 +55,7 @@ def test_a_graph_without_a_world_has_no_picture(on_graph, graphs):
     assert (ran.status, ran.out) == (1, "")
     assert ran.err == (
         "turtleact: service '/world/snapshot': there is no world on this graph: "
-        "'turtleact serve' has one\n"
+        "'turtleact serve' starts one\n"
     )
 
 

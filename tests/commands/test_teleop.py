@@ -242,7 +242,7 @@ def test_keys_that_are_typed_for_another_program_are_left_to_it(on_graph, keyboa
 
 def test_stdin_that_is_no_terminal_is_one_line(turtleact, stdin_of, monkeypatch):
     stdin_of(b"q")
-    error = "turtleact: teleop reads keys, and stdin is no terminal: run it in one\n"
+    error = "turtleact: teleop reads keys, but stdin is not a terminal: run it in a terminal\n"
     assert turtleact("teleop") == (2, "", error)
     monkeypatch.setattr(sys, "stdin", None)
     assert turtleact("teleop") == (2, "", error)

@@ -145,7 +145,7 @@ def test_a_field_may_be_chosen(on_graph, options, out):
             "linear.w",
             "linear.w: geometry_msgs/msg/Vector3 has no field 'w': the fields are x, y, z",
         ),
-        ("linear.x.y", "linear.x.y: 'x' is no single message"),
+        ("linear.x.y", "linear.x.y: 'x' is not a single message"),
     ],
 )
 def test_a_field_that_is_not_there_is_a_usage_error(on_graph, field, problem):
@@ -254,7 +254,7 @@ def test_a_topic_that_nobody_publishes_for_a_second_is_told_of(on_graph, pause, 
     command = ["topic", "echo", "/it", "std_msgs/msg/String", "--timeout", "5"]
     ran = on_graph(nodes, *command, "--qos-durability", "transient_local", "--field", "data")
     assert (ran.status, ran.out) == (0, "a\n---\nb\n---\n")
-    gone = "turtleact: nobody publishes topic '/it' any more; waiting for somebody who does\n"
+    gone = "turtleact: nobody publishes topic '/it' any more; waiting for a new publisher\n"
     assert ran.err == told * gone
 
 
@@ -313,7 +313,7 @@ def test_messages_that_come_faster_than_they_go_are_told_to_be_lost(on_graph):
     command = ["topic", "echo", "/it", "--qos-depth", "1", "--once"]
     ran = on_graph(nodes, *command)
     assert ran.out == "data: c\n---\n"
-    assert ran.err == "turtleact: 2 messages were lost: they came faster than they go\n"
+    assert ran.err == "turtleact: 2 messages were lost: they came too fast\n"
 
 
 @pytest.mark.parametrize(
@@ -473,7 +473,7 @@ def test_whoever_measures_is_told_when_the_last_publisher_goes(on_graph, graphs,
             beside.cancel_scope.cancel()
 
     ran = on_graph(graphs.in_turn(nodes, graphs.interrupted(6.5)), "topic", verb, "/it")
-    gone = "turtleact: nobody publishes topic '/it' any more; waiting for somebody who does\n"
+    gone = "turtleact: nobody publishes topic '/it' any more; waiting for a new publisher\n"
     assert ran.err.endswith(gone)
 
 
@@ -544,7 +544,7 @@ def test_messages_without_a_header_have_no_delay(on_graph, graphs):
     assert (ran.status, ran.err) == (
         1,
         "turtleact: topic '/turtle1/pose': messages of type turtlesim/msg/Pose have no header, "
-        "which says when they were made\n",
+        "so their age is unknown\n",
     )
 
 

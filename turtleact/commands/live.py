@@ -74,11 +74,11 @@ class LiveTranscript:
         self._plain.sending(goal)
 
     def rejected(self, reason: str) -> None:
-        """The server did not take the goal."""
+        """The server rejected the goal."""
         self._plain.rejected(reason)
 
     def accepted(self, sent: Sent) -> None:
-        """The server took the goal."""
+        """The server accepted the goal."""
         self._plain.accepted(sent)
         self.follows(sent.followed())
 
@@ -165,7 +165,7 @@ class GoalPicture:
             drives, self._leader = sends_a_turtle(shown.name, shown.goal)
             drives = drives and self._leader in topics
             self._course = Course(shown.goal)
-        else:  # which turtle it drives is not known, if the action's name does not say it
+        else:  # unknown, unless the action's name says which turtle it drives
             goal = shown.goal_type()
             drives, self._leader = sends_a_turtle(shown.name, goal)
             drives = self._leader in topics if shown.name.count("/") > 1 else drives
@@ -273,7 +273,7 @@ class Dashboard:
             goal: The goal.
             new: Its new state.
             line: The line for the log.
-            time: The time, as it stands in the line.
+            time: The time that the line shows.
         """
         goal_id = goal.goal_id
         if goal_id not in self._goals:

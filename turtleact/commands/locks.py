@@ -6,21 +6,21 @@ relative to the file.
 .. code-block:: toml
 
     [tls]
-    ca = "ca.pem"               # who signed the others' certificates
+    ca = "ca.pem"               # the authority that signed the others' certificates
     certificate = "robot.pem"
     key = "robot.key"
-    mutual = true               # ask the others for theirs too
+    mutual = true               # require a certificate from the others
 
     [login]
     user = "robot"
     password = "secret"
-    users = "users.txt"         # lines of user:password, of those who may come in
+    users = "users.txt"         # who may connect: one user:password per line
 
     [access]
-    actions = ["/patrol"]       # what others may use; nothing else
+    actions = ["/patrol"]       # others may use these names and nothing else
     services = []
-    topics = ["/turtle1/pose"]  # what they may read
-    commands = []               # what they may publish
+    topics = ["/turtle1/pose"]  # topics they may read
+    commands = []               # topics they may publish to
 
 Source: Zenoh's manual, "TLS", "User-Password authentication" and "Access Control".
 """
@@ -148,9 +148,9 @@ def is_loopback(endpoint: str) -> bool:
 def mode_of(connect: Sequence[str], locks: Locks) -> Literal["peer", "client"]:
     """How a command joins a graph: as a peer on this machine, as ROS's tools do, else as a client.
 
-    A peer talks with each node directly, and so sees those that the router has no tokens of. Nodes
-    of another machine listen there on loopback only, and nodes that ask for a password let in only
-    those whom they find in a file of users; a client sees both through the router.
+    A peer talks to each node directly, so it also sees nodes of which the router has no tokens. It
+    cannot reach the nodes of another machine, which listen only on the loopback address there, nor
+    nodes that ask for a password. A client sees both through the router.
 
     Args:
         connect: The endpoints to connect to; none means the router of this machine.
@@ -205,7 +205,7 @@ _EVERYTHING: Final = ["**", "@ros2_lv/**", "**/@adv/**"]
 
 
 def _access_control(access: Access) -> dict[str, object]:
-    """Rules by which others see the graph, and may use the listed names."""
+    """Rules that let others see the graph and use the listed names."""
     actions = [resolve_name(name)[1:] for name in access.actions]
     used = [f"*/{name}/_action/*/*/*" for name in actions]
     used += [f"*/{resolve_name(name)[1:]}/*/*" for name in access.services]

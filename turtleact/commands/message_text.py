@@ -75,7 +75,7 @@ class GoalText(NamedTuple):
 
 
 def read_text_file(path: str, what: str) -> str:
-    """The text of a file, such as a configuration, that is read at once.
+    """Read a file, such as a configuration, and return its text.
 
     Args:
         path: Where the file is.
@@ -132,7 +132,7 @@ def _read_file(path: str, interrupts: Interrupts) -> bytes:
         # Otherwise opening a named pipe would wait for a writer.
         file = os.open(path, READING)
     except ValueError:  # a null byte in the path
-        raise UsageError("--goal-file: a path holds no null character") from None
+        raise UsageError("--goal-file: a path cannot contain a null character") from None
     try:
         return interrupts.read(file, MOST + 1)
     finally:

@@ -337,8 +337,8 @@ async def _set_again(
     node: Node, owner: str, parameter: Parameter, refusal: SetParametersResult
 ) -> SetParametersResult:
     """Set a double to a whole number, or explain a refusal with the parameter's range."""
-    # ROS 2 refuses an integer for a double, though nobody means anything else by ``2``. Only a
-    # node that has refused is asked what its parameter is, so that all else costs one call.
+    # ROS 2 refuses an integer for a double, although ``2`` can mean nothing else. The node is asked
+    # for the parameter's type only after it has refused, so all other cases cost one call.
     [known] = await _described(node, owner, [parameter.name])
     value = _as_double(parameter.value, known.type)
     result = refusal

@@ -1,7 +1,7 @@
 """What a command prints: blocks on stdout, and lines of its own on stderr.
 
-A peer may say anything in its names and messages, so all text that could come from one is made
-printable first: it must not command the user's terminal.
+A peer can put anything into its names and messages. So all text that could come from a peer is made
+printable first: it must not control the user's terminal.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ def note(text: str) -> None:
 def tell_exit(stop: SystemExit) -> int:
     """Report that the user's code called `sys.exit`; return the exit status that Python would."""
     code = stop.code
-    note(f"somebody's code has ended the program: sys.exit({'' if code is None else repr(code)})")
+    note(f"your code has ended the program: sys.exit({'' if code is None else repr(code)})")
     return 0 if code is None else code & 0xFF if isinstance(code, int) else 1
 
 
 def printable(text: str) -> str:
-    """A text without commands to a terminal: control characters except line breaks are escaped."""
+    """Make a text harmless for a terminal: escape control characters except line breaks."""
     return "".join(c if c.isprintable() or c == "\n" else _escaped(c) for c in text)
 
 

@@ -70,7 +70,7 @@ def run(main: Coroutine[object, object, T], interrupts: Interrupts) -> T:
         runner.close()
         left = _busy_threads()
     if left:
-        note(f"leaving without what does not end: {', '.join(left)}")
+        note(f"ending without waiting for what still runs: {', '.join(left)}")
         interrupts.must_leave = True
     if cause is not None:
         raise cause

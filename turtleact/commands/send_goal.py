@@ -50,11 +50,11 @@ __all__ = ["Order", "Sending", "embedded_world", "run"]
 SUCCEEDED, FAILED, REJECTED, ABORTED, CANCELED, TIMEOUT = 0, 1, 3, 4, 5, 124
 """Exit statuses."""
 
-ENDED_WITH_WORLD = "the goal ended with the embedded world; there is nothing to come back to"
+ENDED_WITH_WORLD = "the goal ended together with the embedded world"
 
 PATIENCE = 5.0
-"""How long a goal has to end after its timeout; how long a server that the graph shows has to be
-reached; and how long it has to take the goal before the user is told (s, wall clock)."""
+"""How long three waits last (s, wall clock): for a goal to end after its timeout, for a server that
+the graph shows to become reachable, and for a server to accept the goal before the user is told."""
 
 CANCEL_TIMEOUT = 6.0
 """How long a signal waits for the goal's end, or for the answer to a goal request (s, wall clock).
@@ -279,7 +279,7 @@ class Sending:
     async def _withdraw(self, sending: anyio.CancelScope) -> None:
         """Stop sending; the client waits for the server's answer, so that no goal is orphaned."""
         sending.cancel()
-        self._transcript.note("waiting for the server's answer; Ctrl-C again leaves at once")
+        self._transcript.note("waiting for the server's answer; Ctrl-C again exits at once")
         with anyio.move_on_after(CANCEL_TIMEOUT):
             await self._interrupts.wait(2)
         self._is_silent = True
@@ -295,7 +295,7 @@ class Sending:
         if self._sent is not None or self._interrupts.received:
             return
         if limit:
-            self._transcript.note(f"no answer from the server after {seconds:g} s; giving it up")
+            self._transcript.note(f"no answer from the server after {seconds:g} s; giving up")
             sending.cancel()
             await anyio.sleep(CANCEL_TIMEOUT)
             self._is_silent = True
@@ -304,9 +304,9 @@ class Sending:
 
     async def _obey(self, sent: Sent, status: int) -> None:
         self._transcript.canceling()
-        self._transcript.note("waiting for the goal's end; Ctrl-C again lets go of it")
+        self._transcript.note("waiting for the goal's end; Ctrl-C again exits at once")
         if not await self._cancel(sent, status):
-            self._transcript.note("the server refuses to cancel the goal, and goes on with it")
+            self._transcript.note("the server refuses to cancel the goal, which goes on")
 
     async def time_out(self, sent: Sent, seconds: float) -> None:
         """Cancel the goal after its time, unless it has ended by then."""
@@ -341,18 +341,18 @@ class Sending:
         if self._is_embedded:
             return ENDED_WITH_WORLD
         command = f"turtleact watch {sent.handle.goal_id.hex()}{self._order.place.options}"
-        return f"the goal goes on; '{command}' gets back to it"
+        return f"the goal goes on; '{command}' follows it again"
 
     def _interrupted(self) -> int:
         may_come = self._is_silent and not self._is_embedded
-        rest = "the server may take it yet" if may_come else "there is none"
+        rest = "the server may still accept it" if may_come else "there is none"
         how = "interrupted" if self._interrupts.received else "given up"
         self._transcript.note(f"{how} before the goal was accepted; {rest}")
         return self._interrupts.status if self._interrupts.received else TIMEOUT
 
 
 async def _is_served(node: Node, name: str | None = None) -> bool:
-    """Whether an action is served, or any at all; while the graph is discovered, this waits."""
+    """Whether an action, or any action, is served. Waits while the graph is being discovered."""
 
     def found() -> bool | None:
         actions = node.graph().actions

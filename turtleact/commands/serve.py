@@ -143,7 +143,7 @@ async def _serve(
             actions = listed(list(node.graph().actions))
             log.say(f"ready at {where}, domain {service.reach.domain}: {actions}")
             await interrupts.wait(1)
-            note("no new goals are taken; those that run are ended")
+            note("no more goals are accepted; running goals are ended")
     return 0
 
 
@@ -302,7 +302,7 @@ def listed(names: list[str]) -> str:
 
 
 class _Escaping(logging.Formatter):
-    """Formats records as usual, but escapes control characters, which a body may have raised."""
+    """Formats records as usual, but escapes control characters, which an exception may hold."""
 
     def format(self, record: logging.LogRecord) -> str:
         return printable(super().format(record))

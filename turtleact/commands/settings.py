@@ -44,7 +44,7 @@ class Reach(NamedTuple):
     """Which graph a verb looks at.
 
     Attributes:
-        connect: The endpoints to connect to. If there are none, the verb looks around.
+        connect: The endpoints to connect to. If there are none, the verb looks for a graph itself.
         domain: The ROS domain of the graph, 0 to 232.
         config: The file with certificates and passwords, if there is one.
     """
@@ -117,7 +117,7 @@ class Page(NamedTuple):
     Attributes:
         host: The address or name to bind.
         port: The port; 0 means any free one.
-        token: What clients must know; None means as `turtleact.web.open_web` says.
+        token: The secret that clients must send; None for the default of `open_web`.
         hosts: More names that clients may use for this machine.
         origins: The origins of pages that may connect.
     """

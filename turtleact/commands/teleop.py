@@ -109,7 +109,7 @@ def run(order: Order, interrupts: Interrupts) -> int:
         TurtleactError: if no such turtle is in reach.
     """
     if sys.stdin is None or not sys.stdin.isatty():
-        raise UsageError("teleop reads keys, and stdin is no terminal: run it in one")
+        raise UsageError("teleop reads keys, but stdin is not a terminal: run it in a terminal")
     is_live = not order.is_plain and can_move(sys.stdout)
     region = Region(sys.stdout if is_live else sys.stdin, sys.stdin)
     interrupts.restore = region.restore

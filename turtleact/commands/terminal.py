@@ -7,7 +7,7 @@ undone however the process ends or stops, except by SIGKILL and SIGSTOP, which c
 While it is held, writing never waits for the terminal (`Outlet`). A terminal that takes nothing,
 because its user pressed Ctrl-S or its connection hangs, misses frames.
 
-Two things cannot be helped. When the window gets narrower, the terminal wraps lines anew, which may
+Two limits remain. When the window gets narrower, the terminal wraps lines anew, which may
 push the first of them out of the window for good. And what the user types is kept for the next
 reader, such as the shell.
 

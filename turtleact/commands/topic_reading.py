@@ -55,7 +55,7 @@ IDL_NAMES = {
 """Types that have another name in IDL, which ``--no-arr`` prints."""
 
 LONGEST = 300
-"""How many characters of an error are shown that contains a message."""
+"""How many characters are shown of an error that contains a message."""
 
 DONE, TIMEOUT = 0, 124
 """Exit statuses."""
@@ -126,10 +126,10 @@ async def note_absence(node: Node, name: str) -> None:
         await _wait_for_publishers(node, name)
         while node.count_publishers(name):
             await node.transport.wait_for_change()
-        async with within(ABSENCE, node.clock):  # publishers may follow each other, one a message
+        async with within(ABSENCE, node.clock):  # each message may come from a publisher of its own
             await _wait_for_publishers(node, name)
             continue
-        note(f"nobody publishes topic '{name}' any more; waiting for somebody who does")
+        note(f"nobody publishes topic '{name}' any more; waiting for a new publisher")
 
 
 async def _wait_for_publishers(node: Node, name: str) -> None:
@@ -198,7 +198,7 @@ def _check_path(message_type: type[Message], path: Sequence[str]) -> None:
     for depth, name in enumerate(path):
         where = ".".join(path[: depth + 1])
         if cls is None:
-            raise UsageError(f"--field {where}: '{path[depth - 1]}' is no single message")
+            raise UsageError(f"--field {where}: '{path[depth - 1]}' is not a single message")
         nested = dict(zip(fields(cls), nested_classes(cls), strict=True))
         found = next((field for field in nested if field.name == name), None)
         if found is None:
@@ -211,7 +211,7 @@ def _check_path(message_type: type[Message], path: Sequence[str]) -> None:
 def _note_missed(subscription: Subscription[Message], noted: int) -> int:
     """Note how many messages were dropped since the last time."""
     if subscription.missed > noted:
-        note(f"{subscription.missed - noted} messages were lost: they came faster than they go")
+        note(f"{subscription.missed - noted} messages were lost: they came too fast")
     return subscription.missed
 
 
@@ -389,7 +389,7 @@ class Delay:
         kinds = {field.name: field.type.name for field in fields(message_type)}
         if kinds.get("header") != "std_msgs/msg/Header":
             problem = f"messages of type {message_type.type_name} have no header"
-            raise TurtleactError(f"topic '{name}': {problem}, which says when they were made")
+            raise TurtleactError(f"topic '{name}': {problem}, so their age is unknown")
         return ""
 
     def add(self, now: int, message: Message) -> None:

@@ -40,7 +40,7 @@ POSES_A_FRAME: Final = 8192
 """How many poses are kept between two frames: those of a second at the highest speed."""
 
 LOOKS: Final = 15
-"""Every how many looks the graph is searched for new turtles."""
+"""How many readings pass between two searches of the graph for new turtles."""
 
 POSE_TYPES: Final = ("turtlesim/msg/Pose", "turtlesim_msgs/msg/Pose")
 POSE: Final = "/pose"

@@ -141,7 +141,7 @@ class Sent(NamedTuple):
 class PlainTranscript:
     """The transcript of ``ros2 action send_goal``, except that all YAML is indented alike.
 
-    ROS 2 indents only the first line below ``Feedback:`` and ``Result:``: that is no YAML any more.
+    ROS 2 indents only the first line below ``Feedback:`` and ``Result:``: which is not YAML.
 
     Args:
         wants_feedback: Whether to print each feedback message.
@@ -169,12 +169,12 @@ class PlainTranscript:
             lines[left_out] = [f"     … {len(lines[left_out])} more lines …"]
         self._say("\n".join(("Sending goal:", *lines, "\n")))
 
-    def rejected(self, reason: str) -> None:  # noqa: ARG002  # ros2 does not tell it here
-        """The server did not take the goal."""
+    def rejected(self, reason: str) -> None:  # noqa: ARG002  # ros2 does not print it here
+        """The server rejected the goal."""
         self._say("Goal was rejected.\n")
 
     def accepted(self, sent: Sent) -> None:
-        """The server took the goal."""
+        """The server accepted the goal."""
         self._say(f"Goal accepted with ID: {sent.handle.goal_id.hex()}\n\n")
 
     def follows(self, goal: Followed) -> None:
@@ -188,7 +188,7 @@ class PlainTranscript:
         self._say(f"Feedback:\n{_indented(feedback, 4)}\n")
 
     def status(self, status: GoalStatus) -> None:
-        """The status is told at the end only."""
+        """Only the final status is printed."""
 
     def canceling(self) -> None:
         """The goal is asked to cancel."""
@@ -223,11 +223,11 @@ class JsonTranscript:
         """No event."""
 
     def rejected(self, reason: str) -> None:
-        """The server did not take the goal; it has no id."""
+        """The server rejected the goal; it has no id."""
         self._tell("rejected", reason=json.dumps(reason, ensure_ascii=False))
 
     def accepted(self, sent: Sent) -> None:
-        """The server took the goal."""
+        """The server accepted the goal."""
         self._goal_id = sent.handle.goal_id.hex()
         self._tell(
             "accepted",
@@ -254,7 +254,7 @@ class JsonTranscript:
             self._tell("status", status=json.dumps(status.name))
 
     def canceling(self) -> None:
-        """The status tells it."""
+        """The status event reports it."""
 
     def ended(self, outcome: Outcome[Message]) -> None:
         """The goal has ended."""

@@ -194,7 +194,7 @@ async def take(node: Node, path: Path) -> int:
     services = types_by_name(node.transport.endpoints(), "service")
     names = [name for name, types in services.items() if TakeSnapshot.type_name in types]
     if not names:
-        problem = "there is no world on this graph: 'turtleact serve' has one"
+        problem = "there is no world on this graph: 'turtleact serve' starts one"
         raise ServerUnavailable("/world/snapshot", problem, kind="service")
     client = node.service_client(TakeSnapshot, names[0])
     answer = None
