@@ -750,15 +750,35 @@ async def test_a_chain_of_detached_goals_keeps_no_goal_that_has_ended(options, c
 
 # --- canceled at every point ----------------------------------------------------------------
 
-SLOTS = pytest.mark.parametrize(
-    ("options", "slot"),
-    [
-        pytest.param({}, None, id="no-slot"),
-        pytest.param({"policy": "queue"}, "turtle1", id="queue"),
-        pytest.param({"policy": "preempt"}, "turtle1", id="preempt"),
-        pytest.param({"max_active": 2}, "turtle1", id="max-active"),
-    ],
-)
+SLOTS = {
+    "no-slot": ({}, None),
+    "queue": ({"policy": "queue"}, "turtle1"),
+    "preempt": ({"policy": "preempt"}, "turtle1"),
+    "max-active": ({"max_active": 2}, "turtle1"),
+}
+"""How servers treat goals, and the slot that they share, if any."""
+
+WAYS = [await_child, enter_child, read_child, group_child]
+
+
+def families(name: str, **turned_by: int) -> pytest.MarkDecorator:
+    """Each value of an argument with each way to nest and with each slot, but not with all pairs.
+
+    Args:
+        name: The argument.
+        turned_by: Its values, and how far the ways are turned against the slots for each. The tests
+            have different turns, so together they see every way with every slot.
+    """
+    return pytest.mark.parametrize(
+        (name, "nest", "options", "slot"),
+        [
+            pytest.param(value, WAYS[number - turn], *SLOTS[slot], id=f"{value}-{slot}")
+            for value, turn in turned_by.items()
+            for number, slot in enumerate(SLOTS)
+        ],
+    )
+
+
 FAILURES = (GoalAborted, GoalCanceled, GoalRejected, ServerUnavailable)
 
 
@@ -800,17 +820,13 @@ async def visit(outer: Lab, inner: Lab) -> None:
             group.start_soon(call, client)
 
 
-@CHILDREN
-@SLOTS
-@pytest.mark.parametrize("style", ["body", "stream"])
+@families("style", body=0, stream=1)
 async def test_a_family_canceled_by_a_scope_at_any_point_leaves_nothing(nest, options, slot, style):
     await cancel_everywhere(Household(nest, style), options, slot, native=False)
 
 
 @ON_ASYNCIO
-@CHILDREN
-@SLOTS
-@pytest.mark.parametrize("style", ["body", "stream"])
+@families("style", body=2, stream=3)
 async def test_a_family_canceled_as_a_task_at_any_point_leaves_nothing(nest, options, slot, style):
     await cancel_everywhere(Household(nest, style), options, slot, native=True)
 
@@ -832,9 +848,7 @@ async def cancel_everywhere(house: Household, options, slot, *, native: bool) ->
         pytest.fail("the call never came to its end")
 
 
-@CHILDREN
-@SLOTS
-@pytest.mark.parametrize("which", ["parent", "child"])
+@families("which", parent=0, child=1)
 async def test_goals_canceled_by_id_at_any_point_leave_nothing(nest, options, slot, which):
     for turns in range(40):
         house = Household(nest, "body")
@@ -851,9 +865,7 @@ async def test_goals_canceled_by_id_at_any_point_leave_nothing(nest, options, sl
             return
 
 
-@CHILDREN
-@SLOTS
-@pytest.mark.parametrize("which", ["parent", "child"])
+@families("which", parent=2, child=3)
 async def test_a_server_closed_at_any_point_answers_a_family(nest, options, slot, which):
     for turns in range(40):
         house = Household(nest, "body")
