@@ -315,10 +315,14 @@ def test_modules_and_their_actions_are_targets(completed, tmp_path, monkeypatch)
     monkeypatch.chdir(tmp_path)
     Path("lab.py").write_text(LAB)
     Path("lab_bodies.py").write_text("import os\n")
-    Path("not-a-module.py").write_text("import turtleact\n")
+    Path("lab-2.py").write_text(LAB)
     Path("robot").mkdir()
     Path("robot/__init__.py").write_text(LAB)
-    assert completed("serve", "") == ["lab"]
+    assert completed("serve", "") == ["lab-2.py", "lab"]
+    assert completed("serve", "lab.") == ["lab.py"]
+    assert completed("serve", "./l") == ["./lab-2.py", "./lab.py"]
+    assert completed("serve", "robot/") == ["robot/__init__.py"]
+    assert completed("serve", "./lab.py:h") == ["./lab.py:hold"]
     assert completed("serve", "lab:") == ["lab:count", "lab:hold"]
     assert completed("serve", "lab:count", "robot:h") == ["robot:hold"]
     assert completed("serve", "lab", ":", "c") == ["count"]  # as bash splits it

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from turtleact.commands.serve import find_actions
+from turtleact.commands.targets import Modules
 from turtleact.errors import TurtleactError, UsageError
 
 LAB = """
@@ -45,9 +45,18 @@ def folder(tmp_path: Path, monkeypatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setattr(sys, "modules", dict(sys.modules))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
     (tmp_path / "labelsewhere.py").write_text(OTHER)
     (tmp_path / "targetlab.py").write_text(LAB.format(other="labelsewhere"))
+    (tmp_path / "inner" / "pack").mkdir(parents=True)
+    (tmp_path / "inner" / "lab-1.py").write_text(OTHER)
+    (tmp_path / "inner" / "pack" / "robot.py").write_text(f"from . import far\n{OTHER}")
+    (tmp_path / "inner" / "pack" / "__init__.py").write_text(OTHER.replace("def aside", "def far"))
     return tmp_path
+
+
+def find_actions(target: str):
+    return Modules([target]).find().actions
 
 
 def names(target: str) -> list[str]:
@@ -61,6 +70,16 @@ def names(target: str) -> list[str]:
         ("targetlab:first", ["first"]),
         ("targetlab:Robot.drive", ["second"]),
         ("targetlab:aside", ["aside"]),
+        ("targetlab.py", ["first", "second"]),
+        ("./targetlab.py", ["first", "second"]),
+        ("./targetlab", ["first", "second"]),
+        ("targetlab.py:first", ["first"]),
+        ("./targetlab.py:Robot.drive", ["second"]),
+        ("inner/lab-1.py", ["aside"]),
+        ("inner/lab-1", ["aside"]),
+        ("inner/pack/robot.py", ["aside"]),
+        ("inner/pack:far", ["aside"]),
+        ("inner/pack/", ["aside"]),
     ],
 )
 def test_a_target_means_actions(target, found):
@@ -70,20 +89,39 @@ def test_a_target_means_actions(target, found):
 @pytest.mark.parametrize(
     ("target", "problem"),
     [
-        ("", "'' is not a target such as lab or lab.robot:drive"),
+        ("", "'' is not a target such as lab.py, lab or lab.robot:drive"),
         ("lab-1", "'lab-1' is not a target"),
-        ("targetlab:", "'targetlab:' is not a target"),
+        ("targetlab:", "'targetlab:' is not a target: after the colon comes the name of an action"),
         ("targetlab:frist", "no frist is there, did you mean 'first'?"),
+        ("targetlab:zzz", "'targetlab:zzz': no zzz is there (there are: aside, first, second)"),
+        ("targetlab.py:Robot.zzz", "no zzz is there (there are: drive)"),
         (
             "targetlab:number",
-            "'targetlab:number' is of type int, not an action; see turtleact.action",
+            "'targetlab:number' is of type int, not an action; see turtleact.action "
+            "(there are: aside, first, second)",
         ),
-        ("nowhere", "there is no module 'nowhere' here, or on the path"),
+        ("nowhere", "there is no module 'nowhere' here, or on the path (there are: "),
+        ("targetlabs", "there is no module 'targetlabs' here, or on the path, did you mean 'tar"),
         ("targetlab.nowhere", "there is no module"),
-        ("json", "module 'json' declares no action; see turtleact.action"),
+        ("targetlabs.py", "there is no file 'targetlabs.py', did you mean 'targetlab.py'?"),
+        ("./targetlabs", "there is no file './targetlabs', did you mean 'targetlab.py'?"),
+        ("inner/zzz.py", "there is no file 'inner/zzz.py' (there are: lab-1.py)"),
+        ("inner", "module 'inner' is a folder: name a file in it (inner/lab-1.py)"),
+        ("inner/", "'inner/' is a folder: name a file in it (inner/lab-1.py)"),
+        ("outer/lab.py", "'outer/lab.py': there is no folder '"),
+        ("plain.py", "'plain.py' declares no action: put @turtleact.action(TYPE, NAME) above a "),
+        ("plain", "module 'plain' declares no action: put @turtleact.action(TYPE, NAME) above a b"),
+        ("plain", "above a body (there are: fibonacci)"),
+        ("passing", "declares no action, but imports some: serve labelsewhere"),
+        ("queue.py", "'queue.py' cannot be imported: another module has its name ("),
+        ("a.b.py", "'a.b.py' cannot be imported: take the dots out of its name"),
     ],
 )
-def test_what_means_no_action_is_refused(target, problem):
+def test_what_means_no_action_is_refused(folder, target, problem):
+    (folder / "plain.py").write_text("from json import dumps\n\ndef fibonacci(goal): ...\n")
+    (folder / "passing.py").write_text("from labelsewhere import aside\n")
+    for name in ("queue.py", "a.b.py"):
+        (folder / name).write_text(OTHER)
     with pytest.raises(UsageError) as caught:
         find_actions(target)
     assert problem in str(caught.value)
@@ -145,3 +183,45 @@ def test_a_message_that_is_derived_from_another_is_told_with_its_line(folder):
     with pytest.raises(TurtleactError) as caught:
         find_actions("derived")
     assert str(caught.value) == f"{file}, line 3: Mine: derive a message only from Message"
+
+
+def test_the_parameters_of_all_modules_of_the_user_are_found_once(folder):
+    (folder / "limits.py").write_text(
+        "import turtleact\nmax_speed = turtleact.parameter('max_speed', 1.0)\n"
+    )
+    with (folder / "targetlab.py").open("a") as file:
+        file.write("import limits\nfrom limits import max_speed\n")
+        file.write("count = turtleact.parameter('count', 1)\n")
+    found = Modules(["targetlab", "targetlab.py:first"]).find()
+    assert sorted(each.name for each in found.parameters) == ["count", "max_speed"]
+    assert [each.name for each in found.actions] == ["first", "second", "first"]
+
+
+def test_the_files_of_all_modules_of_the_user_are_known(folder):
+    modules = Modules(["targetlab.py", "inner/pack/robot.py"])
+    modules.find()
+    names = ["inner/pack/__init__.py", "inner/pack/robot.py", "labelsewhere.py", "targetlab.py"]
+    assert modules.files == {folder / each for each in names}
+
+
+def test_modules_are_imported_anew_with_what_they_import(folder):
+    modules = Modules(["targetlab", "inner/pack/robot.py"])
+    before = modules.find().actions
+    (folder / "labelsewhere.py").write_text(OTHER.replace('"aside"', '"elsewhere"'))
+    (folder / "targetlab.py").write_text("from labelsewhere import aside\nmine = aside\n")
+    (folder / "inner/pack/robot.py").write_text(OTHER.replace('"aside"', '"robot"'))
+    with pytest.raises(UsageError, match="declares no action, but imports some"):
+        modules.find_again()
+    assert sys.modules["targetlab"].first in before
+    assert sys.modules["pack"].robot is sys.modules["pack.robot"]
+    (folder / "targetlab.py").write_text(LAB.format(other="labelsewhere"))
+    assert [each.name for each in modules.find_again().actions] == ["first", "second", "robot"]
+    assert sys.modules["targetlab"].aside.name == "elsewhere"
+
+
+def test_a_file_that_would_have_to_be_there_is_watched(folder):
+    (folder / "targetlab.py").write_text("import not_yet_there\n")
+    modules = Modules(["targetlab"])
+    with pytest.raises(TurtleactError, match="No module named 'not_yet_there'"):
+        modules.find()
+    assert {folder / "targetlab.py", folder / "not_yet_there.py"} <= modules.files

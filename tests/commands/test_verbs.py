@@ -12,8 +12,8 @@ from typer.core import TyperGroup
 
 from turtleact.commands import GROUPS, VERBS, send_goal, serve, verbs
 from turtleact.commands.message_text import GoalText
-from turtleact.commands.serve import find_actions
 from turtleact.commands.settings import Fleet, Place, Placing, Policies, Reach
+from turtleact.commands.targets import Modules
 from turtleact.commands.verbs import without_daemon
 from turtleact.commands.verbs.goals import moment
 from turtleact.commands.verbs.topic import policies
@@ -458,7 +458,7 @@ def test_programs_of_ros2_are_services_here(turtleact, monkeypatch, program, tar
 
 
 def test_the_fibonacci_server_serves_both_types():
-    declared = find_actions("turtleact.actions.fibonacci")
+    declared = Modules(["turtleact.actions.fibonacci"]).find().actions
     assert [each.action_type.type_name for each in declared] == [
         "action_tutorials_interfaces/action/Fibonacci",
         "example_interfaces/action/Fibonacci",

@@ -212,7 +212,7 @@ def messages(ctx: typer.Context, incomplete: str) -> Candidates:  # as above
 
 @_silent
 def targets(ctx: typer.Context, incomplete: str) -> Candidates:
-    """The modules in the working directory that mention turtleact; after a colon, their actions.
+    """The modules and files in a folder that mention turtleact; after a colon, their actions.
 
     Nothing is imported. Any function with a decorator called ``action`` counts.
     """
@@ -222,12 +222,15 @@ def targets(ctx: typer.Context, incomplete: str) -> Candidates:
     name, separator, _ = incomplete.partition(":")
     if separator:
         return [f"{name}:{each}" for each in _actions(name)]
-    files = sorted(Path().glob("*.py"))
-    return [each.stem for each in files if each.stem.isidentifier() and _mentions_us(each)]
+    folder, slash, begun = incomplete.rpartition("/")
+    files = [each for each in sorted(Path(folder or slash).glob("*.py")) if _mentions_us(each)]
+    if slash or "." in begun:
+        return [f"{folder}{slash}{each.name}" for each in files]
+    return [each.stem if each.stem.isidentifier() else each.name for each in files]
 
 
-def _actions(module: str) -> Iterator[str]:
-    path = Path(*module.split("."))
+def _actions(target: str) -> Iterator[str]:
+    path = Path(target if target.endswith(".py") or "/" in target else target.replace(".", "/"))
     file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     for statement in ast.parse(_text(file)).body:
         if isinstance(statement, ast.AsyncFunctionDef | ast.FunctionDef) and any(

@@ -8,17 +8,12 @@ there is a line for each change of a goal. A terminal shows the same as a dashbo
 from __future__ import annotations
 
 import asyncio
-import importlib
 import logging
-import os
 import sys
-import traceback
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, aclosing, asynccontextmanager
 from datetime import datetime
 from functools import partial
-from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import anyio
@@ -26,11 +21,11 @@ import anyio
 from turtleact.body import ActionDeclaration
 from turtleact.commands import runner
 from turtleact.commands.output import abandon, note, printable
+from turtleact.commands.reloading import Reloader, Watch
+from turtleact.commands.targets import Found, Modules
 from turtleact.commands.terminal import can_move
 from turtleact.errors import ActionConflict, InvalidOption, TurtleactError, UsageError
-from turtleact.interfaces.definition import did_you_mean
 from turtleact.node import Node, open_node
-from turtleact.summaries import summary
 from turtleact.tasks import Background
 from turtleact.transports import open_zenoh
 
@@ -42,11 +37,11 @@ if TYPE_CHECKING:
     from turtleact.commands.live import Dashboard
     from turtleact.commands.settings import Fleet, Page, Reach
     from turtleact.goal import GoalStatus
-    from turtleact.node import ServerGoalHandle
+    from turtleact.node import ActionServer, ServerGoalHandle
     from turtleact.node.conflicts import OnConflict
     from turtleact.transports import Transport, ZenohTransport
 
-__all__ = ["ServerLog", "Service", "find_actions", "listed", "run", "serve_declared"]
+__all__ = ["ServerLog", "Service", "listed", "run", "serve_declared"]
 
 ROUTER = "tcp/127.0.0.1:7447"
 """Where the nodes of a machine look for a router."""
@@ -56,9 +51,6 @@ LEASE = 15.0
 
 Zenoh's own lease is 10 s."""
 
-OURS = str(Path(__file__).parents[1]) + os.sep
-"""Where our own modules are."""
-
 MOST_LISTED = 12
 """How many actions the line names that says when the server is ready."""
 
@@ -67,7 +59,7 @@ class Service(NamedTuple):
     """What to serve, and where.
 
     Attributes:
-        targets: The user's actions, as `find_actions` reads them.
+        targets: The user's actions, as `turtleact.commands.targets` reads them.
         listen: The endpoints to listen at; if there are none, the default above applies.
         reach: The endpoints to connect to, and the domain.
         fleet: The turtles; None for no world and no built-in actions.
@@ -76,6 +68,7 @@ class Service(NamedTuple):
         is_live: Whether a terminal shows a dashboard.
         turtlesim_only: Whether the world serves only what turtlesim does, and no built-in actions.
         wait: Whether to wait until no other node serves an action, instead of refusing to serve it.
+        reload: Whether to serve the user's actions anew when their files change.
     """
 
     targets: tuple[str, ...]
@@ -87,6 +80,7 @@ class Service(NamedTuple):
     is_live: bool
     turtlesim_only: bool = False
     wait: bool = False
+    reload: bool = False
 
 
 def run(service: Service, interrupts: Interrupts) -> int:
@@ -98,28 +92,54 @@ def run(service: Service, interrupts: Interrupts) -> int:
     """
     if logging.lastResort is not None:  # it serves modules that configure no logging
         logging.lastResort.setFormatter(_Escaping())
+    modules = Modules(service.targets)
+    work = Work(modules, Watch(modules), Found([], []))
     with interrupts.beginning(0):  # a module of the user's may take any time
-        declared = [each for target in service.targets for each in find_actions(target)]
+        work = work._replace(found=_find(modules, service))
     if interrupts.received:
         return 0
+    work.watch.follow()
     if not (service.is_live and can_move(sys.stdout)):
-        return runner.run(_serve(service, declared, ServerLog(None), interrupts), interrupts)
+        return runner.run(_serve(service, work, ServerLog(None), interrupts), interrupts)
     from turtleact.commands.live import Dashboard
 
     board = Dashboard(sys.stdout)
     interrupts.restore = board.close
     try:
-        return runner.run(_serve(service, declared, ServerLog(board), interrupts), interrupts)
+        return runner.run(_serve(service, work, ServerLog(board), interrupts), interrupts)
     finally:
         board.close()
 
 
-async def _serve(
-    service: Service,
-    declared: list[ActionDeclaration[..., object]],
-    log: ServerLog,
-    interrupts: Interrupts,
-) -> int:
+def _find(modules: Modules, service: Service) -> Found:
+    """Import the modules; with ``--reload``, a module that fails is waited for."""
+    if not service.reload:
+        return modules.find()
+    sys.dont_write_bytecode = True  # a change within the same second could be taken for no change
+    try:
+        return modules.find()
+    except UsageError:
+        raise
+    except TurtleactError as error:
+        note(f"{error}; nothing of it is served until the next change")
+        return Found([], [])
+
+
+class Work(NamedTuple):
+    """What a server serves of the user's.
+
+    Attributes:
+        modules: The modules of the targets.
+        watch: Watches their files.
+        found: What is in them.
+    """
+
+    modules: Modules
+    watch: Watch
+    found: Found
+
+
+async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Interrupts) -> int:
     opened: list[tuple[ZenohTransport, str]] = []
     with interrupts.listening(asyncio.get_running_loop()):
         async with AsyncExitStack() as stack:
@@ -132,9 +152,13 @@ async def _serve(
                 node = await stack.enter_async_context(_open_node(service, graph, log))
             if interrupts.received:
                 return 0
-            await _until_signal(interrupts, serve_declared(node, declared, wait=service.wait))
+            reloader = Reloader(node, work.modules, work.watch, interrupts, log.say)
+            await _until_signal(interrupts, _begin(service, work.found, node, reloader))
             if interrupts.received:
                 return 0
+            if service.reload:
+                reloading = Background(reloader.run(), "the reloading")
+                await stack.enter_async_context(aclosing(reloading))
             if service.page is not None:
                 url = await stack.enter_async_context(_open_web(service.page, node))
                 log.say(f"web page, and rosbridge, at {url}")
@@ -147,9 +171,17 @@ async def _serve(
     return 0
 
 
+async def _begin(service: Service, found: Found, node: Node, reloader: Reloader) -> None:
+    """Serve what the user has declared."""
+    for declaration in found.parameters:
+        node.parameter(declaration)
+    servers = await serve_declared(node, found.actions, wait=service.wait)
+    reloader.adopt(found, servers)
+
+
 async def serve_declared(
     node: Node, declared: list[ActionDeclaration[..., object]], *, wait: bool
-) -> None:
+) -> list[ActionServer[Any, Any, Any]]:
     """Serve actions, and return once all of them are on the graph.
 
     One node serves an action name; `turtleact.node.conflicts` has the rules. A node of this node's
@@ -160,6 +192,9 @@ async def serve_declared(
         node: Serves the actions.
         declared: The actions; several types may share a name.
         wait: Whether to wait for other nodes too, however long.
+
+    Returns:
+        Their servers.
 
     Raises:
         TurtleactError: if another node serves an action; the text names it.
@@ -178,6 +213,7 @@ async def serve_declared(
     for server in servers:
         if not server.is_serving:
             raise _refused(ActionConflict(server.name, node.fully_qualified_name))
+    return servers
 
 
 def _refused(taken: ActionConflict) -> TurtleactError:
@@ -337,84 +373,3 @@ class ServerLog:
             print(line, flush=True)
         except BrokenPipeError:
             abandon(sys.stdout)
-
-
-def find_actions(target: str) -> list[ActionDeclaration[..., object]]:
-    """The actions that a target means, in the order of their declaration.
-
-    Modules are looked for in the working directory first, as by ``python -m``.
-
-    Args:
-        target: ``module:object`` for one action, ``module`` for all that are declared in it.
-
-    Raises:
-        UsageError: if it means none; the text says why.
-        TurtleactError: if the module fails when it is imported; the text names the line.
-    """
-    name, separator, path = target.partition(":")
-    if not all(part.isidentifier() for part in name.split(".")) or (separator and not path):
-        raise UsageError(f"'{target}' is not a target such as lab or lab.robot:drive")
-    module = _import_module(name)
-    if not separator:
-        declared = [each for each in vars(module).values() if isinstance(each, ActionDeclaration)]
-        own = [each for each in declared if each.execute.__module__ == module.__name__]
-        if not own:
-            raise UsageError(f"module '{name}' declares no action; see turtleact.action")
-        return own
-    try:
-        found = _look_up(module, path, target)
-    except TurtleactError:
-        raise
-    except Exception as error:  # a property or a ``__getattr__`` of the user's fails
-        problem = f"'{target}' cannot be looked up: {summary(error)}"
-        raise TurtleactError(f"{problem} ({_place_of(error)})") from None
-    if not isinstance(found, ActionDeclaration):
-        problem = f"is of type {type(found).__name__}, not an action; see turtleact.action"
-        raise UsageError(f"'{target}' {problem}")
-    return [found]
-
-
-def _look_up(module: ModuleType, path: str, target: str) -> object:
-    """The object at a dotted path in a module."""
-    found: object = module
-    for attribute in path.split("."):
-        if not hasattr(found, attribute):
-            names = [each for each in dir(found) if not each.startswith("_")]
-            raise UsageError(f"'{target}': no {attribute} is there{did_you_mean(attribute, names)}")
-        found = getattr(found, attribute)
-    return found
-
-
-def _import_module(name: str) -> ModuleType:
-    here = os.getcwd()  # noqa: PTH109  # as it is, a Path would resolve nothing
-    if here not in sys.path:
-        sys.path.insert(0, here)
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        if error.name is not None and f"{name}.".startswith(f"{error.name}."):
-            raise UsageError(f"there is no module '{error.name}' here, or on the path") from None
-        raise _import_error(name, error) from None
-    except (KeyboardInterrupt, SystemExit):
-        raise
-    except BaseException as error:
-        raise _import_error(name, error) from None
-
-
-def _import_error(name: str, error: BaseException) -> TurtleactError:
-    """The error to raise when a module fails, with the place in the user's own file."""
-    where = _place_of(error)
-    if isinstance(error, TurtleactError):  # it says what is wrong
-        return TurtleactError(f"{where}: {error}")
-    return TurtleactError(f"module '{name}' cannot be imported: {summary(error)} ({where})")
-
-
-def _place_of(error: BaseException) -> str:
-    """Where in the user's own files an error was raised."""
-    if isinstance(error, SyntaxError):
-        return f"{error.filename}, line {error.lineno}"
-    frames = traceback.extract_tb(error.__traceback__)
-    outside = [each for each in frames if "importlib" not in each.filename]
-    own = [each for each in outside if not each.filename.startswith(OURS)]
-    last = (own or frames)[-1]
-    return f"{last.filename}, line {last.lineno}"

@@ -33,7 +33,12 @@ from turtleact.parameters import Bounds, ParameterDeclaration, Value, parameter
 from turtleact.server.endpoints import ActionEndpoints
 from turtleact.server.execution import CURRENT_GOAL, Execution, Served
 from turtleact.server.goal_handle import GoalHandle
-from turtleact.server.local_server import LocalActionServer, SlotRequest, restore_all
+from turtleact.server.local_server import (
+    SHUTDOWN,
+    LocalActionServer,
+    SlotRequest,
+    restore_all,
+)
 from turtleact.services import LocalServiceServer, ServiceClient, ServiceServer, ServiceType
 from turtleact.slot import Rules, Slot, Slots
 from turtleact.tasks import Background, Home, current_tasks
@@ -549,14 +554,17 @@ class ActionServer(Generic[G, R, F]):
         """Whether no goal waits or runs, and no request waits for an answer."""
         return self._local.is_idle and not self._endpoints.is_asked
 
-    async def aclose(self) -> None:
+    async def aclose(self, reason: str = SHUTDOWN) -> None:
         """Stop accepting goals, end the existing ones, and leave the graph.
 
-        Running goals end ABORTED with the reason "shutdown". A body that ignores its cancellation
-        for ``grace`` seconds is given up, and the log says where it stands. asyncio can abandon
-        such a task; trio cannot, so on trio this method keeps waiting. Every waiter gets its
-        answer.
+        Running goals end ABORTED. A body that ignores its cancellation for ``grace`` seconds is
+        given up, and the log says where it stands. asyncio can abandon such a task; trio cannot, so
+        on trio this method keeps waiting. Every waiter gets its answer.
+
+        Args:
+            reason: The reason that clients get for goals that end now.
         """
+        self._local.closing_reason = reason
         self._stop()
         for watch in self._watches:
             await watch.aclose()

@@ -38,7 +38,7 @@ from turtleact.interfaces import (
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
 from turtleact.server.action_topics import FeedbackTopic, StatusTopic
-from turtleact.server.local_server import SHUTDOWN, LocalActionServer
+from turtleact.server.local_server import LocalActionServer
 from turtleact.services import LocalServiceServer
 from turtleact.summaries import STOPPED
 from turtleact.tasks import GRACE, Tasks, wait_while
@@ -135,7 +135,8 @@ class ActionEndpoints:
 
     def _is_expected(self) -> bool:
         """Whether a client in another process will soon ask how a goal has ended."""
-        return any(map(_may_be_asked_for, self._server.held()))
+        reasons = (self._server.closing_reason, STOPPED)
+        return any(_may_be_asked_for(goal, reasons) for goal in self._server.held())
 
 
 class _ActionService:
@@ -383,8 +384,8 @@ def _joined(answers: list[CancelGoal.Response]) -> CancelGoal.Response:
     )
 
 
-def _may_be_asked_for(goal: Goal) -> bool:
+def _may_be_asked_for(goal: Goal, reasons: tuple[str, ...]) -> bool:
     """Whether a client elsewhere will soon ask how a goal ended that the closing server aborted."""
     is_sent_from_elsewhere = isinstance(goal.sender, bytes) and bool(goal.sender)
-    is_ended_late = goal.reason in (SHUTDOWN, STOPPED)
+    is_ended_late = goal.reason in reasons
     return is_sent_from_elsewhere and is_ended_late and not goal.is_asked_for

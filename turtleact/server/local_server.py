@@ -51,7 +51,7 @@ IN_A_ROW = 64
 """After this many goals in a row, other tasks get a turn."""
 
 SHUTDOWN = "shutdown"
-"""The reason for goals that end because their server closes."""
+"""The reason for goals that end because their server closes, unless it gives another."""
 
 
 class SlotRequest:
@@ -111,6 +111,7 @@ class LocalActionServer:
         slot: The slot that goals run in; None if they need none, or after the server has closed.
         grace: How long a body may clean up (s, event loop time).
         durable: The goals in the server's journal; None if it has none.
+        closing_reason: The reason for goals that end because the server closes.
 
     Raises:
         InvalidOption: if the value of an option is not allowed.
@@ -128,6 +129,7 @@ class LocalActionServer:
         self.served = served
         self.name = served.name
         self.is_open = True
+        self.closing_reason = SHUTDOWN
         self.grace = options.get("grace", GRACE)
         self.from_anywhere = tasks.from_anywhere
         self._tasks = tasks
@@ -584,7 +586,7 @@ class LocalActionServer:
     async def aclose(self) -> None:
         """Stop accepting goals, cancel running ones, drop waiting ones, and wait for them all.
 
-        They end ABORTED with the reason "shutdown", and every waiter gets its answer. A body that
+        They end ABORTED with the `closing_reason`, and every waiter gets its answer. A body that
         ignores its cancellation for `grace` seconds is given up; see `Execution`.
 
         With a journal and ``on_restart="resume"``, goals do not end but go on after a restart.
@@ -596,8 +598,8 @@ class LocalActionServer:
             await self._suspend(self.durable)
         else:
             for goal in self._table.active:
-                self.evict(goal, SHUTDOWN)
-            await self.execution.wait_for_bodies(self.grace, SHUTDOWN)
+                self.evict(goal, self.closing_reason)
+            await self.execution.wait_for_bodies(self.grace, self.closing_reason)
         self.slot = None  # from now on no goal gets a place
         for asking in list(self._cancels.values()):
             await asking.aclose(self.grace)

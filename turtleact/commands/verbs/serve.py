@@ -37,7 +37,8 @@ Targets: TypeAlias = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="TARGET",
-        help="Your actions: module:object, or module for all actions in it.",
+        help="Your actions: a file such as lab.py or a module such as lab, with all actions in it; "
+        "lab:NAME for one.",
         autocompletion=completion.targets,
     ),
 ]
@@ -98,6 +99,10 @@ Wait: TypeAlias = Annotated[
     bool,
     typer.Option("--wait", help="If another node serves an action, wait until it is gone."),
 ]
+Reload: TypeAlias = Annotated[
+    bool,
+    typer.Option("--reload", help="Serve your actions anew when their files change."),
+]
 NoSim: TypeAlias = Annotated[
     bool,
     typer.Option(
@@ -146,6 +151,7 @@ Paused: TypeAlias = Annotated[
 _EXAMPLES = """\
 [bold]Examples[/]
   turtleact serve
+  turtleact serve lab.py --reload
   turtleact serve lab:patrol robot.arm --no-sim
   turtleact serve --web 9090
   turtleact serve --listen tls/0.0.0.0:7447 --config serve.toml
@@ -162,6 +168,7 @@ def serve(
     headless: Headless = False,
     interfaces: Interfaces = None,
     wait: Wait = False,
+    reload: Reload = False,
     no_sim: NoSim = False,
     speed: Speed = 1.0,
     turtles: Turtles = 1,
@@ -184,6 +191,10 @@ def serve(
     fleet = Fleet(speed, turtles, placing, seed, collide=collide, paused=paused)
     if no_sim:
         _check_for_nothing_of_a_world(fleet)
+    if reload and not targets:
+        raise UsageError(
+            "--reload is for your own actions: name a module or a file, such as lab.py"
+        )
     page = _page(web, token, allow_host, allow_origin)
     where = reach(connect, domain, config)
 
@@ -204,6 +215,7 @@ def serve(
             locks.settings(),
             is_live=not (headless or plain),
             wait=wait,
+            reload=reload,
         )
         return run(service, interrupts)
 

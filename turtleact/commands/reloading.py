@@ -1,0 +1,202 @@
+"""``serve --reload``: serves the user's modules anew when their files change.
+
+Only the user's actions and parameters are replaced. The process, the graph and the world live on,
+so turtles stay where they are and clients stay connected. Running goals of the old actions end
+ABORTED with the reason "reloading".
+
+The new modules are imported first. If that fails, the error is logged, and the old actions go on as
+if nothing had happened, until the next change.
+
+Source: uvicorn ``supervisors/statreload.py`` for polling; it restarts the process instead.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import anyio
+
+from turtleact.errors import TurtleactError
+from turtleact.interfaces.types import REGISTRY
+from turtleact.summaries import summary
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from turtleact.commands.interrupts import Interrupts
+    from turtleact.commands.targets import Found, Modules
+    from turtleact.node import ActionServer, Node, Parameter
+
+__all__ = ["Reloader", "Watch"]
+
+logger = logging.getLogger("turtleact.reload")
+
+INTERVAL = 0.15
+"""How often the files are looked at (s, event loop time)."""
+
+REASON = "reloading"
+"""Why a goal ends when its body is replaced."""
+
+UNCHANGED = "the actions stay as they are until the next change"
+
+Stamps: TypeAlias = dict[Path, tuple[int, int, int] | None]
+"""When each file was changed, how large it is, and which one it is; None if it is missing."""
+
+
+class Watch:
+    """Tells which of the user's files have changed since they were imported.
+
+    Args:
+        modules: The user's modules, not yet imported.
+    """
+
+    def __init__(self, modules: Modules) -> None:
+        self._modules = modules
+        self._seen = self._stamps()
+        self._last = self._seen
+
+    def look(self) -> list[Path]:
+        """Look at the files once, and list those that have changed, if they are at rest.
+
+        An editor may write a file in parts, remove it and rename another, or save several files in
+        a row. So a change counts once two looks in a row have seen the same.
+        """
+        stamps = self._stamps()
+        is_at_rest = stamps == self._last
+        self._last = stamps
+        if not is_at_rest:
+            return []
+        # What is seen now is what an import after this reads. A change during that import, or while
+        # the old goals end, differs from it, so that a later look notices it.
+        before, self._seen = self._seen, stamps
+        return [file for file, stamp in stamps.items() if stamp != before.get(file)]
+
+    def follow(self) -> None:
+        """Watch what has been imported since, too."""
+        self._seen = {**self._stamps(), **self._seen}
+        self._last = self._seen
+
+    def _stamps(self) -> Stamps:
+        interfaces = {Path(file) for file in REGISTRY.files.values()}
+        watched = self._modules.files | {each for each in interfaces if self._modules.has(each)}
+        return {file: _stamp(file) for file in sorted(watched)}
+
+
+class Reloader:
+    """Replaces what a node serves of the user's modules when their files change.
+
+    Args:
+        node: The node.
+        modules: The user's modules.
+        watch: Watches their files.
+        interrupts: The signals; one that comes during an import ends the program.
+        say: Tells the user what happens.
+
+    Attributes:
+        watch: As given.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        modules: Modules,
+        watch: Watch,
+        interrupts: Interrupts,
+        say: Callable[[str], object],
+    ) -> None:
+        self._node = node
+        self._modules = modules
+        self.watch = watch
+        self._interrupts = interrupts
+        self._say = say
+        self._found: Found | None = None
+        self._servers: list[ActionServer[Any, Any, Any]] = []
+        self._parameters: list[Parameter[Any]] = []
+
+    def adopt(self, found: Found, servers: Iterable[ActionServer[Any, Any, Any]]) -> None:
+        """Take over what the node serves already."""
+        self._found = found
+        self._servers = list(servers)
+        self._parameters = [self._node.parameter(each) for each in found.parameters]
+
+    async def run(self) -> None:
+        """Watch and replace, until cancelled."""
+        while True:
+            await anyio.sleep(INTERVAL)
+            await self.look()
+
+    async def look(self) -> None:
+        """Look at the files once, and reload if they have changed."""
+        if not (changed := self.watch.look()):
+            return
+        try:
+            await self._reload(changed)
+        except TurtleactError as error:
+            logger.error("%s; nothing is served until the next change", error)
+        self.watch.follow()
+
+    async def _reload(self, changed: list[Path]) -> None:
+        self._say(f"reloading: {', '.join(file.name for file in changed)} changed")
+        found = self._import(changed)
+        if found is None:
+            return
+        await self._close()
+        try:
+            self._serve(found)
+        except TurtleactError as error:
+            logger.error("%s; the actions are served as they were before", error)
+            await self._close()
+            if self._found is not None:
+                self._serve(self._found)
+            return
+        self._found = found
+        names = dict.fromkeys(server.name for server in self._servers)
+        self._say(f"reloaded: {', '.join(names)}")
+
+    def _import(self, changed: list[Path]) -> Found | None:
+        """Import the modules anew; None if that fails, or a signal has come."""
+        for name, file in REGISTRY.files.items():
+            if Path(file) in changed:
+                REGISTRY.forget(name)  # it is read again when it is needed
+        found = None
+        try:
+            # The import blocks the event loop. After a signal, it has a moment to end.
+            with self._interrupts.beginning(0):
+                found = self._modules.find_again()
+        except TurtleactError as error:
+            logger.error("%s; %s", error, UNCHANGED)
+            return None
+        except BaseException as error:  # a module may raise anything, such as SystemExit
+            logger.error("%s; %s", summary(error), UNCHANGED)
+            return None
+        return None if self._interrupts.received else found
+
+    def _serve(self, found: Found) -> None:
+        """Declare the parameters, and serve the actions.
+
+        If another node serves one of them by now, it is served once that node has gone.
+        """
+        for declaration in found.parameters:
+            self._parameters.append(self._node.parameter(declaration))
+        for action in found.actions:
+            self._servers.append(self._node.serve(action, on_conflict="wait"))
+
+    async def _close(self) -> None:
+        """End the goals, and take actions and parameters off the node."""
+        async with anyio.create_task_group() as closing:
+            for server in self._servers:
+                closing.start_soon(server.aclose, REASON)
+        self._servers.clear()
+        for parameter in self._parameters:
+            parameter.undeclare()
+        self._parameters.clear()
+
+
+def _stamp(file: Path) -> tuple[int, int, int] | None:
+    try:
+        status = file.stat()
+    except OSError:
+        return None
+    return status.st_mtime_ns, status.st_size, status.st_ino

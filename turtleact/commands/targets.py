@@ -1,0 +1,366 @@
+"""What ``serve`` is asked to serve: the user's modules, and the actions and parameters in them.
+
+A target is a module (``lab``, ``lab.robot``), a file (``lab.py``, ``./src/lab.py``), or one object
+in either (``lab:fibonacci``, ``lab.py:Robot.drive``). A file is imported as the module that it is:
+its folder, or the folder above its package, goes to the beginning of ``sys.path``.
+
+`Modules` can import everything anew. It forgets the modules of the user's that the targets have
+imported, and nothing else: those in site-packages stay as they are.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import traceback
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from turtleact.body import ActionDeclaration
+from turtleact.errors import TurtleactError, UsageError
+from turtleact.graph import names_like
+from turtleact.parameters import ParameterDeclaration
+from turtleact.summaries import summary
+
+__all__ = ["Found", "Modules", "Target", "read_target"]
+
+OURS = Path(__file__).parents[1]
+"""Where our own modules are."""
+
+
+class Found(NamedTuple):
+    """What the targets mean.
+
+    Attributes:
+        actions: The actions to serve, in the order of the targets and of their declaration.
+        parameters: The parameters that the modules of the targets have.
+    """
+
+    actions: list[ActionDeclaration[..., object]]
+    parameters: list[ParameterDeclaration[Any]]
+
+
+class Target(NamedTuple):
+    """One target, as the user has written it.
+
+    Attributes:
+        text: The text.
+        module: The name of the module to import.
+        path: The dotted path of an object in it; empty for all actions.
+        file: The file, if one was named.
+    """
+
+    text: str
+    module: str
+    path: str
+    file: Path | None
+
+    @property
+    def folder(self) -> Path:
+        """What goes to the beginning of ``sys.path``."""
+        if self.file is None:
+            return Path.cwd()
+        package = self.file.parent if self.file.name == "__init__.py" else self.file
+        return package.parents[self.module.count(".")]
+
+
+def read_target(text: str) -> Target:
+    """Read a target.
+
+    Raises:
+        UsageError: if it is none, or names a file that does not exist. The text says what exists.
+    """
+    name, separator, path = text.rpartition(":") if _has_object(text) else (text, "", "")
+    if separator and not all(part.isidentifier() for part in path.split(".")):
+        raise UsageError(f"'{text}' is not a target: after the colon comes the name of an action")
+    if file := _file_of(name):
+        return Target(text, _module_name(file), path, file)
+    if all(part.isidentifier() for part in name.split(".")):
+        return Target(text, name, path, None)
+    raise UsageError(f"'{text}' is not a target such as lab.py, lab or lab.robot:drive")
+
+
+def _has_object(text: str) -> bool:
+    r"""Whether there is a colon other than that of a drive, as in ``C:\lab.py``."""
+    _, colon, after = text.rpartition(":")
+    return bool(colon) and after[:1] not in ("/", "\\")
+
+
+def _file_of(name: str) -> Path | None:
+    """The file that a name means; None if it is the name of a module.
+
+    Raises:
+        UsageError: if it is a path, but there is no such file.
+    """
+    is_path = name.endswith(".py") or "/" in name or os.sep in name or name in (".", "..")
+    if not name or (not is_path and name.isidentifier()):
+        return None
+    path = Path(os.path.abspath(name))  # noqa: PTH100  # a link is imported as what it is called
+    for file in (path, path.parent / f"{path.name}.py", path / "__init__.py"):
+        if file.suffix == ".py" and file.is_file():
+            return file
+    if not is_path:
+        return None
+    folder = path if path.is_dir() else path.parent
+    if not folder.is_dir():
+        raise UsageError(f"'{name}': there is no folder '{folder}'")
+    there = sorted(each.name for each in folder.glob("*.py"))
+    if path.is_dir():
+        shown = ", ".join(str(Path(name, each)) for each in there) or "it has none"
+        raise UsageError(f"'{name}' is a folder: name a file in it ({shown})")
+    wanted = path.name if path.suffix == ".py" else f"{path.name}.py"
+    raise UsageError(f"there is no file '{name}'{names_like(wanted, there)}")
+
+
+def _module_name(file: Path) -> str:
+    """The name under which a file is imported, with those of the packages that it is in."""
+    names = [] if file.name == "__init__.py" else [file.stem]
+    folder = file.parent
+    while (folder / "__init__.py").is_file() and folder != folder.parent:
+        names.insert(0, folder.name)
+        folder = folder.parent
+    if any("." in each for each in names):
+        raise UsageError(f"'{file.name}' cannot be imported: take the dots out of its name")
+    return ".".join(names)
+
+
+class Modules:
+    """The modules of the targets.
+
+    Args:
+        targets: The targets, as the user has written them.
+
+    Attributes:
+        files: The files of the user's modules, and those that are missing. Imported again once
+            one of them changes.
+
+    Raises:
+        UsageError: if one of them is no target.
+    """
+
+    def __init__(self, targets: Sequence[str]) -> None:
+        self.targets = [read_target(each) for each in targets]
+        self.files = frozenset(self._named_files())
+        self._others = frozenset(sys.modules)
+        self._folders = tuple(dict.fromkeys(each.folder for each in self.targets))
+
+    def find(self) -> Found:
+        """Import the modules, and find the actions and parameters in them.
+
+        Modules are looked for in the working directory first, as by ``python -m``.
+
+        Raises:
+            UsageError: if a target means no action; the text says which there are.
+            TurtleactError: if a module fails when it is imported; the text names the line.
+        """
+        try:
+            actions = [each for target in self.targets for each in _actions_of(target)]
+        except BaseException as error:
+            self.files |= self._own_files() | self._files_in(error) | self._named_files()
+            raise
+        self.files = frozenset(self._own_files())
+        modules = self._own() | {each.module: sys.modules[each.module] for each in self.targets}
+        values = [each for module in modules.values() for each in vars(module).values()]
+        found = [each for each in values if isinstance(each, ParameterDeclaration)]
+        return Found(actions, list({id(each): each for each in found}.values()))
+
+    def find_again(self) -> Found:
+        """Import the user's modules anew; if that fails, `sys.modules` stays as it was.
+
+        Raises:
+            BaseException: as `find`, and `SystemExit` if a module raises it.
+        """
+        before = self._own()
+        for name in before:
+            del sys.modules[name]
+        importlib.invalidate_caches()
+        try:
+            return self.find()
+        except BaseException:
+            for name in self._own():
+                del sys.modules[name]
+            for name, module in before.items():
+                sys.modules[name] = module
+                # A submodule is an attribute of its package, too, which the import has replaced.
+                package, _, last = name.rpartition(".")
+                if package in sys.modules:
+                    setattr(sys.modules[package], last, module)
+            raise
+
+    def _own(self) -> dict[str, ModuleType]:
+        """The user's modules that the targets have imported."""
+        names = [name for name in sys.modules if name not in self._others]
+        files = {name: _file(sys.modules[name]) for name in names}
+        return {name: sys.modules[name] for name, file in files.items() if file and self.has(file)}
+
+    def has(self, file: Path) -> bool:
+        """Whether a file is the user's: below the folder of a target, and not installed there."""
+        if file.is_relative_to(OURS):
+            return False
+        if not {"site-packages", "dist-packages"}.isdisjoint(file.parts):
+            return False
+        return any(file.is_relative_to(folder) for folder in self._folders)
+
+    def _own_files(self) -> set[Path]:
+        return {file for module in self._own().values() if (file := _file(module)) is not None}
+
+    def _named_files(self) -> set[Path]:
+        """The files of the targets themselves, which may not have been imported."""
+        return {
+            each.file or each.folder.joinpath(*each.module.split(".")).with_suffix(".py")
+            for each in self.targets
+        }
+
+    def _files_in(self, error: BaseException | None) -> set[Path]:
+        """The user's files that an error is about, or that would have to be there."""
+        found: set[Path] = set()
+        while error is not None:
+            found |= {Path(frame.filename) for frame in traceback.extract_tb(error.__traceback__)}
+            if isinstance(error, SyntaxError) and error.filename:
+                found.add(Path(error.filename))
+            if isinstance(error, ModuleNotFoundError) and error.name:
+                missing = [each.joinpath(*error.name.split(".")) for each in self._folders]
+                found.update(each.with_name(f"{each.name}.py") for each in missing)
+                found.update(each / "__init__.py" for each in missing)
+            error = error.__cause__ or error.__context__
+        return {file for file in found if self.has(file)}
+
+
+def _file(module: ModuleType) -> Path | None:
+    file = getattr(module, "__file__", None)
+    return Path(file) if file else None
+
+
+# --- what a target means ------------------------------------------------------------------------
+
+
+def _actions_of(target: Target) -> list[ActionDeclaration[..., object]]:
+    module = _import_module(target)
+    if not target.path:
+        own = [each for each in _declared_in(module) if _is_own(each, module)]
+        if not own:
+            raise UsageError(_nothing_in(module, target))
+        return own
+    try:
+        found = _look_up(module, target)
+    except TurtleactError:
+        raise
+    except Exception as error:  # a property or a ``__getattr__`` of the user's fails
+        problem = f"'{target.text}' cannot be looked up: {summary(error)}"
+        raise TurtleactError(f"{problem} ({_place_of(error)})") from None
+    if not isinstance(found, ActionDeclaration):
+        problem = f"is of type {type(found).__name__}, not an action; see turtleact.action"
+        raise UsageError(f"'{target.text}' {problem}{_actions_there(module)}")
+    return [found]
+
+
+def _declared_in(module: ModuleType) -> list[ActionDeclaration[..., object]]:
+    return [each for each in vars(module).values() if isinstance(each, ActionDeclaration)]
+
+
+def _is_own(action: ActionDeclaration[..., object], module: ModuleType) -> bool:
+    return action.execute.__module__ == module.__name__
+
+
+def _nothing_in(module: ModuleType, target: Target) -> str:
+    """Why a module has nothing to serve, and what to do."""
+    what = f"module '{target.module}'" if target.file is None else f"'{target.text}'"
+    if _file(module) is None and hasattr(module, "__path__"):
+        there = ", ".join(str(each) for each in sorted(Path(target.module).glob("*.py")))
+        return f"{what} is a folder: name a file in it{f' ({there})' if there else ''}"
+    if imported := [each.execute.__module__ for each in _declared_in(module)]:
+        others = ", ".join(dict.fromkeys(imported))
+        return f"{what} declares no action, but imports some: serve {others}"
+    functions = [
+        name
+        for name, each in vars(module).items()
+        if callable(each) and getattr(each, "__module__", "") == module.__name__
+    ]
+    shown = f" (there are: {', '.join(functions)})" if functions else ""
+    return f"{what} declares no action: put @turtleact.action(TYPE, NAME) above a body{shown}"
+
+
+def _look_up(module: ModuleType, target: Target) -> object:
+    """The object at a dotted path in a module."""
+    found: object = module
+    for attribute in target.path.split("."):
+        if not hasattr(found, attribute):
+            actions = [
+                name for name, each in _members(found) if isinstance(each, ActionDeclaration)
+            ]
+            names = actions or [name for name, _ in _members(found)]
+            raise UsageError(
+                f"'{target.text}': no {attribute} is there{names_like(attribute, names)}"
+            )
+        found = getattr(found, attribute)
+    return found
+
+
+def _members(found: object) -> Iterable[tuple[str, object]]:
+    """The public attributes of a module or class; without running properties."""
+    members = getattr(found, "__dict__", {})
+    return [(name, each) for name, each in members.items() if not name.startswith("_")]
+
+
+def _actions_there(module: ModuleType) -> str:
+    names = [each.execute.__name__ for each in _declared_in(module)]
+    return f" (there are: {', '.join(names)})" if names else ""
+
+
+# --- importing ----------------------------------------------------------------------------------
+
+
+def _import_module(target: Target) -> ModuleType:
+    for folder in map(str, (Path.cwd(), target.folder)):
+        if folder not in sys.path:
+            sys.path.insert(0, folder)
+    name = target.module
+    try:
+        module = importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name is not None and f"{name}.".startswith(f"{error.name}."):
+            raise UsageError(_no_module(error.name)) from error
+        raise _import_error(target, error) from error
+    except (KeyboardInterrupt, SystemExit):
+        raise
+    except BaseException as error:
+        raise _import_error(target, error) from error
+    if target.file is not None and not _is_same_file(_file(module), target.file):
+        problem = f"another module has its name ({_file(module) or 'a part of Python'})"
+        raise UsageError(f"'{target.text}' cannot be imported: {problem}; rename the file")
+    return module
+
+
+def _is_same_file(one: Path | None, other: Path) -> bool:
+    return one is not None and one.samefile(other)
+
+
+def _no_module(missing: str) -> str:
+    """Say that there is no such module, with the nearest of the working directory."""
+    here = [path.stem for path in Path().glob("*.py")]
+    here += [path.parent.name for path in Path().glob("*/__init__.py")]
+    hint = "" if "." in missing or not here else names_like(missing, here)
+    return f"there is no module '{missing}' here, or on the path{hint}"
+
+
+def _import_error(target: Target, error: BaseException) -> TurtleactError:
+    """The error to raise when a module fails, with the place in the user's own file."""
+    where = _place_of(error)
+    if isinstance(error, TurtleactError):  # it says what is wrong
+        return TurtleactError(f"{where}: {error}")
+    what = f"SyntaxError: {error.msg}" if isinstance(error, SyntaxError) else summary(error)
+    return TurtleactError(f"module '{target.module}' cannot be imported: {what} ({where})")
+
+
+def _place_of(error: BaseException) -> str:
+    """Where in the user's own files an error was raised."""
+    if isinstance(error, SyntaxError):
+        return f"{error.filename}, line {error.lineno}"
+    frames = traceback.extract_tb(error.__traceback__)
+    outside = [each for each in frames if "importlib" not in each.filename]
+    own = [each for each in outside if not Path(each.filename).is_relative_to(OURS)]
+    last = (own or frames)[-1]
+    return f"{last.filename}, line {last.lineno}"
