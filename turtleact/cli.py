@@ -27,10 +27,11 @@ import sys
 TYPE_CHECKING = False  # as in `typing`, which is slow to import
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from typing import NoReturn
 
     from turtleact.commands.interrupts import Interrupts
 
-__all__ = ["main", "run"]
+__all__ = ["main", "run", "serve"]
 
 FAILED, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
 
@@ -64,6 +65,19 @@ def main() -> int:
 
         leave(status)
     return status
+
+
+def serve(*targets: str) -> NoReturn:
+    """Do what ``turtleact serve TARGET... --no-sim`` does, then end the program.
+
+    This is for the ``main`` of a package. The program's own arguments are options of ``serve``.
+
+    Args:
+        *targets: The modules with the actions, such as ``lab.server``, or single actions, such as
+            ``lab.server:countdown``.
+    """
+    sys.argv[1:] = ["serve", *targets, "--no-sim", *sys.argv[1:]]
+    sys.exit(main())
 
 
 def run(arguments: Sequence[str], interrupts: Interrupts) -> int:

@@ -189,7 +189,7 @@ def test_an_empty_pipe_is_a_usage_error(turtleact, stdin_of):
 
 def test_a_closed_stdin_is_no_pipe(interrupts, monkeypatch):
     monkeypatch.setattr(sys, "stdin", None)
-    with pytest.raises(UsageError, match="stdin is none"):
+    with pytest.raises(UsageError, match="stdin is not a pipe"):
         interfaces.read_type("-", interrupts)
 
 

@@ -34,7 +34,6 @@ COMPLETE = {
     "serve --config FILE": "serve --config serve.toml",
     "service call": "service call /clear std_srvs/srv/Empty",
     "param set": "param set /turtlesim background_r 100",
-    "serve module:object": "serve lab:patrol --no-sim",
     "serve --web 9090": "serve --web 0",
 }
 """What a reader puts in place of what a suggestion leaves open, and a free port for a fixed one."""
@@ -46,6 +45,10 @@ ELSEWHERE = {
 """Who runs the others."""
 
 OPEN = {
+    "pkg create NAME": "pkg create my_robot",
+    " [PACKAGE]": "",
+    "FILE.py [ARGUMENTS]": shlex.quote(__file__),
+    "PACKAGE EXECUTABLE [ARGUMENTS]": "turtlesim turtlesim_node",
     "VERB": "goals",
     "NAME [TYPE] [GOAL]": "fibonacci",
     "[TARGET...]": "lab",
@@ -55,7 +58,7 @@ OPEN = {
     "…": "tcp/127.0.0.1:7447",
 }
 NEEDS_MORE = {"send-goal": "fibonacci", "watch": "71a9", "action send_goal": "/f a/action/F {}"}
-NEEDS_MORE["interface python"] = "std_msgs -o interfaces"
+NEEDS_MORE |= {"interface python": "std_msgs -o interfaces", "run": "turtlesim turtlesim_node"}
 """What a sentence of a page leaves open, and the arguments that a command cannot do without."""
 
 LAB = """
@@ -126,7 +129,7 @@ SERVING = [line for line in SUGGESTED if runs(line)[0] == "serve"]
 @pytest.mark.parametrize("line", [line for line in SUGGESTED if line not in SERVING])
 def test_a_command_that_is_suggested_works_on_a_graph(served, lab, line):
     arguments = runs(line)
-    is_alone = {"interface", "--help", "--speed"} & {*arguments}
+    is_alone = {"interface", "pkg", "--help", "--speed"} & {*arguments}
     where = [] if is_alone or "--connect" in line else ["--connect", served.at]
     arguments = [served.at if each == "tcp/127.0.0.1:7447" else each for each in arguments]
     with start(lab, *arguments, *where) as process:

@@ -25,6 +25,8 @@ from typing import NamedTuple
 
 import pytest
 
+from turtleact.interfaces.types import REGISTRY
+
 PAGE = Path(__file__).parents[2] / "docs" / "tutorial.md"
 BLOCK = re.compile(r"^<!-- (save|terminal) (.*?) -->\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 SECTIONS = [
@@ -77,7 +79,9 @@ class Terminals:
 
     def save(self, name, text):
         text = text.replace("open_zenoh()", f"open_zenoh([{self.address!r}])")
-        (self.folder / name).write_text(text, "utf-8")
+        path = self.folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, "utf-8")
 
     def type(self, where, text):
         for line, shown in commands_of(text):
@@ -90,9 +94,14 @@ class Terminals:
                 self.running.append(self.start(arguments, shown))
             elif command == "python":
                 self.start(arguments, shown).check()
+            elif command == "cat":
+                check((self.folder / arguments[0]).read_text("utf-8"), shown)
             else:
-                ran = self.turtleact(*arguments, "--connect", self.address)
-                check(ran.out + ran.err, shown)
+                is_local = arguments[0] in {"interface", "pkg"}
+                reach = () if is_local else ("--connect", self.address)
+                with REGISTRY.isolated():  # each command knows only what it finds itself
+                    ran = self.turtleact(*arguments, *reach)
+                check(ran.err + ran.out, shown)
         if not where.endswith("meanwhile"):
             while self.running:
                 self.running.pop().check()

@@ -61,7 +61,7 @@ USAGE = [
     (["serve", "--speed", "max"], "'--speed': 'max' is not a factor"),
     (["serve", "--speed", "0"], "'--speed': '0' is not a factor above 0 and at most 100"),
     (["serve", "--web", "localhost"], "the port of --web is a whole number, 0 to 65535"),
-    (["serve", "--token", "x"], "--token, --allow-host and --allow-origin are for --web"),
+    (["serve", "--token", "x"], "--token, --allow-host and --allow-origin need --web"),
     (
         ["serve", "--web", "0", "--allow-origin", "example.com"],
         "--allow-origin takes an origin such as https://example.com, not 'example.com'",
@@ -104,7 +104,11 @@ USAGE = [
     (["run", "action_tutorials_py", "fibonacci_action_server", "-x"], "'-x' is not taken"),
     (["bag", "record", "/turtle1/cmd_vel"], "turtleact has no 'bag': 'turtleact topic"),
     (["launch", "turtlesim", "multisim.launch.py"], "turtleact has no 'launch': start"),
-    (["pkg", "executables", "turtlesim"], "turtleact has no 'pkg': 'turtleact interface"),
+    (["pkg", "prefix", "turtlesim"], "turtleact has no 'pkg prefix': 'turtleact pkg exec"),
+    (["pkg", "build"], "turtleact has no 'pkg build': nothing has to be built or sourced"),
+    (["colcon", "build"], "turtleact has no 'colcon': nothing has to be built or sourced"),
+    (["build"], "turtleact has no 'build': nothing has to be built or sourced"),
+    (["rosdep", "install", "--from-paths", "src"], "turtleact has no 'rosdep': pip installs what"),
     (["doctor"], "turtleact has no 'doctor': 'turtleact node list' tells"),
     (["service", "echo", "--flow-style", "/x"], "turtleact has no 'service echo': nodes"),
     (["send-goal", "x", "--embedded", "--connect", "tcp/a:1"], "is given twice"),
@@ -305,7 +309,7 @@ def test_only_the_verb_that_is_asked_for_is_imported(verb):
     )
     home = verbs.HOMES.get(verb, verb)
     imported = subprocess.check_output([sys.executable, "-c", code], text=True).splitlines()[-1]
-    expected = {home, "goals"} if verb == "action" else {home}
+    expected = {home} | {"action": {"goals"}, "pkg": {"run"}}.get(verb, set())
     # Its help lists the packages that can be run.
     search = {"commands.packages", "commands.programs", "workspace"} if verb == "run" else ()
     assert {*imported.split()} == {

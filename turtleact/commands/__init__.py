@@ -16,6 +16,7 @@ GROUPS: Final = {
     "service": ("list", "info", "type", "find", "call"),
     "node": ("list", "info"),
     "param": ("list", "get", "set", "delete", "describe", "dump", "load"),
+    "pkg": ("create", "list", "executables"),
     "interface": ("list", "package", "packages", "proto", "python", "show"),
 }
 """The groups of verbs that ``ros2`` has too."""

@@ -1,9 +1,9 @@
 """Completion by the Tab key: functions for Typer's ``autocompletion=``.
 
-Each function takes Typer's context, which holds the arguments typed so far, and the word begun, and
-gives the values that may stand there. Typer drops those that do not begin with that word, and
-speaks to the shell. Everything is looked up anew, and nothing is started. A line being typed is no
-place for errors: whatever goes wrong, nothing is offered.
+Each function takes Typer's context, which holds the arguments typed so far, and the word that the
+user has begun. It returns the values that can stand there. Typer drops those that do not begin with
+that word, and talks to the shell. Each Tab looks everything up again and starts nothing. Errors are
+never shown on a line that is being typed: if anything goes wrong, nothing is offered.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ __all__ = [
 ]
 
 Candidates: TypeAlias = list[str] | list[tuple[str, str]]
-"""Values, or values with a few words on each."""
+"""Values, or pairs of a value and a short description."""
 
 Complete: TypeAlias = Callable[[typer.Context, str], Candidates]
 
@@ -89,7 +89,7 @@ def _silent(complete: Complete) -> Complete:
 
 
 def words(*known: str) -> Callable[[], list[str]]:
-    """One of these words."""
+    """Complete to one of these words."""
     return lambda: list(known)
 
 
@@ -202,7 +202,7 @@ def messages(ctx: typer.Context, incomplete: str) -> Candidates:  # as above
     except UnknownInterface:
         make_known(_folder(ctx), is_silent=True)
     text = flow(to_dict(first_message(type_name)))
-    # Of the three shells, bash alone types a value as it is: there the quotes must come with it.
+    # Only bash inserts a value as it is, so there the quotes must be part of it.
     is_bash = os.environ.get("_TURTLEACT_COMPLETE") == "complete_bash"
     return [f'"{text.translate(_FOR_BASH)}"' if is_bash and not incomplete else text]
 
@@ -266,10 +266,9 @@ def executables(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG
 
 
 def _runnable() -> dict[str, dict[str, Program | None]]:
-    from turtleact.commands.packages import runnable
-    from turtleact.commands.verbs.run import PROGRAMS
+    from turtleact.commands.verbs.run import runnable_here
 
-    return runnable(Path(), PROGRAMS)
+    return runnable_here()
 
 
 # what they share

@@ -29,10 +29,10 @@ __all__ = ["Console", "PosixConsole", "WindowsConsole", "console"]
 
 LOCAL_MODES: Final = 3
 CONTROL_CHARACTERS: Final = 6
-"""Where ``tcgetattr`` keeps the modes that ECHO is one of, and where VMIN and VTIME."""
+"""Indices in what ``tcgetattr`` returns: the local modes, such as ECHO; VMIN and VTIME."""
 
 KEY_PERIOD: Final = 0.02
-"""How often Windows is asked whether a key was pressed (s): nothing tells an event loop."""
+"""How often to ask Windows for pressed keys (s), as they cannot wake an event loop."""
 
 SPECIAL: Final = "\x00\xe0"
 """One of these comes before the code of a key without a character."""
@@ -48,7 +48,7 @@ VIRTUAL_TERMINAL: Final = 0x0004
 
 
 class Console(Protocol):
-    """What differs between systems. The streams are terminals, if nothing else is said."""
+    """What differs between systems. All streams are terminals unless a method says otherwise."""
 
     def can_move(self) -> bool:
         """Whether the terminal obeys control sequences."""
@@ -57,7 +57,7 @@ class Console(Protocol):
         """Whether the process is in the foreground, or the terminal controls no process."""
 
     def reopen(self, stream: TextIO) -> int | None:
-        """Open the terminal again, so that writing never waits; None if that is impossible."""
+        """Open the terminal a second time so that writing never waits; None if impossible."""
 
     def takes_text(self, stream: TextIO) -> bool:
         """Whether writing to the terminal would not wait."""
@@ -67,7 +67,7 @@ class Console(Protocol):
 
         Args:
             stream: Where the user types.
-            by_key: Whether each key is to come at once, not only whole lines.
+            by_key: Whether each key arrives at once, instead of whole lines.
 
         Returns:
             The modes as they were, for `give_back`; None if there is nothing to give back.
@@ -125,7 +125,7 @@ class PosixConsole:
         modes[LOCAL_MODES] &= ~termios.ECHO
         if by_key:
             modes[LOCAL_MODES] &= ~termios.ICANON
-            modes[CONTROL_CHARACTERS] = [*modes[CONTROL_CHARACTERS]]  # those of before are kept
+            modes[CONTROL_CHARACTERS] = [*modes[CONTROL_CHARACTERS]]  # the earlier modes are kept
             modes[CONTROL_CHARACTERS][termios.VMIN] = 1
             modes[CONTROL_CHARACTERS][termios.VTIME] = 0
         termios.tcsetattr(stream, termios.TCSANOW, modes)
@@ -151,7 +151,7 @@ class PosixConsole:
 
 
 class WindowsConsole:
-    """A console that echoes only what is read by the line, and has no job control."""
+    """A console without job control. It echoes only what is read line by line."""
 
     def __init__(self) -> None:
         self._keyboard: Any = None
@@ -177,7 +177,10 @@ class WindowsConsole:
         return None
 
     def takes_text(self, _: TextIO) -> bool:
-        """Nothing can be asked. Writing waits only while the user selects text in the window."""
+        """Always true, because Windows cannot tell.
+
+        Writing waits only while the user selects text in the window.
+        """
         return True
 
     def silence(self, stream: TextIO, *, by_key: bool) -> object | None:
@@ -187,7 +190,7 @@ class WindowsConsole:
         """Nothing to do."""
 
     async def wait_for_key(self, _: TextIO) -> None:
-        """Ask again and again: a console is nothing that a selector could wait for."""
+        """Poll, because a selector cannot wait for a console."""
         pressed: Callable[[], bool] = self._msvcrt().kbhit
         while not pressed():
             await anyio.sleep(KEY_PERIOD)

@@ -128,8 +128,8 @@ async def until_interrupted(
         interrupts: The signals.
 
     Raises:
-        TurtleactError: if it cannot be opened, and no signal came before that was clear; and
-            whatever ``act`` raises.
+        TurtleactError: if it cannot be opened, unless a signal came first; and whatever ``act``
+            raises.
     """
     status: int | None = None
     with interrupts.listening(asyncio.get_running_loop()):

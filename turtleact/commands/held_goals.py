@@ -5,8 +5,8 @@ which goals a server holds, ``cancel_goal`` cancels them, and ``get_result`` wai
 
 A server publishes its status when a goal changes, and its last message is latched; a server that
 never had a goal may publish nothing. So the commands wait for latched messages, but not for long.
-A latched message may also outlive a server that hangs. Therefore each server is asked to cancel a
-goal that nobody has; a server that works answers that.
+A latched message may also outlive a server that hangs. Therefore the commands ask each server to
+cancel a goal that does not exist. A server that works answers that.
 
 Source: the ROS 2 design article "Actions"; action_msgs/srv/CancelGoal; rcl_action
 ``action_server.c`` for what is published and when.
@@ -79,8 +79,8 @@ LATCHED_PATIENCE = 0.5
 """How long latched messages are waited for (s, by the clock of the graph)."""
 
 ROUND_TRIPS = 5
-"""How many round trips to wait in addition: the keeper of a latched message is found, and then
-asked, perhaps through a router."""
+"""How many round trips to wait in addition: to find who keeps a latched message, and to ask for it,
+perhaps through a router."""
 
 ANSWER = 2.0
 """How long a server has to answer (s, by the clock of the graph)."""
@@ -174,7 +174,9 @@ def find_goals(goals: Iterable[HeldGoal], wanted: str) -> HeldGoal | None:
 
 
 async def find_goal(node: Node, wanted: str) -> HeldGoal:
-    """The goal on the graph whose id begins with a text; notes if its server does not answer.
+    """The goal on the graph whose id begins with a text.
+
+    Prints a note if its server does not answer.
 
     Raises:
         UsageError: if there are several.
@@ -219,7 +221,7 @@ def _servers(node: Node, actions: dict[str, str]) -> dict[str, str]:
 
 
 async def _ask(node: Node, server: str, action: str, silent: set[str]) -> None:
-    """Ask a server to cancel a goal that nobody has; if it does not answer, note that it hangs."""
+    """Ask a server to cancel a goal that does not exist, and record it if it does not answer."""
     client = node.service_client(CancelGoal, action_names(action).cancel_goal)
     try:
         await client.call(CancelGoal.Request(GoalInfo(UUID(uuid.uuid4().bytes))), ANSWER)

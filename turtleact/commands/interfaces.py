@@ -75,8 +75,8 @@ def make_known(folder: str | None, *, is_silent: bool = False) -> None:
 def make_found(folder: str | None, *, is_silent: bool = False) -> None:
     """Make known the interfaces of a folder, of the sourced workspace, and near the working one.
 
-    Of several definitions the first counts, in this order. All of them count before the built-in
-    ones. The first time that an interface near the working directory is used, a line on stderr says
+    If there are several definitions, the first in this order counts. Built-in ones come last. The
+    first time that an interface near the working directory is used, a line on stderr says
     where it was found.
 
     Args:
@@ -178,7 +178,7 @@ def read_type(type_name: str, interrupts: Interrupts) -> str:
     if type_name != "-":
         return type_name
     if sys.stdin is None or sys.stdin.isatty():
-        raise UsageError("'-' reads the type from a pipe, and stdin is none")
+        raise UsageError("'-' reads the type from a pipe, but stdin is not a pipe")
     data = interrupts.read(sys.stdin.fileno(), LONGEST_LINE, line=True)
     line = data.partition(b"\n")[0].decode(errors="replace").strip()
     if not line:
@@ -189,7 +189,7 @@ def read_type(type_name: str, interrupts: Interrupts) -> str:
 def write_python(packages: Sequence[str], folder: Path, *, is_check: bool) -> int:
     """Write typed Python classes for the interfaces of some packages, and of those that they use.
 
-    Prints the path of each file that it writes. Files that are right already are left alone.
+    Prints the path of each file that it writes. Files that are already right are left alone.
 
     Args:
         packages: Their names.

@@ -12,15 +12,15 @@ on where the program stands:
   `Interrupts.wait`. The loop may be stuck, in a body or in writing to a pipe that nobody reads. So
   the alarm clock ends the process if the loop does not get to the second signal within `GRACE`, or
   if a deadline passes (`Interrupts.end_within`, `Interrupts.patience`). A third signal ends the
-  process at once. From the first signal on, the clock also rings every `GRACE`: Python would notice
-  a signal that comes just before a blocking write only after that write.
+  process at once. From the first signal on, the clock also rings every `GRACE`. Otherwise Python
+  would notice a signal that comes just before a blocking write only after the write.
 - After the loop, nothing; in the end signals are ignored.
 
 One handler, set once, does all of this. With the loop's own signal handling, Python's default would
 apply just before and after the loop, and print a traceback. The handler wakes the loop through
-``call_soon_threadsafe``, as `asyncio.Runner` does for Ctrl-C. While the loop or a reading waits in
-the system, it also waits for a socket to which the system writes each signal: otherwise Python
-would notice a signal that came just before that wait only after it.
+``call_soon_threadsafe``, as `asyncio.Runner` does for Ctrl-C. While the loop or a read waits in the
+system, it also waits for a socket to which the system writes each signal. Otherwise Python would
+notice a signal that came just before the wait only after it.
 
 Windows has neither an alarm clock nor a way to wait for a file: threads do both there.
 """
@@ -60,7 +60,7 @@ WAITS_FOR_FILES = os.name == "posix"
 """Whether the system can wait for a file and a signal at the same time."""
 
 TICK = 0.1
-"""How often (s) a system without that looks after both."""
+"""How often a system that cannot do so checks both (s)."""
 
 GRACE = 0.5
 """How long the loop may be late (s, wall clock)."""
@@ -88,8 +88,8 @@ class Interrupts:
         restore: Gives the terminal back. A signal handler calls it before it ends the process.
         patience: How long the loop may go on after the first signal, before the alarm clock ends
             the process (s, wall clock).
-        must_leave: Whether the process has to end by `leave`, as tasks or threads are left that do
-            not end.
+        must_leave: Whether the process has to end by `leave`, because some tasks or threads do not
+            end.
     """
 
     def __init__(self) -> None:
@@ -101,8 +101,8 @@ class Interrupts:
         self._is_reading = False
         self._is_beginning = False
         self._is_released = False
-        self._early: int | None = None  # the exit status of a beginning, if it has one of its own
-        self._due = inf  # when the process is to end, by the monotonic clock (s)
+        self._early: int | None = None  # the exit status of `beginning`, if it was given one
+        self._due = inf  # when the process must end (s, monotonic clock)
         self._late = 0  # the exit status then
         self._tell: Callable[[], object] | None = None
 
@@ -123,7 +123,7 @@ class Interrupts:
 
     def ignore(self) -> None:
         """Ignore the signals from now on: they would kill Python while it ends."""
-        if self._is_released:  # threads of the user's may go on, until a signal ends them
+        if self._is_released:  # the user's threads may still run until a signal ends them
             return
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
@@ -173,7 +173,7 @@ class Interrupts:
 
     @contextmanager
     def listening(self, loop: asyncio.AbstractEventLoop) -> Iterator[None]:
-        """A block in which `wait` hears of signals; after it they have no effect."""
+        """A block in which `wait` notices signals. After it they have no effect."""
         import asyncio
 
         self._changed = asyncio.Event()
@@ -195,12 +195,11 @@ class Interrupts:
 
     @contextmanager
     def beginning(self, status: int | None = None) -> Iterator[None]:
-        """A block that starts something, so that there is nothing to wind down yet.
+        """A block that only starts something, so there is nothing to wind down yet.
 
         After a signal, in the block or before it, the program has `GRACE` to leave the block. Then
-        the process ends, however busy the loop is. An error of turtleact's that comes after a
-        signal ends the block but is not raised: nobody waits for what failed. So look at `received`
-        before using what the block made.
+        the process ends, however busy the loop is. If turtleact raises an error after a signal, the
+        error ends the block and is dropped. So check `received` before you use what the block made.
 
         Args:
             status: The exit status in that case; None means that of the signal.
@@ -228,7 +227,7 @@ class Interrupts:
     def end_within(self, seconds: float, status: int) -> None:
         """End the process if the loop has not left `listening` after some seconds and `GRACE`.
 
-        Of several deadlines the first counts. Nothing is flushed.
+        The earliest of several deadlines counts. Nothing is flushed.
         """
         due = monotonic() + seconds + GRACE
         if due < self._due:
@@ -308,8 +307,8 @@ def _read(file: int, woken: socket.socket, most: int) -> bytes:
 def _reading_thread(file: int) -> Callable[[int], bytes]:
     """Like `_read`, where the system cannot wait for a file: a thread waits.
 
-    The handler of a signal runs between two looks at what the thread has read. After a signal the
-    thread may stay behind in its reading; it does not keep the program alive.
+    Signal handlers run between two checks of what the thread has read. After a signal the thread
+    may keep reading; it does not keep the program alive.
     """
     import queue
     from threading import Thread

@@ -2,11 +2,11 @@
 
 A command function checks what can be checked at once and returns a job, which does the work. The
 job is run outside of Typer, because Typer has its own view of broken pipes and interrupts. Each
-group of verbs is a module, imported only when it is chosen; what does the work, in
-`turtleact.commands`, is imported later still.
+group of verbs is a module, which is imported only when it is chosen. The modules of
+`turtleact.commands` that do the work are imported later still.
 
-Our commands and groups differ from Typer's in what ``ros2`` accepts, and in what they say about
-verbs that only ``ros2`` has. The methods they override are part of click's documented interface.
+`Verb` and `Group` accept what ``ros2`` accepts, and explain verbs that only ``ros2`` has. The
+methods they override are part of click's documented interface.
 """
 
 from __future__ import annotations
@@ -51,18 +51,27 @@ SETTINGS: Final[dict[str, Any]] = {
 _VALUE: Final = re.compile(r"-[\d.\s]|---\s")
 """How a value with a leading dash begins: ``-5``, ``- x: 1``, or a YAML document."""
 
+_NO_BUILD: Final = (
+    "nothing has to be built or sourced; 'turtleact run --help' lists what can be run here"
+)
+
 _ELSEWHERE: Final = {
-    "bag": "'turtleact topic echo NAME --csv' prints messages, one a line, to keep in a file",
-    "component": "a node is a program here, such as 'turtleact serve'",
+    "bag": "'turtleact topic echo NAME --csv' prints one message per line; save them to a file",
+    "build": _NO_BUILD,
+    "colcon": _NO_BUILD,
+    "component": "each node is a program of its own, such as 'turtleact serve'",
     "control": "it has no controllers",
     "doctor": "'turtleact node list' tells whether a graph is in reach",
     "extension_points": "it has no plug-ins",
     "extensions": "it has no plug-ins",
-    "launch": "start each program by itself, such as 'turtleact serve'",
+    "launch": "start each program in a terminal of its own, such as 'turtleact serve'",
     "lifecycle": "it has no managed nodes",
     "multicast": "nodes find each other through a router, such as 'turtleact serve'",
-    "pkg": "'turtleact interface packages' lists the packages with interfaces",
-    "security": "'turtleact serve --config FILE' says who may connect",
+    "pkg build": _NO_BUILD,
+    "pkg prefix": "'turtleact pkg executables' lists what packages can run",
+    "pkg xml": "'turtleact pkg executables' lists what packages can run",
+    "rosdep": "pip installs what Python programs need; 'turtleact pkg list' lists what is here",
+    "security": "'turtleact serve --config FILE' controls who may connect",
     "service echo": "nodes do not publish their service calls; use 'turtleact service call'",
     "wtf": "'turtleact node list' tells whether a graph is in reach",
 }
@@ -200,8 +209,13 @@ def load(verb: str) -> Any:  # noqa: ANN401  # of click, which Typer brings alon
     return command
 
 
-def new_group(name: str) -> typer.Typer:
-    """A group that prints its help if no verb is given, as in ``ros2``."""
+def new_group(name: str, summary: str = "") -> typer.Typer:
+    """A group that prints its help if no verb is given, as in ``ros2``.
+
+    Args:
+        name: The name of the group.
+        summary: The first line of its help, unless its verbs are those of ``ros2``.
+    """
 
     def print_help(ctx: typer.Context) -> None:
         if ctx.invoked_subcommand is None:
@@ -209,7 +223,7 @@ def new_group(name: str) -> typer.Typer:
 
     return typer.Typer(
         name=name,
-        help=f"The verbs of 'ros2 {name}', with the same options and output.",
+        help=summary or f"The verbs of 'ros2 {name}', with the same options and output.",
         cls=Group,
         callback=print_help,
         invoke_without_command=True,

@@ -54,7 +54,7 @@ EXAMPLES = """\
 """
 
 EMBEDDED = "Embedded world"
-"""The heading of its options."""
+"""The heading of the options that start a world."""
 
 Name: TypeAlias = Annotated[
     str,
@@ -74,7 +74,7 @@ Timeout: TypeAlias = Annotated[
         "-t",
         metavar="SECONDS",
         parser=seconds,
-        help="Cancel the goal if it takes longer. With 0, leave as soon as it is accepted.",
+        help="Cancel the goal if it takes longer. With 0, exit as soon as it is accepted.",
     ),
 ]
 Stdin: TypeAlias = Annotated[bool, typer.Option("--stdin", help="Read the goal from stdin.")]
@@ -82,7 +82,7 @@ GoalFile: TypeAlias = Annotated[
     Path | None, typer.Option("--goal-file", metavar="PATH", help="Read the goal from a file.")
 ]
 JsonEvents: TypeAlias = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object a line, feedback included.")
+    bool, typer.Option("--json", help="Print one JSON object per line, including feedback.")
 ]
 Speed: TypeAlias = Annotated[
     str | None,
@@ -106,7 +106,7 @@ Embedded: TypeAlias = Annotated[
     bool,
     typer.Option(
         "--embedded",
-        help="Start a world in this process. Without this option, only if no server is in reach.",
+        help="Always start a world in this process. By default, only if no server is in reach.",
         rich_help_panel=EMBEDDED,
     ),
 ]
@@ -135,7 +135,7 @@ Ids: TypeAlias = Annotated[
         autocompletion=completion.goal_ids,
     ),
 ]
-Json: TypeAlias = Annotated[bool, typer.Option("--json", help="Print one JSON object a line.")]
+Json: TypeAlias = Annotated[bool, typer.Option("--json", help="Print one JSON object per line.")]
 All: TypeAlias = Annotated[
     bool, typer.Option("--all", help="Cancel all goals of the action, or of all actions.")
 ]
@@ -144,7 +144,7 @@ Before: TypeAlias = Annotated[
     typer.Option(
         "--before",
         metavar="TIME",
-        help="Cancel the goals accepted until then: 2026-11-21T20:15, or seconds since 1970.",
+        help="Cancel the goals accepted up to this time: 2026-11-21T20:15, or seconds since 1970.",
     ),
 ]
 
@@ -263,7 +263,7 @@ def cancel(
     given = what or []
     is_many = all_ or before is not None
     if is_many and len(given) > 1:
-        raise UsageError("--all and --before take one action, or none for all of them")
+        raise UsageError("--all and --before take one action; without one, they mean all actions")
     if not is_many and not given:
         raise UsageError("give the ids of goals, or --all; 'turtleact goals' lists them")
     ids = [] if is_many else [_goal_id(text) for text in given]
@@ -417,7 +417,7 @@ def moment(text: str) -> int:
 
 
 def _moment_of_iso(text: str) -> int:
-    """The same of ISO 8601; 0 if it is not."""
+    """Parse an ISO 8601 date and time as nanoseconds; 0 if the text is not one."""
     from datetime import datetime
 
     try:

@@ -48,7 +48,9 @@ AllComments: TypeAlias = Annotated[
 NoComments: TypeAlias = Annotated[
     bool, typer.Option("--no-comments", help="Leave out comments and empty lines.")
 ]
-NoQuotes: TypeAlias = Annotated[bool, typer.Option("--no-quotes", help="Do not put it in quotes.")]
+NoQuotes: TypeAlias = Annotated[
+    bool, typer.Option("--no-quotes", help="Print the message without quotes.")
+]
 Packages: TypeAlias = Annotated[
     list[str],
     typer.Argument(

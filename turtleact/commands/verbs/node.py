@@ -67,7 +67,7 @@ Value: TypeAlias = Annotated[
     str, typer.Argument(metavar="VALUE", help="A bool, a number, text or a list, as YAML.")
 ]
 File: TypeAlias = Annotated[
-    Path, typer.Argument(metavar="FILE", help="A file as 'param dump' prints it.")
+    Path, typer.Argument(metavar="FILE", help="A file in the format of 'param dump'.")
 ]
 Hidden: TypeAlias = Annotated[
     bool, typer.Option("--include-hidden-nodes", help="Include hidden nodes.")
@@ -80,11 +80,17 @@ Timeout: TypeAlias = Annotated[
 ]
 Filter: TypeAlias = Annotated[
     str | None,
-    typer.Option("--filter", metavar="REGEX", help="Only names whose beginning matches."),
+    typer.Option(
+        "--filter", metavar="REGEX", help="Only names that begin with a match of this expression."
+    ),
 ]
 Prefixes: TypeAlias = Annotated[
     list[str] | None,
-    typer.Option("--param-prefixes", metavar="NAME", help="Only this group. Repeatable."),
+    typer.Option(
+        "--param-prefixes",
+        metavar="NAME",
+        help="Only names with this prefix. Can be given several times.",
+    ),
 ]
 ShowTypes: TypeAlias = Annotated[bool, typer.Option("--param-type", help="Print the types too.")]
 HideType: TypeAlias = Annotated[bool, typer.Option("--hide-type", help="Print the value only.")]
@@ -120,7 +126,11 @@ Stdin: TypeAlias = Annotated[bool, typer.Option("--stdin", help="Read the reques
 Rate: TypeAlias = Annotated[
     float | None,
     typer.Option(
-        "--rate", "-r", metavar="HZ", parser=hertz, help="Repeat the call, this many a second."
+        "--rate",
+        "-r",
+        metavar="HZ",
+        parser=hertz,
+        help="Repeat the call this many times per second.",
     ),
 ]
 ShowServiceTypes: TypeAlias = Annotated[

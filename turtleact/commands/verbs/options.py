@@ -48,7 +48,7 @@ Look: TypeAlias = Callable[["Node"], Awaitable[int]]
 """Looks at the graph through a node and returns the exit status."""
 
 Plan: TypeAlias = Callable[[Interrupts], Look]
-"""Does what must happen before the graph is opened, such as reading stdin; returns the look."""
+"""Does what must happen before the graph is opened, such as reading stdin; returns the `Look`."""
 
 GRAPH = "Graph"
 """The heading of the options that select a graph."""
@@ -116,7 +116,7 @@ Interfaces: TypeAlias = Annotated[
     ),
 ]
 Plain: TypeAlias = Annotated[
-    bool, typer.Option("--plain", help="Print lines only, also on a terminal.")
+    bool, typer.Option("--plain", help="Print plain lines, even on a terminal.")
 ]
 
 
@@ -169,7 +169,7 @@ def message_of(what: str, metavar: str = "VALUES") -> Any:  # noqa: ANN401  # li
     """The argument that takes a message."""
     return typer.Argument(
         metavar=metavar,
-        help=f"The {what}, as YAML or JSON. {{}} if left out.",
+        help=f"The {what}, as YAML or JSON. If left out, {{}}.",
         autocompletion=completion.messages,
         show_default=False,
     )

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.programs import Program
 
-__all__ = ["PROGRAMS", "app", "run"]
+__all__ = ["app", "run", "runnable_here"]
 
 FIBONACCI = "turtleact.actions.fibonacci"
 
@@ -60,7 +60,7 @@ Executable: TypeAlias = Annotated[
 ]
 Arguments: TypeAlias = Annotated[
     list[str] | None,
-    typer.Argument(metavar="ARGUMENTS", help="What the program itself takes.", show_default=False),
+    typer.Argument(metavar="ARGUMENTS", help="The program's own arguments.", show_default=False),
 ]
 
 
@@ -69,7 +69,7 @@ class Run(Verb):
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401  # click's classes
         """Look for packages only now: reading a command line needs none."""
-        lines = [f"  {line}" for line in _listed(_runnable())]
+        lines = [f"  {line}" for line in _listed(runnable_here())]
         self.epilog = "\n".join(["[bold]What can be run here[/]", *lines])
         super().format_help(ctx, formatter)
 
@@ -96,13 +96,14 @@ def run(
         raise UsageError(f"what to run is missing: {_HELP}")
     if package.endswith(".py"):
         return _running(_file(package), [executable, *rest] if executable else rest, domain)
-    program = _chosen(_runnable(), package, executable)
+    program = _chosen(runnable_here(), package, executable)
     if program is not None:
         return _running(program, rest, domain)
     return _built_in(package, executable, *_own_domain(rest, domain))
 
 
-def _runnable() -> dict[str, dict[str, Program | None]]:
+def runnable_here() -> dict[str, dict[str, Program | None]]:
+    """What can be run from the working directory; see `turtleact.commands.packages.runnable`."""
     from turtleact.commands.packages import runnable
 
     return runnable(Path(), PROGRAMS)

@@ -64,14 +64,17 @@ Web: TypeAlias = Annotated[
     typer.Option(
         "--web",
         metavar="[HOST:]PORT",
-        help="Serve a page to watch, and rosbridge.",
+        help="Serve a web page that shows the world, and rosbridge.",
         rich_help_panel=WEB,
     ),
 ]
 Token: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        "--token", metavar="TEXT", help="What web clients must know.", rich_help_panel=WEB
+        "--token",
+        metavar="TEXT",
+        help="The secret that web clients must send.",
+        rich_help_panel=WEB,
     ),
 ]
 Hosts: TypeAlias = Annotated[
@@ -225,7 +228,7 @@ def serve(
 def _page(web: str | None, token: str | None, host: str | None, origin: str | None) -> Page | None:
     hosts, origins = _listed(host), _listed(origin)
     if web is None and (token is not None or hosts or origins):
-        raise UsageError("--token, --allow-host and --allow-origin are for --web: give that too")
+        raise UsageError("--token, --allow-host and --allow-origin need --web")
     for each in origins:
         if "://" not in each and each != "null":
             raise UsageError(

@@ -84,7 +84,7 @@ Hidden: TypeAlias = Annotated[
 Verbose: TypeAlias = Annotated[
     bool, typer.Option("--verbose", "-v", help="Print all that is known.")
 ]
-Once: TypeAlias = Annotated[bool, typer.Option("--once", help="Leave after the first message.")]
+Once: TypeAlias = Annotated[bool, typer.Option("--once", help="Exit after the first message.")]
 Field: TypeAlias = Annotated[
     str | None,
     typer.Option("--field", metavar="FIELD", help="Print only this field, such as linear.x."),
@@ -116,14 +116,14 @@ NoStrings: TypeAlias = Annotated[
 ]
 Timeout: TypeAlias = Annotated[
     float | None,
-    typer.Option("--timeout", metavar="SECONDS", parser=seconds, help="Leave after this time."),
+    typer.Option("--timeout", metavar="SECONDS", parser=seconds, help="Exit after this time."),
 ]
 Filter: TypeAlias = Annotated[
     str | None,
     typer.Option(
         "--filter",
         metavar="EXPR",
-        help="Only messages m for which this Python expression is true, such as 'm.x > 5'.",
+        help="Print only messages m for which this Python expression is true, such as 'm.x > 5'.",
     ),
 ]
 Raw: TypeAlias = Annotated[bool, typer.Option("--raw", help="Print the bytes, as CDR.")]
@@ -132,19 +132,19 @@ Window: TypeAlias = Annotated[
     typer.Option("--window", "-w", metavar="N", min=1, help="How many messages to look at."),
 ]
 Rate: TypeAlias = Annotated[
-    float, typer.Option("--rate", "-r", metavar="HZ", parser=hertz, help="Messages a second.")
+    float, typer.Option("--rate", "-r", metavar="HZ", parser=hertz, help="Messages per second.")
 ]
 PrintEach: TypeAlias = Annotated[
     int,
     typer.Option("--print", "-p", metavar="N", parser=whole, help="Print every N-th message only."),
 ]
 PubOnce: TypeAlias = Annotated[
-    bool, typer.Option("--once", "-1", help="Publish one message and leave.")
+    bool, typer.Option("--once", "-1", help="Publish one message and exit.")
 ]
 Times: TypeAlias = Annotated[
     int | None,
     typer.Option(
-        "--times", "-t", metavar="N", parser=whole, help="Publish this many messages and leave."
+        "--times", "-t", metavar="N", parser=whole, help="Publish this many messages and exit."
     ),
 ]
 Wait: TypeAlias = Annotated[
@@ -330,7 +330,7 @@ def hz(
     domain: Domain = 0,
     config: Config = None,
 ) -> Job:
-    """Print how many messages a second arrive."""
+    """Print how many messages arrive per second."""
     from turtleact.commands import topic_reading
 
     return on_known_graph(
@@ -350,7 +350,7 @@ def bw(
     domain: Domain = 0,
     config: Config = None,
 ) -> Job:
-    """Print how many bytes a second arrive."""
+    """Print how many bytes arrive per second."""
     from turtleact.commands import topic_reading
 
     return on_known_graph(
@@ -434,7 +434,7 @@ def policies(
     durability: Durability | None,
     depth: int | None,
 ) -> Policies:
-    """The policies that are asked for; a single one overrides the profile."""
+    """The requested policies. Options for single policies override the profile."""
     known = Policies() if profile is None else PROFILES[profile]
     return Policies(
         reliability or known.reliability, durability or known.durability, depth or known.depth

@@ -143,7 +143,7 @@ def _driving(
     """The job of driving a turtle.
 
     Args:
-        turtle: Its name; None means as ``remaps`` say, or turtle1.
+        turtle: Its name; None for the one that ``remaps`` names, or turtle1.
         remaps: What its topic and action are called instead.
         speeds: The linear and the angular one, by what the user calls them.
         where: The graph; None for an embedded world.

@@ -1,0 +1,236 @@
+"""``pkg``: a new package can be tested and run at once; packages and executables are listed."""
+
+from __future__ import annotations
+
+import ast
+import getpass
+import os
+import signal
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+from turtleact import cli
+from turtleact.commands import new_package
+from turtleact.commands.packages import find_sources
+from turtleact.commands.programs import run_program
+from turtleact.commands.verbs.pkg import spread
+from turtleact.interfaces import get_action, load_interfaces
+from turtleact.interfaces.types import REGISTRY
+
+from .test_serve import free_endpoint
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    """An empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    with REGISTRY.isolated():
+        yield tmp_path
+
+
+def test_the_files_are_named_with_what_to_do_next(turtleact):
+    ran = turtleact("pkg", "create", "lab")
+    assert (ran.status, ran.err) == (0, "")
+    files, steps = ran.out.split("\n\n")
+    assert all(Path(file).is_file() for file in files.splitlines())
+    assert steps.splitlines() == [
+        "run it:   turtleact run lab server",
+        "use it:   turtleact send-goal /countdown lab/action/Countdown 'start: 3'",
+        "test it:  pytest lab",
+    ]
+
+
+@pytest.mark.parametrize("folder", [".", "lab"])
+def test_its_tests_pass_with_plain_pytest(turtleact, here, folder):
+    assert turtleact("pkg", "create", "lab").status == 0
+    program = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    ran = subprocess.run(program, cwd=here / folder, capture_output=True, text=True, check=False)
+    assert "1 passed" in ran.stdout, ran.stdout + ran.stderr
+
+
+@pytest.mark.parametrize("options", [[], ["--node-name", "count"]])
+def test_its_program_is_found_and_serves_its_action(
+    turtleact, here, interrupts, monkeypatch, options
+):
+    turtleact("pkg", "create", "lab", *options)
+    served = []
+
+    def main():
+        served.append(sys.argv)
+        return 5
+
+    monkeypatch.setattr(cli, "main", main)
+    monkeypatch.setattr(sys, "argv", [])
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    [(name, program)] = find_sources(here)["lab"].programs.items()
+    try:
+        assert run_program(program, ["--plain"], interrupts) == 5
+    finally:
+        for module in [each for each in sys.modules if each.partition(".")[0] == "lab"]:
+            del sys.modules[module]
+    assert name == (options or ["server"])[-1]
+    assert served == [[str(here / "lab" / name), "serve", f"lab.{name}", "--no-sim", "--plain"]]
+
+
+def test_an_unbuilt_package_runs_from_beginning_to_end(turtleact, here):
+    turtleact("pkg", "create", "lab")
+    options = ["--listen", free_endpoint()]
+    command = [sys.executable, "-m", "turtleact", "run", "lab", "server", *options]
+    with subprocess.Popen(command, cwd=here, stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        try:
+            assert server.stdout.readline().endswith(": /countdown\n")
+        finally:
+            server.send_signal(signal.SIGINT)
+    assert server.returncode == 0
+
+
+def test_a_package_of_interfaces_has_only_them(turtleact, here):
+    options = ["--build-type", "ament_cmake", "--dependencies", "geometry_msgs", "rclpy"]
+    ran = turtleact("pkg", "create", "lab_interfaces", *options)
+    assert ran.out.splitlines()[-1] == (
+        "look at it:  turtleact interface show lab_interfaces/action/Countdown"
+    )
+    files = {each.name for each in (here / "lab_interfaces").rglob("*") if each.is_file()}
+    assert files == {"Countdown.action", "Step.msg", "CMakeLists.txt", "package.xml"}
+    text = (here / "lab_interfaces" / "CMakeLists.txt").read_text()
+    assert "  DEPENDENCIES geometry_msgs\n" in text
+    assert "find_package(rclpy REQUIRED)" in text
+    load_interfaces(here / "lab_interfaces")
+    assert get_action("lab_interfaces/action/Countdown").Goal(start=3).start == 3
+
+
+def test_what_the_options_say_is_in_the_files(turtleact, here):
+    options = {
+        "--description": "Turtles & 'more'",
+        "--license": "MIT",
+        "--maintainer-name": "Ada <A>",
+        "--maintainer-email": "ada@example.com",
+        "--destination-directory": "src",
+    }
+    turtleact(
+        *("pkg", "create", "--dependencies", "rclpy", "std_msgs", "--build-type", "ament_python"),
+        *(word for pair in options.items() for word in pair),
+        "lab",
+    )
+    tree = ET.parse(here / "src" / "lab" / "package.xml")
+    said = {each.tag: (each.text or "").strip() for each in tree.getroot()}
+    assert said["description"] == "Turtles & 'more'"
+    assert (said["maintainer"], said["license"]) == ("Ada <A>", "MIT")
+    assert [each.text for each in tree.findall("depend")] == ["rclpy", "std_msgs"]
+    setup = ast.unparse(ast.parse((here / "src" / "lab" / "setup.py").read_text()))
+    assert """description="Turtles & 'more'", license='MIT'""" in setup
+
+
+def test_the_steps_lead_to_another_folder(turtleact, here):
+    (here / "other place").mkdir()
+    ran = turtleact("pkg", "create", "lab", "--destination-directory", "other place")
+    lines = ran.out.splitlines()[-3:]
+    assert lines[0] == "run it:   cd 'other place' && turtleact run lab server"
+    assert lines[2] == "test it:  cd 'other place' && pytest lab"
+
+
+def test_pytest_is_installed_first_if_it_is_missing(turtleact, monkeypatch):
+    monkeypatch.setattr(new_package, "find_spec", lambda _: None)
+    assert turtleact("pkg", "create", "lab").out.endswith("pip install pytest && pytest lab\n")
+
+
+def test_a_user_whom_the_system_does_not_know_can_create_packages(turtleact, here, monkeypatch):
+    def getuser():
+        raise KeyError
+
+    monkeypatch.setattr(getpass, "getuser", getuser)
+    turtleact("pkg", "create", "lab")
+    assert '<maintainer email="user@todo.todo">user<' in (here / "lab" / "package.xml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (["Lab"], "'Lab' is not the name of a ROS package: use lower case, digits and single"),
+        (["lab__x"], "'lab__x' is not the name of a ROS package"),
+        (["../lab"], "is not the name of a ROS package"),
+        (["class"], "'class' is the name of a Python module already: choose another name"),
+        (["random"], "'random' is the name of a Python module already"),
+        (["turtleact"], "'turtleact' is the name of a Python module already"),
+        (["lab", "--node-name", "my-node"], "--node-name is the name of a Python module too, unli"),
+        (["lab", "--dependencies", "Std"], "--dependencies are names of packages, unlike 'Std'"),
+        (
+            ["lab", "--build-type", "cmake"],
+            "--build-type is ament_python or ament_cmake: turtleact",
+        ),
+        (
+            ["lab", "--build-type", "ament_cmake", "--node-name", "x"],
+            "has interfaces only: leave o",
+        ),
+        (["--dependencies", "rclpy", "lab"], "Missing argument 'NAME'"),
+    ],
+)
+def test_what_cannot_be_created_is_refused(turtleact, here, arguments, problem):
+    ran = turtleact("pkg", "create", *arguments)
+    assert ran.status == 2
+    assert problem in ran.problem
+    assert list(here.iterdir()) == []
+
+
+def test_a_folder_that_exists_stays_as_it_is(turtleact, here):
+    (here / "lab").mkdir()
+    ran = turtleact("pkg", "create", "lab")
+    assert ran == (1, "", "turtleact: lab exists already: choose another name, or remove it\n")
+    assert list((here / "lab").iterdir()) == []
+
+
+def test_a_place_that_cannot_be_written_is_named(turtleact, here):
+    (here / "file").touch()
+    ran = turtleact("pkg", "create", "lab", "--destination-directory", "file")
+    assert ran.status == 1
+    assert f"turtleact: {os.path.join('file', 'lab')}" in ran.err  # noqa: PTH118  # as printed
+    assert "cannot be written: Not a directory" in ran.err
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("lab --dependencies", "lab --dependencies"),
+        ("--dependencies a b -- lab", "--dependencies a --dependencies b lab"),
+        ("--dependencies a --dependencies b", "--dependencies a --dependencies b"),
+        ("lab -- --x", "lab -- --x"),
+    ],
+)
+def test_an_option_takes_values_up_to_the_next(line, expected):
+    assert spread(line.split(), "--dependencies") == expected.split()
+
+
+# --- list and executables -------------------------------------------------------------------
+
+
+def test_packages_are_listed(turtleact):
+    turtleact("pkg", "create", "lab")
+    lines = turtleact("pkg", "list").out.splitlines()
+    assert {"lab", "turtlesim"} <= {*lines}
+    assert lines == sorted(lines)
+
+
+def test_executables_are_listed(turtleact):
+    turtleact("pkg", "create", "lab")
+    assert turtleact("pkg", "executables", "lab").out == "lab server\n"
+    lines = turtleact("pkg", "executables").out.splitlines()
+    assert {"lab server", "turtlesim turtlesim_node"} <= {*lines}
+
+
+def test_an_unknown_package_is_an_error_that_names_the_nearest(turtleact):
+    ran = turtleact("pkg", "executables", "turtlesin")
+    assert ran == (1, "", "turtleact: unknown package 'turtlesin', did you mean 'turtlesim'?\n")
+
+
+def test_the_help_of_run_lists_what_can_be_run(turtleact, here):
+    turtleact("pkg", "create", "lab")
+    out = turtleact("run", "--help").out
+    assert "What can be run here" in out
+    assert " lab server " in out
+    assert " turtlesim turtlesim_node " in out

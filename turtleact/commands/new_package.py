@@ -1,0 +1,334 @@
+"""``pkg create``: writes a package that can be run, tested and used without being built.
+
+The package follows the layout of ROS 2, so that colcon can build it as well. ROS 2 generates
+interfaces only in packages of the build type ``ament_cmake``; turtleact reads them in any package.
+
+Source: ros2pkg ``verb/create.py`` for the options and the names of files; REP 149 for
+``package.xml``.
+"""
+
+from __future__ import annotations
+
+import getpass
+import keyword
+import re
+import shlex
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final, NamedTuple
+from xml.sax.saxutils import escape, quoteattr
+
+from turtleact.commands.output import say
+from turtleact.errors import TurtleactError, UsageError
+
+__all__ = ["NewPackage", "check", "create"]
+
+BUILD_TYPES: Final = ("ament_python", "ament_cmake")
+
+_NAME: Final = re.compile(r"[a-z](?:_?[a-z0-9])*")
+_INTERFACES: Final = re.compile(r".*(_msgs|_interfaces|_srvs|_actions)")
+
+
+class NewPackage(NamedTuple):
+    """What the user wants.
+
+    Attributes:
+        name: The name of the package.
+        folder: Where the folder of the package is made.
+        build_type: One of `BUILD_TYPES`. A package of the type ``ament_cmake`` has interfaces only.
+        node_name: The name of its executable, and of the module with it.
+        dependencies: Other packages that it needs.
+        description: What it is for.
+        licence: Its licence.
+        maintainer: The name of who maintains it; the user's login name if None.
+        email: The address of who maintains it; one to be replaced if None.
+    """
+
+    name: str
+    folder: Path
+    build_type: str = BUILD_TYPES[0]
+    node_name: str = "server"
+    dependencies: tuple[str, ...] = ()
+    description: str = "TODO: Package description"
+    licence: str = "TODO: License declaration"
+    maintainer: str | None = None
+    email: str | None = None
+
+
+def create(package: NewPackage) -> None:
+    """Write the files of a package, print their names, and say how to run and test it.
+
+    Args:
+        package: What `check` has found to be possible.
+
+    Raises:
+        TurtleactError: if the folder exists already, or a file cannot be written.
+    """
+    root = package.folder / package.name
+    if root.exists():
+        raise TurtleactError(f"{root} exists already: choose another name, or remove it")
+    python = package.build_type == "ament_python"
+    files = _python_files(package) if python else _cmake_files(package)
+    for name, text in files.items():
+        path = root / name
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, "utf-8")
+        except OSError as error:
+            raise TurtleactError(f"{path} cannot be written: {error.strerror}") from None
+    say("".join(f"{root / name}\n" for name in files))
+    say("".join(f"{line}\n" for line in ("", *_next_steps(package, python=python))))
+
+
+def check(package: NewPackage, *, has_node_name: bool) -> None:
+    """Check the names of a package.
+
+    Args:
+        package: What the user wants.
+        has_node_name: Whether the user named an executable.
+
+    Raises:
+        UsageError: if a name cannot be used, or there is no such build type.
+    """
+    if package.build_type not in BUILD_TYPES:
+        raise UsageError(f"--build-type is {' or '.join(BUILD_TYPES)}: turtleact compiles nothing")
+    if has_node_name and package.build_type == "ament_cmake":
+        problem = "has interfaces only: leave out --node-name, or give --build-type ament_python"
+        raise UsageError(f"a package of the build type ament_cmake {problem}")
+    name, node = package.name, package.node_name
+    if not _NAME.fullmatch(name):
+        problem = "use lower case, digits and single underscores, beginning with a letter"
+        raise UsageError(f"'{name}' is not the name of a ROS package: {problem}")
+    if keyword.iskeyword(name) or _is_module(name):
+        raise UsageError(f"'{name}' is the name of a Python module already: choose another name")
+    if not node.isidentifier() or keyword.iskeyword(node) or node.startswith("__"):
+        raise UsageError(f"--node-name is the name of a Python module too, unlike '{node}'")
+    for each in package.dependencies:
+        if not _NAME.fullmatch(each):
+            raise UsageError(f"--dependencies are names of packages, unlike '{each}'")
+
+
+def _is_module(name: str) -> bool:
+    """Whether Python has a module of that name; a mere folder does not count."""
+    spec = None if name in sys.modules else find_spec(name)
+    return name in sys.modules or (spec is not None and spec.origin is not None)
+
+
+def _next_steps(package: NewPackage, *, python: bool) -> list[str]:
+    """What the user can type next."""
+    here = Path()
+    is_near = package.folder.resolve() in (here.resolve(), (here / "src").resolve())
+    cd = "" if is_near else f"cd {shlex.quote(str(package.folder))} && "
+    folder = (package.folder if is_near else Path()) / package.name
+    if not python:
+        return [f"look at it:  {cd}turtleact interface show {package.name}/action/Countdown"]
+    install = "" if find_spec("pytest") else "pip install pytest && "
+    return [
+        f"run it:   {cd}turtleact run {package.name} {package.node_name}",
+        f"use it:   {cd}turtleact send-goal /countdown {package.name}/action/Countdown 'start: 3'",
+        f"test it:  {cd}{install}pytest {shlex.quote(str(folder))}",
+    ]
+
+
+def _python_files(package: NewPackage) -> dict[str, str]:
+    """The files of a package with a program, by their path in the package."""
+    name, node = package.name, package.node_name
+    texts = {
+        "package.xml": _package_xml(package, ("<exec_depend>python3</exec_depend>",), ()),
+        "setup.py": _SETUP_PY.format(
+            name=name,
+            node=node,
+            description=repr(package.description),
+            licence=repr(package.licence),
+            maintainer=repr(_maintainer(package)),
+            email=repr(_email(package)),
+        ),
+        "setup.cfg": _SETUP_CFG.format(name=name),
+        f"resource/{name}": "",
+        "conftest.py": '"""Lets pytest find the modules of this package from any folder."""\n',
+        f"{name}/__init__.py": f'"""The modules of {name}."""\n',
+        f"{name}/{node}.py": _MODULE.replace("NAME", name).replace("NODE", node),
+        f"test/test_{name}.py": _TEST.replace("NAME", name).replace("NODE", node),
+    }
+    return _INTERFACE_FILES | texts
+
+
+def _cmake_files(package: NewPackage) -> dict[str, str]:
+    """The files of a package with interfaces only."""
+    needed = [each for each in package.dependencies if _INTERFACES.fullmatch(each)]
+    uses = f"  DEPENDENCIES {' '.join(needed)}\n" if needed else ""
+    found = "".join(f"find_package({each} REQUIRED)\n" for each in package.dependencies)
+    texts = {
+        "package.xml": _package_xml(package, _GENERATORS, _GENERATED),
+        "CMakeLists.txt": _CMAKE.format(name=package.name, found=found, uses=uses),
+    }
+    return _INTERFACE_FILES | texts
+
+
+def _package_xml(package: NewPackage, tools: tuple[str, ...], more: tuple[str, ...]) -> str:
+    depends = (f"<depend>{each}</depend>" for each in package.dependencies)
+    lines = [*tools, *depends, *more]
+    return _PACKAGE_XML.format(
+        name=package.name,
+        description=escape(package.description),
+        email=quoteattr(_email(package)),
+        maintainer=escape(_maintainer(package)),
+        licence=escape(package.licence),
+        depends="".join(f"  {line}\n" for line in lines),
+        build_type=package.build_type,
+    )
+
+
+def _maintainer(package: NewPackage) -> str:
+    if package.maintainer is not None:
+        return package.maintainer
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):  # the system does not know the user
+        return "user"
+
+
+def _email(package: NewPackage) -> str:
+    return package.email if package.email is not None else f"{_maintainer(package)}@todo.todo"
+
+
+_INTERFACE_FILES: Final = {
+    "action/Countdown.action": """\
+# Counts down to zero, one step a second.
+int32 start
+---
+string message
+---
+Step step
+""",
+    "msg/Step.msg": """\
+# One step of a countdown.
+int32 remaining
+""",
+}
+
+_MODULE: Final = '''\
+"""Serves the action /countdown."""
+
+import asyncio
+from pathlib import Path
+
+import turtleact
+from turtleact import cli
+from turtleact.interfaces import load_interfaces
+
+# The files in action and msg are read here. They need no build.
+load_interfaces(Path(__file__).resolve().parents[1])
+Countdown = turtleact.get_action("NAME/action/Countdown")
+Step = turtleact.get_message("NAME/msg/Step")
+
+
+@turtleact.action(Countdown, "countdown")
+async def countdown(goal):
+    """Count down to zero, one step a second."""
+    for remaining in reversed(range(goal.start)):
+        await asyncio.sleep(1.0)
+        yield Countdown.Feedback(step=Step(remaining=remaining))
+    yield Countdown.Result(message="Lift-off!")
+
+
+def main():
+    """Serve the actions of this module until Ctrl-C."""
+    cli.serve("NAME.NODE")
+'''
+
+_TEST: Final = '''\
+"""Tests of NAME. The time in them is virtual, so they take no time."""
+
+from turtleact import testing
+
+from NAME.NODE import Countdown, countdown
+
+
+def test_the_countdown_ends_with_lift_off():
+    feedback, outcome = testing.run(testing.run_goal, countdown, Countdown.Goal(start=3))
+    assert [each.step.remaining for each in feedback] == [2, 1, 0]
+    assert outcome.status.name == "SUCCEEDED"
+    assert outcome.result.message == "Lift-off!"
+'''
+
+_SETUP_PY: Final = """\
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package_name = "{name}"
+
+setup(
+    name=package_name,
+    version="0.0.0",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + package_name]),
+        ("share/" + package_name, ["package.xml"]),
+        ("share/" + package_name + "/action", glob("action/*.action")),
+        ("share/" + package_name + "/msg", glob("msg/*.msg")),
+    ],
+    install_requires=["setuptools", "turtleact"],
+    zip_safe=True,
+    maintainer={maintainer},
+    maintainer_email={email},
+    description={description},
+    license={licence},
+    entry_points={{
+        "console_scripts": [
+            "{node} = {name}.{node}:main",
+        ],
+    }},
+)
+"""
+
+_SETUP_CFG: Final = """\
+[develop]
+script_dir=$base/lib/{name}
+[install]
+install_scripts=$base/lib/{name}
+"""
+
+_PACKAGE_XML: Final = """\
+<?xml version="1.0"?>
+<package format="3">
+  <name>{name}</name>
+  <version>0.0.0</version>
+  <description>{description}</description>
+  <maintainer email={email}>{maintainer}</maintainer>
+  <license>{licence}</license>
+
+{depends}
+  <export>
+    <build_type>{build_type}</build_type>
+  </export>
+</package>
+"""
+
+_GENERATORS: Final = (
+    "<buildtool_depend>ament_cmake</buildtool_depend>",
+    "<buildtool_depend>rosidl_default_generators</buildtool_depend>",
+    "<depend>action_msgs</depend>",
+)
+_GENERATED: Final = (
+    "<exec_depend>rosidl_default_runtime</exec_depend>",
+    "<member_of_group>rosidl_interface_packages</member_of_group>",
+)
+
+_CMAKE: Final = """\
+cmake_minimum_required(VERSION 3.8)
+project({name})
+
+find_package(ament_cmake REQUIRED)
+find_package(rosidl_default_generators REQUIRED)
+{found}
+rosidl_generate_interfaces(${{PROJECT_NAME}}
+  "action/Countdown.action"
+  "msg/Step.msg"
+{uses})
+
+ament_export_dependencies(rosidl_default_runtime)
+ament_package()
+"""
