@@ -97,13 +97,63 @@ async def test_a_goal_that_runs_is_told_with_its_state_age_and_progress():
             assert "2" in world_of(lines).replace("turtle1", "")
 
 
+async def test_at_60_columns_each_goal_has_its_full_name_turtle_and_targets():
+    async with served(turtles=3) as (board, node):
+        patrol = node.action_client(Patrol, "/patrol")
+        turn = node.action_client(RotateAbsolute, "/turtle3/rotate_absolute")
+        two = [Point(x=9.0, y=9.0), Point(x=1.0, y=1.0)]
+        async with (
+            patrol.send_goal(Patrol.Goal(targets=[Point(x=6.0, y=5.5), *two])),
+            patrol.send_goal(Patrol.Goal(targets=two, turtle="turtle2")),
+            turn.send_goal(RotateAbsolute.Goal(3.0)),
+        ):
+            await node.clock.sleep(1.0)
+            lines = shown(board, width=59, height=30)
+    table = [line.rpartition("│ ")[2] for line in lines if "│ " in line or "┐ " in line]
+    assert [line.rpartition("┐ ")[2] for line in table[:9]] == [
+        "● /turtle3/rotate_absolute",
+        "  EXECUTING  1.0 s",
+        "  turtle3",
+        "● /patrol",
+        "  EXECUTING  1.0 s",
+        "  turtle2 1 2",
+        "● /patrol",
+        "  EXECUTING  1.0 s",
+        "  turtle1 1✓ 2 3",
+    ]
+
+
+async def test_targets_have_the_colour_of_the_turtle_that_heads_for_them(monkeypatch):
+    boards: list[render.Board] = []
+    monkeypatch.setattr(render, "board", lambda view, **_: boards.append(view))
+    async with served(turtles=2) as (board, node):
+        patrol = node.action_client(Patrol, "/patrol")
+        goals = [Patrol.Goal([Point(x=n, y=n)], turtle=f"turtle{n}") for n in (1, 2)]
+        async with patrol.send_goal(goals[0]), patrol.send_goal(goals[1]):
+            board.compose(width=59, height=30)
+    world = boards[0].world
+    assert world is not None
+    colours = {turtle.name: turtle.colour for turtle in world.turtles}
+    assert {f"turtle{target.x:g}": target.colour for target in world.targets} == colours
+    assert {row.turtle: row.colour for row in boards[0].goals or ()} == colours
+    assert len(set(colours.values())) == 2
+
+
+async def test_a_turtle_that_reverses_is_said_to_in_its_row():
+    async with served() as (board, node):
+        goal = Patrol.Goal(targets=[Point(x=2.0, y=5.5)], style="fastest")
+        async with node.action_client(Patrol, "/patrol").send_goal(goal):
+            await node.clock.sleep(0.5)
+            assert any(line.endswith("turtle1 1  reversing") for line in shown(board))
+
+
 async def test_a_goal_that_has_ended_stays_below_those_that_run():
     async with served() as (board, node):
         turn = node.action_client(RotateAbsolute, "/turtle1/rotate_absolute")
         async with turn.send_goal(RotateAbsolute.Goal(3.0)):
             await node.action_client(Fibonacci, "/fibonacci").send_goal(Fibonacci.Goal(order=1))
             told = re.findall(r"● (\S+) +(\w+)", "\n".join(shown(board)))
-    assert told == [("/turtle1/rotate_abs…", "EXECUTING"), ("/fibonacci", "SUCCEEDED")]
+    assert told == [("/turtle1/rotate_absolute", "EXECUTING"), ("/fibonacci", "SUCCEEDED")]
 
 
 async def test_the_places_of_a_goal_that_has_ended_are_gone():

@@ -9,7 +9,7 @@ import re
 import signal
 import subprocess
 import sys
-from typing import Any
+from typing import Any, cast
 
 import anyio
 import pytest
@@ -100,14 +100,21 @@ async def test_places_that_the_turtle_has_passed_are_counted():
         assert "50%  1 of 2 places" in shown(picture)
 
 
-async def test_places_behind_the_turtle_leave_the_map():
+async def test_places_that_the_turtle_has_passed_have_a_tick_on_the_map():
     goal = Drive(targets=[Point(x=1.0, y=1.0), Point(x=9.0, y=9.0)])
     async with displayed(goal) as (picture, _, turtles):
         turtles["turtle1"].publish(TurtlePose(x=1.0, y=1.0))
         turtles["turtle1"].publish(TurtlePose(x=5.0, y=5.0))
         [world] = re.findall(r"┌.*┘", shown(picture).replace("turtle1", ""), re.DOTALL)
-        assert "2" in world
-        assert "1" not in world
+        assert re.findall(r"\d✓?", world) == ["2", "1✓"]
+
+
+@pytest.mark.parametrize(("theta", "is_told"), [(0.0, False), (3.1, True), (1.5, False)])
+async def test_a_turtle_that_reverses_is_said_to(theta, is_told):
+    async with displayed(Drive()) as (picture, _, turtles):
+        for x in (1.0, 1.03):
+            turtles["turtle1"].publish(TurtlePose(x=x, y=1.0, theta=theta))
+        assert ("EXECUTING 0.0 s  reversing" in shown(picture)) is is_told
 
 
 async def test_places_of_further_rounds_come_back():
@@ -193,9 +200,37 @@ async def test_the_last_state_is_drawn_before_the_result_stands(transcript, stre
         handle.status = GoalStatus.SUCCEEDED
         transcript.status(handle.status)
         transcript.ended(Outcome(GoalStatus.SUCCEEDED, Fibonacci.Result()))
-    before, after = stream.getvalue().split(GIVE_BACK)
-    assert "SUCCEEDED" in before
-    assert after == "Result:\n    sequence: []\n\nGoal finished with status: SUCCEEDED\n"
+        transcript.close()
+    head, *_, left = ESCAPE.sub("", stream.getvalue()).partition("● ")[2].split("\n", 2)
+    assert head.startswith("/x  SUCCEEDED 0.0 s")
+    assert left == (
+        "  no feedback yet\nResult:\n    sequence: []\n\nGoal finished with status: SUCCEEDED\n"
+    )
+
+
+async def test_no_frame_is_drawn_after_the_last_one(transcript, stream):
+    async with open_node("stage") as node:
+        transcript.accepted(
+            Sent(node, "/x", "pkg/action/Name", Fibonacci.Goal(), cast("Any", Handle()))
+        )
+        transcript.ended(Outcome(GoalStatus.SUCCEEDED, Fibonacci.Result()))
+        before = stream.getvalue()
+        with anyio.move_on_after(0.05):
+            await transcript.animate()
+    assert stream.getvalue() == before
+
+
+@pytest.mark.parametrize(("rows", "most"), [(40, 35), (20, 15), (12, 11)])
+async def test_the_last_frame_leaves_room_for_the_result(
+    transcript, stream, monkeypatch, rows, most
+):
+    monkeypatch.setattr(terminal.Region, "size", lambda _: (80, rows))
+    goal = Drive(targets=[Point(x=1.0, y=1.0)])
+    async with displayed(goal) as (picture, _, _):
+        transcript.follows(picture.shown)
+        transcript.ended(Outcome(GoalStatus.SUCCEEDED, Fibonacci.Result()))
+    frame = stream.getvalue().partition("Result:")[0]
+    assert min(most - 2, 27) <= frame.count("\n") <= most
 
 
 # --- on a terminal --------------------------------------------------------------------------
@@ -242,29 +277,31 @@ def test_a_signal_cancels_the_goal_and_its_result_stands():
     assert process.wait(30) == 130
     text = ESCAPE.sub("", written.decode().replace("\r\n", "\n"))
     assert "\rCanceling goal...\n\n" in text
+    assert re.search(r"● /fibonacci  CANCELED .*\n(  .*\n)+Result:\n", text)
     assert text.endswith("\nGoal finished with status: CANCELED\n")
 
 
 def last_frame(text):
+    """The last frame that was drawn over."""
     return ESCAPE.sub("", text.rpartition("\x1b[?2026h")[2].partition("\x1b[J")[0])
 
 
 def standing(text):
-    """What stands behind the last frame."""
-    return text.rpartition(GIVE_BACK)[2]
+    """What stays on the screen from the last frame on."""
+    return ESCAPE.sub("", text.rpartition(GIVE_BACK)[2])
 
 
-def test_the_plain_result_stands_when_the_display_has_gone():
+def test_the_last_frame_and_the_result_stand_when_the_goal_has_ended():
     text, status = on_terminal("patrol", PATROL, "--speed", "max")
+    frame, _, result = standing(text).partition("Result:\n")
     assert status == 0
-    assert standing(text).startswith("Result:\n    reached: 2\n")
-    assert standing(text).endswith("\nGoal finished with status: SUCCEEDED\n")
-
-
-def test_the_last_frame_shows_the_last_state_and_the_trail():
-    frame = last_frame(on_terminal("patrol", PATROL, "--speed", "max")[0])
-    assert "● /patrol  SUCCEEDED" in frame
+    assert frame.startswith("● /patrol  SUCCEEDED")
     assert re.search(r"│.*[⠁-⣿].*│", frame)
+    assert frame.count("✓") == 2
+    assert "%" not in frame
+    assert result.startswith("    reached: 2\n")
+    assert result.endswith("\nGoal finished with status: SUCCEEDED\n")
+    assert len(standing(text).splitlines()) < 24
 
 
 def test_a_frame_leaves_room_for_lines_that_a_narrower_window_wraps():

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import asynccontextmanager
 
 import pytest
 
 from turtleact.commands import trails
-from turtleact.commands.trails import Course, PoseTrails, pose_topics
-from turtleact.interfaces import Message, get_interface, int32
+from turtleact.commands.trails import Course, Motion, PoseTrails, colour_of, pose_topics
+from turtleact.interfaces import Message, float64, get_interface, int32
 from turtleact.interfaces.standard import Point, TurtlePose
 from turtleact.node import open_node
 
@@ -16,17 +17,19 @@ from turtleact.node import open_node
 class Tour(Message, type_name="tracks_test_interfaces/msg/Tour"):
     targets: list[Point] = []
     loops: int32 = 0
+    tolerance: float64 = 0.0
 
 
-def course(*places, loops=0):
-    return Course(Tour([Point(x=x, y=y) for x, y in places], loops))
+def course(*places, loops=0, tolerance=0.0):
+    return Course(Tour([Point(x=x, y=y) for x, y in places], loops, tolerance))
 
 
 # --- the course -----------------------------------------------------------------------------
 
 
 def numbers(course):
-    return [target.number for target in course.ahead()]
+    """The numbers of the places ahead."""
+    return [target.number for target in course.targets() if not target.is_reached]
 
 
 def test_a_place_is_behind_the_turtle_once_it_has_come_near():
@@ -56,7 +59,35 @@ def test_a_further_round_begins_with_all_places():
 
 
 def test_a_goal_without_places_leads_nowhere():
-    assert (course().ahead(), course().told()) == ([], "")
+    assert (course().targets(), course().told()) == ([], "")
+
+
+def test_a_place_counts_from_as_far_as_the_goal_allows():
+    tour = course((1.0, 1.0), tolerance=0.8)
+    tour.follow(1.7, 1.0)
+    assert tour.passed == 1
+
+
+# --- motion ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("theta", "step", "is_reversing"),
+    [
+        (0.0, 0.03, False),
+        (0.0, -0.03, True),
+        (math.pi, 0.03, True),
+        (math.pi / 2, 0.03, False),
+        (math.pi, 3.0, False),  # a teleport
+    ],
+)
+def test_a_turtle_reverses_while_it_moves_against_its_heading(theta, step, is_reversing):
+    motion = Motion()
+    motion.follow(5.0, 5.0, theta)
+    motion.follow(5.0 + step, 5.0, theta)
+    assert (motion.is_reversing, motion.told()) == (is_reversing, "reversing" * is_reversing)
+    motion.follow(5.0 + step, 5.0, theta)
+    assert not motion.is_reversing
 
 
 # --- the trails -----------------------------------------------------------------------------
@@ -75,8 +106,8 @@ async def test_turtles_have_a_place_a_name_and_a_colour_each():
         publishers["a"].publish(TurtlePose(x=1.0, y=2.0, theta=3.0))
         publishers["b"].publish(TurtlePose())
         a, b = looked_at.look().turtles
-    assert a == (1.0, 2.0, 3.0, "a", "cyan")
-    assert (b.name, b.colour) == ("b", "magenta")
+    assert a == (1.0, 2.0, 3.0, "a", colour_of("a"))
+    assert (b.name, b.colour) == ("b", colour_of("b"))
 
 
 async def test_a_turtle_that_has_told_nothing_is_nowhere():
@@ -90,7 +121,7 @@ async def test_a_trail_has_the_colour_of_its_turtle():
             publishers["a"].publish(TurtlePose(x=x))
         ink = looked_at.look().ink
     assert ink is not None
-    assert "cyan" in ink.canvas(20, 10).colours()[-1]
+    assert colour_of("a") in ink.canvas(20, 10).colours()[-1]
 
 
 async def test_a_turtle_that_comes_is_found_and_one_that_goes_is_forgotten():

@@ -31,6 +31,28 @@ def test_a_narrow_table_leaves_out_the_id_and_the_progress():
     assert shown(render.Board(["ready"], WORLD, [RUNS]))[1].endswith(" EXECUTING    12.3 s")
 
 
+def test_a_name_is_never_cut_but_folded():
+    row = RUNS._replace(name="/a/very/long/name/of/an/action/that/nobody/would/choose")
+    for width in (30, 45, 60, 99, 140):
+        lines = [line.rpartition("│ ")[2] for line in shown(render.Board([], WORLD, [row]), width)]
+        text = "".join(line.rpartition("┐ ")[2].strip() for line in lines)
+        assert row.name in text
+
+
+def test_a_long_heading_is_wrapped_between_words():
+    names = "ready: " + ", ".join(["/fibonacci", "/patrol", "/turtle1/rotate_absolute"])
+    assert shown(render.Board([names]), 30) == [
+        "ready: /fibonacci, /patrol,",
+        "/turtle1/rotate_absolute",
+    ]
+
+
+def test_a_heading_that_would_fill_the_window_is_cut():
+    lines = shown(render.Board(["word " * 100], goals=[RUNS]), 30, 8)
+    assert lines[0].endswith("…")
+    assert lines[1].startswith("● /patrol")
+
+
 def test_the_newest_lines_of_the_log_fill_what_is_left():
     log = [f"line {number}" for number in range(50)]
     lines = shown(render.Board(["ready"], WORLD, [], log=log), height=20)

@@ -152,7 +152,7 @@ def test_the_map_stands_beside_the_feedback():
     assert any(re.match(r"│.*│ +text", line) for line in lines)
 
 
-@pytest.mark.parametrize(("width", "height"), [(39, 24), (80, 10), (30, 10)])
+@pytest.mark.parametrize(("width", "height"), [(39, 24), (80, 9), (30, 10)])
 def test_a_small_window_has_no_map(width, height):
     assert not any("┌" in line for line in frame(width, height, world(), feedback=Feedback()))
 

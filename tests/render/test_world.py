@@ -72,6 +72,24 @@ def test_a_number_of_two_digits_is_a_cross():
     assert "×" in "".join(drawn(world(targets=[render.Target(1.0, 1.0, 10)])))
 
 
+def test_a_reached_target_has_a_tick_even_below_a_turtle():
+    here = render.Target(SIDE / 2, SIDE / 2, 1, is_reached=True)
+    edge = render.Target(SIDE, 0.0, 2, is_reached=True)
+    shown = "".join(drawn(world(targets=[here, edge])))
+    assert "→✓" in shown
+    assert "✓2" in shown
+
+
+def test_targets_have_the_colour_of_their_turtle_until_they_are_reached():
+    targets = [
+        render.Target(1.0, 1.0, 1, "#123456"),
+        render.Target(9.0, 9.0, 2, "#123456", is_reached=True),
+    ]
+    text = render.world_map(world(targets=targets), 6)
+    styles = {text.plain[span.start : span.end]: str(span.style) for span in text.spans}
+    assert (styles["1"], styles["2✓"]) == ("#123456", "green")
+
+
 def test_a_turtle_hides_the_target_that_it_stands_on():
     shown = "".join(drawn(world(targets=[render.Target(SIDE / 2, SIDE / 2, 1)])))
     assert "1" not in shown

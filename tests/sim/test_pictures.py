@@ -28,7 +28,7 @@ from turtleact.sim.pictures import (
 
 RED = Pen(Colour(255, 0, 0), 5)
 MIDDLE = complex(250, 250) / 45.0
-SKIN, SHELL, _ = shades_of("turtle1")
+SKIN, SHELL, *_ = shades_of("turtle1")
 SVG = "{http://www.w3.org/2000/svg}"
 
 

@@ -1,9 +1,12 @@
 """The live displays on a terminal: of one goal, and of a server.
 
-`LiveTranscript` redraws a region at the end of the screen while a goal runs; what stays is printed
-above the region as plain text. `Dashboard` shows what ``serve`` does: the world, the goals and what
-has happened. Both only look: the goals, their bodies and the world know nothing of them, and never
-wait for the terminal.
+`LiveTranscript` redraws a region at the end of the screen while a goal runs. What stays is printed
+above the region as plain text. When the goal ends, its last frame stays too, above the result.
+
+`Dashboard` shows what ``serve`` does: the world, the goals and what has happened.
+
+Both only look. The goals, their bodies and the world know nothing of them, and never wait for the
+terminal.
 """
 
 from __future__ import annotations
@@ -20,16 +23,19 @@ import anyio
 
 from turtleact import render
 from turtleact.commands.output import note
-from turtleact.commands.terminal import LogLines, Region, animate, draw, keep_drawing
+from turtleact.commands.terminal import LogLines, Region, animate, keep_drawing, print_last
 from turtleact.commands.trails import (
+    POSE,
     POSES_A_FRAME,
     Course,
+    Motion,
     PoseTrails,
+    colour_of,
     places_in,
     pose_topics,
     sends_a_turtle,
 )
-from turtleact.commands.transcript import PlainTranscript
+from turtleact.commands.transcript import PlainTranscript, result_text
 from turtleact.interfaces import to_dict
 from turtleact.interfaces.standard import TurtlePose
 from turtleact.sim.kinematics import SIDE
@@ -42,6 +48,7 @@ if TYPE_CHECKING:
     from turtleact.interfaces import Message
     from turtleact.node import ServerGoalHandle
     from turtleact.sim.turtlesim import Turtlesim
+    from turtleact.sim.world import Pose
     from turtleact.topics import Subscription
 
     Handle: TypeAlias = ServerGoalHandle[Any, Any, Any]
@@ -50,6 +57,9 @@ __all__ = ["Dashboard", "GoalPicture", "LiveTranscript"]
 
 MOST_LINES = 40
 """How many lines of a goal are printed at most."""
+
+LEFT_FREE = 2
+"""Lines below the result: for the reason of an abort, and for the shell's prompt."""
 
 
 class LiveTranscript:
@@ -103,9 +113,11 @@ class LiveTranscript:
         self._plain.canceling()
 
     def ended(self, outcome: Outcome[Message]) -> None:
-        """The goal has ended: draw its last state, and print the result."""
-        draw(self._region, self._picture.compose)
-        self._plain.ended(outcome)
+        """The goal has ended: print its last state, which stays, and the result below it."""
+        text = result_text(outcome)
+        self._picture.has_ended = True
+        print_last(self._region, self._picture.compose, below=text.count("\n") + LEFT_FREE)
+        self._region.say(text)
 
     def note(self, text: str) -> None:
         """Something that belongs to no goal happened."""
@@ -117,7 +129,7 @@ class LiveTranscript:
         await self._region.drained()
 
     def close(self) -> None:
-        """Remove the display, and give the terminal back."""
+        """Remove the display unless the goal has ended, and give the terminal back."""
         self._region.restore()
 
 
@@ -149,10 +161,16 @@ class _Above(io.TextIOBase):
 
 
 class GoalPicture:
-    """Composes the display of a goal."""
+    """Composes the display of a goal.
+
+    Attributes:
+        shown: The goal.
+        has_ended: Whether it has ended, so that its progress needs no more words.
+    """
 
     def __init__(self, shown: Followed) -> None:
-        self._shown = shown
+        self.has_ended = False
+        self.shown = shown
         self._clock = shown.node.clock
         self._began = self._clock.time() - shown.age
         self._course: Course | None = None
@@ -175,25 +193,27 @@ class GoalPicture:
 
     def compose(self, *, width: int, height: int) -> render.Picture:
         """Compose the current picture."""
-        handle = self._shown.handle
+        handle = self.shown.handle
         world = None
         if self._trails is not None:
             world = self._trails.look(self._course)
         now = self._clock.time()
         if handle.last_feedback is not self._feedback:
             self._feedback, self._heard = handle.last_feedback, now
-        if world is not None and self._shown.goal is None:
+        if world is not None and self.shown.goal is None:
             world = world._replace(targets=_target(self._feedback))
-        fraction, progress = self._progress(now)
+        fraction, progress = (None, "") if self.has_ended else self._progress(now)
+        is_moving = self._trails is not None and not self.has_ended
         goal = render.GoalView(
-            name=self._shown.name,
-            goal=self._shown.goal,
+            name=self.shown.name,
+            goal=self.shown.goal,
             goal_id=handle.goal_id.hex(),
             status=handle.status,
             age=now - self._began,
             feedback=self._feedback,
             fraction=fraction,
             progress=progress,
+            motion=self._trails.motion.told() if is_moving and self._trails is not None else "",
         )
         return render.frame(goal, world, width=width, height=height)
 
@@ -221,7 +241,12 @@ def _target(feedback: Message | None) -> list[render.Target]:
     values: Any = {} if feedback is None else to_dict(feedback)
     number = values.get("index", 0)
     places = places_in(values.get("target"))
-    return [render.Target(*place, number + 1) for place in places if isinstance(number, int)]
+    is_reached = values.get("is_reached") is True
+    return [
+        render.Target(*place, number + 1, is_reached=is_reached)
+        for place in places
+        if isinstance(number, int)
+    ]
 
 
 MOST_LEFT: Final = 20
@@ -322,18 +347,12 @@ class Dashboard:
 
     def compose(self, *, width: int, height: int) -> render.Picture:
         """The picture as it is now."""
-        turtles: list[render.Turtle] = []
-        targets: list[render.Target] = []
         sim = self._sim
-        if sim is not None:
-            for name, pose, colour in sim.turtles(MOST_TURTLES):
-                style = _style(colour)
-                turtles.append(render.Turtle(pose.x, pose.y, pose.theta, name, style))
+        turtles = [] if sim is None else [_turtle(*each) for each in sim.turtles(MOST_TURTLES)]
         goals = self._in_order()
-        for goal in goals:
-            targets += goal.look()
-        world = None if sim is None else render.MapView(SIDE, turtles, _Drawn(sim), targets)
-        rows = [goal.row() for goal in goals]
+        rows = [goal.row({turtle.name for turtle in turtles}) for goal in goals]
+        ahead = [target for row in rows for target in row.targets if not target.is_reached]
+        world = None if sim is None else render.MapView(SIDE, turtles, _Drawn(sim), ahead)
         log = [line.short for line in self._log.lines()]
         more = len(self._goals) - len(goals)
         shown = render.Board(self._heading, world, rows, more, log=log)
@@ -364,10 +383,12 @@ class _Served:
         self._clock = goal.node.clock
         self._began = self._clock.time()
         self._course = Course(goal.request)
+        self._motion = Motion()
         self._poses: Subscription[TurtlePose] | None = None
         self._status: GoalStatus = goal.status
         self.ended_at: float | None = None
         drives, leader = sends_a_turtle(self._name, goal.request)
+        self._turtle = leader.removesuffix(POSE).strip("/") if drives else ""
         self.is_followed = may_follow and drives and self._course.stops > 0
         if self.is_followed:
             self._poses = goal.node.subscription(TurtlePose, leader, QoS(depth=POSES_A_FRAME))
@@ -381,19 +402,32 @@ class _Served:
             if self._poses is not None:
                 self._poses.close()
 
-    def look(self) -> list[render.Target]:
-        """The places that its turtle has not passed yet."""
+    def look(self) -> None:
+        """See where its turtle has gone."""
         if self._poses is None or self.ended_at is not None:
-            return []
+            return
         for pose in self._poses.drain():
             self._course.follow(pose.x, pose.y)
-        return self._course.ahead()
+            self._motion.follow(pose.x, pose.y, pose.theta)
 
-    def row(self) -> render.GoalRow:
-        """Its row in the table."""
-        now = self._clock.time() if self.ended_at is None else self.ended_at
-        told = "" if self._poses is None else self._course.told()
-        return render.GoalRow(self._name, self._goal_id, self._status, now - self._began, told)
+    def row(self, turtles: set[str]) -> render.GoalRow:
+        """Its row in the table; only one of these turtles is shown."""
+        self.look()
+        is_over = self.ended_at is not None
+        turtle = self._turtle if self._turtle in turtles else ""
+        colour = colour_of(turtle) if turtle else ""
+        targets = [] if is_over or self._poses is None else self._course.targets()
+        return render.GoalRow(
+            self._name,
+            self._goal_id,
+            self._status,
+            (self._clock.time() if self.ended_at is None else self.ended_at) - self._began,
+            "" if self._poses is None else self._course.told(),
+            turtle,
+            colour,
+            [target._replace(colour=colour or target.colour) for target in targets],
+            "" if is_over else self._motion.told(),
+        )
 
 
 class _Drawn:
@@ -411,6 +445,10 @@ class _Drawn:
                 if colour is not None:
                     canvas.dot(column, top - row, _style(colour))
         return canvas
+
+
+def _turtle(name: str, pose: Pose, _pen: object) -> render.Turtle:
+    return render.Turtle(pose.x, pose.y, pose.theta, name, colour_of(name))
 
 
 def _style(colour: tuple[int, int, int]) -> str:

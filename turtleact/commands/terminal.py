@@ -50,6 +50,7 @@ __all__ = [
     "can_move",
     "draw",
     "keep_drawing",
+    "print_last",
 ]
 
 STOPPING: Final = signals("SIGTSTP", "SIGQUIT")
@@ -154,6 +155,7 @@ class Region:
         self._keyboard = keyboard
         self._outlet: Outlet | None = None  # while it is held
         self._is_drawn = False
+        self._is_over = False
         self._is_held = False
         self._modes: object | None = None  # as they were found, while there is no echo
 
@@ -168,10 +170,13 @@ class Region:
     def is_ready(self) -> bool:
         """Whether a frame would be drawn now.
 
-        None is drawn while the process runs in the background, where the terminal belongs to
-        another one, or while the terminal has not taken everything that was written before.
+        None is drawn after the last one, while the process runs in the background, where the
+        terminal belongs to another one, or while the terminal has not taken all of the previous
+        text.
         """
-        return self.is_in_foreground() and (self._outlet is None or self._outlet.push())
+        if self._is_over or not self.is_in_foreground():
+            return False
+        return self._outlet is None or self._outlet.push()
 
     def draw(self, lines: Sequence[str]) -> None:
         """Draw lines in place of the last ones, if `is_ready`; the window needs one line more."""
@@ -188,6 +193,12 @@ class Region:
         """Print text that stays above the next frame."""
         self.clear()
         self._write(text)
+
+    def say_last(self, lines: Sequence[str]) -> None:
+        """Print the last frame: it stays, and what is printed later comes below it."""
+        self._is_over = True
+        if self.is_in_foreground():
+            self.say("".join(f"{line}\n" for line in lines))
 
     def clear(self) -> None:
         """Remove the lines, and show the cursor."""
@@ -285,6 +296,9 @@ PERIOD: Final = 1 / 15
 SHARE: Final = 0.2
 """The share of processor time that drawing may take."""
 
+SMALLEST: Final = 14
+"""Lines of a last frame, if what is printed below it needs more room: enough for a small map."""
+
 FULL: Final = 2
 """Lines of a frame that fill the width of the window; each becomes two if the window shrinks."""
 
@@ -306,6 +320,22 @@ def draw(region: Region, compose: Compose) -> None:
     width, height = columns - 1, max(rows - 1 - FULL, 1)
     content = compose(width=width, height=height)
     region.draw(render.lines(content, width=width, height=height))
+
+
+def print_last(region: Region, compose: Compose, *, below: int) -> None:
+    """Print a last frame that stays.
+
+    Args:
+        region: Where the frames before it were drawn.
+        compose: Composes it.
+        below: How many lines will be printed below it; the frame leaves room for them, unless it
+            would become smaller than `SMALLEST`.
+    """
+    from turtleact import render  # as above
+
+    columns, rows = region.size()
+    width, height = columns - 1, max(rows - below, min(rows - 1, SMALLEST), 1)
+    region.say_last(render.lines(compose(width=width, height=height), width=width, height=height))
 
 
 async def animate(region: Region, compose: Compose) -> None:

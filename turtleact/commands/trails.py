@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, Final
 
 from turtleact.geometry import distance
 from turtleact.interfaces import get_interface, to_dict
 from turtleact.render import MapView, Target, Trails, Turtle
 from turtleact.sim.kinematics import SIDE
+from turtleact.sim.pictures import shades_of
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:
@@ -18,9 +20,12 @@ if TYPE_CHECKING:
     from turtleact.topics import Subscription
 
 __all__ = [
+    "POSE",
     "POSES_A_FRAME",
     "Course",
+    "Motion",
     "PoseTrails",
+    "colour_of",
     "offset",
     "places_in",
     "pose_topics",
@@ -28,10 +33,11 @@ __all__ = [
 ]
 
 NEAR: Final = 0.15
-"""A turtle that has come this near to a place has passed it (m)."""
+"""A turtle that has come this near to a place has passed it (m), or as near as the goal allows."""
 
-COLOURS: Final = ("cyan", "magenta", "blue", "yellow", "red", "green")
-"""The colours of the turtles, in the order of their names."""
+STILL: Final = 1e-4
+JUMP: Final = 1.0
+"""A pose that differs by less is the same place, and by more another one: a teleport (m)."""
 
 MOST_TURTLES: Final = 32
 """How many turtles are followed; a map could not show more."""
@@ -52,13 +58,16 @@ class PoseTrails:
     Args:
         node: A node on the graph.
         leader: The pose topic of the turtle that matters most, if one does.
+
+    Attributes:
+        motion: How the leader moves.
     """
 
     def __init__(self, node: Node, leader: str = "") -> None:
         self._node = node
         self._leader = leader
         self._poses: dict[str, Subscription[Any]] = {}
-        self._colours: dict[str, str] = {}
+        self.motion = Motion()
         self._trails = Trails(SIDE)
         self._looks = 0
         self._search()
@@ -74,15 +83,18 @@ class PoseTrails:
             self._search()
         turtles = []
         for topic, poses in self._poses.items():
-            name, colour = topic.removesuffix(POSE).strip("/"), self._colours[topic]
+            name = topic.removesuffix(POSE).strip("/")
+            colour = colour_of(name)
             for pose in poses.drain():
                 self._trails.follow(name, pose.x, pose.y, colour)
-                if course is not None and topic == self._leader:
-                    course.follow(pose.x, pose.y)
+                if topic == self._leader:
+                    self.motion.follow(pose.x, pose.y, pose.theta)
+                    if course is not None:
+                        course.follow(pose.x, pose.y)
             latest = poses.latest
             if latest is not None:
                 turtles.append(Turtle(latest.x, latest.y, latest.theta, name, colour))
-        return MapView(SIDE, turtles, self._trails, () if course is None else course.ahead())
+        return MapView(SIDE, turtles, self._trails, () if course is None else course.targets())
 
     def _search(self) -> None:
         """Follow new turtles, and forget those that are gone."""
@@ -95,7 +107,33 @@ class PoseTrails:
                 pose_type: Any = get_interface(topics[topic])
                 qos = QoS(depth=POSES_A_FRAME)
                 self._poses[topic] = self._node.subscription(pose_type, topic, qos)
-                self._colours.setdefault(topic, COLOURS[len(self._colours) % len(COLOURS)])
+
+
+def colour_of(turtle: str) -> str:
+    """The colour of a turtle on a terminal."""
+    return "#" + bytes(shades_of(turtle).mark).hex()
+
+
+class Motion:
+    """How a turtle moves, told from its poses: turtlesim's speeds have no sign.
+
+    Attributes:
+        is_reversing: Whether it has just moved against its heading.
+    """
+
+    def __init__(self) -> None:
+        self.is_reversing = False
+        self._last: tuple[float, float] | None = None
+
+    def follow(self, x: float, y: float, theta: float) -> None:
+        """Record a pose (m, rad)."""
+        before, self._last = self._last or (x, y), (x, y)
+        along = (x - before[0]) * math.cos(theta) + (y - before[1]) * math.sin(theta)
+        self.is_reversing = -JUMP < along < -STILL
+
+    def told(self) -> str:
+        """The motion in words; empty unless the turtle reverses."""
+        return "reversing" if self.is_reversing else ""
 
 
 class Course:
@@ -108,6 +146,7 @@ class Course:
 
     def __init__(self, goal: Message) -> None:
         self._places = list(places_in(to_dict(goal)))
+        self._near = max(NEAR, float(getattr(goal, "tolerance", 0.0)))
         self.stops = len(self._places) * (1 + max(0, int(getattr(goal, "loops", 0))))
         self.passed = 0
         self._last: tuple[float, float] | None = None
@@ -117,14 +156,16 @@ class Course:
         here, self._last = self._last or (x, y), (x, y)
         if self.passed < self.stops:
             place = self._places[self.passed % len(self._places)]
-            self.passed += offset(place, here, (x, y)) <= NEAR
+            self.passed += offset(place, here, (x, y)) <= self._near
 
-    def ahead(self) -> list[Target]:
-        """The places ahead in this round, numbered as in the goal."""
-        if self.passed >= self.stops:
-            return []
-        first = self.passed % len(self._places)
-        return [Target(*place, i) for i, place in enumerate(self._places[first:], first + 1)]
+    def targets(self) -> list[Target]:
+        """The places of this round, numbered as in the goal."""
+        count = len(self._places)
+        passed = count if self.passed >= self.stops else self.passed % count
+        return [
+            Target(*place, number, is_reached=number <= passed)
+            for number, place in enumerate(self._places, 1)
+        ]
 
     def told(self) -> str:
         """The progress in words; empty if there are no places."""

@@ -28,6 +28,7 @@ __all__ = [
     "Sent",
     "Transcript",
     "View",
+    "result_text",
 ]
 
 View = Literal["auto", "plain", "json"]
@@ -196,8 +197,7 @@ class PlainTranscript:
 
     def ended(self, outcome: Outcome[Message]) -> None:
         """The goal has ended."""
-        result = _indented(outcome.result, 4)
-        self._say(f"Result:\n{result}\nGoal finished with status: {outcome.status.name}\n")
+        self._say(result_text(outcome))
 
     def note(self, text: str) -> None:
         """Something that belongs to no goal happened."""
@@ -280,6 +280,12 @@ class JsonTranscript:
         """Print an event; its values are JSON already."""
         pairs = {"event": json.dumps(event), "goal_id": json.dumps(self._goal_id), **values}
         say("{" + ", ".join(f'"{name}": {value}' for name, value in pairs.items()) + "}\n")
+
+
+def result_text(outcome: Outcome[Message]) -> str:
+    """The last lines of a transcript: the result and the state."""
+    result = _indented(outcome.result, 4)
+    return f"Result:\n{result}\nGoal finished with status: {outcome.status.name}\n"
 
 
 def _indented(message: Message, columns: int) -> str:

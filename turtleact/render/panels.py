@@ -7,8 +7,10 @@ that stay, the map, a table of goals or of keys, and the log.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import wrap
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from rich.cells import cell_len
 from rich.console import Group
 from rich.padding import Padding
 from rich.progress_bar import ProgressBar
@@ -17,7 +19,7 @@ from rich.text import Text
 
 from turtleact.interfaces import to_dict
 from turtleact.render.lines import STYLES, Picture, cut, inline, printable, shortened
-from turtleact.render.world_map import MapView, world_map
+from turtleact.render.world_map import TICK, MapView, Target, world_map
 
 if TYPE_CHECKING:
     from turtleact.goal import GoalStatus
@@ -58,6 +60,7 @@ class GoalView(NamedTuple):
         feedback: The last feedback, if there is one.
         fraction: The progress, 0 to 1, if it is known.
         progress: The progress in words.
+        motion: How its turtle moves, if that is worth a word, such as ``reversing``.
     """
 
     name: str
@@ -68,6 +71,7 @@ class GoalView(NamedTuple):
     feedback: Message | None = None
     fraction: float | None = None
     progress: str = ""
+    motion: str = ""
 
 
 def goal_panel(view: GoalView) -> Group:
@@ -79,7 +83,7 @@ def goal_panel(view: GoalView) -> Group:
     head.add_column(no_wrap=True, justify="right", style="dim", ratio=1, overflow="crop")
     head.add_row(
         Text.assemble(("● ", style), (view.name, "bold")),
-        Text.assemble((view.status.name, style), f" {view.age:.1f} s"),
+        Text.assemble((view.status.name, style), f" {view.age:.1f} s", _motion(view.motion)),
         view.goal_id[:8],
     )
     sent = "sent by somebody else" if view.goal is None else inline(to_dict(view.goal))
@@ -127,16 +131,21 @@ def frame(goal: GoalView, world: MapView | None, *, width: int, height: int) -> 
         height: How many lines to use at most.
     """
     head, progress = goal_panel(goal), progress_line(goal.fraction, goal.progress)
-    left = height - 4
+    below = [] if goal.fraction is None and not goal.progress else [progress]
+    left = height - 3 - len(below)
     rows = min(HIGHEST, left - 2, (width - NARROWEST_TABLE) // 2)
     if world is None or width < NARROWEST or rows < LOWEST:
-        return Group(head, _feedback(goal, width=width, rows=max(left, 0)), progress)
+        return Group(head, _feedback(goal, width=width, rows=max(left, 0)), *below)
     taken = 2 * rows + 2
     beside = Table.grid(padding=(0, 1, 0, 0))
     beside.add_column(width=taken, no_wrap=True)
     beside.add_column(ratio=1, vertical="middle")
     beside.add_row(world_map(world, rows), _feedback(goal, width=width - taken - 2, rows=rows))
-    return Group(head, beside, progress)
+    return Group(head, beside, *below)
+
+
+def _motion(motion: str) -> tuple[str, str]:
+    return (f"  {motion}" if motion else "", "bold yellow")
 
 
 def _feedback(goal: GoalView, *, width: int, rows: int) -> Picture:
@@ -152,6 +161,13 @@ NARROWEST_BOARD: Final = 30
 WIDE: Final = 72
 """The width from which a table shows goal ids and progress too."""
 
+SHORTEST: Final = 20
+"""The width of the column of names, if no name is longer."""
+
+LONGEST_STATUS: Final = 9
+LONGEST_DURATION: Final = 8
+"""The widths of the columns beside it."""
+
 LEAST_LOG: Final = 3
 """How many lines a map leaves for the log below it."""
 
@@ -165,6 +181,10 @@ class GoalRow(NamedTuple):
         status: Its state.
         age: How long it has run (s).
         progress: The progress in words.
+        turtle: The turtle that it drives; empty if it drives none.
+        colour: The colour of that turtle.
+        targets: Its targets, in order.
+        motion: How its turtle moves, as in `GoalView`.
     """
 
     name: str
@@ -172,6 +192,10 @@ class GoalRow(NamedTuple):
     status: GoalStatus
     age: float
     progress: str = ""
+    turtle: str = ""
+    colour: str = ""
+    targets: Sequence[Target] = ()
+    motion: str = ""
 
 
 class Board(NamedTuple):
@@ -202,7 +226,7 @@ def board(view: Board, *, width: int, height: int) -> Picture:
         width: The columns of the window.
         height: How many lines to use at most.
     """
-    head = [cut(printable(line), "bold") for line in view.heading[:height]]
+    head = _heading(view.heading, width, height)
     left = height - len(head)
     rows = min(HIGHEST, left - 2 - LEAST_LOG, (width - NARROWEST_BOARD) // 2)
     middle: list[Picture]
@@ -222,38 +246,70 @@ def board(view: Board, *, width: int, height: int) -> Picture:
     return Group(*head, *middle, *(cut(printable(line), "dim") for line in log))
 
 
+def _heading(lines: Sequence[str], width: int, height: int) -> list[Picture]:
+    """The lines, wrapped between words; if they need over half of the height, they are cut."""
+    wrapped = [part for line in lines for part in wrap(printable(line), width) or [""]]
+    if len(wrapped) > max(height // 2, len(lines)):
+        wrapped = [printable(line) for line in lines]
+    return [cut(line, "bold") for line in wrapped[:height]]
+
+
 def _table(view: Board, width: int, rows: int) -> list[Picture]:
     """The keys and the goals, in at most ``rows`` lines."""
-    keys: list[Picture] = [cut(line) for line in view.keys]
+    table: list[Picture] = [cut(line) for line in view.keys]
     if view.goals is None:
-        return keys[:rows]
-    left, count = rows - len(keys), len(view.goals) + view.more
-    shown = view.goals[: left if count <= left else max(left - 1, 0)]
-    table = keys + [_row(goal, width) for goal in shown]
+        return table[:rows]
     if not view.goals:
-        table.append(cut("no goals yet", "dim"))
-    elif len(shown) < count:
-        table.append(cut(f"… {count - len(shown)} more", "dim"))
+        return [*table, cut("no goals yet", "dim")][:rows]
+    names = max(cell_len(printable(goal.name)) for goal in view.goals)
+    names = names if width < WIDE else max(names, SHORTEST)
+    blocks = [_row(goal, width, names) for goal in view.goals]
+    left, count = rows - len(table), len(view.goals) + view.more
+    is_all = count == len(blocks) and sum(map(len, blocks)) <= left
+    for shown, block in enumerate(blocks):
+        if not is_all and len(block) > left - 1:
+            return [*table, cut(f"… {count - shown} more", "dim")][:rows]
+        table += block
+        left -= len(block)
+    if not is_all:
+        table.append(cut(f"… {view.more} more", "dim"))
     return table[:rows]
 
 
-def _row(goal: GoalRow, width: int) -> Picture:
-    style = STYLES.get(goal.status, "")
-    table = Table.grid(padding=(0, 2, 0, 0))
-    table.add_column(no_wrap=True, overflow="ellipsis", width=min(22, max(width - 23, 4)))
-    table.add_column(no_wrap=True, width=9)
-    table.add_column(no_wrap=True, justify="right", width=8)
-    cells = [
-        Text.assemble(("● ", style), (printable(goal.name), "bold")),
-        Text(goal.status.name, style),
-        Text(_duration(goal.age)),
-    ]
-    if width >= WIDE:
-        table.add_column(no_wrap=True, width=8)
-        table.add_column(no_wrap=True, overflow="ellipsis")
-        cells += [Text(goal.goal_id[:8], "dim"), Text(goal.progress)]
-    table.add_row(*cells)
-    return table
+def _row(goal: GoalRow, width: int, names: int) -> list[Picture]:
+    """A goal in one line, or in several if its action's name would be cut otherwise."""
+    style, name, age = STYLES.get(goal.status, ""), printable(goal.name), _duration(goal.age)
+    bullet, turtle = ("● ", style), _turtle(goal)
+    below = [_cut(Text.assemble("  ", turtle))] if turtle else []
+    if 2 + names + 2 + LONGEST_STATUS + 2 + LONGEST_DURATION > width:
+        size = max(width - 2, 1)
+        parts = [name[start : start + size] for start in range(0, len(name), size)]
+        folded = [Text.assemble(bullet if part is parts[0] else "  ", part) for part in parts]
+        return [*folded, _cut(Text.assemble("  ", (goal.status.name, style), f"  {age}")), *below]
+    line = Text.assemble(
+        bullet,
+        (name.ljust(names), "bold"),
+        "  ",
+        (goal.status.name.ljust(LONGEST_STATUS), style),
+        f"  {age:>{LONGEST_DURATION}}",
+    )
+    if width < WIDE:
+        return [_cut(line), *below]
+    line.append(f"  {goal.goal_id[:8]}", "dim").append(f"  {goal.progress}")
+    return [_cut(line.append("  ").append(turtle))]
+
+
+def _turtle(goal: GoalRow) -> Text:
+    """The turtle, its targets as on the map, and how it moves."""
+    text = Text(printable(goal.turtle), goal.colour)
+    for target in goal.targets:
+        text.append(f" {target.number}{TICK if target.is_reached else ''}", target.style)
+    return text.append(*_motion(goal.motion))
+
+
+def _cut(line: Text) -> Text:
+    line.no_wrap, line.overflow = True, "ellipsis"
+    return line
 
 
 def _duration(seconds: float) -> str:

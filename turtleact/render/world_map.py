@@ -20,7 +20,8 @@ from turtleact.render.lines import printable, shortened
 __all__ = ["Braille", "Ink", "MapView", "Target", "Trails", "Turtle", "world_map"]
 
 ARROWS: Final = "→↗↑↖←↙↓↘"
-WALL, TRAIL, TARGET, TURTLE = "dim", "cyan", "yellow", "green"
+WALL, TRAIL, TARGET, REACHED, TURTLE = "dim", "cyan", "yellow", "green", "green"
+TICK: Final = "✓"
 
 LONGEST_NAME: Final = 12
 BLANK: Final = chr(0x2800)
@@ -40,11 +41,23 @@ class Turtle(NamedTuple):
 
 
 class Target(NamedTuple):
-    """A target: x and y (m), and its number."""
+    """A target: x and y (m), its number and colour, and whether it was reached."""
 
     x: float
     y: float
     number: int
+    colour: str = TARGET
+    is_reached: bool = False
+
+    @property
+    def label(self) -> str:
+        """One character: the number, or a cross if it is too large."""
+        return str(self.number) if self.number < 10 else "×"
+
+    @property
+    def style(self) -> str:
+        """The style in which it is shown."""
+        return REACHED if self.is_reached else self.colour
 
 
 class MapView(NamedTuple):
@@ -66,16 +79,19 @@ class MapView(NamedTuple):
 def world_map(view: MapView, rows: int) -> Text:
     """The world between its walls, ``rows`` high and twice as wide, not counting the border.
 
-    If several things fall into one cell, a turtle hides a target, a target a name, and a name a
-    trail. A name stands where it hides least, or nowhere if there is no room.
+    A reached target has a tick beside its number. If several things fall into one cell, a turtle
+    hides a target, a target a name, and a name a trail. A name stands where it hides least, or
+    nowhere if there is no room.
     """
     columns = 2 * rows
     canvas = Braille(columns, rows) if view.ink is None else view.ink.canvas(columns, rows)
     scale = (canvas.width - 1) / view.side
     marks: Marks = {}
-    for x, y, number in view.targets:
-        label = str(number) if number < 10 else "×"
-        marks[_cell(x * scale, y * scale, columns, rows)] = (label, TARGET)
+    for target in view.targets:
+        row, column = _cell(target.x * scale, target.y * scale, columns, rows)
+        if target.is_reached:  # the tick is beside the number: a turtle may stand there
+            marks[row, column + (1 if column < columns - 1 else -1)] = (TICK, target.style)
+        marks[row, column] = (target.label, target.style)
     cells = [_cell(each.x * scale, each.y * scale, columns, rows) for each in view.turtles]
     for turtle, cell in zip(view.turtles, cells, strict=True):
         marks[cell] = (ARROWS[round(turtle.theta / math.tau * 8) % 8], f"bold {turtle.colour}")

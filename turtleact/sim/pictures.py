@@ -51,10 +51,11 @@ FINE: Final = 4
 
 
 class Shades(NamedTuple):
-    """The colours of a turtle."""
+    """The colours of a turtle; ``mark`` can be read on a dark and on a light terminal."""
 
     skin: Colour
     shell: Colour
+    mark: Colour
     eye: Colour = Colour(17, 17, 17)
 
 
@@ -66,7 +67,7 @@ def shades_of(name: str) -> Shades:
     number = re.search(r"[0-9]+$", name)
     index = int(number[0]) - 1 if number else zlib.crc32(name.encode())
     hue = HUES[index % len(HUES)] / 360
-    return Shades(_colour(hue, 0.64, 0.65), _colour(hue, 0.3, 0.6))
+    return Shades(_colour(hue, 0.64, 0.65), _colour(hue, 0.3, 0.6), _colour(hue, 0.5, 0.65))
 
 
 class Figure(NamedTuple):
