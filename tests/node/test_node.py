@@ -6,7 +6,7 @@ import asyncio
 import gc
 import weakref
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import aclosing, asynccontextmanager
 from typing import Any
 
 import anyio
@@ -408,8 +408,46 @@ async def test_a_built_in_makes_way_and_its_running_goals_finish(caplog):
             assert (await running_goal.outcome()).status is GoalStatus.SUCCEEDED
         await settle()
         assert transport.endpoints("/count/_action/status")[0].node == "/user"
-    (said,) = caplog.messages
+        (said,) = caplog.messages
     assert said == "/count is served by /user now: the built-in action withdraws"
+
+
+async def test_a_built_in_serves_again_when_the_other_server_has_gone(caplog):
+    transport = MemoryTransport()
+    said = []
+    async with (
+        turtleact.open_node("turtle_actions", transport=transport) as home,
+        turtleact.open_node("user", transport=transport) as user,
+    ):
+        home.on_transition(lambda handle, _, new: said.append((handle.action_name, new)))
+        both: list[Any] = [Count, Fibonacci]
+        for action_type in both:
+            home.action_server(action_type, "count", seven, on_conflict="withdraw")
+        client = user.action_client(Count, "count")
+        for _ in range(2):
+            async with aclosing(user.action_server(Count, "count", count)):
+                await settle()
+                assert await client.send_goal(goal()) != result(7)
+            await settle()
+            assert await client.send_goal(goal()) == result(7)
+        assert len(user.graph().actions["/count"]) == 2
+        assert said[-1] == ("/count", GoalStatus.SUCCEEDED)
+    assert caplog.messages == 2 * [
+        "/count is served by /user now: the built-in action withdraws",
+        "/count is free: the built-in action serves it again",
+    ]
+
+
+async def test_a_node_closes_while_its_built_in_action_is_away():
+    transport = MemoryTransport()
+    async with turtleact.open_node("user", transport=transport) as user:
+        user.action_server(Count, "count", seven)
+        async with turtleact.open_node("turtle_actions", transport=transport) as home:
+            home.action_server(Count, "count", count, on_conflict="withdraw")
+            await settle()
+        await user.aclose()
+        await settle()
+    assert transport.endpoints() == ()
 
 
 async def test_a_built_in_stays_away_from_a_name_that_is_served():

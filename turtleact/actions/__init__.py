@@ -22,7 +22,8 @@ def serve_built_ins(node: Node, *, side: float) -> None:
     """Serve all built-in actions on a node.
 
     Each makes way for another server of its name, in any process: it takes no more goals as soon as
-    discovery shows the other one, its running goals finish, and the log says so.
+    discovery shows the other one, and its running goals finish. It comes back when the other one
+    has gone. The log says both.
 
     Args:
         node: Where they are served.

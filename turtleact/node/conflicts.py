@@ -7,7 +7,8 @@ service. A second node chooses what happens:
 - ``refuse``: its `action_server` raises and names the first node.
 - ``wait``: it begins to serve when the first node has gone; useful for restarts and failover.
 - ``withdraw``: it withdraws when any other node, in any process, serves the name. Its running goals
-  finish. The built-in actions do this.
+  finish. When no other node serves the name any more, it serves it again. The built-in actions do
+  this.
 
 A restarted node may still see its predecessor: a node of the same name whose process has just died
 and whose lease has not run out. Such a node is not refused. It waits until the predecessor is gone.
@@ -91,9 +92,12 @@ class Rivals:
             return self._node
         return self.first()
 
-    def has_built_in(self) -> bool:
-        """Whether a built-in action in another process must withdraw for this one."""
-        return self._node != BUILT_INS_NODE and BUILT_INS_NODE in self._nodes(is_local=False)
+    def has_built_in(self, *, is_local: bool | None = None) -> bool:
+        """Whether a built-in action must withdraw for this server: any, a local or a remote one.
+
+        Once this server is open, none of its type can be told to be remote.
+        """
+        return self._node != BUILT_INS_NODE and BUILT_INS_NODE in self._nodes(is_local=is_local)
 
     async def wait_until_free(self) -> None:
         """Wait until this node can serve the action. Cancelling: safe.

@@ -14,6 +14,8 @@ from contextlib import AbstractContextManager, asynccontextmanager
 from functools import partial
 from typing import Any, Generic, TypeAlias, TypeVar, Unpack, cast, get_args, overload
 
+import anyio
+
 from turtleact.body import ActionBody, ActionDeclaration, ActionType, Body, ServerOptions
 from turtleact.client import ActionClient
 from turtleact.client.client_endpoints import ClientEndpoints
@@ -148,7 +150,8 @@ class Node:
             on_conflict: What to do if another node already serves the name, in this process or, as
                 far as discovery shows, in another. "refuse" raises `ActionConflict`. "wait" begins
                 to serve when the other node has gone. "withdraw" is for built-in actions: they
-                withdraw when another node serves the name.
+                withdraw while another node serves the name. When it has gone, a new server with the
+                same arguments takes the place of the one that withdrew.
             **options: ``goal_callback(goal)`` returns a `GoalResponse` or raises
                 `turtleact.Reject`. ``cancel_callback(handle)`` returns a `CancelResponse`. Both may
                 be coroutine functions. ``policy`` decides what happens to a new goal while another
@@ -196,7 +199,14 @@ class Node:
         for hook in self._hooks:
             server._watch(hook)
         if on_conflict == "withdraw":
-            server._keep(server._make_way(rivals), "making way for others with")
+            again = partial(
+                self.action_server,
+                *(action_type, name, execute),
+                on_demand=on_demand,
+                on_conflict=on_conflict,
+                **options,
+            )
+            server._keep(server._make_way(rivals, again), "making way for others with")
         holder = rivals.holder()
         if holder is None:
             server._begin(rivals)
@@ -593,12 +603,25 @@ class ActionServer(Generic[G, R, F]):
 
     def _begin(self, rivals: Rivals) -> None:
         """Join the graph."""
-        if rivals.has_built_in():
-            logger.warning("%s: the built-in action makes way for this one", self.name)
+        if rivals.has_built_in(is_local=False):
+            self._tell_that_built_in_makes_way()
+        elif not rivals.has_built_in():
+            # On a graph that was opened a moment ago, it may not have been discovered yet.
+            rest = self.node.transport.discovery_ends - anyio.current_time()
+            if rest > 0:
+                self._keep(self._look_for_built_in(rivals, rest), "looking for a built-in of")
         self._endpoints.open()
         self.node._restore_soon(self._local)
         self.is_serving = True
         self._turned.fire()
+
+    async def _look_for_built_in(self, rivals: Rivals, seconds: float) -> None:
+        with anyio.move_on_after(seconds):
+            await rivals.wait_until(rivals.has_built_in)
+            self._tell_that_built_in_makes_way()
+
+    def _tell_that_built_in_makes_way(self) -> None:
+        logger.warning("%s: the built-in action makes way for this one", self.name)
 
     def _stop(self) -> None:
         """Stop accepting goals."""
@@ -612,8 +635,17 @@ class ActionServer(Generic[G, R, F]):
         logger.warning("%s is free: serving it now", self.name)
         self._begin(rivals)
 
-    async def _make_way(self, rivals: Rivals) -> None:
-        """Stop accepting goals when another node serves the name; leave when they have ended."""
+    async def _make_way(self, rivals: Rivals, again: Callable[[], object]) -> None:
+        """Withdraw when another node serves the name; serve again when none does any more.
+
+        A server that has closed cannot open again, so ``again`` opens another one, which watches
+        for rivals in turn. Until then this one belongs to the node, so that a node that closes ends
+        this watch too.
+
+        Args:
+            rivals: The other servers of the name.
+            again: Opens a server like this one.
+        """
         await rivals.wait_until(lambda: rivals.first() is not None)
         self._stop()
         self._endpoints.stop_taking_goals()
@@ -623,6 +655,12 @@ class ActionServer(Generic[G, R, F]):
             )
         await self._local.wait_until_idle()
         await self._endpoints.aclose()
+        await rivals.wait_until_free()
+        if not self.node._types_served(self.name):
+            logger.warning("%s is free: the built-in action serves it again", self.name)
+        if self._membership is not None:
+            self._membership.close()
+        again()
 
 
 class _Hook(GoalObserver):
