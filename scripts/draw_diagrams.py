@@ -7,26 +7,31 @@ script prints.
 
 from __future__ import annotations
 
+import configparser
+import re
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Final, NamedTuple
 
 from turtleact.goal import TRANSITIONS, GoalStatus
 
+ROOT = Path(__file__).parents[1]
+
 BANDS: Final = (
-    ("Command line", "main", ("cli", "commands")),
-    ("Web", "main", ("web",)),
-    ("Whole programs", "fill", ("app", "render", "testing")),
-    ("What acts", "fill", ("actions", "sim")),
-    ("A participant", "main", ("node",)),
-    ("Goals", "main", ("server", "client", "goal_server")),
-    ("Parts of a node", "fill", ("body", "topics", "services", "graph")),
-    ("Between nodes", "main", ("transports",)),
-    ("Time and tasks", "fill", ("clock", "tasks", "goal_id", "observers")),
-    ("Rules of goals", "pure", ("slot", "goal", "goal_wire", "parameters", "feedback")),
-    ("Data", "pure", ("interfaces", "names", "geometry", "errors", "summaries", "workspace")),
+    ("Command line", "main", "cli"),
+    ("Web", "main", "web"),
+    ("Whole programs", "fill", "app"),
+    ("What acts", "fill", "actions"),
+    ("A participant", "main", "node"),
+    ("Goals", "main", "server"),
+    ("Parts of a node", "fill", "body"),
+    ("Between nodes", "main", "transports"),
+    ("Time and tasks", "fill", "clock"),
+    ("Rules of goals", "pure", "slot"),
+    ("Data", "pure", "interfaces"),
 )
-"""The layers from top to bottom: a title, a colour, the modules."""
+"""The layers from top to bottom: a title, a colour, and a module of the first row that it holds."""
 
 OUTSIDE: Final = (
     ("Terminal", "shell, ros2 commands", 0, 0),
@@ -133,17 +138,33 @@ def picture(name: str, width: int, height: int, parts: list[str]) -> str:
     return "\n".join([root, f"<style>\n{STYLE}\n</style>", head, paper, *parts, "</svg>"])
 
 
+def modules() -> list[list[str]]:
+    """The modules of each band, from the rows of the import contract."""
+    contract = configparser.ConfigParser()
+    contract.read(ROOT / ".importlinter", "utf-8")
+    rows = contract["importlinter:contract:layers"]["layers"].split("\n")
+    bands: list[list[str]] = []
+    for row in rows:
+        names = re.findall(r"\w+", row)
+        if len(bands) < len(BANDS) and BANDS[len(bands)][2] in names:
+            bands.append([])
+        if bands:
+            bands[-1] += names
+    return bands
+
+
 def layers() -> str:
     """The layers of the package, and who is outside."""
+    bands = modules()
     top, step, height = 20, 50, 40
-    left, title, box, gap = 16, 132, 94, 6
-    width = title + max(len(modules) for _, _, modules in BANDS) * (box + gap) + gap
+    left, title, box, gap = 16, 132, 104, 6
+    width = title + max(map(len, bands)) * (box + gap) + gap
     parts = []
-    for row, (name, kind, modules) in enumerate(BANDS):
+    for row, (name, kind, _) in enumerate(BANDS):
         y = top + row * step
         parts.append(Rect(left, y, width, height).draw(f"band {kind}"))
         parts.append(text(left + 12, y + 25, name, "left"))
-        for column, module in enumerate(modules):
+        for column, module in enumerate(bands[row]):
             place = Rect(left + title + column * (box + gap) + gap, y + 6, box, height - 12)
             parts.append(place.draw("box"))
             parts.append(text(place.x + box / 2, y + 24.5, module, "code"))
