@@ -30,6 +30,7 @@ class GoalOrder(msgspec.Struct, frozen=True):
         cancel_timeout: How long a cancelled caller waits for the goal to end (s, wall clock).
         goal_id: The 16 bytes that the user chose; None to let the server or client choose.
         on_feedback: The user's callback for feedback.
+        reattach: How long to wait for a server that has gone to return (s, event loop time).
     """
 
     request: object
@@ -37,6 +38,7 @@ class GoalOrder(msgspec.Struct, frozen=True):
     cancel_timeout: float
     goal_id: bytes | None = None
     on_feedback: OnFeedback | None = None
+    reattach: float = 0.0
 
 
 @runtime_checkable

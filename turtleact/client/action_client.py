@@ -17,6 +17,7 @@ from inspect import CO_COROUTINE
 from types import CodeType, TracebackType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
+import anyio
 import anyio.lowlevel
 import msgspec
 
@@ -24,10 +25,11 @@ from turtleact.body import ActionType
 from turtleact.client.client_endpoints import ClientEndpoints
 from turtleact.client.goal_handle import ClientGoalHandle, GoalReader
 from turtleact.client.remote_server import RemoteActionServer
+from turtleact.clock import check_timeout
 from turtleact.errors import InvalidOption, ServerUnavailable, TurtleactError, UnknownGoal
 from turtleact.goal import Goal, GoalStatus, OnFeedback, failure
-from turtleact.goal_id import goal_id_bytes
-from turtleact.goal_server import GoalOrder, GoalServer, OffersGoals
+from turtleact.goal_id import goal_id_bytes, new_goal_id
+from turtleact.goal_server import GoalOrder, GoalServer, OffersGoals, cancel_and_wait
 from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.standard import CancelGoal, Time
 from turtleact.observers import GoalObserver, Observers
@@ -76,6 +78,7 @@ class ActionClient(Generic[G, R, F]):
         *,
         goal_id: bytes | uuid.UUID | None = None,
         feedback_callback: Callable[[F], object] | None = None,
+        reattach: float = 0.0,
     ) -> SendGoal[G, R, F]:
         """Send a goal: ``await`` it for the result, or use ``async with`` for a handle.
 
@@ -87,9 +90,14 @@ class ActionClient(Generic[G, R, F]):
             goal_id: 16 bytes or a UUID; left out, a new one.
             feedback_callback: A plain function, called with each feedback message while the server
                 publishes it. If it raises, the exception is logged and nothing else happens.
+            reattach: If the server goes away, wait so long (s, event loop time) for it to return,
+                and go on with the goal. Useful for servers with a journal, which still have the
+                goal after a restart. The handle of a goal of a server in this process ends with
+                the server.
 
         Raises:
-            InvalidOption: if the ``feedback_callback`` is a coroutine function.
+            InvalidOption: if the ``feedback_callback`` is a coroutine function, or ``reattach`` is
+                not a number.
             InvalidGoal: (when awaited or entered) if a value does not fit its type. Nothing was
                 sent.
             ServerUnavailable: if nobody serves the action.
@@ -103,7 +111,10 @@ class ActionClient(Generic[G, R, F]):
             raise InvalidOption("feedback_callback", problem)
         named = None if goal_id is None else goal_id_bytes(goal_id)
         on_feedback = cast("OnFeedback | None", feedback_callback)  # called with the action's class
-        order = GoalOrder(goal, self, self._cancel_timeout, named, on_feedback)
+        check_timeout(reattach, "reattach", may_be_none=False)
+        if reattach and named is None:  # the goal must be found again by it
+            named = new_goal_id()
+        order = GoalOrder(goal, self, self._cancel_timeout, named, on_feedback, reattach)
         caller = sys._getframe(1)
         return SendGoal(self, order, caller.f_code, caller.f_lasti)
 
@@ -195,9 +206,34 @@ class ActionClient(Generic[G, R, F]):
         """Send a goal and wait for its result."""
         server = await self._find_server()
         goal = await server.run_goal(order)
+        while order.reattach and isinstance(goal.error, ServerUnavailable):
+            server, goal = await self._reattach(order, goal.error)
+            try:
+                await server.wait_for_end(goal)
+            except anyio.get_cancelled_exc_class():
+                await cancel_and_wait(server, goal, order.cancel_timeout)
+                raise
         if goal.status is GoalStatus.SUCCEEDED:
             return cast("R", goal.result)
         raise failure(goal)
+
+    async def _reattach(
+        self, order: GoalOrder, error: ServerUnavailable
+    ) -> tuple[GoalServer, Goal]:
+        """Attach to a goal of this process whose server has gone, when the server is back.
+
+        Servers in other processes are waited for by `RemoteActionServer`.
+        """
+        if self._server is self._remote:
+            raise error
+        with anyio.move_on_after(order.reattach):
+            await wait_until_served(self._endpoints.transport, self._find, None)
+        server = await self._find_server()
+        goal = await server.attach(goal_id_bytes(order.goal_id or b""))
+        if goal is None:
+            raise UnknownGoal(f"the server of '{self.name}' is back, but does not hold the goal")
+        goal.on_feedback = goal.on_feedback or order.on_feedback
+        return server, goal
 
     async def _enter(self, order: GoalOrder) -> GoalReader:
         """Send a goal and wait until it is accepted."""

@@ -59,6 +59,12 @@ BACK_WITHIN: Final = 0.5
 ATTEMPTS: Final = 3
 """How often to ask for a goal's result if the server seems to have returned."""
 
+SETTLED: Final = 1.0
+"""A server that has left a request open for so long has returned (s, event loop time)."""
+
+PAUSE: Final = 0.1
+"""The pause between two attempts to reattach to a server that can be seen but does not answer."""
+
 CLOSING: Final = 5.0
 """How long a closing client waits for its tasks, all of which can be cancelled (s)."""
 
@@ -84,6 +90,7 @@ class RemoteGoal:
         is_awaited: Whether somebody waits for its acceptance.
         is_observed: Whether observers have heard of it.
         received: How many feedback messages have arrived.
+        reattach: How long to wait for a server that has gone to return (s, event loop time).
         sent: The request that sends the goal, while it is under way without a task.
         asked: The request for its result, while it is under way without a task.
         task: The task that follows the goal, if there is one.
@@ -99,6 +106,7 @@ class RemoteGoal:
         "is_observed",
         "is_sender",
         "log",
+        "reattach",
         "received",
         "sent",
         "task",
@@ -115,6 +123,7 @@ class RemoteGoal:
         self.is_awaited = False
         self.is_observed = False
         self.received = 0
+        self.reattach = 0.0
         self.sent: PendingCall | None = None
         self.asked: PendingCall | None = None
         self.task: Cancelable | None = None
@@ -151,8 +160,12 @@ class RemoteGoals:
 
     # called by the client
 
-    def send(self, goal: Goal) -> RemoteGoal:
+    def send(self, goal: Goal, reattach: float = 0.0) -> RemoteGoal:
         """Send a goal and follow it.
+
+        Args:
+            goal: The goal.
+            reattach: How long to wait for a server that has gone to return (s, event loop time).
 
         Raises:
             InvalidMessage: if a value does not fit its type. Nothing was sent.
@@ -160,6 +173,7 @@ class RemoteGoals:
         if not self._endpoints.is_open:
             self.open()
         remote = RemoteGoal(goal, is_sender=True)
+        remote.reattach = reattach
         is_under_way = self._send_both(remote)
         self.by_id[remote.goal_id] = remote
         if not is_under_way:
@@ -326,22 +340,32 @@ class RemoteGoals:
             GoalRejected: if the server rejects it.
             ServerUnavailable: if nobody serves the action, or the server goes away.
         """
-        sent, remote.sent = remote.sent, None
-        if sent is None:
-            goal_id, goal = UUID(remote.goal_id), cast("Any", remote.goal.request)
-            request = self._endpoints.implied.send_goal.Request(goal_id, goal)
-            self._accept(remote, await self._endpoints.ask_for_goal(request))
-        else:
-            self._accept(remote, await sent.reply())
+        patience = _Patience(self._endpoints, remote.reattach)
+        while True:
+            sent, remote.sent = remote.sent, None
+            try:
+                if sent is None:
+                    goal_id, goal = UUID(remote.goal_id), cast("Any", remote.goal.request)
+                    request = self._endpoints.implied.send_goal.Request(goal_id, goal)
+                    reply = await self._endpoints.ask_for_goal(request)
+                else:
+                    reply = await sent.reply()
+            except ServerUnavailable as error:
+                if not remote.reattach:  # the goal may have been accepted: it must not run twice
+                    raise
+                await patience.wait_for_return(error)
+            else:
+                self._accept(remote, reply)
+                return
 
     async def _wait_for_result(self, remote: RemoteGoal) -> Reply:
         """Wait for the server to report the end of a goal.
 
         Raises:
             UnknownGoal: if the server does not hold it.
-            ServerUnavailable: if the server goes away and does not return at once.
+            ServerUnavailable: if the server goes away and does not return in time.
         """
-        lost = list[ServerUnavailable]()
+        patience = _Patience(self._endpoints, remote.reattach)
         while True:
             asked, remote.asked = remote.asked, None
             try:
@@ -353,25 +377,19 @@ class RemoteGoals:
             except ServiceTimeout:  # the goal takes longer than the transport's timeout
                 continue
             except ServerUnavailable as error:
-                lost.append(error)
-                if len(lost) == ATTEMPTS or not await self._is_back():
-                    raise lost[0] from None
+                await patience.wait_for_return(error)
+                if remote.is_abandoned:
+                    await self.cancel(remote.goal_id, 0)
                 continue
             if self._has_ended(reply):
                 return reply
             if asked is None:
                 name, goal = self._endpoints.name, remote.goal
-                if lost:
+                if patience.has_lost:
                     what = f"its server went away, and the next server of '{name}' lacks it"
                     raise UnknownGoal(f"{goal.hex}: {what}")
                 raise UnknownGoal(f"'{name}' holds no goal {goal.hex}, or no longer holds it")
             self._endpoints.takes_both = False
-
-    async def _is_back(self) -> bool:
-        """Whether the server was unreachable only for a moment."""
-        with anyio.move_on_after(BACK_WITHIN):
-            await self._endpoints.wait_until_served()
-        return self._endpoints.send_goal.is_served
 
     async def _wait_for_feedback(self, remote: RemoteGoal, count: int) -> None:
         """Wait for feedback that was published before the result but has not arrived yet."""
@@ -537,3 +555,48 @@ class RemoteGoals:
         if key in self._running:  # an eager task may already have ended
             self._running[key] = task
         return task
+
+
+class _Patience:
+    """Decides whether a request is sent again after its server has gone.
+
+    Without ``reattach``, the server may have been unreachable only for a moment. It is waited for
+    once, and asked `ATTEMPTS` times. With it, each absence may last ``reattach`` seconds.
+
+    Args:
+        endpoints: The client's endpoints.
+        reattach: How long to wait for the server to return (s, event loop time); 0 for a moment.
+    """
+
+    def __init__(self, endpoints: ClientEndpoints, reattach: float) -> None:
+        self._endpoints = endpoints
+        self._reattach = reattach
+        self._lost: list[ServerUnavailable] = []
+        self._asked = anyio.current_time()
+        self._until = 0.0
+
+    @property
+    def has_lost(self) -> bool:
+        """Whether the server has gone since the goal was sent."""
+        return bool(self._lost)
+
+    async def wait_for_return(self, error: ServerUnavailable) -> None:
+        """Wait until the request can be sent again.
+
+        Raises:
+            ServerUnavailable: the first error of this absence, if the server stays away.
+        """
+        now, lost = anyio.current_time(), self._lost
+        if self._reattach and now - self._asked > SETTLED:
+            lost.clear()
+        if not lost:
+            self._until = now + (self._reattach or BACK_WITHIN)
+        lost.append(error)
+        is_last = now >= self._until if self._reattach else len(lost) == ATTEMPTS
+        with anyio.move_on_after(self._until - now):
+            if self._reattach and len(lost) > 1:
+                await anyio.sleep(PAUSE)
+            await self._endpoints.wait_until_served()
+        if is_last or not self._endpoints.send_goal.is_served:
+            raise lost[0] from None
+        self._asked = anyio.current_time()

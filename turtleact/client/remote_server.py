@@ -115,7 +115,7 @@ class RemoteActionServer:
         if on_feedback is not None:  # runs in the sender's context, not the topic's
             on_feedback = partial(copy_context().run, on_feedback)  # type: ignore[call-arg]
         goal = Goal(message, 0, id=goal_id, on_feedback=on_feedback, sender=order.sender)
-        return self._goals.send(goal)
+        return self._goals.send(goal, order.reattach)
 
     async def _abandon(self, remote: RemoteGoal, timeout: float) -> None:
         """Cancel a goal whose sender was cancelled, and wait for its end; never raises.
@@ -131,6 +131,7 @@ class RemoteActionServer:
                     await self.cancel_goal(remote.goal)
                 await self.wait_for_end(remote.goal)
             except TurtleactError as error:
+                remote.is_abandoned = True  # if the server returns
                 logger.info("goal %s could not be canceled: %s", remote.goal.hex, error)
             except Exception:
                 logger.exception("goal %s could not be canceled", remote.goal.hex)

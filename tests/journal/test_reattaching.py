@@ -1,0 +1,202 @@
+"""Clients that wait for a server to return, and go on with their goals."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import anyio
+import anyio.to_thread
+import pytest
+
+import turtleact
+from turtleact.client import remote_goals
+from turtleact.errors import InvalidOption, ServerUnavailable, UnknownGoal
+from turtleact.transports import MemoryTransport, open_zenoh
+
+from ..client.test_remote_server import Apart
+from ..lab import Count, Gate, feedback, goal, result, running, settle
+
+PROGRAM = Path(__file__).with_name("durable_server.py")
+
+
+class Server:
+    """A server in a process of its own."""
+
+    def __init__(self, address: str, path: Path) -> None:
+        self._command = [sys.executable, "-m", "tests.journal.durable_server", address, str(path)]
+        self._process: subprocess.Popen[str] | None = None
+
+    async def start(self) -> None:
+        self._process = subprocess.Popen(self._command, stdout=subprocess.PIPE, text=True)
+        stdout = self._process.stdout
+        assert stdout is not None
+        assert await anyio.to_thread.run_sync(stdout.readline) == "ready\n"
+
+    def kill(self, number: int = signal.SIGKILL) -> None:
+        process = self._process
+        assert process is not None
+        process.send_signal(number)
+        process.communicate()
+
+
+@asynccontextmanager
+async def remote(
+    tmp_path: Path,
+) -> AsyncIterator[tuple[Server, turtleact.ActionClient[Any, Any, Any]]]:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    server = Server(address, tmp_path / "goals.db")
+    await server.start()
+    quick = {"connect/retry": {"period_init_ms": 50, "period_max_ms": 50}}
+    try:
+        async with (
+            open_zenoh([address], listen=[], config=quick) as transport,
+            turtleact.open_node("client", transport=transport) as node,
+        ):
+            yield server, node.action_client(Count, "count")
+    finally:
+        server.kill()
+
+
+@pytest.mark.loops("asyncio")
+async def test_goals_go_on_when_their_server_is_killed_and_started_again(tmp_path):
+    async with remote(tmp_path) as (server, client):
+        seen = list[int]()
+        is_back = anyio.Event()
+
+        async def follow() -> Count.Result:
+            async with client.send_goal(goal(150), reattach=30.0) as handle:
+                async for feedback in handle:
+                    seen.append(len(feedback.so_far))
+                    if len(seen) == 10:
+                        is_back.set()
+                done: Count.Result = await handle.result()
+                return done
+
+        async with (
+            running(follow) as followed,
+            running(lambda: client.send_goal(goal(150), reattach=30.0)) as awaited,
+        ):
+            await is_back.wait()
+            server.kill()
+            await server.start()
+        everything = result(*range(150))
+        assert (followed.error, awaited.error) == (None, None)
+        assert (followed.value, awaited.value) == (everything, everything)
+        assert seen == sorted(set(seen))  # in order, without repeats
+
+
+# --- servers in the same process, or seen by messages alone -------------------------------------
+
+
+class Restarted:
+    """A node that serves with a journal, and that can be restarted."""
+
+    def __init__(self, transport: MemoryTransport, path: Path, execute: Any) -> None:
+        self._transport = transport
+        self._path = path
+        self._execute = execute
+
+    @asynccontextmanager
+    async def serving(self, **options: Any) -> AsyncIterator[None]:
+        options = {"on_restart": "resume", **options}
+        async with (
+            turtleact.open_journal(self._path) as journal,
+            turtleact.open_node("far", transport=self._transport) as node,
+        ):
+            node.action_server(Count, "count", self._execute, journal=journal, **options)
+            yield
+
+
+@pytest.mark.parametrize("see", [lambda graph: graph, Apart], ids=["in process", "by messages"])
+async def test_an_awaited_goal_survives_a_restart(tmp_path, see: Callable[[MemoryTransport], Any]):
+    gate, transport = Gate(), MemoryTransport()
+    restarted = Restarted(transport, tmp_path / "goals.db", gate.stream)
+    async with turtleact.open_node("near", transport=see(transport)) as node:
+        client = node.action_client(Count, "count")
+        async with anyio.create_task_group() as group:
+            async with restarted.serving():
+                results, seen = list[object](), list[object]()
+
+                async def send() -> None:
+                    sent = client.send_goal(goal(), reattach=30.0, feedback_callback=seen.append)
+                    results.append(await sent)
+
+                group.start_soon(send)
+                await gate.started.wait()
+            async with restarted.serving():
+                gate.opened.set()
+                while not results:
+                    await settle()
+        assert results == [result(3)]
+        if see is Apart:  # the new server has published before a client in its process can attach
+            assert seen == [feedback(0), feedback(0)]
+
+
+async def test_a_server_that_stays_away_is_given_up(tmp_path):
+    gate, transport = Gate(), MemoryTransport()
+    restarted = Restarted(transport, tmp_path / "goals.db", gate.wait)
+    near: Any = Apart(transport)
+    async with turtleact.open_node("near", transport=near) as node:
+        client = node.action_client(Count, "count")
+        async with running(lambda: client.send_goal(goal(), reattach=0.01)) as sent:
+            pass
+        assert isinstance(sent.error, ServerUnavailable)
+        async with anyio.create_task_group() as group:
+            errors = list[Exception]()
+
+            async def send() -> None:
+                try:
+                    await client.send_goal(goal(), reattach=0.01)
+                except ServerUnavailable as error:
+                    errors.append(error)
+
+            async with restarted.serving():
+                group.start_soon(send)
+                await gate.started.wait()
+        assert len(errors) == 1
+
+
+@pytest.mark.parametrize("see", [lambda graph: graph, Apart], ids=["in process", "by messages"])
+async def test_a_server_that_returns_without_the_goal_is_told(tmp_path, see, monkeypatch):
+    gate, transport = Gate(), MemoryTransport()
+    first = Restarted(transport, tmp_path / "goals.db", gate.wait)
+    second = Restarted(transport, tmp_path / "others.db", gate.wait)
+    async with turtleact.open_node("near", transport=see(transport)) as node:
+        client = node.action_client(Count, "count")
+        errors = list[Exception]()
+
+        async def send() -> None:
+            try:
+                await client.send_goal(goal(), reattach=30.0)
+            except UnknownGoal as error:
+                errors.append(error)
+
+        async with anyio.create_task_group() as group:
+            async with first.serving():
+                group.start_soon(send)
+                await gate.started.wait()
+            async with second.serving():
+                while not errors:
+                    await settle()
+    assert len(errors) == 1
+
+
+async def test_reattach_is_a_number():
+    async with turtleact.open_node("near") as node:
+        client = node.action_client(Count, "count")
+        with pytest.raises(InvalidOption, match="'reattach'"):
+            client.send_goal(goal(), reattach="long")  # type: ignore[arg-type]
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch) -> None:
+    monkeypatch.setattr(remote_goals, "PAUSE", 0.001)
