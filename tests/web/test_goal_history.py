@@ -34,8 +34,8 @@ def ids(history: GoalHistory, since: int) -> list[int]:
 
 def test_only_what_has_changed_is_told_the_latest_change_first():
     kept, one, two = history(), record(1), record(2)
-    kept.add(one)
-    kept.add(two)
+    kept.change(one)
+    kept.change(two)
     assert ids(kept, 0) == [2, 1]
     kept.change(one)
     assert ids(kept, 2) == [1]
@@ -46,7 +46,7 @@ def test_the_last_goals_that_have_ended_are_kept_and_the_others_are_told_as_drop
     kept = history()
     for id in range(1000):
         each = record(id)
-        kept.add(each)
+        kept.change(each)
         kept.end(each, "SUCCEEDED", 3.0)
     assert ids(kept, 0) == list(reversed(range(1000 - MOST_ENDED, 1000)))
     last = kept.find(f"{999:032x}")
@@ -60,7 +60,7 @@ def test_a_page_that_has_missed_too_much_is_told_to_ask_for_everything():
     kept = history()
     for id in range(3000):
         each = record(id)
-        kept.add(each)
+        kept.change(each)
         kept.end(each, "ABORTED")
     assert not kept.since(1).is_complete
 
@@ -68,7 +68,7 @@ def test_a_page_that_has_missed_too_much_is_told_to_ask_for_everything():
 def test_running_goals_are_bounded_too():
     kept = history()
     for id in range(MOST_ACTIVE + 5):
-        kept.add(record(id))
+        kept.change(record(id))
     assert len(kept) == MOST_ACTIVE
     assert kept.find(f"{0:032x}") is None
 
@@ -77,7 +77,7 @@ def test_a_record_tells_how_its_goal_ended():
     kept, rejected, ended = history(), record(1), record(2)
     kept.end(rejected, REJECTED)
     ended.take(RotateAbsolute.Feedback(1.5), 2.0)
-    kept.add(ended)
+    kept.change(ended)
     kept.end(ended, "SUCCEEDED", 3.5)
     assert rejected.plain()["duration"] is None
     plain = ended.plain()

@@ -141,7 +141,7 @@ async def test_the_page_connects_again_by_itself_and_says_so(devtools):
         assert await page.run("$('do-send').disabled")
         async with open_web(node, port=web.port):
             await page.until("$('line').textContent === 'connected'")
-            await page.until("document.querySelector('#active .pill')?.textContent === 'executing'")
+            await page.until("document.querySelector('#active .foot button:enabled')")
             await page.click("#active .foot button")
             assert (await handle.outcome()).status.name == "CANCELED"
 

@@ -8,11 +8,12 @@ import anyio
 import pytest
 
 import turtleact
-from turtleact import Abort
+from turtleact import Abort, GoalResponse
 from turtleact.app import open_world
 from turtleact.interfaces.standard import Empty, SetPen, TurtlePose
 from turtleact.transports import MemoryTransport
 from turtleact.web import open_bridge
+from turtleact.web.goal_history import MOST_ACTIVE, MOST_ENDED
 from turtleact.web.watching import MOST_FOLLOWED
 
 from ..lab import Count, Gate, count, goal, settle
@@ -164,6 +165,37 @@ async def test_a_page_gets_what_is_new_and_waits_for_it():
         assert (news["is_whole"], "graph" in news) == (False, False)
         assert [each["status"] for each in news["goals"]] == ["SUCCEEDED"]
         assert news["revision"] > first["revision"]
+
+
+async def test_a_page_that_has_missed_too_much_gets_everything_and_so_does_a_new_one():
+    async with bridged() as (node, bridge), line(bridge) as client:
+
+        def refuse(goal: Count.Goal) -> GoalResponse:
+            return GoalResponse.REJECT
+
+        node.action_server(Count, "count", count, goal_callback=refuse)
+        first = await watch(client)
+        for id in range(2 * MOST_ENDED + MOST_ACTIVE + 1):
+            client.say("send_action_goal", id=id, action="/count", action_type=TYPE)
+            assert not (await client.hear())["result"]
+        known = {"session": first["session"], "since": first["revision"]}
+        for news in await watch(client, **known), await watch(client):
+            assert (news["is_whole"], len(news["goals"])) == (True, MOST_ENDED)
+
+
+async def test_a_goal_that_was_dropped_is_not_taken_up_again():
+    async with bridged() as (node, bridge), line(bridge) as client:
+        node.action_server(Count, "count", count)
+        await watch(client)
+        sender = node.action_client(Count, "count")
+        for _ in range(MOST_ENDED + 5):
+            await sender.send_goal(goal(0))
+        await settle()
+        last = await watch(client)
+        await sender.send_goal(goal(0))
+        await settle()
+        news = await watch(client, session=last["session"], since=last["revision"])
+        assert (len(news["goals"]), len(news["dropped"])) == (1, 1)
 
 
 async def test_a_page_of_a_server_before_this_one_gets_everything():

@@ -142,28 +142,28 @@ class GoalHistory:
 
     def __init__(self, revise: Callable[[], int]) -> None:
         self._revise = revise
-        self._records: dict[str, GoalRecord] = {}
+        self._active: dict[str, GoalRecord] = {}
+        self._ended: dict[str, GoalRecord] = {}
         self._dropped: deque[tuple[int, str]] = deque(maxlen=MOST_ENDED + MOST_ACTIVE)
         self._forgotten = 0  # the revision up to which dropped goals are not remembered
 
     def __len__(self) -> int:
-        return len(self._records)
+        return len(self._active) + len(self._ended)
 
     def find(self, id: str) -> GoalRecord | None:
         """The record of a goal, if it is kept."""
-        return self._records.get(id)
-
-    def add(self, record: GoalRecord) -> None:
-        """Keep a new goal; the oldest ones are dropped if there are too many."""
-        self.change(record)
-        self._bound()
+        return self._active.get(id) or self._ended.get(id)
 
     def change(self, record: GoalRecord) -> None:
-        """Note that a record has changed."""
+        """Note that a record is new or has changed; the oldest is dropped if there are too many."""
         # Taken out and put in again, so that the record changed last is the last one.
-        self._records.pop(record.id, None)
+        self._active.pop(record.id, None)
+        self._ended.pop(record.id, None)
         record.revision = self._revise()
-        self._records[record.id] = record
+        kept, most = (self._ended, MOST_ENDED) if record.has_ended else (self._active, MOST_ACTIVE)
+        kept[record.id] = record
+        if len(kept) > most:
+            self._drop(kept)
 
     def end(self, record: GoalRecord, status: str, now: float | None = None) -> None:
         """Note the end of a goal.
@@ -178,20 +178,21 @@ class GoalHistory:
         if now is not None:
             record.duration = round(now - record.accepted, 3)
         self.change(record)
-        self._bound()
 
     def since(self, revision: int) -> Changes:
         """What has changed after a revision."""
-        newest_first = reversed(self._records.values())
-        goals = list(takewhile(lambda record: record.revision > revision, newest_first))
+        goals: list[GoalRecord] = []
+        for kept in (self._active, self._ended):
+            newest_first = reversed(kept.values())
+            goals += takewhile(lambda record: record.revision > revision, newest_first)
+        goals.sort(key=lambda record: -record.revision)
         dropped = [id for when, id in self._dropped if when > revision]
         return Changes(goals, dropped, is_complete=revision >= self._forgotten)
 
-    def _bound(self) -> None:
-        for has_ended, most in ((True, MOST_ENDED), (False, MOST_ACTIVE)):
-            alike = [each for each in self._records.values() if each.has_ended is has_ended]
-            for record in alike[: max(0, len(alike) - most)]:
-                del self._records[record.id]
-                if len(self._dropped) == self._dropped.maxlen:
-                    self._forgotten = self._dropped[0][0]
-                self._dropped.append((self._revise(), record.id))
+    def _drop(self, kept: dict[str, GoalRecord]) -> None:
+        """Drop the goal that has not changed for the longest time."""
+        id = next(iter(kept))
+        del kept[id]
+        if len(self._dropped) == self._dropped.maxlen:
+            self._forgotten = self._dropped[0][0]
+        self._dropped.append((self._revise(), id))

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 import secrets
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Container
 from contextlib import AbstractAsyncContextManager
 from typing import Any, Final, Protocol, TypeAlias
 
@@ -205,7 +205,7 @@ class Watch:
 
     def _news(self, since: int) -> Values:
         changes = self.history.since(since)
-        if not changes.is_complete:
+        if since and not changes.is_complete:
             return self._news(0)
         news = {
             "session": self._session,
@@ -275,11 +275,22 @@ class Watch:
 
     # goals
 
-    def _take_statuses(self, action: tuple[str, str], message: GoalStatusArray) -> None:
-        """Take what an action says about its goals."""
+    def _take_statuses(
+        self, action: tuple[str, str], message: GoalStatusArray, known: Container[str]
+    ) -> None:
+        """Take what an action says about its goals.
+
+        Args:
+            action: The name and the type of the action.
+            message: What it says.
+            known: The goals that it has told of before. Those of them that the history has dropped
+                are not taken up again.
+        """
         for each in message.status_list:
             id = bytes(each.goal_info.goal_id.uuid).hex()
             record, status = self.history.find(id), status_of(each.status)
+            if record is None and id in known:
+                continue
             if record is None:
                 stamp = nanoseconds(each.goal_info.stamp) / 1e9
                 record = self._new_record(id, action, stamp, status)
@@ -302,7 +313,7 @@ class Watch:
         record.request = self._requests.pop(id, None)
         record.status = status.name
         record.has_ended = status.is_terminal
-        self.history.add(record)
+        self.history.change(record)
         return record
 
     def _set_status(self, record: GoalRecord, status: GoalStatus) -> None:
@@ -364,16 +375,17 @@ class _Action:
     Args:
         node: Subscribes to its status.
         key: Its name and type.
-        take: Called with each message about its goals.
+        take: Called with each message about its goals, and those that it has told of before.
     """
 
     def __init__(
         self,
         node: Node,
         key: tuple[str, str],
-        take: Callable[[tuple[str, str], GoalStatusArray], None],
+        take: Callable[[tuple[str, str], GoalStatusArray, Container[str]], None],
     ) -> None:
         self._key = key
+        self._known: set[str] = set()
         self._take = take
         topic = f"{key[0]}/_action/status"
         self._statuses = node.subscription(GoalStatusArray, topic, STATUS_QOS)
@@ -391,7 +403,9 @@ class _Action:
     async def _read(self) -> None:
         # Only the newest message is kept, as each has all goals: under load, some are skipped.
         async for message in self._statuses:
-            self._take(self._key, message)
+            self._take(self._key, message, self._known)
+            held = message.status_list
+            self._known = {bytes(each.goal_info.goal_id.uuid).hex() for each in held}
 
 
 async def _form(args: Values) -> Values:

@@ -23,6 +23,7 @@ export class Goals {
     watch.addEventListener("goal", ({detail}) => this.#show(detail));
     watch.addEventListener("dropped", ({detail}) => this.#remove(detail));
     watch.addEventListener("time", () => this.#tick());
+    watch.connection.addEventListener("down", () => this.#tick());
   }
 
   #show({goal, before, isNews}) {
@@ -107,7 +108,6 @@ class Card {
   show(goal) {
     this.goal = goal;
     setPill(this.head.pill, goal.status);
-    this.cancel.disabled = !["ACCEPTED", "EXECUTING"].includes(goal.status);
     const progress = progressOf(goal), facts = {}, turtle = turtleOf(goal, this.goals.names());
     if (turtle) facts.turtle = turtle;
     if (progress?.of) facts.reached = `${progress.done} of ${progress.of}`;
@@ -119,6 +119,7 @@ class Card {
   }
 
   tick(goal) {
+    this.cancel.disabled = !this.goals.watch.connection.isUp || !["ACCEPTED", "EXECUTING"].includes(goal.status);
     setText(this.head.clock, seconds(Math.max(0, this.goals.watch.time() - goal.accepted)));
   }
 

@@ -4,7 +4,7 @@ import {$, make, setText} from "./elements.js";
 import {kindOf} from "./goals.js";
 import {seconds} from "./values.js";
 
-const MOST_ROWS = 4;
+const MOST_ROWS = 3;
 const SPANS = [30, 60, 120, 300, 600, 1800, 3600]; // s
 
 export class Timeline {

@@ -19,8 +19,8 @@ export function seconds(value) {
   return `${Math.floor(value / 60)}:${String(Math.floor(value % 60)).padStart(2, "0")} min`;
 }
 
-export const timeOfDay = at =>
-  new Date(at * 1000).toLocaleTimeString([], {hour: "2-digit", minute: "2-digit", hourCycle: "h23"});
+const CLOCK = new Intl.DateTimeFormat([], {hour: "2-digit", minute: "2-digit", hourCycle: "h23"});
+export const timeOfDay = at => CLOCK.format(at * 1000);
 
 const isObject = value => value !== null && typeof value === "object" && !Array.isArray(value);
 
