@@ -128,10 +128,11 @@ async def test_a_closed_node_makes_no_timer_and_lets_none_tick():
 
 
 async def test_two_tasks_cannot_wait_for_one_timer():
-    async with lab() as node, anyio.create_task_group() as tasks:
+    transport = MemoryTransport(VirtualClock())  # nobody drives it
+    async with anyio.create_task_group() as tasks, open_node("lab", transport=transport) as node:
         timer = node.every(1.0)
-        tasks.start_soon(anext, timer)
-        await anyio.lowlevel.checkpoint()
+        tasks.start_soon(anext, timer, None)
+        await wait_until_idle()
         with pytest.raises(TurtleactError, match="another task waits for this timer"):
             await anext(timer)
 
