@@ -78,15 +78,8 @@ if TYPE_CHECKING:
         load_service,
     )
     from turtleact.journal import Journal, JournalError, open_journal
-    from turtleact.node import (
-        ActionServer,
-        Node,
-        Parameter,
-        ServerGoalHandle,
-        Tick,
-        Timer,
-        open_node,
-    )
+    from turtleact.node import ActionServer, Node, ServerGoalHandle, Tick, Timer, open_node
+    from turtleact.node.parameters import Parameter
     from turtleact.parameters import parameter
     from turtleact.services import ServiceClient, ServiceServer
     from turtleact.topics import Publisher, Subscription
@@ -200,7 +193,8 @@ _HOMES = {
         "load_service",
     ),
     "journal": ("Journal", "JournalError", "open_journal"),
-    "node": ("ActionServer", "Node", "Parameter", "ServerGoalHandle", "Tick", "Timer", "open_node"),
+    "node": ("ActionServer", "Node", "ServerGoalHandle", "Tick", "Timer", "open_node"),
+    "node.parameters": ("Parameter",),
     "parameters": ("parameter",),
     "services": ("ServiceClient", "ServiceServer"),
     "topics": ("Publisher", "Subscription"),

@@ -28,7 +28,8 @@ from turtleact.interfaces.standard import (
     Time,
 )
 from turtleact.interfaces.standard import Parameter as Message
-from turtleact.node import Node, Parameter
+from turtleact.node import Node
+from turtleact.node.parameters import Parameter
 from turtleact.tasks import wait_until_idle
 from turtleact.topics import Subscription
 from turtleact.transports import MemoryTransport

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.targets import Found, Modules
-    from turtleact.node import ActionServer, Node, Parameter
+    from turtleact.node import ActionServer, Node
+    from turtleact.node.parameters import Parameter
 
 __all__ = ["Reloader", "Watch"]
 

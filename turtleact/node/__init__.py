@@ -6,13 +6,11 @@ the node. `conflicts` ensures that only one node serves an action name.
 """
 
 from turtleact.node.node import ActionServer, Node, ServerGoalHandle, Transition, open_node
-from turtleact.node.parameters import Parameter
 from turtleact.node.timers import Tick, Timer
 
 __all__ = [
     "ActionServer",
     "Node",
-    "Parameter",
     "ServerGoalHandle",
     "Tick",
     "Timer",

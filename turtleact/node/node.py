@@ -12,7 +12,7 @@ import math
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import AbstractContextManager, asynccontextmanager
 from functools import partial
-from typing import Any, Generic, TypeAlias, TypeVar, Unpack, cast, get_args, overload
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, Unpack, cast, get_args, overload
 
 import anyio
 
@@ -24,14 +24,11 @@ from turtleact.errors import InvalidOption, InvalidParameter, TurtleactError
 from turtleact.goal import Goal, GoalStatus
 from turtleact.graph import Graph, graph_of
 from turtleact.interfaces import Action, Message, Service, WireFormat
-from turtleact.interfaces.standard import ParameterEvent
 from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
 from turtleact.node.conflicts import OnConflict, Rivals
-from turtleact.node.parameters import EVENTS_QOS, NodeParameters, Parameter
 from turtleact.node.resources import Resources
 from turtleact.node.timers import Timer
 from turtleact.observers import GoalObserver
-from turtleact.parameters import Bounds, ParameterDeclaration, Value, parameter
 from turtleact.server.endpoints import ActionEndpoints
 from turtleact.server.execution import CURRENT_GOAL, Execution, Served
 from turtleact.server.goal_handle import GoalHandle
@@ -50,13 +47,17 @@ from turtleact.transports.base import Closeable, Endpoint, EndpointKind
 
 __all__ = ["ActionServer", "Node", "ServerGoalHandle", "Transition", "open_node"]
 
+if TYPE_CHECKING:  # few nodes have parameters, and these modules take long to import
+    from turtleact.node.parameters import NodeParameters, Parameter
+    from turtleact.parameters import Bounds, ParameterDeclaration, Value
+
 logger = logging.getLogger("turtleact.server")
 
 G = TypeVar("G", bound=Message)
 R = TypeVar("R", bound=Message)
 F = TypeVar("F", bound=Message)
 M = TypeVar("M", bound=Message)
-V = TypeVar("V", bound=Value)
+V = TypeVar("V", bound="Value")
 Req = TypeVar("Req", bound=Message)
 Res = TypeVar("Res", bound=Message)
 
@@ -413,6 +414,8 @@ class Node:
                 out of range or refused; if you give only a name, and it is not declared.
             InvalidOption: if ``range`` or ``validate`` is not allowed.
         """
+        from turtleact.parameters import ParameterDeclaration, parameter
+
         self._home.check()
         if isinstance(name, ParameterDeclaration):
             return self._parameters_opened().declare_once(name)
@@ -456,6 +459,9 @@ class Node:
     def _parameters_opened(self) -> NodeParameters:
         """The node's parameters; opens their services at the first call."""
         if self._parameters is None:
+            from turtleact.interfaces.standard import ParameterEvent
+            from turtleact.node.parameters import EVENTS_QOS, NodeParameters
+
             opened = NodeParameters(
                 self.fully_qualified_name,
                 self.publisher(ParameterEvent, "/parameter_events", EVENTS_QOS),

@@ -35,7 +35,8 @@ from turtleact.topics import publish_unchecked
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from turtleact.node import Node, Parameter
+    from turtleact.node import Node
+    from turtleact.node.parameters import Parameter
     from turtleact.sim.kinematics import Hits
     from turtleact.sim.world import Pose, World
     from turtleact.topics import Publisher
