@@ -44,6 +44,9 @@ LINK = re.compile(r"(?<=\]\()(?!\w+:|#)([^)#\s]+)")
 PIPE = re.compile(r"(?<=`)\\\|(?=[^|`]*`)")
 """A bar inside code in a table: the repository's reader needs the backslash, the site shows it."""
 
+PROOFS = re.compile(r"(?<=\| )(?:`[\w/]+\.py::\w+`(?:<br>)?)+(?= \|)")
+"""A cell of a table that names tests: the site folds it, because it is longer than the others."""
+
 DRAWING = re.compile(r"^!\[(?P<text>[^\]]*)\]\((?P<path>\w+\.svg)\)$", re.MULTILINE)
 HEADING = re.compile(r"^# (.+)$", re.MULTILINE)
 
@@ -140,8 +143,16 @@ def relinked(source: str, text: str) -> str:
         return os.path.relpath(found, PurePosixPath(page).parent)
 
     parts = FENCED.split(PIPE.sub("|", text))
-    parts[::2] = [LINK.sub(lead, DRAWING.sub(_inline, part)) for part in parts[::2]]
+    for index, part in enumerate(parts[::2]):
+        parts[2 * index] = PROOFS.sub(_folded, LINK.sub(lead, DRAWING.sub(_inline, part)))
     return "".join(parts)
+
+
+def _folded(cell: re.Match[str]) -> str:
+    """A cell with the number of its tests, which shows their names on a click."""
+    count = cell[0].count("::")
+    title = f"{count} test{'s' if count > 1 else ''}"
+    return f"<details><summary>{title}</summary>{cell[0]}</details>"
 
 
 def _inline(drawing: re.Match[str]) -> str:

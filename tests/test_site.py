@@ -101,6 +101,14 @@ def test_a_bar_in_code_in_a_table_is_shown_without_its_backslash(build):
     assert build.relinked("docs/cli.md", r"| `\| head -1` |") == "| `| head -1` |"
 
 
+def test_the_tests_that_a_row_names_are_folded(build):
+    row = build.relinked(
+        "docs/complaints.md", "| a | b | `a/test_b.py::test_c`<br>`test_d.py::e` |"
+    )
+    assert row.startswith("| a | b | <details><summary>2 tests</summary>`a/test_b.py::test_c`<br>")
+    assert row.endswith("`test_d.py::e`</details> |")
+
+
 # --- pages from the source ----------------------------------------------------------------------
 
 
