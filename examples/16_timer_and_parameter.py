@@ -8,7 +8,7 @@ Prints:
     the parameter is now 2.0
     at 1.5 s: 2.0 m/s
     at 2.0 s: 2.0 m/s
-    parameter 'speed': it takes 0.0 to 2.0, not 300
+    parameter 'speed': it takes 0.0 to 2.0, not 300.0
 """
 
 import asyncio
