@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -19,6 +20,8 @@ from turtleact.commands.verbs.goals import moment
 from turtleact.commands.verbs.topic import policies
 from turtleact.errors import UsageError
 from turtleact.sim.start_poses import PLACINGS
+
+from .ttys import open_terminal, read
 
 USAGE = [
     (["send-goal"], "Missing argument 'NAME'"),
@@ -110,6 +113,13 @@ USAGE = [
     (["build"], "turtleact has no 'build': nothing has to be built or sourced"),
     (["rosdep", "install", "--from-paths", "src"], "turtleact has no 'rosdep': pip installs what"),
     (["doctor"], "turtleact has no 'doctor': 'turtleact node list' tells"),
+    (["test", "my_launch_test.py"], "turtleact has no 'test': 'python -m pytest' runs your tests"),
+    (["lifecycle", "nodes"], "has no 'lifecycle': there are no managed nodes; 'turtleact node"),
+    (["component", "list"], "turtleact has no 'component': each node is a program"),
+    (["multicast", "send"], "turtleact has no 'multicast': nodes find each other"),
+    (["security"], "turtleact has no 'security': 'turtleact serve --config FILE' controls"),
+    (["wtf"], "turtleact has no 'wtf': 'turtleact node list' tells"),
+    (["rqt_graph"], "turtleact has no 'rqt_graph': 'turtleact node list' lists the nodes"),
     (["service", "echo", "--flow-style", "/x"], "turtleact has no 'service echo': nodes"),
     (["send-goal", "x", "--embedded", "--connect", "tcp/a:1"], "is given twice"),
     (["send-goal", "x", "--speed", "2", "--connect", "tcp/a:1"], "is given twice"),
@@ -375,6 +385,31 @@ def test_help_is_printed_without_pydantic(arguments):
     )
     out = subprocess.check_output([sys.executable, "-c", code], text=True)
     assert out.splitlines()[-1] == "False"
+
+
+def test_help_has_colours_on_a_terminal_only(turtleact):
+    main, other = open_terminal(80, 24)
+    environment = {name: each for name, each in os.environ.items() if name != "NO_COLOR"}
+    subprocess.run(
+        [sys.executable, "-m", "turtleact", "--help"],
+        stdout=other,
+        env=environment | {"TERM": "xterm-256color"},
+        check=True,
+    )
+    os.close(other)
+    written = b""
+    while chunk := read(main):
+        written += chunk
+    os.close(main)
+    assert re.search(rb"\x1b\[1;36msend-goal", written)
+    assert "\x1b" not in turtleact("--help").out
+
+
+@pytest.mark.parametrize("verb", [[], ["topic"], ["send-goal"]])
+def test_help_shows_no_type_for_a_switch(turtleact, verb):
+    out = turtleact(*verb, "--help").out
+    assert "--help" in out
+    assert "bool" not in out
 
 
 def test_a_mistake_in_the_name_of_a_verb_points_to_the_help(turtleact):

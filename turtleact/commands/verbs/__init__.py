@@ -55,24 +55,31 @@ _NO_BUILD: Final = (
     "nothing has to be built or sourced; 'turtleact run --help' lists what can be run here"
 )
 
+_TEST: Final = "'python -m pytest' runs your tests"
 _ELSEWHERE: Final = {
     "bag": "'turtleact topic echo NAME --csv' prints one message per line; save them to a file",
     "build": _NO_BUILD,
     "colcon": _NO_BUILD,
     "component": "each node is a program of its own, such as 'turtleact serve'",
-    "control": "it has no controllers",
+    "control": "there are no controllers; 'turtleact action list' lists actions",
     "doctor": "'turtleact node list' tells whether a graph is in reach",
-    "extension_points": "it has no plug-ins",
-    "extensions": "it has no plug-ins",
+    "extension_points": "there are no plug-ins; 'turtleact pkg list' lists packages",
+    "extensions": "there are no plug-ins; 'turtleact pkg list' lists packages",
     "launch": "start each program in a terminal of its own, such as 'turtleact serve'",
-    "lifecycle": "it has no managed nodes",
+    "lifecycle": "there are no managed nodes; 'turtleact node list' lists all nodes",
     "multicast": "nodes find each other through a router, such as 'turtleact serve'",
     "pkg build": _NO_BUILD,
     "pkg prefix": "'turtleact pkg executables' lists what packages can run",
     "pkg xml": "'turtleact pkg executables' lists what packages can run",
+    "plugin": "there are no plug-ins; 'turtleact pkg list' lists packages",
+    "pytest": _TEST,
     "rosdep": "pip installs what Python programs need; 'turtleact pkg list' lists what is here",
     "security": "'turtleact serve --config FILE' controls who may connect",
+    "rqt": "'turtleact serve --web 9090' shows goals, topics and turtles in a browser",
+    "rqt_graph": "'turtleact node list' lists the nodes, 'turtleact node info NODE' describes one",
+    "rviz2": "'turtleact serve --web 9090' shows the turtles in a browser",
     "service echo": "nodes do not publish their service calls; use 'turtleact service call'",
+    "test": _TEST,
     "wtf": "'turtleact node list' tells whether a graph is in reach",
 }
 """Verbs of ``ros2`` that turtleact does not have, and what to use instead."""
@@ -110,6 +117,10 @@ class Verb(TyperCommand):
             _check_text(ctx, param)
         return left
 
+    def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]  # as above
+        """The options, and for switches no type in the help."""
+        return _without_type(super().get_params(ctx))
+
     def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]  # noqa: ANN401  # as above; the job
         """Make the job; report errors of our own checks as Typer reports its own."""
         try:
@@ -120,6 +131,10 @@ class Verb(TyperCommand):
 
 class Group(TyperGroup):
     """A group that knows what to use instead of verbs that only ``ros2`` has."""
+
+    def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]  # as above
+        """As in `Verb`."""
+        return _without_type(super().get_params(ctx))
 
     def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]  # noqa: ANN401  # as above
         """Find the verb; Typer suggests the nearest one if there is none of that name."""
@@ -144,7 +159,7 @@ class LazyGroup(Group):
 
     def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]  # noqa: ARG002  # as in `Group`
         """The options that `_root` declares, and those for completion."""
-        return [*self.params]
+        return _without_type([*self.params])
 
     def get_help_option(self, ctx: typer.Context) -> Any:  # type: ignore[override]  # noqa: ANN401, ARG002  # as above
         """The help option, which an error points to."""
@@ -286,6 +301,14 @@ def _daemon(what: Annotated[str, typer.Argument()] = "") -> Job:  # noqa: ARG001
     """Answer ``ros2 daemon``: turtleact has no daemon."""
     typer.echo("The daemon is not running: each command asks the graph itself")
     return partial(_exit_status, 0)
+
+
+def _without_type(params: list[Any]) -> list[Any]:
+    """The same parameters; the help shows ``<bool>`` for a switch unless it has a metavar."""
+    for param in params:
+        if getattr(param, "is_flag", False) and param.metavar is None:
+            param.metavar = ""
+    return params
 
 
 def _exit_status(status: int, _: Interrupts) -> int:
