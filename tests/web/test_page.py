@@ -162,7 +162,7 @@ async def test_a_patrol_is_sent_with_the_keyboard_alone(devtools):
                 await page.run("document.activeElement.id || document.activeElement.ariaLabel")
             )
         assert order == [
-            *("pause", "world", "nearer", "farther", "turtle"),
+            *("pause", "farther", "nearer", "world", "turtle"),
             *("Forward", "Turn left", "Backward", "Turn right"),
             *("spawn-here", "clear", "tab-goals"),
         ]

@@ -21,7 +21,7 @@ __all__ = ["FIRST_PEN", "MOST_POINTS", "Pen", "PenTrails", "Tail"]
 MOST_POINTS: Final = 2000
 """The maximum number of points of one turtle's line; the oldest are dropped."""
 
-DETOUR: Final = 0.0002
+DETOUR: Final = 0.00003
 """How much longer than the line the turtle's way may be between two points (m)."""
 
 LONGEST: Final = 0.3

@@ -211,7 +211,7 @@ export class Draft extends EventTarget {
   #changed() {
     const count = this.places().length, who = this.turtle || this.#turtle;
     const isPossible = this.#takesPlaces() || "/patrol" in this.watch.graph.actions;
-    const hint = isPossible && this.#turtle ? `Click on the map to choose places for ${who}` : "";
+    const hint = isPossible && this.#turtle ? `Choose places for ${who} on the map` : "";
     setText($("draft-text"), count ? `${count} ${count === 1 ? "place" : "places"} for ${who} · ${this.action}` : hint);
     $("draft").classList.toggle("idle", !count);
     $("draft-send").hidden = $("draft-clear").hidden = !count;

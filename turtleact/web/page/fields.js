@@ -160,7 +160,7 @@ export class List {
       this.append().focus();
       this.#changed();
     }}, `Add to ${label(field.name)}`);
-    const hint = field.fields && takesXY(field.fields) ? "Click on the map to add one." : "";
+    const hint = field.fields && takesXY(field.fields) ? "You can also choose them on the map." : "";
     const note = noteOf(plain(field.comment), limits(field), hint);
     this.element = make("fieldset", {}, make("legend", {}, label(field.name), " ", make("small", {}, note)),
       this.items, this.error, make("div", {class: "row"}, this.add));

@@ -186,10 +186,11 @@ class Line {
   }
 }
 
-// A short view of a message: its lists of places as a count, else its first fields.
+// A short view of a message: its first field, of many places only how many they are.
 function firstOf(values) {
   const [name, value] = Object.entries(values)[0] ?? [];
   if (name === undefined) return "";
-  if (Array.isArray(value) && placesIn(value).length) return `${placesIn(value).length} ${label(name)}`;
-  return typeof value === "object" ? value : `${label(name)} ${inWords(value)}`;
+  const places = Array.isArray(value) ? placesIn(value).length : 0;
+  if (places > 2) return `${places} ${label(name)}`;
+  return typeof value === "object" && !places ? value : `${label(name)} ${inWords(value)}`;
 }

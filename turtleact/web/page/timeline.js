@@ -4,7 +4,7 @@ import {$, make, setText} from "./elements.js";
 import {kindOf} from "./goals.js";
 import {seconds} from "./values.js";
 
-const MOST_ROWS = 3;
+const MOST_ROWS = 4;
 const SPANS = [30, 60, 120, 300, 600, 1800, 3600]; // s
 
 export class Timeline {
@@ -31,7 +31,7 @@ export class Timeline {
     }
     for (const name of names) this.#fill(name, shown.filter(goal => goal.action === name && endOf(goal, now) > now - span), now, span);
     $("rows").append(...names.flatMap(name => this.#rows.get(name)), this.scale);
-    setText(this.scale.firstChild, `${seconds(span)} ago`);
+    setText(this.scale.firstChild, `${inWords(span)} ago`);
     $("timeline").hidden = !names.length;
   }
 
@@ -48,8 +48,9 @@ export class Timeline {
       bar.style.left = `${(from * 100).toFixed(2)}%`;
       bar.style.width = `${Math.max(0, (to - from) * 100).toFixed(2)}%`;
     });
-    lane.setAttribute("aria-label", `${goals.length} ${goals.length === 1 ? "goal" : "goals"} of ${name} in the last ${seconds(span)}`);
+    lane.setAttribute("aria-label", `${goals.length} ${goals.length === 1 ? "goal" : "goals"} of ${name} in the last ${inWords(span)}`);
   }
 }
 
+const inWords = span => (span < 60 ? `${span} s` : `${span / 60} min`);
 const endOf = (goal, now) => (goal.has_ended ? goal.accepted + (goal.duration ?? 0) : now);
