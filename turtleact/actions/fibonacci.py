@@ -5,9 +5,9 @@ Source: ROS 2 tutorial "Writing an action server and client (Python)".
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Unpack
 
-from turtleact.body import action
+from turtleact.body import ServerOptions, action
 from turtleact.errors import Reject
 from turtleact.goal import GoalResponse
 from turtleact.interfaces.standard import ExampleFibonacci, Fibonacci
@@ -40,7 +40,8 @@ async def fibonacci(
     handle: ServerGoalHandle[Fibonacci.Goal, Fibonacci.Result, Fibonacci.Feedback],
 ) -> AsyncIterator[Fibonacci.Feedback | Fibonacci.Result]:
     """Calculate the sequence up to number ``order``, one number per second."""
-    sequence = [0, 1]
+    left = handle.resumed
+    sequence = list(left.feedback.partial_sequence) if left and left.feedback else [0, 1]
     while len(sequence) <= goal.order:
         sequence.append(sequence[-1] + sequence[-2])
         handle.set_partial_result(Fibonacci.Result(sequence=sequence))
@@ -57,7 +58,8 @@ async def example_fibonacci(
     ],
 ) -> AsyncIterator[ExampleFibonacci.Feedback | ExampleFibonacci.Result]:
     """The same sequence, served with the name and fields of example_interfaces."""
-    sequence = [0, 1]
+    left = handle.resumed
+    sequence = list(left.feedback.sequence) if left and left.feedback else [0, 1]
     while len(sequence) <= goal.order:
         sequence.append(sequence[-1] + sequence[-2])
         handle.set_partial_result(ExampleFibonacci.Result(sequence=sequence))
@@ -66,24 +68,30 @@ async def example_fibonacci(
     yield ExampleFibonacci.Result(sequence=sequence)
 
 
-def serve(node: Node, *, on_conflict: OnConflict = "refuse") -> None:
+def serve(
+    node: Node, *, on_conflict: OnConflict = "refuse", **options: Unpack[ServerOptions]
+) -> None:
     """Serve ``/fibonacci`` under both of the types that ROS 2 has for it.
+
+    After a restart, a goal in a journal continues where it stopped.
 
     Args:
         node: The node that serves it.
         on_conflict: As for `Node.action_server`.
+        **options: As for `Node.action_server`.
     """
+    options = {"goal_callback": check, **options}
     node.action_server(
         Fibonacci,
         "/fibonacci",
         fibonacci.execute,
-        goal_callback=check,
         on_conflict=on_conflict,
+        **options,
     )
     node.action_server(
         ExampleFibonacci,
         "/fibonacci",
         example_fibonacci.execute,
-        goal_callback=check,
         on_conflict=on_conflict,
+        **options,
     )

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 from turtleact.actions.steering import Limits
+from turtleact.body import ServerOptions
 from turtleact.errors import Reject
 from turtleact.goal import GoalResponse
 from turtleact.interfaces import Action, Message, float64, string
@@ -79,18 +80,26 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
         distance_remaining: float64 = 0.0
 
 
-def serve(node: Node, turtles: Turtles, *, on_conflict: OnConflict = "refuse") -> None:
+def serve(
+    node: Node,
+    turtles: Turtles,
+    *,
+    on_conflict: OnConflict = "refuse",
+    **options: Unpack[ServerOptions],
+) -> None:
     """Serve ``/go_to``.
+
+    After a restart, a goal in a journal goes on from wherever its turtle stands.
 
     Args:
         node: The node that serves it.
         turtles: The turtles that it may drive.
         on_conflict: As for `Node.action_server`.
+        **options: As for `Node.action_server`.
     """
     server = _GoTo(turtles)
-    node.action_server(
-        GoTo, "/go_to", server.execute, goal_callback=server.check, on_conflict=on_conflict
-    )
+    options = {"goal_callback": server.check, **options}
+    node.action_server(GoTo, "/go_to", server.execute, on_conflict=on_conflict, **options)
 
 
 class _GoTo:
@@ -114,29 +123,36 @@ class _GoTo:
     async def execute(
         self, goal: GoTo.Goal, handle: ServerGoalHandle[GoTo.Goal, GoTo.Result, GoTo.Feedback]
     ) -> AsyncIterator[GoTo.Feedback | GoTo.Result]:
-        clock = handle.node.clock
-        started = clock.time()
+        clock, left = handle.node.clock, handle.resumed
+        before = (left and left.partial_result) or GoTo.Result()
+        started = clock.time() - before.duration
         target = Point(x=goal.x, y=goal.y)
         theta = goal.theta if goal.heading_tolerance else None
         async with self._turtles.drive(goal.turtle, self._steering(goal)) as drive:
-            deadline, due = drive.deadline(target, theta=theta), started
-            result = GoTo.Result()
+            deadline, due = drive.deadline(target, theta=theta), clock.time()
+            result = GoTo.Result(bound=before.bound)
+
+            def note() -> None:
+                result.distance = before.distance + drive.travelled
+                result.duration = clock.time() - started
+                handle.set_partial_result(result)
+
             try:
-                result.bound = await drive.shortest_time([target], theta=theta)
+                if not result.bound:
+                    result.bound = await drive.shortest_time([target], theta=theta)
                 while not drive.has_reached(target, theta=theta):
                     if clock.time() > deadline:
                         raise drive.too_late(_missed(goal, is_there=drive.has_reached(target)))
                     if clock.time() >= due:
                         due = clock.time() + PERIOD
+                        note()
                         yield GoTo.Feedback(
                             pose=drive.pose, distance_remaining=drive.distance_to([target])
                         )
                     await drive.towards(target, theta=theta, until=min(due, deadline))
                 await drive.rest()
             finally:
-                # However it ends: a canceled or aborted goal tells how far it came.
-                result.distance, result.duration = drive.travelled, clock.time() - started
-                handle.set_partial_result(result)
+                note()  # however it ends: a canceled or aborted goal tells how far it came
         yield result
 
     def _steering(self, goal: GoTo.Goal) -> Steering:

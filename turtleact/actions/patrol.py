@@ -9,10 +9,11 @@ Source: nav2's waypoint follower for ``stop_on_failure`` and ``missed``.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 import anyio.lowlevel
 
+from turtleact.body import ServerOptions
 from turtleact.errors import Reject
 from turtleact.geometry import distance
 from turtleact.goal import GoalResponse
@@ -103,24 +104,34 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
         distance_remaining: float64 = 0.0
 
 
-def serve(node: Node, turtles: Turtles, *, on_conflict: OnConflict = "refuse") -> None:
+def serve(
+    node: Node,
+    turtles: Turtles,
+    *,
+    on_conflict: OnConflict = "refuse",
+    **options: Unpack[ServerOptions],
+) -> None:
     """Serve ``/patrol`` and ``/command_turtle``.
+
+    After a restart, a goal in a journal goes on from wherever its turtle stands, with the first
+    target whose feedback is not in the journal.
 
     Args:
         node: The node that serves them.
         turtles: The turtles that they may drive.
         on_conflict: As for `Node.action_server`.
+        **options: As for `Node.action_server`.
     """
     server = _Patrol(turtles)
-    node.action_server(
-        Patrol, "/patrol", server.execute, goal_callback=server.check, on_conflict=on_conflict
-    )
+    checks: ServerOptions = {"goal_callback": server.check, **options}
+    node.action_server(Patrol, "/patrol", server.execute, on_conflict=on_conflict, **checks)
+    checks = {"goal_callback": server.check_command, **options}
     node.action_server(
         PatrolCommandInterface,
         "/command_turtle",
         server.execute_command,
-        goal_callback=server.check_command,
         on_conflict=on_conflict,
+        **checks,
     )
 
 
@@ -194,8 +205,13 @@ class _Patrol:
         handle: ServerGoalHandle[Patrol.Goal, Patrol.Result, Patrol.Feedback],
     ) -> Patrol.Result:
         """``/patrol``."""
+        left = handle.resumed
+        result = (left and left.partial_result) or Patrol.Result()
+        # The feedback counts, since it was published: a target that the partial result names
+        # already, but no feedback, is visited again.
+        result.reached = left.feedback.reached if left and left.feedback else 0
         return await self._patrol(
-            goal, handle.node.clock, handle.publish_feedback, handle.set_partial_result
+            goal, handle.node.clock, result, handle.publish_feedback, handle.set_partial_result
         )
 
     async def execute_command(
@@ -215,25 +231,39 @@ class _Patrol:
                 handle.publish_feedback(PatrolCommandInterface.Feedback(feedback_msg=message))
 
         goal = Patrol.Goal(targets=command.targets, stop_on_failure=True)
-        await self._patrol(goal, handle.node.clock, tell, _nothing)
+        left = handle.resumed
+        reached = int(left.feedback.feedback_msg.split()[1]) if left and left.feedback else 0
+        result = Patrol.Result(reached=reached)
+        await self._patrol(goal, handle.node.clock, result, tell, _nothing)
         return PatrolCommandInterface.Result(result_msg="Patrolling complete!")
 
     async def _patrol(
         self,
         goal: Patrol.Goal,
         clock: Clock,
+        result: Patrol.Result,
         tell: Callable[[Patrol.Feedback], None],
         note: Callable[[Patrol.Result], None],
     ) -> Patrol.Result:
-        """Visit all stops and report each one; record the result, however the patrol ends."""
+        """Visit all stops and report each one; record the result, however the patrol ends.
+
+        ``result`` says what an earlier process has done of the goal.
+        """
         tour = _Tour(goal.targets, 1 + goal.loops)
-        result = Patrol.Result()
-        started = clock.time()
+        started, before = clock.time() - result.duration, result.distance
+        first = result.reached + len(result.missed)
         async with self._turtles.drive(goal.turtle, self._steering(goal)) as drive:
+
+            def record() -> None:
+                result.distance = before + drive.travelled
+                result.duration = clock.time() - started
+                note(result)
+
             try:
-                result.bound = await tour.bound(drive, goal)
+                if not result.bound:
+                    result.bound = await tour.bound(drive, goal)
                 seen = None
-                for stop in range(tour.stops):
+                for stop in range(first, tour.stops):
                     # A turtle that stands on its targets reaches all of them without waiting for
                     # a pose: a long list of such stops must not block the event loop,
                     await anyio.lowlevel.checkpoint()
@@ -245,17 +275,16 @@ class _Patrol:
                     leg = _Leg(tour, stop, drive, clock, result, tell)
                     if await leg.run():
                         result.reached += 1
+                        record()
                         leg.tell(is_reached=True)
                         continue
                     result.missed.append(tour.index(stop))
+                    record()
                     if goal.stop_on_failure:
                         raise drive.too_late(f"targets[{tour.index(stop)}]")
                 await drive.rest()
             finally:
-                # However it ends: a canceled or aborted patrol tells what it has done.
-                result.distance = drive.travelled
-                result.duration = clock.time() - started
-                note(result)
+                record()  # however it ends: a canceled or aborted patrol tells what it has done
         return result
 
     def _steering(self, goal: Patrol.Goal) -> Steering:
