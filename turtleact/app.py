@@ -11,6 +11,7 @@ from typing import TypeAlias
 
 from turtleact.actions import serve_built_ins
 from turtleact.clock import Clock, make_clock
+from turtleact.goal_journal import GoalJournal, OnRestart
 from turtleact.node import Node, Transition, open_node
 from turtleact.sim.kinematics import SIDE
 from turtleact.sim.pictures import Snapshot
@@ -80,6 +81,8 @@ async def open_world(
     graph: OpenGraph | None = None,
     on_transition: Transition | None = None,
     on_start: Callable[[Turtlesim], object] | None = None,
+    journal: GoalJournal | None = None,
+    on_restart: OnRestart = "abort",
 ) -> AsyncIterator[WorldNode]:
     """Open a world of turtles with the built-in actions, and a node to use them from.
 
@@ -100,6 +103,9 @@ async def open_world(
         on_transition: Called with each change of one of the world's goals; see
             `Node.on_transition`.
         on_start: Called with the turtles before anybody can send them commands.
+        journal: Where the goals of the built-in actions are kept; see `turtleact.open_journal`. The
+            turtles themselves start afresh.
+        on_restart: As for `Node.action_server`.
 
     Raises:
         SimError: if the speed or the number of turtles is out of range, or the placing is unknown.
@@ -125,7 +131,7 @@ async def open_world(
             actions = await stack.enter_async_context(opening)
             if on_transition is not None:
                 actions.on_transition(on_transition)
-            serve_built_ins(actions, side=SIDE)
+            serve_built_ins(actions, side=SIDE, journal=journal, on_restart=on_restart)
         name = "_turtleact" if turtlesim_only else "turtleact"  # turtlesim shows one node
         yield await stack.enter_async_context(aclosing(WorldNode(name, transport, sim)))
 

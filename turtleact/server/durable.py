@@ -174,6 +174,7 @@ class DurableGoals:
         partial_result = self._decode(self._results, record, record.partial_result)
         goal.resumed = Resumed(feedback, partial_result)
         goal.last_feedback, goal.result = feedback, partial_result
+        goal.is_streamed = True  # for a client that comes back a little later
         return goal
 
     def why_not_resumed(self, record: GoalRecord) -> str:

@@ -1,0 +1,102 @@
+"""The built-in actions after a crash: they go on where the journal's feedback says."""
+
+from __future__ import annotations
+
+import shutil
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+
+import turtleact
+from turtleact.actions.go_to import GoTo
+from turtleact.actions.patrol import Patrol
+from turtleact.interfaces import Action
+from turtleact.interfaces.standard import (
+    ExampleFibonacci,
+    Fibonacci,
+    PatrolCommandInterface,
+    Point,
+)
+
+pytestmark = pytest.mark.loops("asyncio")
+
+ID = bytes(range(16))
+TARGETS = [Point(x=x, y=y) for x, y in ((7.0, 5.5), (7.0, 8.0), (4.0, 8.0), (4.0, 5.0))]
+
+
+@asynccontextmanager
+async def world(path: Path):
+    async with (
+        turtleact.open_journal(path) as journal,
+        turtleact.open_world(speed="max", journal=journal, on_restart="resume") as node,
+    ):
+        yield node, journal
+
+
+async def crash(journal: turtleact.Journal) -> Path:
+    """What a process would find that starts after this one was killed now."""
+    await journal.written()
+    copy = journal.path.with_name("crashed.db")
+    for suffix in ("", "-wal"):
+        shutil.copy(f"{journal.path}{suffix}", f"{copy}{suffix}")
+    return copy
+
+
+async def before_and_after(tmp_path: Path, action: type[Action], name: str, goal, count: int):
+    """The feedback before a crash after ``count`` messages, that after it, and the result."""
+    before, after = [], []
+    async with (
+        world(tmp_path / "goals.db") as (node, journal),
+        node.action_client(action, name).send_goal(goal, goal_id=ID) as handle,
+    ):
+        async for feedback in handle:
+            before.append(feedback)
+            if len(before) == count:
+                crashed = await crash(journal)
+                break
+    async with (
+        world(crashed) as (node, _),
+        node.action_client(action, name).attach(ID) as handle,
+    ):
+        async for feedback in handle:
+            after.append(feedback)
+        return before, after, await handle.result()
+
+
+@pytest.mark.parametrize("count", [1, 3, 5])
+async def test_a_patrol_reaches_each_target_once(tmp_path, count):
+    goal = Patrol.Goal(targets=TARGETS, loops=1)
+    before, after, result = await before_and_after(tmp_path, Patrol, "patrol", goal, count)
+    reached = [each.index for each in (*before, *after) if each.is_reached]
+    assert reached == [0, 1, 2, 3, 0, 1, 2, 3]
+    assert (result.reached, result.missed) == (8, [])
+    assert result.distance > 15.0
+    assert result.duration >= result.bound > 0.0
+
+
+async def test_the_lectures_patrol_names_each_target_once(tmp_path):
+    goal = PatrolCommandInterface.Goal(targets=TARGETS)
+    before, after, result = await before_and_after(
+        tmp_path, PatrolCommandInterface, "command_turtle", goal, 2
+    )
+    told = [each.feedback_msg for each in (*before, *after)]
+    assert told == [f"Target {number} reached" for number in (1, 2, 3, 4)]
+    assert result.result_msg == "Patrolling complete!"
+
+
+async def test_a_goal_to_go_to_arrives(tmp_path):
+    goal = GoTo.Goal(x=9.0, y=9.0)
+    before, after, result = await before_and_after(tmp_path, GoTo, "go_to", goal, 2)
+    assert len(before) == 2
+    assert after
+    assert result.duration >= result.bound > 0.0
+
+
+@pytest.mark.parametrize("action", [Fibonacci, ExampleFibonacci])
+async def test_fibonacci_continues(tmp_path, action):
+    goal = action.Goal(order=7)
+    before, after, result = await before_and_after(tmp_path, action, "fibonacci", goal, 3)
+    numbers = [getattr(each, each.__struct_fields__[0]) for each in (*before, *after)]
+    assert [len(each) for each in numbers] == [3, 4, 5, 6, 7, 8]
+    assert list(result.sequence) == [0, 1, 1, 2, 3, 5, 8, 13]
