@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from turtleact import workspace
@@ -41,6 +43,21 @@ def test_an_interface_is_found_in_the_folder_itself(tmp_path):
 def test_a_package_is_not_looked_for_elsewhere(tmp_path, place):
     write(tmp_path / place)
     assert find_interfaces(tmp_path) == {}
+
+
+@pytest.mark.parametrize("here", ["src", "src/arm", "src/arm/arm/deeper"])
+def test_the_other_packages_of_the_same_src_are_found(tmp_path, here):
+    path = write(tmp_path / "src" / "lab")
+    nested = write(tmp_path / "src" / "repository" / "leg")
+    (tmp_path / here).mkdir(parents=True, exist_ok=True)
+    assert find_interfaces(tmp_path / here) == {"lab/action/Go": path, "leg/action/Go": nested}
+
+
+def test_a_working_directory_that_was_removed_has_nothing(tmp_path, monkeypatch):
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert find_interfaces(Path()) == {}
 
 
 def test_sources_come_before_what_was_installed(tmp_path):

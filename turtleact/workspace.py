@@ -2,6 +2,8 @@
 
 A package is found in the folder itself, one level below it, one or two levels below its ``src``,
 and where colcon would install it: ``install/PACKAGE/share/PACKAGE`` or ``install/share/PACKAGE``.
+In a folder below a ``src``, the other packages in that ``src`` are found as well.
+
 The search is bounded, so it is quick even in a home folder: it goes no deeper, looks at no more
 than `MOST_FOLDERS` folders, and opens only ``package.xml``. Folders that cannot be read are
 skipped.
@@ -54,7 +56,7 @@ def interface_files(folder: Path) -> dict[str, Path]:
     return {
         f"{package}/{kind}/{file.stem}": file
         for kind, path in kinds
-        for file in _entries(path)
+        for file in _sorted(_entries(path))
         if file.suffix == f".{kind}" and _INTERFACE.fullmatch(file.stem)
     }
 
@@ -81,12 +83,23 @@ def folders_near(root: Path) -> Iterator[Path]:
 def _folders_near(root: Path) -> Iterator[Path]:
     yield root
     yield from _folders(root)
-    for folder in _folders(root / "src"):
-        yield folder
-        yield from _folders(folder)
+    around = next((each for each in _parents(root) if each.name == "src"), None)
+    for source in (root / "src", around):
+        for folder in _folders(source) if source is not None else ():
+            yield folder
+            yield from _folders(folder)
     install = root / "install"
     for prefix in (install, *_folders(install)):
         yield from _folders(prefix / "share")
+
+
+def _parents(folder: Path) -> tuple[Path, ...]:
+    """The folders that a folder is in, nearest first, with itself; none if it is gone."""
+    try:
+        whole = folder.absolute()
+    except OSError:
+        return ()
+    return (whole, *whole.parents)
 
 
 def _folders(folder: Path) -> Iterator[Path]:
@@ -96,14 +109,19 @@ def _folders(folder: Path) -> Iterator[Path]:
     but its files are not looked at one by one.
     """
     found = [path for path in _entries(folder) if "." not in path.name]
-    return (path for path in found[:MOST_FOLDERS] if _is_folder(path))
+    return (path for path in _sorted(found)[:MOST_FOLDERS] if _is_folder(path))
 
 
 def _entries(folder: Path) -> list[Path]:
     try:
-        return sorted(folder.iterdir())
+        return list(folder.iterdir())
     except OSError:
         return []
+
+
+def _sorted(paths: list[Path]) -> list[Path]:
+    """The paths of one folder by name; paths themselves compare five times as slowly."""
+    return sorted(paths, key=lambda path: path.name)
 
 
 def _is_folder(path: Path) -> bool:

@@ -234,3 +234,12 @@ def test_the_help_of_run_lists_what_can_be_run(turtleact, here):
     assert "What can be run here" in out
     assert " lab server " in out
     assert " turtlesim turtlesim_node " in out
+
+
+def test_the_help_of_run_does_not_list_hundreds(turtleact, here):
+    scripts = "".join(f"go{number} = 'lab:main'\n" for number in range(100))
+    (here / "lab").mkdir()
+    (here / "lab" / "pyproject.toml").write_text(f"[project.scripts]\n{scripts}")
+    out = turtleact("run", "--help").out
+    assert out.count(" lab go") < 40
+    assert "more: see 'turtleact pkg executables'" in out

@@ -38,6 +38,9 @@ PROGRAMS = (
 """The programs of ROS 2 that have a counterpart here; those of other packages serve Fibonacci."""
 
 
+MOST_LISTED = 40
+"""How many programs the help lists; a sourced ROS has hundreds."""
+
 _HELP = "'turtleact run --help' lists what can be run"
 
 Package: TypeAlias = Annotated[
@@ -112,6 +115,9 @@ def runnable_here() -> dict[str, dict[str, Program | None]]:
 def _listed(known: Mapping[str, Mapping[str, object]]) -> list[str]:
     """What can be run, a line each: names that a file says could be commands to the terminal."""
     pairs = [f"{package} {name}" for package in sorted(known) for name in known[package]]
+    left_out = len(pairs) - MOST_LISTED
+    if left_out > 0:
+        pairs[MOST_LISTED:] = [f"and {left_out} more: see 'turtleact pkg executables'"]
     return [printable(pair).replace("[", r"\[") for pair in (*pairs, "FILE.py")]
 
 
