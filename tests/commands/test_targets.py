@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import sys
 from pathlib import Path
 
+import anyio
 import pytest
 
 from turtleact.commands.targets import Modules
@@ -112,6 +114,7 @@ def test_a_target_means_actions(target, found):
         ("plain.py", "'plain.py' declares no action: put @turtleact.action(TYPE, NAME) above a "),
         ("plain", "module 'plain' declares no action: put @turtleact.action(TYPE, NAME) above a b"),
         ("plain", "above a body (there are: fibonacci)"),
+        ("plain.py", "(there are: fibonacci), or run it as a program: turtleact run plain.py"),
         ("passing", "declares no action, but imports some: serve labelsewhere"),
         ("queue.py", "'queue.py' cannot be imported: another module has its name ("),
         ("a.b.py", "'a.b.py' cannot be imported: take the dots out of its name"),
@@ -225,3 +228,29 @@ def test_a_file_that_would_have_to_be_there_is_watched(folder):
     with pytest.raises(TurtleactError, match="No module named 'not_yet_there'"):
         modules.find()
     assert {folder / "targetlab.py", folder / "not_yet_there.py"} <= modules.files
+
+
+@pytest.mark.parametrize(
+    "program", ["asyncio.run(main())", "anyio.run(main)", "from asyncio import run; run(main())"]
+)
+def test_a_program_in_a_file_with_actions_is_skipped_with_a_warning(folder, caplog, program):
+    (folder / "program.py").write_text(
+        f"import asyncio\nimport anyio\n{OTHER}\nasync def main(): 1 / 0\n\n{program}\n"
+    )
+    runs = asyncio.run, anyio.run
+    assert names("program.py") == ["aside"]
+    assert (asyncio.run, anyio.run) == runs
+    assert caplog.messages == [
+        f"{folder / 'program.py'}, line 13: the program is skipped, because serve runs the actions "
+        "itself; put it below 'if __name__ == \"__main__\":'"
+    ]
+
+
+def test_what_a_module_has_imported_to_run_programs_still_runs_them(folder):
+    (folder / "program.py").write_text(f"from asyncio import run\n{OTHER}")
+    names("program.py")
+
+    async def main():
+        return 7
+
+    assert sys.modules["program"].run(main()) == 7

@@ -10,14 +10,21 @@ imported, and nothing else: those in site-packages stay as they are.
 
 from __future__ import annotations
 
+import asyncio
 import importlib
+import logging
 import os
 import sys
 import traceback
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import wraps
+from inspect import iscoroutine
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
+
+import anyio
 
 from turtleact.body import ActionDeclaration
 from turtleact.errors import TurtleactError, UsageError
@@ -26,6 +33,8 @@ from turtleact.parameters import ParameterDeclaration
 from turtleact.summaries import summary
 
 __all__ = ["Found", "Modules", "Target", "read_target"]
+
+logger = logging.getLogger("turtleact.serve")
 
 OURS = Path(__file__).parents[1]
 """Where our own modules are."""
@@ -280,7 +289,10 @@ def _nothing_in(module: ModuleType, target: Target) -> str:
         if callable(each) and getattr(each, "__module__", "") == module.__name__
     ]
     shown = f" (there are: {', '.join(functions)})" if functions else ""
-    return f"{what} declares no action: put @turtleact.action(TYPE, NAME) above a body{shown}"
+    problem = f"{what} declares no action: put @turtleact.action(TYPE, NAME) above a body{shown}"
+    if target.file is None:
+        return problem
+    return f"{problem}, or run it as a program: turtleact run {target.text}"
 
 
 def _look_up(module: ModuleType, target: Target) -> object:
@@ -319,7 +331,8 @@ def _import_module(target: Target) -> ModuleType:
             sys.path.insert(0, folder)
     name = target.module
     try:
-        module = importlib.import_module(name)
+        with _programs_skipped():
+            module = importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name is not None and f"{name}.".startswith(f"{error.name}."):
             raise UsageError(_no_module(error.name)) from error
@@ -332,6 +345,44 @@ def _import_module(target: Target) -> ModuleType:
         problem = f"another module has its name ({_file(module) or 'a part of Python'})"
         raise UsageError(f"'{target.text}' cannot be imported: {problem}; rename the file")
     return module
+
+
+@contextmanager
+def _programs_skipped() -> Iterator[None]:
+    """A block in which ``asyncio.run`` and ``anyio.run`` do nothing but warn.
+
+    A file with actions often ends with ``asyncio.run(main())``. Served, it would run that program
+    while it is imported, perhaps for ever, and at a reload within an event loop.
+    """
+    is_importing = True
+
+    def skipping(run: Callable[..., object]) -> Callable[..., object]:
+        @wraps(run)
+        def skip(main: object, *args: object, **options: object) -> object:
+            if not is_importing:  # a module may have imported this function by name
+                return run(main, *args, **options)
+            if iscoroutine(main):
+                main.close()  # else Python warns that nobody has awaited it
+            caller = traceback.extract_stack(limit=2)[0]
+            logger.warning(
+                "%s, line %s: the program is skipped, because serve runs the actions itself; put "
+                "it below 'if __name__ == \"__main__\":'",
+                caller.filename,
+                caller.lineno,
+            )
+            return None
+
+        return skip
+
+    before = {module: module.run for module in (asyncio, anyio)}
+    for module, run in before.items():
+        setattr(module, "run", skipping(run))  # noqa: B010  # mypy allows no assignment
+    try:
+        yield
+    finally:
+        is_importing = False
+        for module, run in before.items():
+            setattr(module, "run", run)  # noqa: B010  # as above
 
 
 def _is_same_file(one: Path | None, other: Path) -> bool:
