@@ -21,16 +21,16 @@ from turtleact.web.excerpts import Plain, excerpt, numbers_in
 __all__ = ["MOST_ACTIVE", "MOST_ENDED", "REJECTED", "GoalHistory", "GoalRecord", "Series"]
 
 MOST_ENDED: Final = 200
-"""This many ended goals are kept."""
+"""How many ended goals are kept."""
 
 MOST_ACTIVE: Final = 500
-"""This many running goals are kept."""
+"""How many running goals are kept."""
 
 REJECTED: Final = "REJECTED"
-"""What the page shows for a goal that was rejected; in ROS that is no status."""
+"""What the page shows for a rejected goal. ROS has no such status."""
 
 MOST_POINTS: Final = 64
-"""A plot has at most this many points."""
+"""The maximum number of points of a plot."""
 
 
 class Series:
@@ -124,8 +124,8 @@ class Changes(msgspec.Struct, frozen=True):
     Attributes:
         goals: The goals that are new or different, the latest change first.
         dropped: The ids of goals that are no longer kept.
-        is_complete: Whether this is all there is to know. If not, too many goals were dropped since
-            then, and the page must ask for everything.
+        is_complete: Whether nothing is missing. If False, too many goals were dropped since then,
+            and the page must ask for everything.
     """
 
     goals: list[GoalRecord]

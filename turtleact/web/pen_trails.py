@@ -1,7 +1,7 @@
 """The lines that turtles have drawn, for every page that opens later.
 
-They are made from poses, because no topic tells what a turtle draws. So pens are known only as far
-as web clients have set them, and turtles that are cleared by others keep their lines. Pure.
+They are made from poses, because no topic has the drawing of a turtle. So the only known pens are
+those that web clients have set, and if another program clears the drawing, the lines stay. Pure.
 
 Source: turtlesim ``turtle.cpp`` for the first pen.
 """
@@ -22,7 +22,7 @@ MOST_POINTS: Final = 2000
 """The maximum number of points of one turtle's line; the oldest are dropped."""
 
 DETOUR: Final = 0.00003
-"""How much longer than the line the turtle's way may be between two points (m)."""
+"""How much longer the turtle's way between two points may be than the straight line (m)."""
 
 LONGEST: Final = 0.3
 """The maximum length of a straight piece (m), so that a long arc is not taken for a line."""
@@ -93,13 +93,13 @@ class PenTrails:
             self._lines[name].lift()
 
     def clear(self) -> None:
-        """Wipe all lines off; pens stay as they are."""
+        """Erase all lines; pens stay as they are."""
         for name, line in self._lines.items():
             self._lines[name] = _Line(self._revise())
             self._lines[name].pen = line.pen
 
     def reset(self) -> None:
-        """Wipe all lines off, and give every turtle its first pen."""
+        """Erase all lines, and give every turtle its first pen."""
         for name in self._lines:
             self._lines[name] = _Line(self._revise())
 

@@ -1,7 +1,7 @@
 """A node on a port: uvicorn around a bridge, for the length of a block.
 
-uvicorn runs on asyncio, and so does this, uvloop included; on trio a bridge can be mounted into
-whatever serves ASGI there. uvicorn's protocols trust their clients a little less here:
+This module needs asyncio or uvloop, because uvicorn does. On trio, mount a bridge into another ASGI
+server. Here, uvicorn's protocols trust their clients less than usual:
 
 - A client that connects and sends no whole request is disconnected, and the number of connections
   is limited. Otherwise anybody could use up all connections that the process may have.
@@ -221,7 +221,7 @@ class _Log(logging.Logger):
 
 
 class _Server(uvicorn.Server):
-    """uvicorn's server; says when it is ready and over, and leaves signals to the program."""
+    """uvicorn's server; reports its start and its end, and leaves signals to the program."""
 
     def __init__(self, config: uvicorn.Config) -> None:
         super().__init__(config)
@@ -272,9 +272,9 @@ class Http(H11Protocol):
 class Socket(WebSocketsSansIOProtocol):
     """A WebSocket.
 
-    What it holds for its client counts towards the budget of all clients: the part of a message
-    that has arrived, messages that the app has not read or is still working on, and what the
-    client has not taken yet.
+    Everything held for its client counts towards the budget of all clients: the part of a message
+    that has arrived, messages that the app has not finished, and data that the client has not
+    received.
     """
 
     _heard_at = 0.0

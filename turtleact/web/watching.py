@@ -1,8 +1,8 @@
 """What the page watches: the goals of all actions, the trails of turtles, and the graph.
 
 The server keeps all of this, so that it survives a reload and is the same in every browser. It
-begins when the first page asks, and continues until the bridge is closed: programs that only speak
-rosbridge pay nothing.
+begins when the first page asks, and continues until the bridge is closed. Programs that only use
+rosbridge cost nothing extra.
 
 A page asks by calling services that only web clients can call, like those of rosapi:
 
@@ -58,16 +58,16 @@ PATIENCE: Final = 1.0
 """A page gets an answer at least once in this time (s), so that it knows the time."""
 
 MOST_ACTIONS: Final = 200
-"""The goals of this many actions are watched."""
+"""How many actions are watched."""
 
 MOST_FOLLOWED: Final = 256
-"""This many goals are followed at once; of others, only the status is known."""
+"""How many goals are followed at once; of all others, only the status is known."""
 
 MOST_TURTLES: Final = 64
-"""The trails of this many turtles are kept."""
+"""How many turtles' trails are kept."""
 
 MOST_REQUESTS: Final = 64
-"""This many goals may be sent before their status arrives."""
+"""How many goals may be sent before their status arrives."""
 
 SERVICES: Final = "/turtleact/web/"
 POSE: Final = "/pose"
