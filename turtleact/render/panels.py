@@ -1,7 +1,7 @@
-"""Arranges what a terminal shows about one goal, or about a server or a robot.
+"""Arranges what a terminal shows about a goal, a server or a robot.
 
-A goal: its state, its feedback, how far it is, and the map beside it. A server or a robot: lines
-that stay, the map, a table of goals or of keys, and the log.
+For a goal: its state, feedback and progress, and a map. For a server or a robot: a heading, a map,
+a table of goals or of keys, and the log.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ def _motion(motion: str) -> tuple[str, str]:
 
 
 def _feedback(goal: GoalView, *, width: int, rows: int) -> Picture:
-    """The last feedback. If the goal is somebody else's, earlier feedback is unknown."""
+    """The last feedback. Earlier feedback of somebody else's goal is unknown."""
     if goal.goal is None and goal.feedback is None:
         return cut("  no feedback since you watch", "dim")
     return feedback_table(goal.feedback, width=width, rows=rows)
