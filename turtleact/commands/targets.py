@@ -288,7 +288,7 @@ def _nothing_in(module: ModuleType, target: Target) -> str:
         for name, each in vars(module).items()
         if callable(each) and getattr(each, "__module__", "") == module.__name__
     ]
-    shown = f" (there are: {', '.join(functions)})" if functions else ""
+    shown = f" (its functions: {', '.join(functions)})" if functions else ""
     problem = f"{what} declares no action: put @turtleact.action(TYPE, NAME) above a body{shown}"
     if target.file is None:
         return problem
