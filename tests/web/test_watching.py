@@ -11,7 +11,7 @@ import turtleact
 from turtleact import Abort, GoalResponse
 from turtleact.app import open_world
 from turtleact.interfaces.standard import Empty, SetPen, TurtlePose
-from turtleact.transports import MemoryTransport
+from turtleact.transports import MemoryTransport, open_zenoh
 from turtleact.web import open_bridge
 from turtleact.web.goal_history import MOST_ACTIVE, MOST_ENDED
 from turtleact.web.watching import MOST_FOLLOWED
@@ -90,7 +90,7 @@ async def test_a_rejected_goal_of_a_web_client_is_kept_with_its_reason():
         for id, upto in ("a", 1), ("b", 2):
             client.say("send_action_goal", id=id, args={"upto": upto}, **members)
         assert not (await client.hear())["result"]
-        rejected, running = await goals(client)
+        running, rejected = sorted(await goals(client), key=lambda each: str(each["status"]))
         assert (running["status"], running["request"]) == ("EXECUTING", {"upto": 1})
         assert (rejected["status"], rejected["request"]) == ("REJECTED", {"upto": 2})
         assert rejected["reason"]
@@ -129,6 +129,29 @@ async def heard_goals(client: Line) -> list[Values]:
         pass
     found: list[Values] = frame["values"]["goals"]
     return found
+
+
+async def test_a_goal_of_another_process_is_watched(tmp_path):
+    """Two sessions, as of two processes; the bridge opens its client only when there is a goal."""
+    here = f"unixsock-stream/{tmp_path}/router"
+    async with (
+        open_zenoh(mode="router", listen=[here]) as first,
+        open_zenoh(mode="peer", connect=[here]) as second,
+        turtleact.open_node("robot", transport=first) as robot,
+        turtleact.open_node("web", transport=second) as node,
+        open_bridge(node) as bridge,
+        line(bridge) as client,
+    ):
+        robot.action_server(Count, "count", count)
+        await first.flush()
+        await second.explore()
+        last = await watch(client)
+        assert await robot.action_client(Count, "count").send_goal(goal(2))
+        while not (last["goals"] and last["goals"][0]["has_ended"]):
+            last = await watch(client, session=last["session"], since=last["revision"])
+        assert last["goals"][0]["status"] == "SUCCEEDED"
+        assert last["goals"][0]["result"] == {"counted": [0, 1]}
+        assert last["goals"][0]["request"] is None  # nobody here knows it
 
 
 async def test_more_goals_than_can_be_followed_are_still_shown():

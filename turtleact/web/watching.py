@@ -57,6 +57,9 @@ PACE: Final = 0.1
 PATIENCE: Final = 1.0
 """A page gets an answer at least once in this time (s), so that it knows the time."""
 
+REACHED_WITHIN: Final = 5.0
+"""How long it may take to reach the server of a goal (s, by the graph's clock)."""
+
 MOST_ACTIONS: Final = 200
 """How many actions are watched."""
 
@@ -344,6 +347,9 @@ class Watch:
 
     async def _read(self, record: GoalRecord, *, is_late: bool) -> None:
         async with self._open_client(record.action, action_class(record.type)) as client:
+            # A client that was opened just now may need a moment until it can reach a server in
+            # another process.
+            await client.wait_for_server(REACHED_WITHIN)
             handle = await client.attach(bytes.fromhex(record.id))
             record.request = record.request or handle.request
             self.history.change(record)
