@@ -158,8 +158,8 @@ def test_a_user_whom_the_system_does_not_know_can_create_packages(turtleact, her
         (["class"], "'class' is the name of a Python module already: choose another name"),
         (["random"], "'random' is the name of a Python module already"),
         (["turtleact"], "'turtleact' is the name of a Python module already"),
-        (["lab", "--node-name", "my-node"], "--node-name is the name of a Python module too, unli"),
-        (["lab", "--dependencies", "Std"], "--dependencies are names of packages, unlike 'Std'"),
+        (["lab", "--node-name", "my-node"], "--node-name must be a valid name of a Python module"),
+        (["lab", "--dependencies", "Std"], "--dependencies must be names of packages, not 'Std'"),
         (
             ["lab", "--build-type", "cmake"],
             "--build-type is ament_python or ament_cmake: turtleact",

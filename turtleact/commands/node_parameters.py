@@ -3,7 +3,7 @@
 A node serves its parameters by six services. Their answers are printed as ``ros2`` prints them.
 
 Source: ros2cli ``ros2param/verb/*.py`` and recordings of ROS 2 Jazzy for the order of things and
-for the words; rclpy ``parameter.py`` for what a text means, and what is in a file.
+for the words; rclpy ``parameter.py`` for how text is parsed, and for the file format.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ PATIENCE = 5.0
 
 
 class Owner(NamedTuple):
-    """The node whose parameters are meant.
+    """The node that has the parameters.
 
     Attributes:
         name: The name of the node, with or without a slash before it.
@@ -158,7 +158,7 @@ async def print_value(node: Node, owner: Owner, name: str, *, hide_type: bool) -
 
 
 async def set_value(node: Node, owner: Owner, name: str, value: ParameterValue) -> int:
-    """Set a parameter; the exit status says whether its node has taken the value.
+    """Set a parameter; the exit status says whether the node accepted the value.
 
     Raises:
         TurtleactError: if there is no such node.
@@ -202,7 +202,7 @@ async def dump(node: Node, owner: Owner) -> int:
 async def load(
     node: Node, owner: Owner, parameters: Mapping[str, Mapping[str, ParameterValue]], source: str
 ) -> int:
-    """Set the parameters that a file has for a node; the exit status says if all were taken.
+    """Set a node's parameters from a file; the exit status says whether all were accepted.
 
     Args:
         node: A node on the graph.
@@ -319,7 +319,7 @@ async def _set_one(
 async def _set(
     node: Node, owner: str, parameters: Sequence[Parameter]
 ) -> list[SetParametersResult]:
-    """Set parameters; a refusal also says what the parameter takes, or what it is called."""
+    """Set parameters; a refusal also names the allowed range or the nearest name."""
     request = SetParameters.Request(list(parameters))
     results = list((await _ask(node, SetParameters, owner, request)).results)
     refused = [place for place, result in enumerate(results) if not result.successful]
@@ -462,7 +462,7 @@ def parameter_value(text: str) -> ParameterValue:
 
 
 def read_file(path: str, *, use_wildcard: bool) -> dict[str, dict[str, ParameterValue]]:
-    """The parameters in a file, by the name of their node as it is written there.
+    """The parameters in a file, by the node names in that file.
 
     Args:
         path: A YAML file such as `dump` prints.

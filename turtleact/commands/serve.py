@@ -47,12 +47,12 @@ ROUTER = "tcp/127.0.0.1:7447"
 """Where the nodes of a machine look for a router."""
 
 LEASE = 15.0
-"""How long the graph may show a node whose process was killed (s, event loop time).
+"""How long the graph may still show the node of a killed process (s, event loop time).
 
 Zenoh's own lease is 10 s."""
 
 MOST_LISTED = 12
-"""How many actions the line names that says when the server is ready."""
+"""How many actions the ready line names."""
 
 
 class Service(NamedTuple):
@@ -68,7 +68,7 @@ class Service(NamedTuple):
         is_live: Whether a terminal shows a dashboard.
         turtlesim_only: Whether the world serves only what turtlesim does, and no built-in actions.
         wait: Whether to wait until no other node serves an action, instead of refusing to serve it.
-        reload: Whether to serve the user's actions anew when their files change.
+        reload: Whether to reload the user's actions when their files change.
     """
 
     targets: tuple[str, ...]
@@ -217,7 +217,7 @@ async def serve_declared(
 
 
 def _refused(taken: ActionConflict) -> TurtleactError:
-    """The same error, with the option of the command line."""
+    """The error, with a hint at the option of the command line."""
     return TurtleactError(
         f"action '{taken.action}' is served by node {taken.node} already: choose another name, or "
         "give --wait to serve it once that node has gone"
@@ -363,7 +363,7 @@ class ServerLog:
             self.say(line)
 
     def say(self, line: str) -> None:
-        """Print a line at once; if nobody reads stdout any more, the server goes on without it."""
+        """Print a line at once; if stdout is closed, the server goes on without it."""
         if self.board is not None:
             self.board.say(line)
             return

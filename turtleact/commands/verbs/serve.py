@@ -104,7 +104,7 @@ Wait: TypeAlias = Annotated[
 ]
 Reload: TypeAlias = Annotated[
     bool,
-    typer.Option("--reload", help="Serve your actions anew when their files change."),
+    typer.Option("--reload", help="Reload your actions when their files change."),
 ]
 NoSim: TypeAlias = Annotated[
     bool,
