@@ -143,8 +143,8 @@ class Modules:
         targets: The targets, as the user has written them.
 
     Attributes:
-        files: The files of the user's modules, and those that are missing. Imported again once
-            one of them changes.
+        files: The files of the user's modules, and those that an import has not found. When one of
+            them changes, it is time to import anew.
 
     Raises:
         UsageError: if one of them is no target.
