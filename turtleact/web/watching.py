@@ -36,6 +36,7 @@ from turtleact.node import Node
 from turtleact.tasks import Background, current_tasks
 from turtleact.topics import Subscription
 from turtleact.transports import QoS
+from turtleact.web.excerpts import Plain, excerpt
 from turtleact.web.forms import form
 from turtleact.web.goal_history import REJECTED, GoalHistory, GoalRecord
 from turtleact.web.name_lookup import action_class, message_class
@@ -115,7 +116,7 @@ class Watch:
         self._actions: dict[tuple[str, str], _Action] = {}
         self._poses: dict[str, Subscription[Any]] = {}
         self._following: dict[str, Background] = {}
-        self._requests: dict[str, Message] = {}
+        self._requests: dict[str, Plain] = {}
         self._services: dict[str, Callable[[Values], Awaitable[Values]]] = {
             "watch": self._watch,
             "form": _form,
@@ -150,10 +151,10 @@ class Watch:
             return
         record = self.history.find(goal_id.hex())
         if record is not None:
-            record.request = request
+            record.request = excerpt(request)
             self.history.change(record)
             return
-        self._requests[goal_id.hex()] = request
+        self._requests[goal_id.hex()] = excerpt(request)
         if len(self._requests) > MOST_REQUESTS:
             del self._requests[next(iter(self._requests))]
 
@@ -167,7 +168,7 @@ class Watch:
         """
         if self.is_watching:
             record = GoalRecord(new_goal_id().hex(), *action, accepted=self._now(), at=time.time())
-            record.request, record.reason = request, reason
+            record.request, record.reason = excerpt(request), reason
             self.history.end(record, REJECTED)
 
     def note_call(self, service: str, request: Any) -> None:  # noqa: ANN401  # any request
@@ -215,7 +216,7 @@ class Watch:
             "revision": self._revision,
             "is_whole": since == 0,
             "now": self._now(),
-            "goals": [record.plain() for record in changes.goals],
+            "goals": [record.told() for record in changes.goals],
             "dropped": changes.dropped,
             "trails": self.trails.since(since),
         }
@@ -351,7 +352,8 @@ class Watch:
             # another process.
             await client.wait_for_server(REACHED_WITHIN)
             handle = await client.attach(bytes.fromhex(record.id))
-            record.request = record.request or handle.request
+            if record.request is None and handle.request is not None:
+                record.request = excerpt(handle.request)
             self.history.change(record)
             async for event in handle.events():
                 match event:
@@ -362,7 +364,7 @@ class Watch:
                         record.status = status.name
                         self.history.change(record)
                     case ResultReceived(outcome=outcome):
-                        record.result, record.reason = outcome.result, outcome.reason
+                        record.result, record.reason = excerpt(outcome.result), outcome.reason
                         now = None if is_late else self._now()
                         self.history.end(record, outcome.status.name, now)
 
