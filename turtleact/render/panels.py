@@ -284,7 +284,10 @@ def _row(goal: GoalRow, width: int, names: int) -> list[Picture]:
     if 2 + names + 2 + LONGEST_STATUS + 2 + LONGEST_DURATION > width:
         size = max(width - 2, 1)
         parts = [name[start : start + size] for start in range(0, len(name), size)]
-        folded = [Text.assemble(bullet if part is parts[0] else "  ", part) for part in parts]
+        folded = [
+            Text.assemble(bullet if number == 0 else "  ", (part, "bold"))
+            for number, part in enumerate(parts)
+        ]
         return [*folded, _cut(Text.assemble("  ", (goal.status.name, style), f"  {age}")), *below]
     line = Text.assemble(
         bullet,
