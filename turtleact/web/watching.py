@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 import secrets
 import time
-from collections.abc import Awaitable, Callable, Container
+from collections.abc import Awaitable, Callable
 from contextlib import AbstractAsyncContextManager
 from typing import Any, Final, Protocol, TypeAlias
 
@@ -72,6 +72,8 @@ MOST_TURTLES: Final = 64
 
 MOST_REQUESTS: Final = 64
 """How many goals may be sent before their status arrives."""
+
+FORGOTTEN: Final = "its server has forgotten it"
 
 SERVICES: Final = "/turtleact/web/"
 POSE: Final = "/pose"
@@ -248,7 +250,9 @@ class Watch:
 
     def _look_for_actions(self, served: dict[str, str]) -> None:
         for key in self._actions.keys() - served.items():
-            self._actions.pop(key).leave()
+            action = self._actions.pop(key)
+            action.leave()
+            self._lose(action.known, "its server has gone")
         for key in served.items():
             if key not in self._actions and len(self._actions) < MOST_ACTIONS:
                 self._actions[key] = _Action(self._node, key, self._take_statuses)
@@ -280,18 +284,20 @@ class Watch:
     # goals
 
     def _take_statuses(
-        self, action: tuple[str, str], message: GoalStatusArray, known: Container[str]
-    ) -> None:
-        """Take what an action says about its goals.
+        self, action: tuple[str, str], message: GoalStatusArray, known: set[str]
+    ) -> set[str]:
+        """Take what an action says about its goals, and return their ids.
 
         Args:
             action: The name and the type of the action.
             message: What it says.
-            known: The goals that it has told of before. Those of them that the history has dropped
-                are not taken up again.
+            known: The ids of the last message. Goals of them that the history has dropped are not
+                taken up again.
         """
+        told: set[str] = set()
         for each in message.status_list:
             id = bytes(each.goal_info.goal_id.uuid).hex()
+            told.add(id)
             record, status = self.history.find(id), status_of(each.status)
             if record is None and id in known:
                 continue
@@ -308,6 +314,16 @@ class Watch:
             else:
                 continue
             self._follow_goal(record)
+        self._lose(known - told, FORGOTTEN)
+        return told
+
+    def _lose(self, ids: set[str], reason: str) -> None:
+        """Note that nothing more will be heard of goals, except for those that are followed."""
+        for id in ids - self._following.keys():
+            record = self.history.find(id)
+            if record is not None and not record.has_ended:
+                record.reason = reason
+                self.history.end(record, GoalStatus.UNKNOWN.name, self._now())
 
     def _new_record(
         self, id: str, action: tuple[str, str], stamp: float, status: GoalStatus
@@ -337,9 +353,12 @@ class Watch:
         """Follow a goal to its end."""
         try:
             await self._read(record, is_late=record.has_ended)
-        except (UnknownGoal, UnknownInterface):
-            # The server has forgotten the goal, or nobody here knows its type.
-            pass
+        except UnknownInterface:
+            pass  # its status is all that can be known
+        except UnknownGoal:
+            if not record.has_ended:
+                record.reason = FORGOTTEN
+                self.history.end(record, GoalStatus.UNKNOWN.name, self._now())
         except TurtleactError as error:
             record.reason = str(error)
             self.history.end(record, GoalStatus.UNKNOWN.name, self._now())
@@ -383,17 +402,20 @@ class _Action:
     Args:
         node: Subscribes to its status.
         key: Its name and type.
-        take: Called with each message about its goals, and those that it has told of before.
+        take: Called with each message about its goals and the ids of the last one; returns the ids.
+
+    Attributes:
+        known: The ids of the last message.
     """
 
     def __init__(
         self,
         node: Node,
         key: tuple[str, str],
-        take: Callable[[tuple[str, str], GoalStatusArray, Container[str]], None],
+        take: Callable[[tuple[str, str], GoalStatusArray, set[str]], set[str]],
     ) -> None:
+        self.known: set[str] = set()
         self._key = key
-        self._known: set[str] = set()
         self._take = take
         topic = f"{key[0]}/_action/status"
         self._statuses = node.subscription(GoalStatusArray, topic, STATUS_QOS)
@@ -411,9 +433,7 @@ class _Action:
     async def _read(self) -> None:
         # Only the newest message is kept, as each has all goals: under load, some are skipped.
         async for message in self._statuses:
-            self._take(self._key, message, self._known)
-            held = message.status_list
-            self._known = {bytes(each.goal_info.goal_id.uuid).hex() for each in held}
+            self.known = self._take(self._key, message, self.known)
 
 
 async def _form(args: Values) -> Values:
