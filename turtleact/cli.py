@@ -67,16 +67,17 @@ def main() -> int:
     return status
 
 
-def serve(*targets: str) -> NoReturn:
-    """Do what ``turtleact serve TARGET... --no-sim`` does, then end the program.
+def serve(*targets: str, node: str) -> NoReturn:
+    """Do what ``turtleact serve TARGET... --no-sim --node-name NODE`` does, then end the program.
 
     This is for the ``main`` of a package. The program's own arguments are options of ``serve``.
 
     Args:
         *targets: The modules with the actions, such as ``lab.server``, or single actions, such as
             ``lab.server:countdown``.
+        node: The name of the node that serves them.
     """
-    sys.argv[1:] = ["serve", *targets, "--no-sim", *sys.argv[1:]]
+    sys.argv[1:] = ["serve", *targets, "--no-sim", "--node-name", node, *sys.argv[1:]]
     sys.exit(main())
 
 

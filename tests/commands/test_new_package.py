@@ -74,7 +74,8 @@ def test_its_program_is_found_and_serves_its_action(
         for module in [each for each in sys.modules if each.partition(".")[0] == "lab"]:
             del sys.modules[module]
     assert name == (options or ["server"])[-1]
-    assert served == [[str(here / "lab" / name), "serve", f"lab.{name}", "--no-sim", "--plain"]]
+    [(_, *line)] = served
+    assert line == ["serve", f"lab.{name}", "--no-sim", "--node-name", name, "--plain"]
 
 
 def test_an_unbuilt_package_runs_from_beginning_to_end(turtleact, here):

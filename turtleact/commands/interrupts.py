@@ -127,6 +127,8 @@ class Interrupts:
             return
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
+        if HAS_ALARM:  # at its end Python takes all handlers away, and then an alarm would kill it
+            signal.setitimer(signal.ITIMER_REAL, 0)
 
     def release(self) -> None:
         """Give the signals back to Python, for a program of the user's that handles its own.

@@ -235,7 +235,7 @@ async def countdown(goal):
 
 def main():
     """Serve the actions of this module until Ctrl-C."""
-    cli.serve("NAME.NODE")
+    cli.serve("NAME.NODE", node="NODE")
 '''
 
 _TEST: Final = '''\

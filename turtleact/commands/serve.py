@@ -69,6 +69,7 @@ class Service(NamedTuple):
         turtlesim_only: Whether the world serves only what turtlesim does, and no built-in actions.
         wait: Whether to wait until no other node serves an action, instead of refusing to serve it.
         reload: Whether to reload the user's actions when their files change.
+        node_name: The name of the node that serves the actions, if there is no world.
     """
 
     targets: tuple[str, ...]
@@ -81,6 +82,7 @@ class Service(NamedTuple):
     turtlesim_only: bool = False
     wait: bool = False
     reload: bool = False
+    node_name: str = "turtleact"
 
 
 def run(service: Service, interrupts: Interrupts) -> int:
@@ -282,7 +284,8 @@ async def _open_node(
             from turtleact.clock import WallClock
 
             transport = await stack.enter_async_context(graph(WallClock()))
-            node = await stack.enter_async_context(open_node("turtleact", transport=transport))
+            opening = open_node(service.node_name, transport=transport)
+            node = await stack.enter_async_context(opening)
         node.on_transition(log.tell)
         yield node
 

@@ -191,7 +191,7 @@ def _built_in(package: str, executable: str, arguments: Sequence[str], domain: i
     if package != "turtlesim":
         from turtleact.commands.verbs.serve import serve
 
-        return serve([FIBONACCI], no_sim=True, domain=domain)
+        return serve([FIBONACCI], no_sim=True, node_name=executable, domain=domain)
     where = reach(domain=domain)
 
     def job(interrupts: Interrupts) -> int:
