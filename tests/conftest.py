@@ -71,6 +71,18 @@ def pytest_configure(config: pytest.Config) -> None:
     WATCHDOG.start()
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int | None:
+    """One worker more than there are cores, because tests wait for a quarter of their time.
+
+    They wait for programs that they start, for the network, and for loops to become idle.
+    """
+    if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
+        return None
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return (cores or 1) + 1
+
+
 @pytest.fixture
 def anyio_backend() -> object:
     """The loop of an async test: `pytest_generate_tests` gives each test its own."""
