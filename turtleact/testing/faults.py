@@ -140,7 +140,14 @@ class FaultyTransport:
         """Return what has happened to the messages so far."""
         return Faults(**self.counts, on_their_way=sum(map(len, self._links)))
 
-    def subscribe(self, endpoint: Endpoint, format: Format, deliver: Deliver) -> Closeable:
+    def subscribe(
+        self,
+        endpoint: Endpoint,
+        format: Format,
+        deliver: Deliver,
+        *,
+        in_any_thread: bool = False,  # noqa: ARG002  # the delayed come in the event loop
+    ) -> Closeable:
         """Open the receiving end of a topic, with faults."""
         name = f"{endpoint.node} {endpoint.name}"
         self._names[name] += 1

@@ -5,8 +5,9 @@ the same name and type. Where messages travel as bytes, the `Format` of an endpo
 A transport guarantees:
 
 - Each subscription gets the messages of one publisher in the order in which they were published.
-- `Transport.subscribe` calls ``deliver`` in the event loop of the subscriber. An exception that
-  ``deliver`` raises is logged and never reaches the publisher.
+- `Transport.subscribe` calls ``deliver`` in the event loop of the subscriber, or in the thread that
+  brings the message if the subscriber asks for that. An exception that ``deliver`` raises is logged
+  and never reaches the publisher.
 - A subscription gets the last messages of a transient-local publisher first, even if it was opened
   after they were published.
 - A closed endpoint neither sends nor receives. A publisher takes its latched messages with it.
@@ -406,9 +407,19 @@ class Transport(Protocol):
         """Open the sending end of a topic; with a source, only its messages are latched."""
 
     def subscribe(
-        self, endpoint: Endpoint, format: Format, deliver: Callable[[object], None]
+        self,
+        endpoint: Endpoint,
+        format: Format,
+        deliver: Callable[[object], None],
+        *,
+        in_any_thread: bool = False,
     ) -> Closeable:
-        """Open the receiving end of a topic; ``deliver`` gets each message."""
+        """Open the receiving end of a topic; ``deliver`` gets each message.
+
+        With ``in_any_thread``, it is called in the thread that brings the message, without a detour
+        through the event loop: it must be quick and safe in any thread. A topic whose near
+        subscriptions all do so may be published to from any thread, one at a time.
+        """
 
     def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
         """Offer ``handler`` as the server of a service, and show the service on the graph.

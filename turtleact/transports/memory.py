@@ -85,6 +85,8 @@ class MemoryTransport:
         endpoint: Endpoint,
         format: Format,  # noqa: ARG002  # as above
         deliver: Deliver,
+        *,
+        in_any_thread: bool = False,  # noqa: ARG002  # a message comes in its publisher's thread
     ) -> Closeable:
         """Open the receiving end of a topic; latched messages are delivered before this returns."""
         topic = self._topic(endpoint)

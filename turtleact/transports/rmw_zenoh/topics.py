@@ -24,7 +24,7 @@ from turtleact.transports.rmw_zenoh.context import Context, Counter, Named, Open
 if TYPE_CHECKING:
     from turtleact.transports.rmw_zenoh.session import Declared, Publisher
 
-__all__ = ["Lane", "WirePublication", "WireSubscription"]
+__all__ = ["DirectSubscription", "Lane", "WirePublication", "WireSubscription"]
 
 logger = logging.getLogger("turtleact.transport")
 
@@ -351,18 +351,23 @@ class WireSubscription:
 
     def _read(self) -> None:
         payload = self._unread.take()
-        if payload is None or not self._opened.is_open:
-            return
+        if payload is not None and self._opened.is_open:
+            self._hand_over(payload)
+
+    def _hand_over(self, payload: bytes) -> None:
         try:
             message = self._format.decode(payload)
         except InvalidMessage as error:
-            about = f"topic {self._topic}: a message cannot be read"
-            self._context.complaints.warn(about, b"", error)
+            self._complain(error)
             return
         try:
             self._deliver(message)
         except Exception:
             logger.exception("a subscription of topic %s failed on a message", self._topic)
+
+    def _complain(self, error: InvalidMessage) -> None:
+        about = f"topic {self._topic}: a message cannot be read"
+        self._context.complaints.warn(about, b"", error)
 
     # called in the outbox
 
@@ -378,6 +383,20 @@ class WireSubscription:
     def _undeclare(self) -> None:
         if self._declared is not None:
             self._declared.undeclare()
+
+
+class DirectSubscription(WireSubscription):
+    """A subscription that delivers in the thread of the session that received the message.
+
+    A message may still be delivered while the subscription is being closed.
+    """
+
+    def _take(self, payload: bytes) -> None:
+        self._hand_over(payload)
+
+    def _complain(self, error: InvalidMessage) -> None:
+        # Complaints are counted in the event loop.
+        self._context.inbox.push(lambda: super(DirectSubscription, self)._complain(error))
 
 
 class _Relay:

@@ -53,7 +53,11 @@ from turtleact.transports.rmw_zenoh.keys import (
 )
 from turtleact.transports.rmw_zenoh.services import WireCaller, WireService
 from turtleact.transports.rmw_zenoh.session import Session
-from turtleact.transports.rmw_zenoh.topics import WirePublication, WireSubscription
+from turtleact.transports.rmw_zenoh.topics import (
+    DirectSubscription,
+    WirePublication,
+    WireSubscription,
+)
 
 __all__ = ["ZenohTransport", "open_zenoh"]
 
@@ -103,9 +107,22 @@ class ZenohTransport:
         """
         return WirePublication(self.context, self._name(endpoint, format), format, source)
 
-    def subscribe(self, endpoint: Endpoint, format: Format, deliver: Deliver) -> Closeable:
-        """Open the receiving end of a topic; raises like `advertise`."""
-        return WireSubscription(self.context, self._name(endpoint, format), format, deliver)
+    def subscribe(
+        self,
+        endpoint: Endpoint,
+        format: Format,
+        deliver: Deliver,
+        *,
+        in_any_thread: bool = False,
+    ) -> Closeable:
+        """Open the receiving end of a topic; raises like `advertise`.
+
+        With ``in_any_thread``, one of Zenoh's threads decodes and delivers messages from other
+        processes, and must not be kept: no other message arrives in the meantime.
+        """
+        named = self._name(endpoint, format)
+        made = DirectSubscription if in_any_thread else WireSubscription
+        return made(self.context, named, format, deliver)
 
     def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
         """Offer ``handler`` as the server of a service; raises like `advertise`.
