@@ -33,7 +33,7 @@ def say_names(text: str) -> None:
 
 
 def note(text: str) -> None:
-    """Print a line on stderr, or nothing if stderr is closed."""
+    """Print a line on stderr; if nobody can read that, do nothing."""
     if sys.stderr is None:
         return
     try:

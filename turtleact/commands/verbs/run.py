@@ -8,15 +8,23 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
 
 import typer
 
 from turtleact.commands import VERBS, completion
 from turtleact.commands.output import printable
-from turtleact.commands.settings import Fleet, quoted
+from turtleact.commands.settings import Fleet, Reach, quoted
 from turtleact.commands.verbs import SETTINGS, Job, Verb
-from turtleact.commands.verbs.options import Domain, reach, ros_domain
+from turtleact.commands.verbs.options import (
+    Config,
+    Connect,
+    Domain,
+    Interfaces,
+    folder,
+    reach,
+    ros_domain,
+)
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
@@ -47,7 +55,7 @@ Package: TypeAlias = Annotated[
     str,
     typer.Argument(
         metavar="PACKAGE",
-        help="The package, such as turtlesim, or a Python file such as lab.py.",
+        help="The package, such as turtlesim; or a Python file, FILE.py.",
         autocompletion=completion.runnable_packages,
         show_default=False,
     ),
@@ -65,6 +73,35 @@ Arguments: TypeAlias = Annotated[
     list[str] | None,
     typer.Argument(metavar="ARGUMENTS", help="The program's own arguments.", show_default=False),
 ]
+
+
+Whose: TypeAlias = Annotated[
+    str,
+    typer.Option(
+        "--face",
+        metavar="auto|turtleact|ros",
+        help="Which rclpy the program imports: turtleact's, or that of a sourced ROS.",
+    ),
+]
+Embedded: TypeAlias = Annotated[
+    bool, typer.Option("--embedded", help="Run a world of turtles, too, for a program with rclpy.")
+]
+
+
+class How(NamedTuple):
+    """How a program of the user's is run.
+
+    Attributes:
+        face: Whose rclpy it imports; see `turtleact.rclpy.face`.
+        embedded: Whether its process has a world of turtles, too.
+        interfaces: A folder with more interfaces.
+        reach: The graph that it joins with rclpy.
+    """
+
+    face: str
+    embedded: bool
+    interfaces: str | None
+    reach: Reach
 
 
 class Run(Verb):
@@ -91,17 +128,23 @@ def run(
     executable: Executable = "",
     arguments: Arguments = None,
     *,
+    face: Whose = "auto",
+    embedded: Embedded = False,
+    interfaces: Interfaces = None,
+    connect: Connect = None,
     domain: Domain = 0,
+    config: Config = None,
 ) -> Job:
     """``run``."""
     rest = list(arguments or ())
+    how = How(face, embedded, folder(interfaces), reach(connect, domain, config))
     if not package:
         raise UsageError(f"what to run is missing: {_HELP}")
     if package.endswith(".py"):
-        return _running(_file(package), [executable, *rest] if executable else rest, domain)
+        return _running(_file(package), [executable, *rest] if executable else rest, how)
     program = _chosen(runnable_here(), package, executable)
     if program is not None:
-        return _running(program, rest, domain)
+        return _running(program, rest, how)
     return _built_in(package, executable, *_own_domain(rest, domain))
 
 
@@ -113,7 +156,7 @@ def runnable_here() -> dict[str, dict[str, Program | None]]:
 
 
 def _listed(known: Mapping[str, Mapping[str, object]]) -> list[str]:
-    """What can be run, one program per line, without control characters from file names."""
+    """What can be run, a line each: names that a file says could be commands to the terminal."""
     pairs = [f"{package} {name}" for package in sorted(known) for name in known[package]]
     left_out = len(pairs) - MOST_LISTED
     if left_out > 0:
@@ -153,16 +196,20 @@ def _file(name: str) -> Program:
     return Program(name, file=Path(name))
 
 
-def _running(program: Program, arguments: Sequence[str], domain: int) -> Job:
+def _running(program: Program, arguments: Sequence[str], how: How) -> Job:
     """The job of running a program of the user's."""
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_found
         from turtleact.commands.programs import run_program
+        from turtleact.rclpy.impl.settings import Place
+        from turtleact.rclpy.program import Options
 
-        make_found(None)
-        os.environ["ROS_DOMAIN_ID"] = str(domain)  # the program reads it, as any ROS program
-        return run_program(program, arguments, interrupts)
+        make_found(how.interfaces)
+        os.environ["ROS_DOMAIN_ID"] = str(how.reach.domain)  # the program reads it, as in ROS
+        config = how.reach.locks().settings()
+        place = Place(how.reach.connect, config, is_embedded=how.embedded)
+        return run_program(program, arguments, interrupts, Options(how.face, place))
 
     return job
 
@@ -191,7 +238,7 @@ def _built_in(package: str, executable: str, arguments: Sequence[str], domain: i
     if package != "turtlesim":
         from turtleact.commands.verbs.serve import serve
 
-        return serve([FIBONACCI], no_sim=True, node_name=executable, domain=domain)
+        return serve([FIBONACCI], no_sim=True, domain=domain)
     where = reach(domain=domain)
 
     def job(interrupts: Interrupts) -> int:

@@ -1,0 +1,79 @@
+"""What can be imported while the finder is installed."""
+
+import importlib
+import sys
+
+import pytest
+
+from turtleact.rclpy.finder import install
+
+PACKAGES = ("rclpy", "geometry_msgs", "example_interfaces", "ament_index_python", "tf2_ros")
+
+
+@pytest.fixture(autouse=True)
+def _finder():
+    before = {name: module for name, module in sys.modules.items() if _is_served(name)}
+    for name in before:
+        del sys.modules[name]
+    finder = install()
+    yield
+    sys.meta_path.remove(finder)
+    for name in [name for name in sys.modules if _is_served(name)]:
+        del sys.modules[name]
+    sys.modules.update(before)
+
+
+def _is_served(name):
+    return name.partition(".")[0] in PACKAGES
+
+
+def test_rclpys_modules_are_ours_under_a_second_name():
+    import turtleact.rclpy.node
+
+    assert importlib.import_module("rclpy.node") is turtleact.rclpy.node
+    assert turtleact.rclpy.node.__spec__.name == "turtleact.rclpy.node"
+
+
+def test_a_module_can_be_used_as_an_attribute():
+    rclpy = importlib.import_module("rclpy")
+    assert rclpy.qos.QoSProfile(depth=1).depth == 1
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        rclpy.nonsense  # noqa: B018
+
+
+def test_the_names_that_rclpy_spreads_over_modules_are_found():
+    module = importlib.import_module("rclpy.validate_topic_name")
+    assert module.validate_topic_name("chatter")
+
+
+def test_interface_packages_have_their_classes():
+    module = importlib.import_module("geometry_msgs.msg")
+    assert module.Point(x=1.0).x == 1.0
+    assert "Twist" in module.__all__
+    assert "Twist" in dir(module)
+
+
+def test_an_unknown_class_is_an_attribute_error_with_the_nearest():
+    module = importlib.import_module("geometry_msgs.msg")
+    with pytest.raises(AttributeError, match=r"Pont.*did you mean"):
+        module.Pont  # noqa: B018
+
+
+@pytest.mark.parametrize("name", ["tf2_ros", "rclpy.lifecycle"])
+def test_what_turtleact_does_not_have_says_so(name):
+    with pytest.raises(ImportError, match=f"turtleact has no '{name}'"):
+        importlib.import_module(name)
+
+
+def test_a_package_of_ament_is_known_by_its_sources(tmp_path, monkeypatch):
+    (tmp_path / "lab").mkdir()
+    (tmp_path / "lab" / "package.xml").write_text("<package><name>lab</name></package>")
+    monkeypatch.chdir(tmp_path)
+    packages = importlib.import_module("ament_index_python.packages")
+    assert packages.get_package_share_directory("lab") == str(tmp_path / "lab")
+    with pytest.raises(packages.PackageNotFoundError, match="hall"):
+        packages.get_package_prefix("hall")
+
+
+def test_a_second_install_changes_nothing():
+    assert install() is install()

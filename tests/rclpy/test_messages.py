@@ -1,0 +1,226 @@
+"""Message classes as rclpy programs know them, and what of them is sent."""
+
+import array
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from turtleact.errors import InvalidMessage, UnknownInterface
+from turtleact.interfaces import encode as encode_ours
+from turtleact.interfaces import get_message, load_interface
+from turtleact.rclpy.messages.classes import interface_class, is_interface
+from turtleact.rclpy.messages.codec import decode, encode, hash_of
+
+Point = interface_class("geometry_msgs/msg/Point")
+Pose = interface_class("geometry_msgs/msg/Pose")
+String = interface_class("std_msgs/msg/String")
+Fibonacci = interface_class("example_interfaces/action/Fibonacci")
+AddTwoInts = interface_class("example_interfaces/srv/AddTwoInts")
+UUID = interface_class("unique_identifier_msgs/msg/UUID")
+
+
+@pytest.fixture
+def mixed():
+    """A message with one field of each kind."""
+    text = (
+        "byte raw 7\nbyte[] raws\nbool flag true\nchar letter\nfloat32 ratio 0.5\nstring<=4 name\n"
+        "int16[<=3] few\nbool[2] pair\nfloat64[] many [1.0, 2.0]\nstring[] names\nuint8 LIMIT=3\n"
+        "geometry_msgs/Point[] path"
+    )
+    load_interface(text, type_name="rclpy_tests/msg/Mixed")
+    return interface_class("rclpy_tests/msg/Mixed")
+
+
+def test_a_message_starts_with_zeros_and_defaults(mixed):
+    message = mixed()
+    assert (message.raw, message.flag, message.ratio) == (b"\x07", True, 0.5)
+    assert message.many == array.array("d", [1.0, 2.0])
+    assert (message.few, message.pair, message.path) == (array.array("h"), [False, False], [])
+
+
+def test_a_list_of_numbers_becomes_an_array():
+    result = Fibonacci.Result(sequence=[0, 1])
+    assert repr(result.sequence) == "array('i', [0, 1])"
+    result.sequence = (2, 3)
+    assert result.sequence == array.array("i", [2, 3])
+
+
+def test_a_fixed_array_of_numbers_is_numpys():
+    assert isinstance(UUID(uuid=list(range(16))).uuid, np.ndarray)
+
+
+def test_the_repr_shows_package_class_and_fields():
+    shown = "example_interfaces.action.Fibonacci_Result(sequence=[1])"
+    assert repr(Fibonacci.Result(sequence=[1])) == shown
+
+
+def test_two_messages_with_equal_fields_are_equal():
+    assert Pose() == Pose()
+    assert UUID(uuid=[1] * 16) != UUID()
+    assert Point() != Pose()
+
+
+def test_a_message_cannot_be_hashed():
+    with pytest.raises(TypeError, match="unhashable"):
+        hash(Point())
+
+
+def test_a_message_can_be_copied_and_pickled(monkeypatch):
+    pose = Pose(position=Point(x=1.0))
+    assert copy.deepcopy(pose) == pose
+    monkeypatch.setattr("pickle.whichmodule", lambda *_: "geometry_msgs.msg")
+    assert pose.__reduce_ex__(pickle.HIGHEST_PROTOCOL)[2] is not None
+
+
+def test_keywords_are_needed():
+    with pytest.raises(TypeError, match="positional"):
+        Point(1.0)
+
+
+def test_nothing_is_checked_unless_asked_for():
+    assert String(data=3, nonsense=4).data == 3
+
+
+@pytest.mark.parametrize(
+    ("make", "problem"),
+    [
+        (lambda: String(data=3, check_fields=True), "'data' field must be of type 'str'"),
+        (lambda: Point(x=1, check_fields=True), "'x' field must be of type 'float'"),
+        (lambda: Pose(position=1, check_fields=True), "a sub message of type 'Point'"),
+        (lambda: UUID(uuid=[1], check_fields=True), "a sequence of length 16"),
+        (lambda: String(check_fields=True, text=""), "Invalid arguments"),
+    ],
+)
+def test_a_check_names_the_field_and_the_type(make, problem):
+    with pytest.raises(AssertionError, match=problem):
+        make()
+
+
+def test_an_unknown_attribute_cannot_be_set():
+    with pytest.raises(AttributeError, match="no attribute 'text'"):
+        String().text = "hello"
+
+
+def test_constants_and_defaults_are_on_class_and_instance_and_stay(mixed):
+    assert (mixed.LIMIT, mixed().LIMIT, mixed.RATIO__DEFAULT) == (3, 3, 0.5)
+    with pytest.raises(AttributeError, match="LIMIT"):
+        mixed.LIMIT = 4
+    with pytest.raises(AttributeError, match="LIMIT"):
+        mixed().LIMIT = 4
+
+
+def test_field_types_are_named_as_in_idl(mixed):
+    assert mixed.get_fields_and_field_types() == {
+        "raw": "octet",
+        "raws": "sequence<octet>",
+        "flag": "boolean",
+        "letter": "uint8",
+        "ratio": "float",
+        "name": "string<4>",
+        "few": "sequence<int16, 3>",
+        "pair": "boolean[2]",
+        "many": "sequence<double>",
+        "names": "sequence<string>",
+        "path": "sequence<geometry_msgs/Point>",
+    }
+
+
+def test_a_service_or_action_cannot_be_instantiated():
+    with pytest.raises(NotImplementedError, match="Action classes"):
+        Fibonacci()
+    with pytest.raises(NotImplementedError, match="Service classes"):
+        AddTwoInts()
+
+
+def test_an_action_has_the_types_that_it_travels_in():
+    message = Fibonacci.Impl.FeedbackMessage()
+    assert list(message.get_fields_and_field_types()) == ["goal_id", "feedback"]
+    assert Fibonacci.Impl.SendGoalService.Request().goal == Fibonacci.Goal()
+
+
+def test_an_unknown_interface_is_refused_with_the_nearest():
+    with pytest.raises(UnknownInterface, match="did you mean"):
+        interface_class("geometry_msgs/msg/Pont")
+
+
+def test_only_our_classes_are_interfaces():
+    assert is_interface(Point)
+    assert is_interface(AddTwoInts)
+    assert not is_interface(int)
+
+
+# --- what is sent -----------------------------------------------------------------------------
+
+
+def test_a_message_is_sent_as_turtleacts_own_class_sends_it():
+    data = encode(Pose(position=Point(x=1.5)), Pose)
+    assert data == encode_ours(
+        get_message("geometry_msgs/msg/Pose")(get_message("geometry_msgs/msg/Point")(x=1.5))
+    )
+    assert decode(data, Pose) == Pose(position=Point(x=1.5))
+
+
+def test_every_kind_of_field_survives_the_way(mixed):
+    message = mixed(
+        raw=b"\x01",
+        raws=[b"a", b"b"],
+        letter=65,
+        name="four",
+        few=[1, 2],
+        pair=[True, False],
+        names=["x", "ü"],
+        path=[Point(y=2.0)],
+    )
+    assert decode(encode(message, mixed), mixed) == message
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"ratio": 1},  # an int as a float
+        {"ratio": np.float64(0.25)},
+        {"flag": np.True_},
+        {"letter": np.uint8(3)},
+        {"pair": (True, False)},
+        {"path": (Point(),)},
+    ],
+)
+def test_what_rclpy_converts_is_converted(mixed, fields):
+    assert decode(encode(mixed(**fields), mixed), mixed)
+
+
+@pytest.mark.parametrize(
+    ("fields", "problem"),
+    [
+        ({"ratio": "1"}, "ratio"),
+        ({"letter": 256}, "letter"),
+        ({"letter": 1.0}, "letter"),
+        ({"name": "too long"}, "name"),
+        ({"flag": 1}, "flag"),
+        ({"raw": b""}, "raw"),
+        ({"names": "text"}, "names"),
+        ({"pair": [True]}, "expected 2 elements"),
+        ({"few": [1, 2, 3, 4]}, "at most 3"),
+        ({"path": [Pose()]}, "geometry_msgs.msg.Point"),
+    ],
+)
+def test_what_does_not_fit_cannot_be_sent(mixed, fields, problem):
+    with pytest.raises(TypeError, match=problem):
+        encode(mixed(**fields), mixed)
+
+
+def test_a_message_of_another_class_cannot_be_sent():
+    with pytest.raises(TypeError, match=r"Expected geometry_msgs\.msg\.Pose"):
+        encode(Point(), Pose)
+
+
+@pytest.mark.parametrize("data", [b"", b"\x09\x09\x00\x00", b"\x00\x01\x00\x00\x05"])
+def test_bytes_that_are_no_message_are_refused(data):
+    with pytest.raises(InvalidMessage):
+        decode(data, String)
+
+
+def test_the_hash_is_that_of_the_interface():
+    assert hash_of("std_msgs/msg/String").startswith("RIHS01_df668c")

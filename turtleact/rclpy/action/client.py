@@ -1,0 +1,392 @@
+"""Action clients.
+
+Whatever comes, from a server's answers to feedback, waits in one queue in the order of its arrival,
+and is handled in an executor, in the group of the client. Nothing is dropped.
+
+Source: rcl_action ``action_client.c``; rclpy ``action/client.py`` for names and texts.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+import uuid
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, TypeAlias
+from weakref import WeakValueDictionary
+
+from turtleact.errors import InvalidMessage, TurtleactError
+from turtleact.goal_wire import read_states
+from turtleact.interfaces.wire_format import GOAL_ID
+from turtleact.rclpy.action.names import ActionKind, goal_key
+from turtleact.rclpy.executors import await_or_execute
+from turtleact.rclpy.impl.diagnosis import BLOCKED_AFTER, warn_if_blocked
+from turtleact.rclpy.impl.typing import Anything, Subscriptable
+from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages.codec import decode, encode
+from turtleact.rclpy.qos import (
+    QoSProfile,
+    qos_profile_action_status_default,
+    qos_profile_services_default,
+)
+from turtleact.rclpy.task import Future
+from turtleact.rclpy.waitable import NumberOfEntities, Waitable
+
+if TYPE_CHECKING:
+    from turtleact.rclpy.callback_groups import CallbackGroup
+    from turtleact.rclpy.node import Node
+
+__all__ = ["ActionClient", "ClientGoalHandle"]
+
+Event: TypeAlias = "tuple[Callable[..., Anything], tuple[Anything, ...]]"
+"""Something that has come: how to handle it, and its arguments."""
+
+FEEDBACK_QOS = QoSProfile(depth=10)
+
+POLL = 0.02
+"""How often to look whether a server is there (s)."""
+
+
+class ClientGoalHandle(Subscriptable):
+    """One goal, as the client that sent it sees it.
+
+    Args:
+        action_client: The client.
+        goal_id: Its id.
+        goal_response: The server's answer.
+    """
+
+    def __init__(
+        self, action_client: ActionClient, goal_id: Anything, goal_response: Anything
+    ) -> None:
+        self._action_client = action_client
+        self._goal_id = goal_id
+        self._goal_response = goal_response
+        self._status = 0
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ClientGoalHandle) and self._goal_id == other._goal_id
+
+    def __hash__(self) -> int:
+        return hash(goal_key(self._goal_id))
+
+    def __repr__(self) -> str:
+        return (
+            f"ClientGoalHandle <id={goal_key(self._goal_id).hex()}, accepted={self.accepted}, "
+            f"status={self._status}>"
+        )
+
+    @property
+    def goal_id(self) -> Anything:
+        """Its id, a ``unique_identifier_msgs.msg.UUID``."""
+        return self._goal_id
+
+    @property
+    def stamp(self) -> Anything:
+        """When it was accepted."""
+        return self._goal_response.stamp
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it was accepted."""
+        accepted: bool = self._goal_response.accepted
+        return accepted
+
+    @property
+    def status(self) -> int:
+        """Its state, as far as it is known: a number of ``action_msgs.msg.GoalStatus``."""
+        return self._status
+
+    def update_status(self, status: int) -> None:
+        """Note its state. A goal that has ended stays as it is."""
+        if self._status < 4 or status >= 4:
+            self._status = status
+
+    def cancel_goal(self) -> Anything:
+        """Ask the server to cancel it, and wait for the answer; somebody else must spin."""
+        return self._action_client.wait_for_future(self.cancel_goal_async(), "cancel_goal()")
+
+    def cancel_goal_async(self) -> Future:
+        """Ask the server to cancel it, and return the future of the answer."""
+        return self._action_client.cancel_goal_async(self)
+
+    def get_result(self) -> Anything:
+        """Wait for the result; somebody else must spin."""
+        return self._action_client.wait_for_future(self.get_result_async(), "get_result()")
+
+    def get_result_async(self) -> Future:
+        """Return the future of the result, a message with ``status`` and ``result``."""
+        return self._action_client.get_result_async(self)
+
+
+class ActionClient(Waitable):
+    """Sends goals to an action.
+
+    Args:
+        node: The node.
+        action_type: The class of the action.
+        action_name: Its name.
+        callback_group: Decides when an answer may be handled; None means the node's default group.
+        goal_service_qos_profile: Ignored.
+        result_service_qos_profile: Ignored.
+        cancel_service_qos_profile: Ignored.
+        feedback_sub_qos_profile: The quality of service of the feedback topic.
+        status_sub_qos_profile: That of the status topic.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        action_type: Anything,
+        action_name: str,
+        *,
+        callback_group: CallbackGroup | None = None,
+        goal_service_qos_profile: QoSProfile = qos_profile_services_default,  # noqa: ARG002
+        result_service_qos_profile: QoSProfile = qos_profile_services_default,  # noqa: ARG002
+        cancel_service_qos_profile: QoSProfile = qos_profile_services_default,  # noqa: ARG002
+        feedback_sub_qos_profile: QoSProfile = FEEDBACK_QOS,
+        status_sub_qos_profile: QoSProfile = qos_profile_action_status_default,
+    ) -> None:
+        super().__init__(callback_group or node.default_callback_group)
+        self._node = node
+        self._action_type = action_type
+        self._action_name = action_name
+        self._kind = ActionKind(node, action_type, action_name)
+        self._goal_handles: WeakValueDictionary[bytes, ClientGoalHandle] = WeakValueDictionary()
+        self._feedback_callbacks: dict[bytes, Callable[[Anything], object]] = {}
+        self._pending: set[Future] = set()
+        self._events: deque[Event] = deque()
+        self._status: bytes | None = None  # the newest states that were not looked at
+        self._lock = threading.Lock()
+        self._ends = {
+            name: self._kind.join(name) for name in ("send_goal", "cancel_goal", "get_result")
+        }
+        self._opened = [
+            self._kind.subscribe_feedback(feedback_sub_qos_profile, self._take_feedback),
+            self._kind.subscribe_status(status_sub_qos_profile, self._take_status),
+        ]
+        node.add_waitable(self)
+
+    # sending
+
+    def send_goal(
+        self, goal: Anything, feedback_callback: Anything = None, goal_uuid: Anything = None
+    ) -> Anything:
+        """Send a goal and wait for its result, a message with ``status`` and ``result``.
+
+        Somebody else must spin the node meanwhile. Returns None if the goal is rejected.
+
+        Raises:
+            TypeError: if the goal is of another class, or a value does not fit its type.
+        """
+        sent = self.send_goal_async(goal, feedback_callback, goal_uuid)
+        handle = self.wait_for_future(sent, "send_goal()")
+        return handle.get_result() if handle.accepted else None
+
+    def send_goal_async(
+        self, goal: Anything, feedback_callback: Anything = None, goal_uuid: Anything = None
+    ) -> Future:
+        """Send a goal, and return the future of its `ClientGoalHandle`.
+
+        Args:
+            goal: The goal message.
+            feedback_callback: Takes each feedback message of the goal.
+            goal_uuid: Its id; None means a random one.
+
+        Raises:
+            TypeError: if the goal is of another class, or a value does not fit its type.
+        """
+        if not isinstance(goal, self._action_type.Goal):
+            raise TypeError(f"expected a goal of the action, not {type(goal)}")
+        if goal_uuid is None:
+            made: Anything = interface_class("unique_identifier_msgs/msg/UUID")
+            goal_uuid = made(uuid=list(uuid.uuid4().bytes))
+        request = self._kind.service("send_goal").Request(goal_id=goal_uuid, goal=goal)
+        data = encode(request, type(request))
+        self._handle.check()
+        key = goal_key(goal_uuid)
+        if feedback_callback is not None:
+            self._feedback_callbacks[key] = feedback_callback
+        return self._call("send_goal", data, partial(self._goal_answered, goal_uuid))
+
+    def cancel_goal_async(self, goal_handle: ClientGoalHandle) -> Future:
+        """Ask the server to cancel a goal, and return the future of the answer.
+
+        Raises:
+            TypeError: if it is no `ClientGoalHandle`.
+        """
+        _check_handle(goal_handle)
+        info = self._kind.goal_info(goal_handle.goal_id)
+        request = self._kind.service("cancel_goal").Request(goal_info=info)
+        return self._call("cancel_goal", encode(request, type(request)), _itself)
+
+    def get_result_async(self, goal_handle: ClientGoalHandle) -> Future:
+        """Return the future of a goal's result, a message with ``status`` and ``result``.
+
+        Raises:
+            TypeError: if it is no `ClientGoalHandle`.
+        """
+        _check_handle(goal_handle)
+        request = self._kind.service("get_result").Request(goal_id=goal_handle.goal_id)
+        ended = partial(self._goal_ended, goal_handle)
+        return self._call("get_result", encode(request, type(request)), ended)
+
+    def wait_for_future(self, future: Future, what: str) -> Anything:
+        """Block until a future is done, and return its result."""
+        done = threading.Event()
+        future.add_done_callback(lambda _: done.set())
+        began, has_warned = time.monotonic(), False
+        while not done.wait(PATIENCE) and self._node.context.ok():
+            if not has_warned and time.monotonic() - began >= BLOCKED_AFTER:
+                has_warned = True
+                where = f"{what} of {self._kind.names.name}"
+                warn_if_blocked(self, where, is_answered=bool(self._events))
+        return future.result()
+
+    def server_is_ready(self) -> bool:
+        """Whether a goal would reach a server now."""
+        with self.handle:
+            return all(end.is_served for end in self._ends.values())
+
+    def wait_for_server(self, timeout_sec: float | None = None) -> bool:
+        """Wait until there is a server, without spinning; return whether there is one."""
+        end = None if timeout_sec is None else time.monotonic() + timeout_sec
+        while self._node.context.ok() and not self.server_is_ready():
+            left = POLL if end is None else min(POLL, end - time.monotonic())
+            if left <= 0:
+                break
+            time.sleep(left)
+        return self.server_is_ready()
+
+    # what comes; any thread
+
+    def _call(self, service: str, data: bytes, handle: Callable[[Anything], Anything]) -> Future:
+        """Send a request, and return the future of what ``handle(response)`` returns."""
+        future = Future()
+        self._pending.add(future)
+        future.add_done_callback(self._pending.discard)
+        response_class = self._kind.service(service).Response
+
+        def answered(response: bytes, note: str) -> None:  # noqa: ARG001  # notes are for turtleact
+            self._push(self._answered, future, response_class, response, handle)
+
+        def failed(error: TurtleactError) -> None:
+            # As in ROS 2, a request that nobody answers is lost: its future is never done.
+            self._node.get_logger().debug(f"a request was lost: {error}")
+
+        self._ends[service].send(data, answered, failed)
+        return future
+
+    def _take_feedback(self, data: bytes) -> None:
+        if data[GOAL_ID] in self._feedback_callbacks:
+            self._push(self._feedback, data)
+
+    def _take_status(self, data: bytes) -> None:
+        # Only the newest states matter. They are looked at in the turn of the first.
+        with self._lock:
+            was_there, self._status = self._status is not None, data
+        if not was_there and self._goal_handles:
+            self._push(self._update_states)
+        elif not was_there:
+            self._status = None
+
+    def _push(self, handle: Callable[..., Anything], *arguments: Anything) -> None:
+        self._events.append((handle, arguments))
+        self.wake()
+
+    # as a waitable
+
+    def is_ready(self, wait_set: object) -> bool:  # noqa: ARG002  # there is none
+        """Whether something has come."""
+        return bool(self._events)
+
+    def get_num_entities(self) -> NumberOfEntities:
+        """Return how many entities it stands for."""
+        return NumberOfEntities(num_subs=2, num_clients=3)
+
+    def take_data(self) -> Anything:
+        """Take the oldest thing that has come."""
+        try:
+            return self._events.popleft()
+        except IndexError:
+            return None
+
+    async def execute(self, taken_data: Event) -> None:
+        """Handle it."""
+        handle, arguments = taken_data
+        await await_or_execute(handle, *arguments)
+
+    def describe(self) -> str:
+        """Name it in a diagnostic."""
+        return f"the action client of {self._kind.names.name}"
+
+    def destroy(self) -> None:
+        """Destroy it. A second call does nothing."""
+        if self._handle.is_destroyed:
+            return
+        super().destroy()
+        for end in self._ends.values():
+            end.close()
+        for opened in self._opened:
+            opened.close()
+        self._node.remove_waitable(self)
+
+    def _answered(
+        self,
+        future: Future,
+        response_class: Anything,
+        data: bytes,
+        handle: Callable[[Anything], Anything],
+    ) -> None:
+        try:
+            response = decode(data, response_class)
+        except InvalidMessage as error:
+            self._node.get_logger().error(f"a response cannot be read: {error}")
+            return
+        if not future.cancelled():
+            # From now on the executor runs the done callbacks.
+            future.set_executor(self._node.executor)
+            future.set_result(handle(response))
+
+    def _goal_answered(self, goal_id: Anything, response: Anything) -> ClientGoalHandle:
+        handle = ClientGoalHandle(self, goal_id, response)
+        key = goal_key(goal_id)
+        if handle.accepted:
+            self._goal_handles[key] = handle
+        else:
+            self._feedback_callbacks.pop(key, None)
+        return handle
+
+    def _goal_ended(self, goal_handle: ClientGoalHandle, response: Anything) -> Anything:
+        goal_handle.update_status(response.status)
+        # Feedback that was published before the result has come before it.
+        self._feedback_callbacks.pop(goal_key(goal_handle.goal_id), None)
+        return response
+
+    async def _feedback(self, data: bytes) -> None:
+        callback = self._feedback_callbacks.get(data[GOAL_ID])
+        if callback is not None:
+            await await_or_execute(callback, decode(data, self._action_type.Impl.FeedbackMessage))
+
+    def _update_states(self) -> None:
+        with self._lock:
+            data, self._status = self._status, None
+        states = None if data is None else read_states(data)
+        for key, handle in list(self._goal_handles.items()):
+            if states is not None and key in states:
+                handle.update_status(states[key][2])
+
+
+PATIENCE = 0.5
+"""How long to wait at most before looking again (s); a signal may not interrupt a lock."""
+
+
+def _check_handle(goal_handle: object) -> None:
+    if not isinstance(goal_handle, ClientGoalHandle):
+        raise TypeError(f"Expected type ClientGoalHandle but received {type(goal_handle)}")
+
+
+def _itself(response: Anything) -> Anything:
+    return response

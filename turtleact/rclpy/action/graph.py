@@ -1,0 +1,58 @@
+"""What actions exist, and which nodes serve or use them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from turtleact.graph import SEND_GOAL, types_by_name
+from turtleact.rclpy.impl.node_graph import NodeNameNonExistentError
+from turtleact.transports.base import Endpoint, EndpointKind
+
+if TYPE_CHECKING:
+    from turtleact.rclpy.node import Node
+
+__all__ = [
+    "get_action_client_names_and_types_by_node",
+    "get_action_names_and_types",
+    "get_action_server_names_and_types_by_node",
+]
+
+
+def get_action_client_names_and_types_by_node(
+    node: Node, remote_node_name: str, remote_node_namespace: str
+) -> list[tuple[str, list[str]]]:
+    """Return the actions that a node uses, and their types.
+
+    Raises:
+        RuntimeError: if there is no such node.
+    """
+    return _of_node(node, remote_node_name, remote_node_namespace, "client")
+
+
+def get_action_server_names_and_types_by_node(
+    node: Node, remote_node_name: str, remote_node_namespace: str
+) -> list[tuple[str, list[str]]]:
+    """Return the actions that a node serves, and their types; raises as above."""
+    return _of_node(node, remote_node_name, remote_node_namespace, "service")
+
+
+def get_action_names_and_types(node: Node) -> list[tuple[str, list[str]]]:
+    """Return all actions that are served or used, and their types."""
+    return _listed(node.connection.endpoints(), "service", "client")
+
+
+def _of_node(
+    node: Node, name: str, namespace: str, kind: EndpointKind
+) -> list[tuple[str, list[str]]]:
+    full = f"{namespace.rstrip('/')}/{name}"
+    if full not in node.connection.nodes():
+        raise NodeNameNonExistentError(f"Cannot get the actions of an unknown node: {full}")
+    return _listed([each for each in node.connection.endpoints() if each.node == full], kind)
+
+
+def _listed(
+    ends: tuple[Endpoint, ...] | list[Endpoint], *kinds: EndpointKind
+) -> list[tuple[str, list[str]]]:
+    served = [each for each in ends if each.name.endswith(SEND_GOAL)]
+    found = types_by_name(served, "action", *kinds, hidden=True)
+    return [(name, list(types)) for name, types in found.items()]

@@ -1,0 +1,125 @@
+"""The names, types and formats of the endpoints of an action."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from turtleact.interfaces.cdr import HEADER, UNFIT, writer_behind
+from turtleact.interfaces.wire_format import GOAL_ID
+from turtleact.names import action_names
+from turtleact.rclpy.impl.calls import CallEnd
+from turtleact.rclpy.impl.connection import RequestHandler, Sender
+from turtleact.rclpy.impl.typing import Anything
+from turtleact.rclpy.messages.classes import interface_class, maker
+from turtleact.rclpy.messages.codec import encode, hash_of
+from turtleact.rclpy.qos import QoSProfile
+from turtleact.rclpy.type_support import check_is_valid_action_type
+from turtleact.transports.base import Closeable, Target
+
+if TYPE_CHECKING:
+    from turtleact.rclpy.clock import Clock
+    from turtleact.rclpy.node import Node
+
+__all__ = ["ActionKind", "goal_key"]
+
+TYPES = {
+    "send_goal": "SendGoalService",
+    "cancel_goal": "CancelGoalService",
+    "get_result": "GetResultService",
+}
+"""The services of an action, and the attributes of ``Impl`` that are their classes."""
+
+# Both responses begin with a number, in the byte after the header: it says "unknown goal". A server
+# that does not know a goal may answer before the right one; that answer does not count.
+_TARGETS = {
+    "send_goal": Target("one"),
+    "cancel_goal": Target(counts=lambda reply: reply[4:5] != b"\x02"),
+    "get_result": Target(counts=lambda reply: reply[4:5] != b"\x00"),
+}
+
+
+class ActionKind:
+    """An action of a node: opens its endpoints.
+
+    Args:
+        node: The node.
+        action_type: The class of the action.
+        name: The name of the action, relative or absolute.
+
+    Attributes:
+        names: The full names of the endpoints.
+    """
+
+    def __init__(self, node: Node, action_type: Anything, name: str) -> None:
+        check_is_valid_action_type(action_type)
+        self._node = node
+        self._type: Anything = action_type
+        full = node.resolve_service_name(f"{name}/_action/send_goal")
+        self.names = action_names(full.removesuffix("/_action/send_goal"))
+        self._write: Callable[[object, bytes], bytes] = writer_behind(
+            action_type.Feedback, GOAL_ID.stop
+        )
+        self._info: Callable[..., Anything] = maker(interface_class("action_msgs/msg/GoalInfo"))
+        self._time: Callable[..., Anything] = maker(interface_class("builtin_interfaces/msg/Time"))
+
+    def service(self, service: str) -> Anything:
+        """Return the class of one of the services."""
+        return getattr(self._type.Impl, TYPES[service])
+
+    def goal_info(self, goal_id: Anything, clock: Clock | None = None) -> Anything:
+        """Return a ``GoalInfo`` with this id; with a clock, its time."""
+        now = 0 if clock is None else clock.now_ns()
+        return self._info(goal_id, self._time(*divmod(now, 1_000_000_000)))
+
+    def serve(self, service: str, handler: RequestHandler) -> Closeable:
+        """Open the server's end of a service."""
+        name, type_name = getattr(self.names, service), self.service(service).type_name
+        end = self._node.endpoint("service", name, type_name)
+        return self._node.connection.serve(end, hash_of(type_name), handler)
+
+    def join(self, service: str) -> CallEnd:
+        """Open the client's end of a service."""
+        name, type_name = getattr(self.names, service), self.service(service).type_name
+        return self._node.join(name, type_name, _TARGETS[service])
+
+    def advertise_feedback(self, qos: QoSProfile) -> Sender:
+        """Open the sending end of the feedback topic."""
+        type_name = self._feedback_type
+        end = self._node.endpoint("publisher", self.names.feedback, type_name, qos)
+        return self._node.connection.advertise(end, hash_of(type_name))
+
+    def subscribe_feedback(self, qos: QoSProfile, deliver: Callable[[bytes], None]) -> Closeable:
+        """Open the receiving end of the feedback topic."""
+        type_name = self._feedback_type
+        end = self._node.endpoint("subscription", self.names.feedback, type_name, qos)
+        return self._node.connection.subscribe(end, hash_of(type_name), deliver)
+
+    def subscribe_status(self, qos: QoSProfile, deliver: Callable[[bytes], None]) -> Closeable:
+        """Open the receiving end of the status topic."""
+        type_name = "action_msgs/msg/GoalStatusArray"
+        end = self._node.endpoint("subscription", self.names.status, type_name, qos)
+        return self._node.connection.subscribe(end, hash_of(type_name), deliver)
+
+    def encode_feedback(self, goal_id: bytes, feedback: Anything) -> bytes:
+        """Encode a feedback message.
+
+        Raises:
+            TypeError: if a value does not fit its type.
+        """
+        try:
+            return self._write(feedback, HEADER + goal_id)
+        except UNFIT:
+            made: Anything = self._type.Impl.FeedbackMessage
+            message = made(feedback=feedback)
+            message.goal_id.uuid = list(goal_id)
+            return encode(message, made)
+
+    @property
+    def _feedback_type(self) -> str:
+        return f"{self._type.type_name}_FeedbackMessage"
+
+
+def goal_key(goal_id: Anything) -> bytes:
+    """Return the 16 bytes of a ``unique_identifier_msgs.msg.UUID``."""
+    return bytes(goal_id.uuid)

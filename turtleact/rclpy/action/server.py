@@ -1,0 +1,553 @@
+"""Action servers.
+
+Requests wait in one queue and are answered in an executor, in the group of the server. An execute
+callback is a task of the executor, outside every group, so ``time.sleep`` in it is normal with a
+`MultiThreadedExecutor`. The states of a goal are those of `turtleact.goal`.
+
+Source: rcl_action ``action_server.c``; the ROS 2 design article "Actions"; rclpy
+``action/server.py`` for names and texts.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+import traceback
+from collections import deque
+from enum import Enum
+from functools import partial
+from typing import TYPE_CHECKING, TypeAlias
+
+from turtleact.errors import InvalidMessage, InvalidTransition
+from turtleact.goal import Goal, GoalEvent, GoalStatus, cancel_code, select
+from turtleact.goal_wire import GoalNote
+from turtleact.rclpy.action.names import ActionKind, goal_key
+from turtleact.rclpy.action.status import StatusTopic
+from turtleact.rclpy.exceptions import RCLError
+from turtleact.rclpy.executors import await_or_execute
+from turtleact.rclpy.impl.connection import RequestHandler, Respond
+from turtleact.rclpy.impl.typing import Anything, Subscriptable
+from turtleact.rclpy.messages.codec import decode, encode
+from turtleact.rclpy.qos import (
+    QoSProfile,
+    qos_profile_action_status_default,
+    qos_profile_services_default,
+)
+from turtleact.rclpy.task import Future
+from turtleact.rclpy.waitable import NumberOfEntities, Waitable
+
+if TYPE_CHECKING:
+    from turtleact.rclpy.callback_groups import CallbackGroup
+    from turtleact.rclpy.node import Node
+
+__all__ = [
+    "ActionServer",
+    "CancelResponse",
+    "GoalResponse",
+    "ServerGoalHandle",
+    "default_cancel_callback",
+    "default_goal_callback",
+    "default_handle_accepted_callback",
+]
+
+Request: TypeAlias = "tuple[str, Anything, Respond]"
+"""A request that waits: which service, the message, and how to answer it."""
+
+FEEDBACK_QOS = QoSProfile(depth=10)
+
+
+class GoalResponse(Enum):
+    """The answer to a goal request."""
+
+    REJECT = 1
+    ACCEPT = 2
+
+
+class CancelResponse(Enum):
+    """The answer to a cancel request for one goal."""
+
+    REJECT = 1
+    ACCEPT = 2
+
+
+def default_handle_accepted_callback(goal_handle: ServerGoalHandle) -> None:
+    """Execute the goal."""
+    goal_handle.execute()
+
+
+def default_goal_callback(goal_request: Anything) -> GoalResponse:  # noqa: ARG001  # any goal
+    """Accept every goal."""
+    return GoalResponse.ACCEPT
+
+
+def default_cancel_callback(cancel_request: Anything) -> CancelResponse:  # noqa: ARG001  # any
+    """Cancel no goal."""
+    return CancelResponse.REJECT
+
+
+class ServerGoalHandle(Subscriptable):
+    """One goal, as its server sees it; any thread may use it.
+
+    Args:
+        action_server: The server.
+        goal_info: A ``action_msgs.msg.GoalInfo``: id, and when it was accepted.
+        goal_request: The goal message.
+    """
+
+    def __init__(
+        self, action_server: ActionServer, goal_info: Anything, goal_request: Anything
+    ) -> None:
+        stamp = goal_info.stamp
+        self.goal = Goal(goal_request, stamp.sec * 1_000_000_000 + stamp.nanosec)
+        self.goal.id = goal_key(goal_info.goal_id)
+        self._action_server = action_server
+        self._goal_info = goal_info
+        self._lock = threading.Lock()
+        self._is_destroyed = False
+        self.response: Anything = None
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ServerGoalHandle) and self.goal.id == other.goal.id
+
+    def __hash__(self) -> int:
+        return hash(self.goal.id)
+
+    @property
+    def request(self) -> Anything:
+        """The goal message."""
+        return self.goal.request
+
+    @property
+    def goal_id(self) -> Anything:
+        """Its id, a ``unique_identifier_msgs.msg.UUID``."""
+        return self._goal_info.goal_id
+
+    @property
+    def goal_info(self) -> Anything:
+        """Its id, and when it was accepted."""
+        return self._goal_info
+
+    @property
+    def is_active(self) -> bool:
+        """Whether it has not ended."""
+        return not self._is_destroyed and self.goal.status.is_active
+
+    @property
+    def is_cancel_requested(self) -> bool:
+        """Whether it is being canceled."""
+        return self.status == GoalStatus.CANCELING
+
+    @property
+    def status(self) -> int:
+        """Its state, a number of ``action_msgs.msg.GoalStatus``."""
+        return int(GoalStatus.UNKNOWN if self._is_destroyed else self.goal.status)
+
+    def update(self, event: GoalEvent) -> None:
+        """Change its state.
+
+        Raises:
+            RCLError: if the state does not allow that.
+        """
+        with self._lock:
+            if self._is_destroyed:
+                return
+            before = self.goal.status
+            try:
+                self.goal.apply(event)
+            except InvalidTransition as error:
+                raise RCLError(
+                    "Failed to update goal state: goal_handle attempted invalid transition "
+                    f"from state {before.name} with event {event.name}"
+                ) from error
+        self._action_server.goal_changed(self)
+
+    def execute(self, execute_callback: Anything = None) -> None:
+        """Have the executor run the execute callback, or another one.
+
+        A goal that is being canceled already stays in that state.
+        """
+        if not self.is_cancel_requested:
+            self.update(GoalEvent.EXECUTE)
+        self._action_server.notify_execute(self, execute_callback)
+
+    def publish_feedback(self, feedback: Anything) -> None:
+        """Publish feedback.
+
+        Raises:
+            TypeError: if it is of another class, or a value does not fit its type.
+        """
+        if not isinstance(feedback, self._action_server.action_type.Feedback):
+            raise TypeError(f"expected feedback of the action, not {type(feedback)}")
+        if not self._is_destroyed:
+            self.goal.published += 1
+            self._action_server.publish_feedback(self.goal.id or b"", feedback)
+
+    def succeed(self, response: Anything = None) -> None:
+        """End it as SUCCEEDED, perhaps with its result."""
+        self._end(GoalEvent.SUCCEED, response)
+
+    def abort(self, response: Anything = None) -> None:
+        """End it as ABORTED, perhaps with its result."""
+        self._end(GoalEvent.ABORT, response)
+
+    def canceled(self, response: Anything = None) -> None:
+        """End it as CANCELED, perhaps with its result."""
+        self._end(GoalEvent.CANCELED, response)
+
+    def destroy(self) -> None:
+        """Forget it: from now on its state is UNKNOWN."""
+        self._is_destroyed = True
+
+    def _end(self, event: GoalEvent, response: Anything) -> None:
+        if response is not None:
+            self.response = response
+        self.update(event)
+
+
+class ActionServer(Waitable):
+    """Serves an action.
+
+    Args:
+        node: The node.
+        action_type: The class of the action.
+        action_name: Its name.
+        execute_callback: Takes a `ServerGoalHandle` and returns the result; may be a coroutine
+            function.
+        callback_group: Decides when requests may be answered; None means the node's default group.
+        goal_callback: Takes a goal message and returns a `GoalResponse`.
+        handle_accepted_callback: Takes a `ServerGoalHandle`; left out, it executes the goal.
+        cancel_callback: Takes a `ServerGoalHandle` and returns a `CancelResponse`.
+        goal_service_qos_profile: Ignored.
+        result_service_qos_profile: Ignored.
+        cancel_service_qos_profile: Ignored.
+        feedback_pub_qos_profile: The quality of service of the feedback topic.
+        status_pub_qos_profile: That of the status topic.
+        result_timeout: How long a result is kept (s); a negative number means for ever.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        action_type: Anything,
+        action_name: str,
+        execute_callback: Anything,
+        *,
+        callback_group: CallbackGroup | None = None,
+        goal_callback: Anything = default_goal_callback,
+        handle_accepted_callback: Anything = default_handle_accepted_callback,
+        cancel_callback: Anything = default_cancel_callback,
+        goal_service_qos_profile: QoSProfile = qos_profile_services_default,  # noqa: ARG002
+        result_service_qos_profile: QoSProfile = qos_profile_services_default,  # noqa: ARG002
+        cancel_service_qos_profile: QoSProfile = qos_profile_services_default,  # noqa: ARG002
+        feedback_pub_qos_profile: QoSProfile = FEEDBACK_QOS,
+        status_pub_qos_profile: QoSProfile = qos_profile_action_status_default,
+        result_timeout: float = 10,
+    ) -> None:
+        super().__init__(callback_group or node.default_callback_group)
+        self._node = node
+        self._action_type = action_type
+        self._name = action_name
+        self._kind = ActionKind(node, action_type, action_name)
+        self._timeout_ns = round(result_timeout * 1e9)
+        self._goal_handles: dict[bytes, ServerGoalHandle] = {}
+        self._result_futures: dict[bytes, Future] = {}
+        self._expiries: deque[tuple[int, bytes]] = deque()
+        self._requests: deque[Request] = deque()
+        self._logger = node.get_logger().get_child("action_server")
+        self.register_goal_callback(goal_callback)
+        self.register_handle_accepted_callback(handle_accepted_callback)
+        self.register_cancel_callback(cancel_callback)
+        self.register_execute_callback(execute_callback)
+        self._feedback = self._kind.advertise_feedback(feedback_pub_qos_profile)
+        self._status = StatusTopic(node, self._kind, status_pub_qos_profile, self._held)
+        self._opened = [
+            self._kind.serve(service, RequestHandler(partial(self._receive, service)))
+            for service in ("cancel_goal", "get_result", "send_goal")
+        ]
+        node.add_waitable(self)
+
+    @property
+    def action_type(self) -> Anything:
+        """The class of the action."""
+        return self._action_type
+
+    # callbacks
+
+    def register_handle_accepted_callback(self, handle_accepted_callback: Anything) -> None:
+        """Replace the callback for accepted goals; None means the default one.
+
+        Raises:
+            TypeError: if it cannot be called.
+        """
+        if handle_accepted_callback is None:
+            handle_accepted_callback = default_handle_accepted_callback
+        self._handle_accepted_callback = handle_accepted_callback
+
+    def register_goal_callback(self, goal_callback: Anything) -> None:
+        """Replace the callback for goal requests; None means the default one."""
+        self._goal_callback = default_goal_callback if goal_callback is None else goal_callback
+
+    def register_cancel_callback(self, cancel_callback: Anything) -> None:
+        """Replace the callback for cancel requests; None means the default one."""
+        if cancel_callback is None:
+            cancel_callback = default_cancel_callback
+        self._cancel_callback = cancel_callback
+
+    def register_execute_callback(self, execute_callback: Anything) -> None:
+        """Replace the execute callback.
+
+        Raises:
+            TypeError: if it cannot be called.
+        """
+        if not callable(execute_callback):
+            raise TypeError("Failed to register goal execution callback: not callable")
+        self._execute_callback = execute_callback
+
+    # as a waitable
+
+    def _receive(self, service: str, request: bytes, respond: Respond) -> None:
+        """Receive a request; the transport calls this in any thread."""
+        try:
+            message = decode(request, self._kind.service(service).Request)
+        except InvalidMessage as error:
+            self._logger.error(f"a request cannot be read: {error}")
+            return
+        self._requests.append((service, message, respond))
+        self.wake()
+
+    def is_ready(self, wait_set: object) -> bool:  # noqa: ARG002  # there is none
+        """Whether a request waits, or a goal has expired."""
+        return bool(self._requests) or self._first_expiry() <= time.monotonic_ns()
+
+    def due_in(self) -> float | None:
+        """How long until the first goal expires (s)."""
+        if not self._expiries or self._handle.is_destroyed:
+            return None
+        return max(0.0, (self._first_expiry() - time.monotonic_ns()) / 1e9)
+
+    def get_num_entities(self) -> NumberOfEntities:
+        """Return how many entities it stands for."""
+        return NumberOfEntities(num_timers=1, num_services=3)
+
+    def take_data(self) -> Anything:
+        """Take the oldest request; forget the goals that have expired."""
+        self._expire()
+        try:
+            return self._requests.popleft()
+        except IndexError:
+            return None
+
+    async def execute(self, taken_data: Request) -> None:
+        """Answer a request."""
+        service, message, respond = taken_data
+        if service == "send_goal":
+            await self._execute_goal_request(message, respond)
+        elif service == "cancel_goal":
+            await self._execute_cancel_request(message, respond)
+        else:
+            self._execute_get_result_request(message, respond)
+
+    def describe(self) -> str:
+        """Name it in a diagnostic."""
+        return f"the action server of {self._kind.names.name}"
+
+    def destroy(self) -> None:
+        """Destroy it and its goal handles. A second call does nothing."""
+        if self._handle.is_destroyed:
+            return
+        super().destroy()
+        for goal_handle in self._goal_handles.values():
+            goal_handle.destroy()
+        for opened in self._opened:
+            opened.close()
+        self._feedback.close()
+        self._status.close()
+        self._node.remove_waitable(self)
+
+    # goals
+
+    async def _execute_goal_request(self, request: Anything, respond: Respond) -> None:
+        goal_id = goal_key(request.goal_id)
+        info = self._kind.goal_info(request.goal_id, self._node.get_clock())
+        accepted = goal_id not in self._goal_handles and await self._is_wanted(request.goal)
+        handle = None
+        if accepted:
+            handle = self._goal_handles[goal_id] = ServerGoalHandle(self, info, request.goal)
+            self._result_futures[goal_id] = Future()
+        response = self._kind.service("send_goal").Response(accepted=accepted, stamp=info.stamp)
+        respond(encode(response, type(response)), NOTE)
+        if handle is None:
+            self._logger.debug(f"New goal rejected: {goal_id.hex()}")
+            return
+        self._logger.debug(f"New goal accepted: {goal_id.hex()}")
+        self._status.publish()
+        await await_or_execute(self._handle_accepted_callback, handle)
+
+    async def _is_wanted(self, goal: Anything) -> bool:
+        response = await await_or_execute(self._goal_callback, goal)
+        if not isinstance(response, GoalResponse):
+            self._logger.warning(
+                "Goal request callback did not return a GoalResponse type. Rejecting goal."
+            )
+            return False
+        return response is GoalResponse.ACCEPT
+
+    def notify_execute(self, goal_handle: ServerGoalHandle, execute_callback: Anything) -> None:
+        """Have the executor run an execute callback; None means the server's.
+
+        Raises:
+            TypeError: if it cannot be called.
+        """
+        if execute_callback is None:
+            execute_callback = self._execute_callback
+        elif not callable(execute_callback):
+            raise TypeError("Failed to register goal execution callback: not callable")
+        executor = self._node.executor
+        if executor is not None:
+            executor.create_task(self._execute_goal, execute_callback, goal_handle)
+
+    async def _execute_goal(
+        self, execute_callback: Anything, goal_handle: ServerGoalHandle
+    ) -> None:
+        """Run an execute callback to its end, and answer whoever waits for the result."""
+        try:
+            result = await await_or_execute(execute_callback, goal_handle)
+        except Exception as error:
+            self._logger.error(f"Error raised in execute callback: {error}")
+            traceback.print_exc()
+            result = self._action_type.Result()
+        else:
+            result = self._checked_result(result, goal_handle)
+        if goal_handle.is_active:
+            uuid = goal_handle.goal_id.uuid
+            self._logger.warning(f"Goal state not set, assuming aborted. Goal ID: {uuid}")
+            goal_handle.abort()
+        self._logger.debug(f"Goal with ID {goal_handle.goal.hex} finished")
+        self._end_goal(goal_handle, result)
+
+    def _checked_result(self, result: Anything, goal_handle: ServerGoalHandle) -> Anything:
+        """Return a result that can be sent; rclpy's server would die of any other."""
+        if result is None:
+            result = goal_handle.response
+        if isinstance(result, self._action_type.Result):
+            return result
+        said = "nothing" if result is None else repr(result)
+        self._logger.warning(
+            f"The execute callback returned {said}, not a Result: an empty one is sent"
+        )
+        return self._action_type.Result()
+
+    def _end_goal(self, goal_handle: ServerGoalHandle, result: Anything) -> None:
+        goal_id = goal_handle.goal.id or b""
+        response = self._kind.service("get_result").Response(
+            status=goal_handle.status, result=result
+        )
+        try:
+            encode(response, type(response))
+        except TypeError as error:
+            self._logger.error(f"The result cannot be sent, an empty one is: {error}")
+            response.result = self._action_type.Result()
+        future = self._result_futures.get(goal_id)
+        if future is not None:
+            future.set_result((response, goal_handle.goal.published))
+
+    def goal_changed(self, goal_handle: ServerGoalHandle) -> None:
+        """Tell others that a goal has another state; its handle calls this."""
+        if not goal_handle.is_active and self._timeout_ns >= 0:
+            due = time.monotonic_ns() + self._timeout_ns
+            self._expiries.append((due, goal_handle.goal.id or b""))
+            self.wake()
+        self._status.publish()
+
+    def publish_feedback(self, goal_id: bytes, feedback: Anything) -> None:
+        """Publish feedback of a goal; its handle calls this."""
+        self._feedback.publish(self._kind.encode_feedback(goal_id, feedback))
+
+    # canceling
+
+    async def _execute_cancel_request(self, request: Anything, respond: Respond) -> None:
+        info = request.goal_info
+        key = goal_key(info.goal_id)
+        goal_id = key if any(key) else None
+        stamp = info.stamp.sec * 1_000_000_000 + info.stamp.nanosec
+        chosen = select((each.goal for each in self._goal_handles.values()), goal_id, stamp)
+        canceling: list[Anything] = []
+        for goal in chosen:
+            handle = self._goal_handles.get(goal.id or b"")
+            if handle is not None and await self._may_cancel(handle):
+                canceling.append(handle.goal_info)
+        named = None if goal_id is None else self._goal_handles.get(goal_id)
+        code = cancel_code(
+            None if named is None else named.goal,
+            by_id=goal_id is not None and not stamp,
+            asked=len(chosen),
+            let_go=len(canceling),
+        )
+        response = self._kind.service("cancel_goal").Response(
+            return_code=int(code), goals_canceling=canceling
+        )
+        respond(encode(response, type(response)), NOTE)
+
+    async def _may_cancel(self, goal_handle: ServerGoalHandle) -> bool:
+        """Ask the callback; cancel the goal if it agrees and the goal has not ended meanwhile."""
+        answer = await await_or_execute(self._cancel_callback, goal_handle)
+        if answer is not CancelResponse.ACCEPT:
+            return False
+        if goal_handle.is_cancel_requested:
+            return True
+        try:
+            goal_handle.update(GoalEvent.CANCEL_GOAL)
+        except RCLError as error:
+            self._logger.debug(f"Failed to cancel goal: {error}")
+            return False
+        return True
+
+    # results
+
+    def _execute_get_result_request(self, request: Anything, respond: Respond) -> None:
+        goal_id = goal_key(request.goal_id)
+        future = self._result_futures.get(goal_id)
+        if future is None:
+            self._logger.warning(
+                f"Sending result response for unknown goal ID: {request.goal_id.uuid}"
+            )
+            response = self._kind.service("get_result").Response()
+            respond(encode(response, type(response)), NOTE)
+            return
+
+        def answer(ended: Future) -> None:
+            if not ended.cancelled():
+                response, published = ended.result()
+                note = GoalNote(feedback=published).write()
+                respond(encode(response, type(response)), note)
+
+        future.add_done_callback(answer)
+
+    def _first_expiry(self) -> int:
+        """When the first goal expires (ns, monotonic); very late if none does."""
+        try:
+            return self._expiries[0][0]
+        except IndexError:
+            return NEVER
+
+    def _expire(self) -> None:
+        """Forget the goals whose results were kept long enough."""
+        now, before = time.monotonic_ns(), len(self._goal_handles)
+        while self._first_expiry() <= now:
+            _, goal_id = self._expiries.popleft()
+            handle = self._goal_handles.pop(goal_id, None)
+            if handle is not None:
+                handle.destroy()
+            self._result_futures.pop(goal_id, None)
+        if len(self._goal_handles) < before:
+            self._status.publish()
+
+    def _held(self) -> list[Goal]:
+        """All goals that are not forgotten."""
+        return [each.goal for each in list(self._goal_handles.values())]
+
+
+NOTE = GoalNote().write()
+"""Tells clients of turtleact that this server drops no requests."""
+
+NEVER = 2**63

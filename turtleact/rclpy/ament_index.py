@@ -1,0 +1,56 @@
+"""The part of ``ament_index_python`` that programs use: where packages are."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from turtleact.workspace import folders_near, package_name
+
+__all__ = [
+    "PackageNotFoundError",
+    "get_package_prefix",
+    "get_package_share_directory",
+    "get_package_share_path",
+]
+
+
+class PackageNotFoundError(KeyError):
+    """There is no package of that name."""
+
+
+def get_package_prefix(package_name: str) -> str:
+    """Return the prefix in which a package is installed, or the folder of its sources.
+
+    Raises:
+        PackageNotFoundError: if there is none.
+    """
+    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
+        if Path(prefix, "share", package_name).is_dir():
+            return prefix
+    return str(_sources(package_name))
+
+
+def get_package_share_directory(package_name: str, print_warning: bool = True) -> str:  # noqa: ARG001  # ament's signature
+    """Return the folder with the data of a package, or the folder of its sources.
+
+    Raises:
+        PackageNotFoundError: if there is none.
+    """
+    prefix = get_package_prefix(package_name)
+    share = Path(prefix, "share", package_name)
+    return str(share) if share.is_dir() else prefix
+
+
+def get_package_share_path(package_name: str, print_warning: bool = True) -> Path:
+    """Return the same as a path."""
+    return Path(get_package_share_directory(package_name, print_warning))
+
+
+def _sources(name: str) -> Path:
+    for folder in folders_near(Path()):
+        if package_name(folder) == name:
+            return folder.absolute()
+    raise PackageNotFoundError(
+        f"package '{name}' not found: in no sourced workspace, and not in the working directory"
+    )

@@ -1,0 +1,93 @@
+"""Callback groups: which callbacks of a node may run at the same time."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING
+from weakref import ReferenceType, ref
+
+if TYPE_CHECKING:
+    from turtleact.rclpy.impl.entity import Entity
+
+__all__ = ["CallbackGroup", "MutuallyExclusiveCallbackGroup", "ReentrantCallbackGroup"]
+
+
+class CallbackGroup:
+    """The base of all callback groups.
+
+    Attributes:
+        entities: Weak references to the entities of the group.
+    """
+
+    def __init__(self) -> None:
+        self.entities: set[ReferenceType[Entity]] = set()
+
+    def add_entity(self, entity: Entity) -> None:
+        """Add an entity to the group."""
+        self.entities.add(ref(entity))
+
+    def has_entity(self, entity: Entity) -> bool:
+        """Whether an entity belongs to the group."""
+        return ref(entity) in self.entities
+
+    def can_execute(self, entity: Entity) -> bool:
+        """Whether a callback of the entity may begin now."""
+        raise NotImplementedError
+
+    def beginning_execution(self, entity: Entity) -> bool:
+        """Take the right to run a callback of the entity; return whether that was possible."""
+        raise NotImplementedError
+
+    def ending_execution(self, entity: Entity) -> None:
+        """Give the right back."""
+        raise NotImplementedError
+
+
+class ReentrantCallbackGroup(CallbackGroup):
+    """Lets all callbacks run side by side."""
+
+    def can_execute(self, entity: Entity) -> bool:  # noqa: ARG002  # any entity
+        """Whether a callback of the entity may begin now."""
+        return True
+
+    def beginning_execution(self, entity: Entity) -> bool:  # noqa: ARG002  # any entity
+        """Take the right to run a callback of the entity."""
+        return True
+
+    def ending_execution(self, entity: Entity) -> None:
+        """Do nothing: nobody waits."""
+
+
+class MutuallyExclusiveCallbackGroup(CallbackGroup):
+    """Lets one callback run at a time. A coroutine counts until its end."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._active_entity: Entity | None = None
+        self._lock = threading.Lock()
+
+    @property
+    def active_entity(self) -> Entity | None:
+        """The entity that holds the group."""
+        return self._active_entity
+
+    def can_execute(self, entity: Entity) -> bool:
+        """Whether a callback of the entity may begin now."""
+        with self._lock:
+            assert ref(entity) in self.entities  # noqa: S101  # as in rclpy
+            return self._active_entity is None
+
+    def beginning_execution(self, entity: Entity) -> bool:
+        """Take the right to run a callback of the entity; return whether that was possible."""
+        with self._lock:
+            assert ref(entity) in self.entities  # noqa: S101  # as in rclpy
+            if self._active_entity is None:
+                self._active_entity = entity
+                return True
+            return False
+
+    def ending_execution(self, entity: Entity) -> None:
+        """Give the right back."""
+        with self._lock:
+            assert self._active_entity is entity  # noqa: S101  # as in rclpy
+            self._active_entity = None

@@ -1,0 +1,217 @@
+"""Clients of services."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from turtleact.errors import ServerUnavailable, TurtleactError
+from turtleact.rclpy.impl.calls import CallEnd
+from turtleact.rclpy.impl.diagnosis import warn_if_blocked
+from turtleact.rclpy.impl.entity import NOTHING, Entity
+from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
+from turtleact.rclpy.impl.typing import Anything, Subscriptable
+from turtleact.rclpy.messages.codec import decode, encode
+from turtleact.rclpy.qos import QoSProfile
+from turtleact.rclpy.task import Future
+
+if TYPE_CHECKING:
+    from turtleact.rclpy.callback_groups import CallbackGroup
+    from turtleact.rclpy.context import Context
+
+__all__ = ["Client"]
+
+logger = RcutilsLogger("rclpy.client")
+
+POLL = 0.02
+"""How often to look whether a service is there (s)."""
+
+
+class Client(Subscriptable, Entity):
+    """Calls a service; made by `Node.create_client`.
+
+    Args:
+        context: Its shutdown ends every wait.
+        end: The transport's end.
+        srv_type: The class of the service.
+        srv_name: The name of the service, as it was given.
+        full_name: Its full name.
+        qos_profile: The quality of service.
+        callback_group: Decides when a response may be handled.
+        wake: Called when a response has come.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        end: CallEnd,
+        srv_type: Anything,
+        srv_name: str,
+        full_name: str,
+        qos_profile: QoSProfile,
+        callback_group: CallbackGroup,
+        *,
+        get_executor: Callable[[], Anything],
+        wake: Callable[[], object] | None = None,
+    ) -> None:
+        self.context = context
+        self.srv_type = srv_type
+        self.srv_name = srv_name
+        self._full_name = full_name
+        self.qos_profile = qos_profile
+        self._end = end
+        self._get_executor = get_executor
+        self._pending: dict[int, Future] = {}
+        self._waiting: deque[tuple[int, bytes]] = deque()
+        self._sequence = 0
+        self._lock = threading.Lock()
+        super().__init__(callback_group, close=end.close, wake=wake)
+
+    @property
+    def service_name(self) -> str:
+        """The full name of the service."""
+        with self.handle:
+            return self._full_name
+
+    @property
+    def logger_name(self) -> str:
+        """The name of the service as it was given."""
+        return self.srv_name
+
+    def call(self, request: Anything, timeout_sec: float | None = None) -> Anything:
+        """Send a request and wait for the response. Somebody else must spin the node meanwhile.
+
+        Raises:
+            TypeError: if the request is of another class, or a value does not fit its type.
+            TimeoutError: if there is no response in time.
+        """
+        answered = threading.Event()
+        future = self.call_async(request)
+        future.add_done_callback(lambda _: answered.set())
+        # The callback would otherwise be another task of the executor that this call may block.
+        if not self._wait(answered, timeout_sec):
+            self.remove_pending_request(future)
+            raise TimeoutError
+        if future.exception() is not None:
+            raise future.exception()  # type: ignore[misc]  # it is one
+        return future.result()
+
+    def _wait(self, answered: threading.Event, timeout_sec: float | None) -> bool:
+        began = time.monotonic()
+        end = None if timeout_sec is None or timeout_sec < 0 else began + timeout_sec
+        has_warned = False
+        while True:
+            left = PATIENCE if end is None else min(PATIENCE, end - time.monotonic())
+            if answered.wait(max(0.0, left)):
+                return True
+            if end is not None and time.monotonic() >= end:
+                return False
+            if not has_warned and time.monotonic() - began >= BLOCKED_AFTER:
+                has_warned = True
+                warn_if_blocked(
+                    self, f"call() of {self._full_name}", is_answered=bool(self._waiting)
+                )
+
+    def call_async(self, request: Anything) -> Future:
+        """Send a request, and return the future of the response.
+
+        Raises:
+            TypeError: if the request is of another class, or a value does not fit its type.
+        """
+        data = encode(request, self.srv_type.Request)
+        self._handle.check()
+        future = Future(executor=None)
+        with self._lock:
+            self._sequence += 1
+            number = self._sequence
+            self._pending[number] = future
+        future.add_done_callback(self.remove_pending_request)
+        self._end.send(data, partial(self._answered, number), partial(self._failed, number))
+        return future
+
+    def get_pending_request(self, sequence_number: int) -> Future:
+        """Return the future of a request; raises KeyError if it is not pending."""
+        with self._lock:
+            return self._pending[sequence_number]
+
+    def remove_pending_request(self, future: Future) -> None:
+        """Forget a request: its future will never be done."""
+        with self._lock:
+            for number, pending in self._pending.items():
+                if pending is future:
+                    del self._pending[number]
+                    break
+
+    def service_is_ready(self) -> bool:
+        """Whether a call would reach a server now."""
+        with self.handle:
+            return self._end.is_served
+
+    def wait_for_service(self, timeout_sec: float | None = None) -> bool:
+        """Wait until there is a server, without spinning; return whether there is one."""
+        end = None if timeout_sec is None or timeout_sec < 0 else time.monotonic() + timeout_sec
+        while self.context.ok() and not self.service_is_ready():
+            left = POLL if end is None else min(POLL, end - time.monotonic())
+            if left <= 0:
+                break
+            time.sleep(left)
+        return self.service_is_ready()
+
+    def is_ready_now(self) -> bool:
+        """Whether a response waits."""
+        return bool(self._waiting) and not self._handle.is_destroyed
+
+    def take(self) -> Anything:
+        """Take a response and the number of its request."""
+        try:
+            return self._waiting.popleft()
+        except IndexError:
+            return NOTHING
+
+    async def run(self, taken: tuple[int, bytes]) -> None:
+        """Give the response to whoever waits for it."""
+        number, data = taken
+        with self._lock:
+            future = self._pending.get(number)
+        if future is not None and not future.done():
+            # From now on the executor runs the done callbacks, not this thread.
+            future.set_executor(self._get_executor())
+            future.set_result(decode(data, self.srv_type.Response))
+
+    def describe(self) -> str:
+        """Name it in a diagnostic."""
+        return f"the client of {self._full_name}"
+
+    def _answered(self, number: int, data: bytes, note: str) -> None:  # noqa: ARG002  # no note
+        self._waiting.append((number, data))
+        self.wake()
+
+    def _failed(self, number: int, error: TurtleactError) -> None:  # noqa: ARG002  # see below
+        # As in ROS 2, the future is never done, whether there is no server or it has failed.
+        if isinstance(error, ServerUnavailable):
+            logger.debug(f"a request to {self._full_name} was lost: {error}")
+        else:
+            logger.error(f"{self._full_name} sends no response: {error}")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.destroy()
+
+
+PATIENCE = 0.5
+"""How long to wait at most before looking again (s); a signal may not interrupt a lock."""
+
+BLOCKED_AFTER = 2.0
+"""After so long, somebody who waits is told who blocks the callback that is waited for (s)."""

@@ -1,0 +1,16 @@
+"""The kinds of clocks."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+__all__ = ["ClockType"]
+
+
+class ClockType(IntEnum):
+    """Which time a clock tells."""
+
+    UNINITIALIZED = 0
+    ROS_TIME = 1
+    SYSTEM_TIME = 2
+    STEADY_TIME = 3

@@ -1,0 +1,198 @@
+"""Contexts: from ``init`` to ``shutdown``."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+import weakref
+from collections.abc import Callable, Sequence
+from inspect import ismethod
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from turtleact.rclpy.exceptions import NotInitializedException
+from turtleact.rclpy.impl.arguments import Arguments, parse_arguments
+from turtleact.rclpy.impl.connection import Connection
+from turtleact.rclpy.impl.entity import Handle
+from turtleact.rclpy.impl.process import PROCESS
+from turtleact.transports.rmw_zenoh.config import domain_of
+
+if TYPE_CHECKING:
+    from turtleact.rclpy.node import Node
+
+__all__ = ["Context"]
+
+DEFAULT_DOMAIN = 2**64 - 1
+"""The number that stands for "the domain of the environment"."""
+
+
+class Context:
+    """What nodes, executors and clocks belong to. Nothing works before `init` and after `shutdown`.
+
+    Shutting down destroys the nodes, then calls the callbacks of `on_shutdown`.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._callbacks: list[Callable[[], Callable[[], object] | None]] = []
+        self._nodes: weakref.WeakSet[Node] = weakref.WeakSet()
+        self._handle: Handle | None = None
+        self._is_ok = False
+        self._domain: int | None = None
+        self._connection: Connection | None = None
+        self.arguments = Arguments()
+
+    @property
+    def handle(self) -> Handle | None:
+        """The handle; None before `init`."""
+        return self._handle
+
+    def init(
+        self,
+        args: Sequence[str] | None = None,
+        *,
+        initialize_logging: bool = True,
+        domain_id: int | None = None,
+    ) -> None:
+        """Initialise the context.
+
+        Args:
+            args: The arguments of the program; those after ``--ros-args`` count. None means
+                ``sys.argv``.
+            initialize_logging: Whether to apply the log levels in the arguments.
+            domain_id: The ROS domain; None means that of the environment.
+
+        Raises:
+            RuntimeError: if it was initialised before, or the domain is negative.
+            UnknownROSArgsError: if an argument after ``--ros-args`` makes no sense.
+        """
+        with self._lock:
+            if domain_id is not None and domain_id < 0:
+                raise RuntimeError(f"Domain id ({domain_id}) should not be lower than zero.")
+            if self._handle is not None:
+                raise RuntimeError("Context.init() must only be called once")
+            arguments = parse_arguments(args)
+            self._domain = domain_of(os.environ) if domain_id is None else domain_id
+            self._handle = Handle()
+            self.arguments = arguments
+            self._is_ok = True
+            PROCESS.contexts.add(self)
+        if initialize_logging:
+            from turtleact.rclpy.logging import apply_levels
+
+            apply_levels(arguments.log_levels)
+
+    def ok(self) -> bool:
+        """Whether it is initialised and not shut down."""
+        return self._is_ok
+
+    @property
+    def connection(self) -> Connection:
+        """The graph, which is joined on first use.
+
+        Raises:
+            NotInitializedException: if the context is not ok.
+        """
+        with self._lock:
+            self.check()
+            if self._connection is None:
+                assert self._domain is not None  # noqa: S101  # `check`
+                self._connection = PROCESS.join(self._domain, self)
+            return self._connection
+
+    def check(self) -> None:
+        """Raise unless the context is ok.
+
+        Raises:
+            NotInitializedException: if it is not.
+        """
+        if not self._is_ok:
+            raise NotInitializedException
+
+    def get_domain_id(self) -> int:
+        """Return the ROS domain.
+
+        Raises:
+            RuntimeError: if the context was not initialised.
+        """
+        if self._domain is None:
+            raise RuntimeError("Context must be initialized before it can have a domain id")
+        return self._domain
+
+    def destroy(self) -> None:
+        """Shut down, unless that has been done."""
+        self._shut_down()
+
+    def shutdown(self) -> None:
+        """Shut down.
+
+        Raises:
+            RuntimeError: if it is not initialised, or was shut down before.
+        """
+        if not self._shut_down():
+            raise RuntimeError("Context must be initialized before it can be shutdown")
+
+    def try_shutdown(self) -> None:
+        """Shut down, unless that has been done."""
+        self._shut_down()
+
+    def on_shutdown(self, callback: Callable[[], object]) -> None:
+        """Call ``callback()`` when the context is shut down, at once if it was.
+
+        Raises:
+            TypeError: if it cannot be called.
+        """
+        if not callable(callback):
+            raise TypeError("callback should be a callable, got {}", type(callback))
+        with self._lock:
+            if self._handle is None or self._is_ok:
+                # A bound method must not keep its object alive.
+                is_bound = ismethod(callback)
+                held = weakref.WeakMethod(callback) if is_bound else (lambda: callback)
+                self._callbacks.append(held)
+                return
+        callback()
+
+    def track_node(self, node: Node) -> None:
+        """Destroy a node when the context is shut down."""
+        self._nodes.add(node)
+
+    def untrack_node(self, node: Node) -> None:
+        """Forget a node."""
+        self._nodes.discard(node)
+
+    def _shut_down(self) -> bool:
+        """Shut down and return True; return False if that was done before, or is impossible."""
+        with self._lock:
+            if not self._is_ok:
+                return False
+            self._is_ok = False
+            callbacks, self._callbacks = self._callbacks, []
+            nodes = list(self._nodes)
+        PROCESS.contexts.discard(self)
+        for node in nodes:
+            with contextlib.suppress(Exception):
+                node.destroy_node()
+        for held in callbacks:
+            callback = held()
+            if callback is not None:
+                callback()
+        if self._handle is not None:
+            self._handle.destroy_when_not_in_use()
+        self._connection = None
+        PROCESS.leave(self)
+        return True
+
+    def __enter__(self) -> Self:
+        if self._handle is None:
+            self.init()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.try_shutdown()

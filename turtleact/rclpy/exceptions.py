@@ -1,0 +1,180 @@
+"""The exceptions of rclpy."""
+
+from __future__ import annotations
+
+from turtleact.rclpy.impl.typing import Anything
+
+__all__ = [
+    "InvalidHandle",
+    "InvalidNamespaceException",
+    "InvalidNodeNameException",
+    "InvalidParameterException",
+    "InvalidParameterTypeException",
+    "InvalidParameterValueException",
+    "InvalidServiceNameException",
+    "InvalidTopicNameException",
+    "NameValidationException",
+    "NoTypeSupportImportedException",
+    "NotInitializedException",
+    "ParameterAlreadyDeclaredException",
+    "ParameterException",
+    "ParameterImmutableException",
+    "ParameterNotDeclaredException",
+    "ParameterUninitializedException",
+    "RCLError",
+    "ROSInterruptException",
+    "UnknownROSArgsError",
+]
+
+
+class InvalidHandle(RuntimeError):
+    """Something was used after it was destroyed."""
+
+
+class RCLError(RuntimeError):
+    """An operation is not possible in the present state."""
+
+
+class UnknownROSArgsError(RuntimeError):
+    """An argument after ``--ros-args`` has no meaning."""
+
+
+class NotInitializedException(Exception):
+    """A context is needed that has been initialised."""
+
+    def __init__(self, *args: object) -> None:
+        super().__init__("rclpy.init() has not been called", *args)
+
+
+class NoTypeSupportImportedException(Exception):
+    """A class is no message, service or action of ROS 2."""
+
+    def __init__(self, *args: object) -> None:
+        super().__init__("no type support imported", *args)
+
+
+class ROSInterruptException(Exception):
+    """A wait was interrupted by the shutdown of its context."""
+
+    def __init__(self, *args: object) -> None:
+        super().__init__("rclpy.shutdown() has been called", *args)
+
+
+class NameValidationException(Exception):
+    """A name breaks the rules.
+
+    Attributes:
+        name_type: What has the name, such as "topic name".
+        name: The name.
+        error_msg: What is wrong.
+        invalid_index: The index of the first wrong character.
+    """
+
+    def __init__(
+        self, name_type: str, name: str, error_msg: str, invalid_index: int, *args: object
+    ) -> None:
+        text = f"Invalid {name_type}: {error_msg}:\n  '{name}'\n   {' ' * invalid_index}^"
+        super().__init__(text, *args)
+        self.name_type = name_type
+        self.name = name
+        self.error_msg = error_msg
+        self.invalid_index = invalid_index
+
+
+class InvalidNamespaceException(NameValidationException):
+    """A namespace breaks the rules."""
+
+    def __init__(self, name: str, error_msg: str, invalid_index: int, *args: object) -> None:
+        super().__init__("namespace", name, error_msg, invalid_index, *args)
+
+
+class InvalidNodeNameException(NameValidationException):
+    """The name of a node breaks the rules."""
+
+    def __init__(self, name: str, error_msg: str, invalid_index: int, *args: object) -> None:
+        super().__init__("node name", name, error_msg, invalid_index, *args)
+
+
+class InvalidTopicNameException(NameValidationException):
+    """The name of a topic breaks the rules."""
+
+    def __init__(self, name: str, error_msg: str, invalid_index: int, *args: object) -> None:
+        super().__init__("topic name", name, error_msg, invalid_index, *args)
+
+
+class InvalidServiceNameException(NameValidationException):
+    """The name of a service breaks the rules."""
+
+    def __init__(self, name: str, error_msg: str, invalid_index: int, *args: object) -> None:
+        super().__init__("service name", name, error_msg, invalid_index, *args)
+
+
+class ParameterException(Exception):
+    """Something is wrong with parameters.
+
+    Args:
+        error_msg: What is wrong.
+        parameters: The names of the parameters.
+    """
+
+    def __init__(
+        self, error_msg: str, parameters: str | list[str] | tuple[str, ...], *args: object
+    ) -> None:
+        names = [parameters] if isinstance(parameters, str) else list(parameters)
+        super().__init__(error_msg, names, *args)
+
+
+class ParameterNotDeclaredException(ParameterException):
+    """A parameter has not been declared."""
+
+    def __init__(self, parameters: str | list[str], *args: object) -> None:
+        super().__init__("Invalid access to undeclared parameter(s)", parameters, *args)
+
+
+class ParameterAlreadyDeclaredException(ParameterException):
+    """A parameter has been declared before."""
+
+    def __init__(self, parameters: str | list[str], *args: object) -> None:
+        super().__init__("Parameter(s) already declared", parameters, *args)
+
+
+class InvalidParameterException(ParameterException):
+    """The name of a parameter breaks the rules."""
+
+    def __init__(self, parameter: str, *args: object) -> None:
+        super().__init__("Invalid parameter name", parameter, *args)
+
+
+class InvalidParameterTypeException(ParameterException):
+    """The type of a parameter does not fit its value."""
+
+    def __init__(self, desired_parameter: Anything, expected_type: str, *args: object) -> None:
+        name, value = desired_parameter.name, desired_parameter.value
+        super().__init__(
+            f"Trying to set parameter '{name}' to '{value}' of type "
+            f"'{desired_parameter.type_.name}', expecting type '{expected_type}'",
+            name,
+            *args,
+        )
+
+
+class InvalidParameterValueException(ParameterException):
+    """A parameter was refused its value."""
+
+    def __init__(self, parameter: str, value: object, reason: str, *args: object) -> None:
+        text = f"Invalid parameter value ({value!r}) for parameter. Reason: {reason}"
+        super().__init__(text, parameter, *args)
+
+
+class ParameterUninitializedException(ParameterException):
+    """A parameter was declared without a value and has none yet."""
+
+    def __init__(self, parameter: str, *args: object) -> None:
+        super().__init__(f"The parameter '{parameter}' is not initialized", parameter, *args)
+
+
+class ParameterImmutableException(ParameterException):
+    """A read-only parameter cannot be changed."""
+
+    def __init__(self, parameter: str, *args: object) -> None:
+        super().__init__("Attempted to modify read-only parameter", parameter, *args)

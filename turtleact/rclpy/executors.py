@@ -1,0 +1,538 @@
+"""Executors: run the callbacks of nodes, one at a time or in several threads.
+
+There is no wait set. Whatever arrives waits in a queue of its entity, and wakes the executor. An
+executor goes in rounds: first all tasks that can go on, then each entity that is ready, once: the
+waitables of all nodes, then for each node its timers, subscriptions, guard conditions, clients and
+services.
+
+Threads: `_wake` protects only the flag of the same name and its condition. Nodes, tasks and groups
+have locks of their own, which no callback is called under. An entity is taken from, and its group
+held, in the thread that waits; the callback may run in another.
+"""
+
+from __future__ import annotations
+
+import inspect
+import os
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from types import TracebackType
+from typing import TYPE_CHECKING, Self, TypeAlias
+
+from turtleact.rclpy.callback_groups import CallbackGroup
+from turtleact.rclpy.impl.diagnosis import BLOCKED_AFTER, note_blocked
+from turtleact.rclpy.impl.entity import NOTHING, Entity
+from turtleact.rclpy.impl.typing import Anything
+from turtleact.rclpy.task import Future, Task
+from turtleact.rclpy.utilities import get_default_context
+
+if TYPE_CHECKING:
+    from turtleact.rclpy.context import Context
+    from turtleact.rclpy.node import Node
+
+__all__ = [
+    "ConditionReachedException",
+    "Executor",
+    "ExternalShutdownException",
+    "MultiThreadedExecutor",
+    "ShutdownException",
+    "SingleThreadedExecutor",
+    "TimeoutException",
+    "TimeoutObject",
+    "await_or_execute",
+]
+
+Work: TypeAlias = "tuple[Task, Entity | None, Node | None]"
+"""Something to run, and the entity and node that it belongs to."""
+
+LONGEST_LOCK = 0.1 if sys.platform == "win32" else None
+"""How long to wait for a lock at a time (s); on Windows, a signal cannot interrupt that."""
+
+
+class TimeoutException(Exception):
+    """Nothing was ready in time."""
+
+
+class ShutdownException(Exception):
+    """The executor was shut down."""
+
+
+class ExternalShutdownException(Exception):
+    """The context was shut down."""
+
+
+class ConditionReachedException(Exception):
+    """What was waited for has happened."""
+
+
+class TimeoutObject:
+    """A timeout that can change.
+
+    Attributes:
+        timeout: The timeout (s).
+    """
+
+    def __init__(self, timeout: float) -> None:
+        self.timeout = timeout
+
+
+async def await_or_execute(callback: Anything, *args: Anything) -> Anything:
+    """Call a function, and await what it returns if that is a coroutine."""
+    result = callback(*args)
+    return await result if inspect.iscoroutine(result) else result
+
+
+def _never() -> bool:
+    return False
+
+
+class Executor:
+    """The base of executors; a subclass defines `spin_once`.
+
+    Args:
+        context: Ends every spin when it is shut down; None means the default one.
+    """
+
+    def __init__(self, *, context: Context | None = None) -> None:
+        self._context = get_default_context() if context is None else context
+        self._nodes: dict[Node, None] = {}
+        self._nodes_lock = threading.RLock()
+        self._is_shutdown = False
+        self._wake = threading.Condition(threading.Lock())
+        self._is_woken = False
+        self._ready: deque[Task] = deque()  # those whose next step can run
+        self._round: deque[tuple[Node, Entity]] = deque()
+        self._work = _WorkTracker()
+        self._context.on_shutdown(self.wake)
+
+    @property
+    def context(self) -> Context:
+        """The context."""
+        return self._context
+
+    # tasks
+
+    def create_task(self, callback: Anything, *args: Anything, **kwargs: Anything) -> Task:
+        """Run a function or coroutine during `spin`, and return its task."""
+        task = Task(callback, args, kwargs, executor=self)
+        self.resume(task)
+        return task
+
+    def resume(self, task: Task) -> None:
+        """Run a task, or its next step, during `spin`. May be called in any thread."""
+        self._ready.append(task)
+        self.wake()
+
+    # nodes
+
+    def add_node(self, node: Node) -> bool:
+        """Run the callbacks of a node; return whether it was not here before."""
+        with self._nodes_lock:
+            if node in self._nodes:
+                return False
+            self._nodes[node] = None
+            node.executor = self
+        self.wake()
+        return True
+
+    def remove_node(self, node: Node) -> None:
+        """Run the callbacks of a node no more."""
+        with self._nodes_lock:
+            self._nodes.pop(node, None)
+        self.wake()
+
+    def get_nodes(self) -> list[Node]:
+        """Return the nodes."""
+        with self._nodes_lock:
+            return list(self._nodes)
+
+    def wake(self) -> None:
+        """Have the executor look for work. May be called in any thread."""
+        with self._wake:
+            self._is_woken = True
+            self._wake.notify_all()
+
+    # ending
+
+    def shutdown(self, timeout_sec: float | None = None) -> bool:
+        """Stop, and wait for callbacks that run.
+
+        Args:
+            timeout_sec: How long to wait; None or a negative number mean for ever.
+
+        Returns:
+            Whether all callbacks have ended.
+        """
+        self._is_shutdown = True
+        self.wake()
+        if not self._work.wait(timeout_sec):
+            return False
+        with self._nodes_lock:
+            self._nodes.clear()
+        self._round.clear()
+        return True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.shutdown()
+
+    # spinning
+
+    def spin(self) -> None:
+        """Run callbacks until the executor or its context is shut down."""
+        while self._context.ok() and not self._is_shutdown:
+            self.spin_once()
+
+    def spin_until_future_complete(self, future: Future, timeout_sec: float | None = None) -> None:
+        """Run callbacks until a future is done, or for some time.
+
+        Args:
+            future: The future.
+            timeout_sec: How long; None or a negative number mean for ever.
+        """
+        future.add_done_callback(self._future_done)
+        is_endless = timeout_sec is None or timeout_sec < 0
+        end = 0.0 if timeout_sec is None else time.monotonic() + timeout_sec
+        left = None if timeout_sec is None or is_endless else TimeoutObject(timeout_sec)
+        while self._context.ok() and not self._is_shutdown and not _is_over(future):
+            self._spin_once_until_future_complete(future, left)
+            if left is not None:
+                now = time.monotonic()
+                if now >= end:
+                    return
+                left.timeout = end - now
+
+    def _future_done(self, _: Future) -> None:
+        self.wake()
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        """Wait for one callback and run it.
+
+        Args:
+            timeout_sec: How long to wait; None or a negative number mean for ever.
+        """
+        raise NotImplementedError
+
+    def spin_once_until_future_complete(
+        self, future: Future, timeout_sec: float | TimeoutObject | None = None
+    ) -> None:
+        """Wait for one callback and run it, unless a future is done before."""
+        raise NotImplementedError
+
+    def _spin_once_until_future_complete(
+        self, future: Future, timeout_sec: float | TimeoutObject | None = None
+    ) -> None:
+        self.spin_once_until_future_complete(future, timeout_sec)
+
+    def can_execute(self, entity: Entity) -> bool:
+        """Whether the group of an entity lets its callback run."""
+        return entity.callback_group.can_execute(entity)
+
+    def wait_for_ready_callbacks(
+        self,
+        timeout_sec: float | TimeoutObject | None = None,
+        nodes: list[Node] | None = None,
+        condition: Callable[[], bool] = _never,
+    ) -> Work:
+        """Wait for something to run, and return it: a task, its entity and its node.
+
+        Call the task to run it.
+
+        Raises:
+            TimeoutException: if there is nothing in time.
+            ShutdownException: if the executor is shut down.
+            ExternalShutdownException: if the context is shut down.
+            ConditionReachedException: if ``condition()`` is true.
+        """
+        limit = timeout_sec.timeout if isinstance(timeout_sec, TimeoutObject) else timeout_sec
+        end = None if limit is None or limit < 0 else time.monotonic() + limit
+        while True:
+            if self._is_shutdown:
+                raise ShutdownException
+            if not self._context.ok():
+                raise ExternalShutdownException
+            if condition():
+                raise ConditionReachedException
+            self._is_woken = False  # whatever comes from now on is noticed in `_sleep`
+            work = self._next_work(nodes)
+            if work is not None:
+                return work
+            if condition():
+                raise ConditionReachedException
+            if end is not None and time.monotonic() >= end:
+                raise TimeoutException
+            self._sleep(end, nodes)
+
+    def _wait_for_ready_callbacks(
+        self,
+        timeout_sec: float | TimeoutObject | None = None,
+        nodes: list[Node] | None = None,
+        condition: Callable[[], bool] = _never,
+    ) -> Generator[Work, None, None]:
+        """Yield what `wait_for_ready_callbacks` returns, again and again."""
+        while True:
+            yield self.wait_for_ready_callbacks(timeout_sec, nodes, condition)
+
+    def _next_work(self, nodes: list[Node] | None) -> Work | None:
+        """Return a task that can go on, or the next ready entity of this round or a new one."""
+        work = self._next_task(nodes)
+        if work is None and self._round:
+            work = self._next_entity(nodes)
+        if work is None:
+            self._round.extend(_in_order(self.get_nodes()))
+            work = self._next_entity(nodes)
+        return work
+
+    def _next_task(self, nodes: list[Node] | None) -> Work | None:
+        for _ in range(len(self._ready)):
+            try:
+                task = self._ready.popleft()
+            except IndexError:  # another thread has taken it
+                return None
+            entity, node = task.origin
+            if task.done() or task.cancelled():
+                continue
+            if node is None or nodes is None or node in nodes:
+                return task, entity, node
+            self._ready.append(task)
+        return None
+
+    def _next_entity(self, nodes: list[Node] | None) -> Work | None:
+        waiting = self._round
+        while waiting:
+            try:
+                node, entity = waiting.popleft()
+            except IndexError:  # another thread has taken it
+                return None
+            if (nodes is None or node in nodes) and entity.is_ready_now():
+                work = self._begin(node, entity)
+                if work is not None:
+                    return work
+        return None
+
+    def _begin(self, node: Node, entity: Entity) -> Work | None:
+        """Take from an entity if its group lets it run; None otherwise."""
+        group = entity.callback_group
+        if not self.can_execute(entity) or not group.beginning_execution(entity):
+            note_blocked(entity)
+            return None
+        entity.blocked_since = 0.0
+        try:
+            taken = entity.take()
+        except BaseException:
+            group.ending_execution(entity)
+            raise
+        if taken is NOTHING:
+            group.ending_execution(entity)
+            return None
+        task = Task(self._run(entity, taken, group), executor=self)
+        task.origin = entity, node
+        return task, entity, node
+
+    async def _run(self, entity: Entity, taken: Anything, group: CallbackGroup) -> None:
+        try:
+            await entity.run(taken)
+        finally:
+            group.ending_execution(entity)
+            self.wake()  # others of the group may run now
+
+    def _sleep(self, end: float | None, nodes: list[Node] | None) -> None:
+        """Wait until woken, until something is due, or until ``end`` (s, `time.monotonic`)."""
+        now = time.monotonic()
+        left = None if end is None else end - now
+        for _, entity in _in_order(self.get_nodes() if nodes is None else nodes):
+            due = entity.due_in()
+            if entity.blocked_since > 0:
+                due = max(0.01, entity.blocked_since + BLOCKED_AFTER - now)
+            elif due == 0 and entity.is_ready_now() and not self.can_execute(entity):
+                continue  # its group wakes this executor
+            if due is not None and (left is None or due < left):
+                left = due
+        with self._wake:
+            if self._is_woken or (left is not None and left <= 0):
+                return
+            if LONGEST_LOCK is not None:
+                left = LONGEST_LOCK if left is None else min(left, LONGEST_LOCK)
+            self._wake.wait(left)
+
+
+class SingleThreadedExecutor(Executor):
+    """Runs callbacks in the thread that spins."""
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        """Wait for one callback and run it; raises what it raises."""
+        self._spin_once(timeout_sec)
+
+    def spin_once_until_future_complete(
+        self, future: Future, timeout_sec: float | TimeoutObject | None = None
+    ) -> None:
+        """Wait for one callback and run it, unless a future is done before."""
+        future.add_done_callback(self._future_done)
+        self._spin_once(timeout_sec, future)
+
+    def _spin_once_until_future_complete(
+        self, future: Future, timeout_sec: float | TimeoutObject | None = None
+    ) -> None:
+        self._spin_once(timeout_sec, future)
+
+    def _spin_once(
+        self, timeout_sec: float | TimeoutObject | None, future: Future | None = None
+    ) -> None:
+        condition = _never if future is None else lambda: _is_over(future)
+        try:
+            task, _, _ = self.wait_for_ready_callbacks(timeout_sec, None, condition)
+        except (ShutdownException, TimeoutException, ConditionReachedException):
+            return
+        with self._work:
+            task()
+        if task.done() and task.exception() is not None:
+            raise task.exception()  # type: ignore[misc]  # it is one
+
+
+class MultiThreadedExecutor(Executor):
+    """Runs callbacks in a pool of threads.
+
+    Args:
+        num_threads: How many threads; None means as many as the machine has cores, at least 2.
+        context: See `Executor`.
+    """
+
+    def __init__(self, num_threads: int | None = None, *, context: Context | None = None) -> None:
+        super().__init__(context=context)
+        if num_threads is None:
+            num_threads = max(2, _cores())
+        if num_threads == 1:
+            from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
+
+            RcutilsLogger("rclpy").warning(
+                "MultiThreadedExecutor is used with a single thread.\n"
+                "Use the SingleThreadedExecutor instead."
+            )
+        self._executor = ThreadPoolExecutor(num_threads, thread_name_prefix="rclpy")
+        self._failed: deque[Task] = deque()  # those whose exceptions were not raised yet
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        """Wait for one callback and start it; raises what an earlier one has raised."""
+        self._spin_once(timeout_sec)
+
+    def spin_once_until_future_complete(
+        self, future: Future, timeout_sec: float | TimeoutObject | None = None
+    ) -> None:
+        """Wait for one callback and start it, unless a future is done before."""
+        future.add_done_callback(self._future_done)
+        self._spin_once(timeout_sec, future)
+
+    def _spin_once_until_future_complete(
+        self, future: Future, timeout_sec: float | TimeoutObject | None = None
+    ) -> None:
+        self._spin_once(timeout_sec, future)
+
+    def shutdown(self, timeout_sec: float | None = None, *, wait_for_threads: bool = True) -> bool:
+        """Stop, and wait for callbacks that run.
+
+        Args:
+            timeout_sec: How long to wait; None or a negative number mean for ever.
+            wait_for_threads: Whether to wait for the threads too.
+        """
+        if not super().shutdown(timeout_sec):
+            return False
+        self._executor.shutdown(wait=wait_for_threads and not self._is_own_thread())
+        return True
+
+    def _is_own_thread(self) -> bool:
+        return threading.current_thread().name.startswith("rclpy_")
+
+    def _spin_once(
+        self, timeout_sec: float | TimeoutObject | None, future: Future | None = None
+    ) -> None:
+        def condition() -> bool:
+            return bool(self._failed) or (future is not None and _is_over(future))
+
+        try:
+            task, _, _ = self.wait_for_ready_callbacks(timeout_sec, None, condition)
+        except (
+            ExternalShutdownException,
+            ShutdownException,
+            TimeoutException,
+            ConditionReachedException,
+        ):
+            pass
+        else:
+            try:
+                self._executor.submit(self._work_on, task)
+            except RuntimeError:  # the pool was shut down
+                task.cancel()
+        if self._failed:
+            self._failed.popleft().result()
+
+    def _work_on(self, task: Task) -> None:
+        with self._work:
+            task()
+        if task.done() and task.exception() is not None:
+            self._failed.append(task)
+            self.wake()
+
+
+class _WorkTracker:
+    """Counts callbacks that run."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._changed = threading.Condition()
+        self._own = threading.local()
+
+    def __enter__(self) -> None:
+        with self._changed:
+            self._count += 1
+        self._own.count = getattr(self._own, "count", 0) + 1
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._own.count -= 1
+        with self._changed:
+            self._count -= 1
+            self._changed.notify_all()
+
+    def wait(self, timeout_sec: float | None) -> bool:
+        """Wait until none runs but the caller's own; return whether that is so."""
+        own = getattr(self._own, "count", 0)
+        timeout = None if timeout_sec is None or timeout_sec < 0 else timeout_sec
+        with self._changed:
+            return self._changed.wait_for(lambda: self._count <= own, timeout)
+
+
+def _in_order(nodes: Iterable[Node]) -> Iterator[tuple[Node, Entity]]:
+    """All entities of some nodes, in the order in which a round serves them."""
+    nodes = list(nodes)
+    for node in nodes:
+        for waitable in node.waitables:
+            yield node, waitable
+    for node in nodes:
+        for entities in node.entities:
+            for entity in entities:
+                yield node, entity
+
+
+def _is_over(future: Future) -> bool:
+    return future.done() or future.cancelled()
+
+
+def _cores() -> int:
+    """How many cores this process may use."""
+    count = getattr(os, "sched_getaffinity", None)
+    return len(count(0)) if count is not None else os.cpu_count() or 1

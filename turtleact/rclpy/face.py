@@ -1,0 +1,69 @@
+"""Decides whose rclpy a program gets: the genuine one, or turtleact's.
+
+They are never mixed. The genuine one is used if it works, together with one message. That is tried
+in another process, because an import that fails halfway cannot be undone.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import Final, Literal, TypeAlias, get_args
+
+from turtleact.errors import UsageError
+
+__all__ = ["FACES", "Face", "chosen_face"]
+
+Face: TypeAlias = Literal["auto", "turtleact", "ros"]
+
+FACES: Final = get_args(Face)
+
+PATIENCE = 20.0
+"""How long the attempt to import may take (s)."""
+
+ATTEMPT: Final = (
+    "import rclpy\n"
+    "from builtin_interfaces.msg import Time\n"
+    "type(Time).__import_type_support__()\n"
+    "print(rclpy.get_rmw_implementation_identifier())\n"
+)
+
+
+def chosen_face(asked: str) -> tuple[Literal["turtleact", "ros"], str]:
+    """Return whose rclpy to use, and the name of the genuine one's middleware if it is used.
+
+    Args:
+        asked: What the user asked for.
+
+    Raises:
+        UsageError: if ``asked`` is no face, or the genuine one is asked for and does not work.
+    """
+    if asked not in FACES:
+        raise UsageError(f"--face is one of {', '.join(FACES)}, not '{asked}'")
+    if asked == "turtleact":
+        return "turtleact", ""
+    middleware = _genuine()
+    if middleware:
+        return "ros", middleware
+    if asked == "ros":
+        raise UsageError("--face ros: the genuine rclpy cannot be imported; source a ROS workspace")
+    return "turtleact", ""
+
+
+def _genuine() -> str:
+    """Return the middleware of the genuine rclpy, or an empty text if it does not work."""
+    from importlib.machinery import PathFinder
+
+    if PathFinder.find_spec("rclpy") is None:  # saves starting a process
+        return ""
+    try:
+        tried = subprocess.run(  # noqa: S603  # this Python, with the text above
+            [sys.executable, "-c", ATTEMPT],
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return "" if tried.returncode else tried.stdout.strip()

@@ -1,0 +1,209 @@
+"""Makes ``import rclpy`` and ``from std_msgs.msg import String`` find turtleact's modules.
+
+`install` puts a finder in front of Python's own, for this process only. Nothing is ever installed
+under the name ``rclpy``. The finder serves
+
+- ``rclpy`` and its modules: those of this package, under both names;
+- ``PKG.msg``, ``PKG.srv`` and ``PKG.action`` of every package with known interfaces;
+- small parts of ``ament_index_python`` and ``rosidl_runtime_py``.
+
+Packages of ROS that turtleact does not have raise `ImportError` with a line that says so.
+
+Source: Python's ``importlib`` documentation, "Importing a source file directly" and "Finders".
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
+from importlib.util import find_spec
+from types import ModuleType
+from typing import Final
+
+from turtleact.errors import TurtleactError
+from turtleact.interfaces import known_interfaces
+
+__all__ = ["Finder", "install"]
+
+OURS: Final = "turtleact.rclpy"
+KINDS: Final = ("msg", "srv", "action")
+
+ALIASES: Final = {
+    **dict.fromkeys(
+        (
+            "expand_topic_name",
+            "topic_or_service_is_hidden",
+            "validate_full_topic_name",
+            "validate_namespace",
+            "validate_node_name",
+            "validate_parameter_name",
+            "validate_topic_name",
+        ),
+        "names",
+    ),
+    "qos_event": "event_handler",
+    "handle": "impl.entity",
+}
+"""Modules of rclpy that are parts of another module here."""
+
+BESIDE: Final = {
+    "ament_index_python": "ament_index",
+    "ament_index_python.packages": "ament_index",
+    "rosidl_runtime_py": "rosidl_runtime",
+    "rosidl_runtime_py.utilities": "rosidl_runtime",
+    "rosidl_runtime_py.convert": "rosidl_runtime",
+    "rosidl_runtime_py.set_message": "rosidl_runtime",
+}
+"""Other packages of ROS of which a part is here, by our module."""
+
+MISSING: Final = {
+    "tf2_ros": "tf2 is not part of turtleact",
+    "tf2_py": "tf2 is not part of turtleact",
+    "tf2_geometry_msgs": "tf2 is not part of turtleact",
+    "launch": "start each program by itself, with 'turtleact run'",
+    "launch_ros": "start each program by itself, with 'turtleact run'",
+    "rclpy.lifecycle": "turtleact has no managed nodes",
+    "rclpy.type_adapter": "turtleact has no type adapters",
+}
+"""What turtleact does not have, and what to say about it."""
+
+
+class Finder(MetaPathFinder):
+    """Finds the modules that turtleact serves.
+
+    The packages with interfaces are looked up once, before the finder is asked for anything: the
+    look-up itself imports modules.
+    """
+
+    def __init__(self) -> None:
+        self._packages = frozenset(name.partition("/")[0] for name in known_interfaces())
+
+    def find_spec(
+        self,
+        fullname: str,
+        path: Sequence[str] | None,  # noqa: ARG002  # our modules are in no folder
+        target: ModuleType | None = None,  # noqa: ARG002  # nothing is reloaded
+    ) -> ModuleSpec | None:
+        """Return how to make a module, or None if somebody else serves it.
+
+        Raises:
+            ImportError: for what turtleact does not have.
+        """
+        if fullname in MISSING:
+            raise ImportError(f"turtleact has no '{fullname}': {MISSING[fullname]}", name=fullname)
+        top, _, rest = fullname.partition(".")
+        if top == "rclpy":
+            return self._of_rclpy(fullname, rest)
+        if fullname in BESIDE:
+            return _spec(fullname, _Alias(f"{OURS}.{BESIDE[fullname]}"), is_package=not rest)
+        if top not in self._packages:
+            return None
+        if rest in KINDS:
+            return _spec(fullname, _Interfaces(top, rest), is_package=True)
+        if not rest and not _is_users_own(top):
+            return _spec(fullname, _Package(), is_package=True)
+        return None
+
+    def _of_rclpy(self, fullname: str, rest: str) -> ModuleSpec | None:
+        ours = f"{OURS}.{ALIASES.get(rest, rest)}" if rest else f"{OURS}.toplevel"
+        found = find_spec(ours)
+        if found is None:
+            return None
+        is_package = not rest or found.submodule_search_locations is not None
+        return _spec(fullname, _Alias(ours), is_package=is_package)
+
+
+class _Alias(Loader):
+    """Gives a module of ours a second name.
+
+    Args:
+        name: Its first name.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._spec: ModuleSpec | None = None
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:  # noqa: ARG002  # the module exists
+        """Return the module."""
+        module = import_module(self._name)
+        self._spec = module.__spec__
+        return module
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Do nothing but undo what the import system has changed: the module was executed."""
+        module.__spec__ = self._spec
+
+
+class _Package(Loader):
+    """Makes the package around ``msg``, ``srv`` and ``action``, which is empty."""
+
+    def create_module(self, spec: ModuleSpec) -> None:
+        """Let Python make the module."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Do nothing."""
+
+
+class _Interfaces(Loader):
+    """Makes ``PKG.msg`` and its siblings, which make a class when it is asked for.
+
+    Args:
+        package: The package.
+        kind: ``msg``, ``srv`` or ``action``.
+    """
+
+    def __init__(self, package: str, kind: str) -> None:
+        self._prefix = f"{package}/{kind}/"
+
+    def create_module(self, spec: ModuleSpec) -> None:
+        """Let Python make the module."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Give the module its names."""
+        prefix = self._prefix
+        known = [name for name in known_interfaces() if name.startswith(prefix)]
+        names = [name.removeprefix(prefix) for name in known]
+
+        def get(name: str) -> object:
+            from turtleact.rclpy.messages.classes import interface_class  # programs may need none
+
+            if name.startswith("_"):
+                raise AttributeError(f"module '{module.__name__}' has no attribute '{name}'")
+            try:
+                found: object = interface_class(f"{prefix}{name}")
+            except TurtleactError as error:
+                text = f"module '{module.__name__}' has no attribute '{name}': {error}"
+                raise AttributeError(text) from error
+            setattr(module, name, found)
+            return found
+
+        module.__dict__["__all__"] = sorted(names)
+        module.__dict__["__getattr__"] = get
+        module.__dict__["__dir__"] = lambda: sorted(names)
+
+
+def _spec(name: str, loader: Loader, *, is_package: bool) -> ModuleSpec:
+    return ModuleSpec(name, loader, origin="turtleact", is_package=is_package)
+
+
+def _is_users_own(package: str) -> bool:
+    """Whether a package of that name is the user's: one with modules, and not made by rosidl."""
+    found = PathFinder.find_spec(package)
+    if found is None or found.origin is None:  # none, or a folder without __init__.py
+        return False
+    made = (PathFinder.find_spec(kind, found.submodule_search_locations) for kind in KINDS)
+    return not any(each is not None and each.origin is not None for each in made)
+
+
+def install() -> Finder:
+    """Let this process find the modules, ahead of any others of those names."""
+    for each in sys.meta_path:
+        if isinstance(each, Finder):
+            return each
+    finder = Finder()
+    sys.meta_path.insert(0, finder)
+    return finder

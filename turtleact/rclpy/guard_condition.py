@@ -1,0 +1,59 @@
+"""Guard conditions: wake an executor from any thread."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from turtleact.rclpy.impl.entity import NOTHING, Entity
+from turtleact.rclpy.impl.typing import Anything
+
+if TYPE_CHECKING:
+    from turtleact.rclpy.callback_groups import CallbackGroup
+    from turtleact.rclpy.context import Context
+
+__all__ = ["GuardCondition"]
+
+
+class GuardCondition(Entity):
+    """Calls a function once after `trigger`; made by `Node.create_guard_condition`."""
+
+    def __init__(
+        self,
+        callback: Anything,
+        callback_group: CallbackGroup,
+        context: Context | None = None,  # noqa: ARG002  # rclpy's signature
+        wake: Callable[[], object] | None = None,
+    ) -> None:
+        self.callback = callback
+        self._is_triggered = False
+        super().__init__(callback_group, wake=wake)
+
+    def trigger(self) -> None:
+        """Have the function called soon. May be called in any thread."""
+        with self.handle:
+            self._is_triggered = True
+        self.wake()
+
+    def is_ready_now(self) -> bool:
+        """Whether it was triggered."""
+        return self._is_triggered and not self._handle.is_destroyed
+
+    def take(self) -> Anything:
+        """Forget that it was triggered."""
+        if not self._is_triggered:
+            return NOTHING
+        self._is_triggered = False
+        return None
+
+    async def run(self, taken: None) -> None:  # noqa: ARG002  # nothing to take
+        """Call the function."""
+        if self.callback is not None:
+            result = self.callback()
+            if inspect.iscoroutine(result):
+                await result
+
+    def describe(self) -> str:
+        """Name it in a diagnostic."""
+        return "a guard condition"

@@ -1,0 +1,334 @@
+"""The arguments of a program that are for ROS: those between ``--ros-args`` and ``--``.
+
+Source: the ROS 2 design article "ROS command line arguments"; rcl ``arguments.c`` and its
+``rcl_yaml_param_parser``.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import msgspec
+
+from turtleact.errors import InvalidMessage
+from turtleact.interfaces.text import Document, tree_of
+from turtleact.rclpy.exceptions import RCLError, UnknownROSArgsError
+
+__all__ = [
+    "Arguments",
+    "ParameterRule",
+    "RemapRule",
+    "arguments_of",
+    "parse_arguments",
+    "parse_value",
+    "read_parameters",
+    "without_ros_arguments",
+]
+
+BEGIN, END = "--ros-args", "--"
+
+WITH_VALUE = {
+    "-r": "remap",
+    "--remap": "remap",
+    "-p": "param",
+    "--param": "param",
+    "--params-file": "params-file",
+    "--log-level": "log-level",
+    "--log-config-file": "ignored",
+    "--log-file-name": "ignored",
+    "-e": "ignored",
+    "--enclave": "ignored",
+}
+ALONE = {
+    "--enable-rosout-logs",
+    "--disable-rosout-logs",
+    "--enable-stdout-logs",
+    "--disable-stdout-logs",
+    "--enable-external-lib-logs",
+    "--disable-external-lib-logs",
+}
+
+LEVELS = {
+    "UNSET": 0,
+    "DEBUG": 10,
+    "INFO": 20,
+    "WARN": 30,
+    "WARNING": 30,
+    "ERROR": 40,
+    "FATAL": 50,
+}
+
+PARAMETERS = "ros__parameters"
+
+
+class RemapRule(msgspec.Struct, frozen=True):
+    """A rule such as ``node:from:=to``.
+
+    Attributes:
+        node: The name of the node that it is for; empty for all.
+        source: The name to replace, or ``__node`` or ``__ns``.
+        target: The new name.
+    """
+
+    node: str
+    source: str
+    target: str
+
+
+class ParameterRule(msgspec.Struct, frozen=True):
+    """Values of parameters for the nodes that match a pattern.
+
+    Attributes:
+        pattern: A full name of a node, perhaps with ``*`` and ``**``.
+        values: Plain values by the parameters' names.
+    """
+
+    pattern: str
+    values: dict[str, object]
+
+
+class Arguments(msgspec.Struct, frozen=True):
+    """What a program was asked to do on its command line.
+
+    Attributes:
+        remaps: Names to replace, in order; the first match counts.
+        parameters: Values of parameters; later ones replace earlier ones.
+        log_levels: Levels by the names of loggers; the empty name is the root.
+        flags: Options without a value.
+    """
+
+    remaps: tuple[RemapRule, ...] = ()
+    parameters: tuple[ParameterRule, ...] = ()
+    log_levels: tuple[tuple[str, int], ...] = ()
+    flags: frozenset[str] = frozenset()
+
+    def node_name(self, name: str) -> str:
+        """Return the name of a node after remapping."""
+        return self._special(name, ("__node", "__name"), name)
+
+    def namespace(self, namespace: str, name: str) -> str:
+        """Return the namespace of a node after remapping."""
+        return self._special(name, ("__ns",), namespace)
+
+    def remap(self, full_name: str, node: str, namespace: str) -> str:
+        """Return the full name of a topic or service after remapping.
+
+        Args:
+            full_name: The full name.
+            node: The name of the node that uses it.
+            namespace: Its namespace.
+        """
+        for rule in self.remaps:
+            if rule.source.startswith("__") or rule.node not in ("", node):
+                continue
+            if _expanded(rule.source, node, namespace) == full_name:
+                return _expanded(rule.target, node, namespace)
+        return full_name
+
+    def parameters_for(self, full_name: str) -> dict[str, object]:
+        """Return the values of the parameters for a node, by name."""
+        found: dict[str, object] = {}
+        for rule in self.parameters:
+            if _matches(rule.pattern, full_name):
+                found |= rule.values
+        return found
+
+    def _special(self, node: str, sources: tuple[str, ...], otherwise: str) -> str:
+        for rule in self.remaps:
+            if rule.source in sources and rule.node in ("", node):
+                return rule.target
+        return otherwise
+
+
+def parse_arguments(args: Sequence[str] | None) -> Arguments:
+    """Parse the arguments of a program, ``sys.argv`` if None.
+
+    Raises:
+        UnknownROSArgsError: if an argument makes no sense.
+        RCLError: if the value of an option is malformed.
+    """
+    remaps: list[RemapRule] = []
+    files: list[ParameterRule] = []
+    parameters: list[ParameterRule] = []
+    levels: list[tuple[str, int]] = []
+    flags, unknown = set[str](), list[str]()
+    given = sys.argv if args is None else args
+    for arg in given:
+        arg.encode()  # raises UnicodeEncodeError, as in rclpy
+    words = _ros_words(given)
+    for word in words:
+        kind = WITH_VALUE.get(word)
+        if kind is None:
+            (flags.add if word in ALONE else unknown.append)(word)
+            continue
+        value = next(words, None)
+        if value is None:
+            raise RCLError(f"Failed to parse global arguments: no value after {word}")
+        if kind == "remap":
+            remaps.append(_remap(value))
+        elif kind == "param":
+            parameters.append(_parameter(value))
+        elif kind == "params-file":
+            files += _read_file(value)
+        elif kind == "log-level":
+            levels.append(_level(value))
+    if unknown:
+        raise UnknownROSArgsError(f"Found unknown ROS arguments: {unknown}")
+    return Arguments(tuple(remaps), (*files, *parameters), tuple(levels), frozenset(flags))
+
+
+def arguments_of(own: Sequence[str] | None, shared: Arguments, *, use_shared: bool) -> Arguments:
+    """Return the arguments that count for a node: its own come first.
+
+    Args:
+        own: More arguments, as on a command line.
+        shared: Those of the program.
+        use_shared: Whether those count.
+    """
+    if own is None:
+        return shared if use_shared else Arguments()
+    first = parse_arguments(own)
+    if not use_shared:
+        return first
+    return Arguments(
+        (*first.remaps, *shared.remaps),
+        (*shared.parameters, *first.parameters),
+        (*shared.log_levels, *first.log_levels),
+        first.flags | shared.flags,
+    )
+
+
+def without_ros_arguments(args: Sequence[str]) -> list[str]:
+    """Return the arguments without those for ROS."""
+    kept: list[str] = []
+    is_inside = False
+    for arg in args:
+        if arg == BEGIN:
+            is_inside = True
+        elif is_inside and arg == END:
+            is_inside = False
+        elif not is_inside:
+            kept.append(arg)
+    return kept
+
+
+def parse_value(text: str) -> object:
+    """Return the value that a text stands for, read as YAML.
+
+    Raises:
+        RCLError: if it is malformed.
+    """
+    try:
+        return _plain(tree_of(Document(text, "value", "value", allow_nonfinite=True)))
+    except InvalidMessage as error:
+        raise RCLError(f"Failed to parse global arguments: {error}") from error
+
+
+def read_parameters(path: Path) -> list[ParameterRule]:
+    """Read a file of parameters: ``NODE: {ros__parameters: {NAME: VALUE}}``.
+
+    Raises:
+        RCLError: if it is malformed.
+        OSError: if it cannot be read.
+    """
+    try:
+        text = path.read_text("utf-8")
+        tree = _plain(tree_of(Document(text, "parameters", str(path), allow_nonfinite=True)))
+    except (UnicodeDecodeError, InvalidMessage) as error:
+        raise RCLError(f"Failed to parse global arguments: {path}: {error}") from error
+    if not isinstance(tree, dict):
+        raise RCLError(f"Failed to parse global arguments: {path} has no parameters")
+    return list(_rules(tree, ""))
+
+
+def _ros_words(args: Sequence[str]) -> Iterator[str]:
+    is_inside = False
+    for arg in args:
+        if arg == BEGIN:
+            is_inside = True
+        elif arg == END:
+            is_inside = False
+        elif is_inside:
+            yield arg
+
+
+def _read_file(path: str) -> list[ParameterRule]:
+    try:
+        return read_parameters(Path(path))
+    except OSError as error:
+        raise RCLError(f"Failed to parse global arguments: {path}: {error.strerror}") from error
+
+
+def _remap(text: str) -> RemapRule:
+    before, separator, target = text.partition(":=")
+    if not separator or not before or not target:
+        raise RCLError(f"Failed to parse global arguments: {text!r} is no remap rule from:=to")
+    before = re.sub(r"^(rostopic|rosservice)://", "", before)
+    node, _, source = before.rpartition(":")
+    return RemapRule(node, source, target)
+
+
+def _parameter(text: str) -> ParameterRule:
+    before, separator, value = text.partition(":=")
+    if not separator or not before:
+        raise RCLError(f"Failed to parse global arguments: {text!r} is no parameter name:=value")
+    node, _, name = before.rpartition(":")
+    pattern = "/**" if not node else node if node.startswith("/") else f"/**/{node}"
+    return ParameterRule(pattern, {name: parse_value(value)})
+
+
+def _level(text: str) -> tuple[str, int]:
+    name, separator, level = text.rpartition(":=")
+    if level.upper() not in LEVELS:
+        raise RCLError(f"Failed to parse global arguments: {level!r} is no log level")
+    return (name if separator else ""), LEVELS[level.upper()]
+
+
+def _rules(tree: Mapping[str, object], path: str) -> Iterator[ParameterRule]:
+    for key, value in tree.items():
+        if not isinstance(value, dict):
+            raise RCLError(
+                f"Failed to parse global arguments: '{key}' has no '{PARAMETERS}' around its values"
+            )
+        if key == PARAMETERS:
+            yield ParameterRule(path or "/**", dict(_flat(value, "")))
+        else:
+            joined = f"{path.rstrip('/')}/{key.strip('/')}"
+            yield from _rules(value, joined)
+
+
+def _flat(tree: Mapping[str, object], prefix: str) -> Iterator[tuple[str, object]]:
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def _plain(value: object) -> object:
+    """Replace words that only errors need by plain text."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    if isinstance(value, bool | int | float | str):
+        return value
+    return None if str(value) == "null" else str(value)
+
+
+def _expanded(name: str, node: str, namespace: str) -> str:
+    base = namespace.rstrip("/")
+    if name.startswith("~"):
+        return f"{base}/{node}{name[1:]}"
+    return name if name.startswith("/") else f"{base}/{name}"
+
+
+def _matches(pattern: str, full_name: str) -> bool:
+    """Whether a full name of a node fits a pattern; ``*`` is one part, ``**`` any number."""
+    parts = []
+    for part in pattern.strip("/").split("/"):
+        parts.append({"**": r"(?:/[^/]+)*", "*": r"/[^/]+"}.get(part, re.escape(f"/{part}")))
+    return re.fullmatch("".join(parts), full_name) is not None

@@ -1,0 +1,86 @@
+"""Calls of services, from any thread.
+
+A server of rclpy in the same process gets the request directly. Any other server is asked in the
+event loop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from turtleact.errors import TurtleactError
+from turtleact.rclpy.impl.connection import Connection, RequestHandler
+from turtleact.transports.base import EVERY_SERVER, Caller, Endpoint, Reply, Target
+
+__all__ = ["CallEnd"]
+
+
+class CallEnd:
+    """The client end of a service.
+
+    Args:
+        connection: The graph.
+        endpoint: The description of the end.
+        type_hash: The hash of the service.
+        target: Which servers to ask.
+    """
+
+    def __init__(
+        self,
+        connection: Connection,
+        endpoint: Endpoint,
+        type_hash: str,
+        target: Target = EVERY_SERVER,
+    ) -> None:
+        self._connection = connection
+        self._endpoint = endpoint
+        self._caller: Caller = connection.join(endpoint, type_hash, target)
+        self._found: RequestHandler | None = None
+        self._seen = -1
+
+    @property
+    def is_served(self) -> bool:
+        """Whether a call would reach a server now."""
+        return self._caller.is_served
+
+    def send(
+        self,
+        request: bytes,
+        answered: Callable[[bytes, str], object],
+        failed: Callable[[TurtleactError], object],
+    ) -> None:
+        """Send a request.
+
+        Args:
+            request: The encoded request.
+            answered: Called with the response and its note, in any thread.
+            failed: Called if there will be no response, in the event loop.
+        """
+        handler = self._local()
+        if handler is not None:
+            handler.take(request, answered)
+            return
+
+        async def call() -> None:
+            try:
+                reply: Reply = await self._caller.call(request)
+            except TurtleactError as error:
+                failed(error)
+            else:
+                assert isinstance(reply.message, bytes)  # noqa: S101  # see `Encoded`
+                answered(reply.message, reply.note)
+
+        self._connection.loop.start(call())
+
+    def close(self) -> None:
+        """Leave the graph when all calls under way have ended."""
+        self._connection.loop.post(self._caller.close)
+
+    def _local(self) -> RequestHandler | None:
+        """Return the server in this process; looked up again whenever the graph has changed."""
+        changes = self._connection.changes
+        if changes != self._seen:
+            endpoint = self._endpoint
+            self._found = self._connection.local(endpoint.name, endpoint.type_name)
+            self._seen = changes
+        return self._found

@@ -1,0 +1,237 @@
+"""The connection of the process to a ROS graph, for the threads of the program.
+
+Everything that travels is bytes: a publisher encodes in the thread that publishes, and a
+subscription decodes in the thread that runs its callback. Endpoints are opened and closed in the
+event loop; topics are sent and received without it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
+from functools import partial
+from typing import TypeAlias, cast
+
+import msgspec
+
+from turtleact.rclpy.impl.event_loop import EventLoop
+from turtleact.transports import Transport
+from turtleact.transports.base import (
+    EVERY_SERVER,
+    Caller,
+    Closeable,
+    Endpoint,
+    Publication,
+    Reply,
+    Source,
+    Target,
+)
+
+__all__ = ["Connection", "OpenTransport", "RequestHandler", "Sender"]
+
+OpenTransport: TypeAlias = Callable[[int], AbstractAsyncContextManager[Transport]]
+"""Opens the graph of a ROS domain."""
+
+Respond: TypeAlias = Callable[[bytes, str], object]
+"""Answers a request with a response and a note."""
+
+CLOSING = 2.0
+"""How long to wait for a graph to close (s)."""
+
+ENDING = 0.02
+"""How long a closed endpoint's last messages have to leave before the graph is closed (s)."""
+
+
+class Encoded(msgspec.Struct, frozen=True):
+    """The format of an endpoint whose messages are bytes already.
+
+    Attributes:
+        type_hash: The hash of the interface.
+    """
+
+    type_hash: str
+
+    def encode(self, message: object) -> bytes:
+        """Return the bytes."""
+        return cast("bytes", message)
+
+    def decode(self, data: bytes) -> object:
+        """Return the bytes."""
+        return data
+
+
+class Sender:
+    """The sending end of a topic, for any thread.
+
+    Args:
+        connection: The graph.
+        publication: The transport's end.
+        is_latched: Whether late subscriptions get the last messages.
+    """
+
+    def __init__(
+        self, connection: Connection, publication: Publication, *, is_latched: bool
+    ) -> None:
+        self._connection = connection
+        self._publication = publication
+        self._is_latched = is_latched
+        self._lock = threading.Lock()
+
+    def publish(self, data: bytes) -> None:
+        """Send an encoded message to every subscription, in the order of the calls.
+
+        The messages of a latched topic pass through the event loop, where subscriptions are opened:
+        a new one gets each message once.
+        """
+        if self._is_latched:
+            self._connection.loop.post(partial(self._publication.publish, data))
+            return
+        with self._lock:
+            self._publication.publish(data)
+
+    def refresh_soon(self, delay: float, begin: Callable[[], object]) -> None:
+        """Publish the state of the topic's source after some seconds.
+
+        Args:
+            delay: How many.
+            begin: Called right before.
+        """
+
+        def refresh() -> None:
+            begin()
+            self._publication.refresh()
+
+        self._connection.loop.post_later(delay, refresh)
+
+    def close(self) -> None:
+        """Leave the topic after sending what was published."""
+        self._connection.loop.post(self._publication.close)
+
+
+class RequestHandler:
+    """Passes the requests for a service to a function that may answer in any thread, at any time.
+
+    Args:
+        take: Takes a request and the function that answers it.
+    """
+
+    def __init__(self, take: Callable[[bytes, Respond], None]) -> None:
+        self.take = take
+
+    async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002  # not needed
+        """Answer a request from another process."""
+        import asyncio
+
+        loop = asyncio.get_running_loop()
+        answered: asyncio.Future[Reply] = loop.create_future()
+
+        def respond(response: bytes, note: str = "") -> None:
+            with contextlib.suppress(RuntimeError):  # the loop is closed
+                loop.call_soon_threadsafe(settle, Reply(response, note))
+
+        def settle(reply: Reply) -> None:
+            if not answered.done():
+                answered.set_result(reply)
+
+        self.take(cast("bytes", request), respond)
+        return await answered
+
+
+class Connection:
+    """A graph that has been joined; it is closed when its last user has left.
+
+    Args:
+        loop: The event loop.
+        open_transport: Opens the graph.
+        domain: The ROS domain.
+
+    Attributes:
+        loop: As given.
+        domain: As given.
+    """
+
+    def __init__(self, loop: EventLoop, open_transport: OpenTransport, domain: int) -> None:
+        self.loop = loop
+        self.domain = domain
+        self._opened = open_transport(domain)
+        self._transport = loop.run(self._open())
+
+    async def _open(self) -> Transport:
+        return await self._opened.__aenter__()
+
+    async def _close(self) -> None:
+        await self._opened.__aexit__(None, None, None)
+
+    def close(self) -> None:
+        """Leave the graph. Whatever does not close in time is left behind."""
+        if self.loop.is_here:
+            self.loop.start(self._close())
+            return
+        with contextlib.suppress(TimeoutError):
+            self.loop.run(self._close(), CLOSING)
+
+    @property
+    def changes(self) -> int:
+        """How often a node or endpoint has come or gone."""
+        return self._transport.changes
+
+    def enter(self, node: str) -> Closeable:
+        """Show a node on the graph."""
+        return self._posted(self.loop.call(partial(self._transport.enter, node)))
+
+    def advertise(self, endpoint: Endpoint, type_hash: str, source: Source | None = None) -> Sender:
+        """Open the sending end of a topic."""
+        opening = partial(self._transport.advertise, endpoint, Encoded(type_hash), source)
+        is_latched = endpoint.qos.durability == "transient_local"
+        return Sender(self, self.loop.call(opening), is_latched=is_latched)
+
+    def subscribe(
+        self, endpoint: Endpoint, type_hash: str, deliver: Callable[[bytes], None]
+    ) -> Closeable:
+        """Open the receiving end of a topic; ``deliver`` may be called in any thread."""
+        opening = partial(
+            self._transport.subscribe,
+            endpoint,
+            Encoded(type_hash),
+            cast("Callable[[object], None]", deliver),
+            in_any_thread=True,
+        )
+        return self._posted(self.loop.call(opening))
+
+    def serve(self, endpoint: Endpoint, type_hash: str, handler: RequestHandler) -> Closeable:
+        """Offer a service."""
+        opening = partial(self._transport.serve, endpoint, Encoded(type_hash), handler)
+        return self._posted(self.loop.call(opening))
+
+    def join(self, endpoint: Endpoint, type_hash: str, target: Target = EVERY_SERVER) -> Caller:
+        """Open the client end of a service. The object belongs to the event loop."""
+        return self.loop.call(partial(self._transport.join, endpoint, Encoded(type_hash), target))
+
+    def local(self, name: str, type_name: str) -> RequestHandler | None:
+        """The handler of a service in this process, if there is one."""
+        found = self._transport.local(name, type_name)
+        return found if isinstance(found, RequestHandler) else None
+
+    def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
+        """All endpoints on the graph, or those with a name."""
+        return self.loop.call(partial(self._transport.endpoints, name))
+
+    def nodes(self) -> tuple[str, ...]:
+        """The names of all nodes."""
+        return self.loop.call(self._transport.nodes)
+
+    def _posted(self, opened: Closeable) -> Closeable:
+        return _Posted(self.loop, opened)
+
+
+class _Posted:
+    """Something open in the event loop that any thread may close."""
+
+    def __init__(self, loop: EventLoop, opened: Closeable) -> None:
+        self._loop = loop
+        self._opened = opened
+
+    def close(self) -> None:
+        self._loop.post(self._opened.close)

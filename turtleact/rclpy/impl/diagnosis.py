@@ -1,0 +1,70 @@
+"""Says why a program hangs: which callback keeps which other from running.
+
+rclpy lets a callback wait for something that only another callback of the same group can do. That
+never ends. The wait is kept as it is, but after two seconds the log names both callbacks.
+"""
+
+from __future__ import annotations
+
+import time
+
+from turtleact.rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from turtleact.rclpy.impl.entity import Entity
+from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
+
+__all__ = ["BLOCKED_AFTER", "note_blocked", "warn_if_blocked"]
+
+logger = RcutilsLogger("rclpy")
+
+BLOCKED_AFTER = 2.0
+"""After so long, a callback that waits for its group is reported (s)."""
+
+REPORTED = -1.0
+"""Stands in `Entity.blocked_since` for an entity that was reported."""
+
+HINT = "give one of them a ReentrantCallbackGroup or a MutuallyExclusiveCallbackGroup of its own"
+
+
+def note_blocked(entity: Entity) -> None:
+    """Note that an entity's group keeps it waiting; warn once if that has lasted long enough."""
+    if entity.blocked_since == REPORTED:
+        return
+    now = time.monotonic()
+    if not entity.blocked_since:
+        entity.blocked_since = now
+    elif now - entity.blocked_since >= BLOCKED_AFTER:
+        entity.blocked_since = REPORTED
+        holder = _holder(entity)
+        if holder is not None:
+            logger.warning(
+                f"{entity.describe()} has waited for {BLOCKED_AFTER:g} s: its callback group is "
+                f"held by {holder.describe()}, whose callback has not ended; {HINT}"
+            )
+
+
+def warn_if_blocked(entity: Entity, what: str, *, is_answered: bool) -> None:
+    """Warn that a thread waits for a callback that cannot run.
+
+    Args:
+        entity: The entity with the callback.
+        what: Who waits.
+        is_answered: Whether the callback has something to do.
+    """
+    if not is_answered:
+        return
+    holder = _holder(entity)
+    if holder is not None:
+        logger.warning(
+            f"{what} has waited for {BLOCKED_AFTER:g} s: the response is there, but the callback "
+            f"group of {entity.describe()} is held by {holder.describe()}; {HINT}"
+        )
+    else:
+        logger.warning(
+            f"{what} has waited for {BLOCKED_AFTER:g} s: the response is there, but nobody spins "
+            "the node; spin it in another thread, or with a MultiThreadedExecutor"
+        )
+
+
+def _holder(entity: Entity) -> Entity | None:
+    group = entity.callback_group
+    return group.active_entity if isinstance(group, MutuallyExclusiveCallbackGroup) else None

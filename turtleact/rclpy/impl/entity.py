@@ -1,0 +1,143 @@
+"""What everything that an executor serves has in common: a handle, readiness, and a callback."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from turtleact.rclpy.exceptions import InvalidHandle
+from turtleact.rclpy.impl.typing import Anything
+
+if TYPE_CHECKING:
+    from turtleact.rclpy.callback_groups import CallbackGroup
+
+__all__ = ["NOTHING", "Entity", "Handle"]
+
+NOTHING = object()
+"""What `Entity.take` returns if there was nothing to take after all."""
+
+
+class Handle:
+    """Whether something may still be used; a context manager that raises if not.
+
+    It stays usable while a block is inside, and is closed when the last one has left.
+
+    Args:
+        close: Called once, when it is destroyed.
+    """
+
+    def __init__(self, close: Callable[[], object] | None = None) -> None:
+        self._close = close
+        self._lock = threading.Lock()
+        self._users = 0
+        self._is_destroyed = False
+
+    @property
+    def is_destroyed(self) -> bool:
+        """Whether it was destroyed."""
+        return self._is_destroyed
+
+    @property
+    def pointer(self) -> int:
+        """A number that identifies it."""
+        return id(self)
+
+    def check(self) -> None:
+        """Raise if it was destroyed.
+
+        Raises:
+            InvalidHandle: if it was.
+        """
+        if self._is_destroyed:
+            raise InvalidHandle("cannot use Destroyable because destruction was requested")
+
+    def destroy_when_not_in_use(self) -> None:
+        """Destroy it. A second call does nothing."""
+        with self._lock:
+            is_first = not self._is_destroyed
+            self._is_destroyed = True
+            is_free = is_first and not self._users
+        if is_free and self._close is not None:
+            self._close()
+
+    def __enter__(self) -> Self:
+        with self._lock:
+            self.check()
+            self._users += 1
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        with self._lock:
+            self._users -= 1
+            is_last = self._is_destroyed and not self._users
+        if is_last and self._close is not None:
+            self._close()
+
+
+class Entity:
+    """A source of callbacks: a timer, subscription, guard condition, client, service or waitable.
+
+    Args:
+        callback_group: Decides when its callback may run.
+        close: Called once, when it is destroyed.
+        wake: Called when it may have become ready; any thread may do so.
+
+    Attributes:
+        callback_group: As given.
+        blocked_since: When its group first kept it waiting (s, `time.monotonic`); 0 if it does not.
+    """
+
+    def __init__(
+        self,
+        callback_group: CallbackGroup,
+        *,
+        close: Callable[[], object] | None = None,
+        wake: Callable[[], object] | None = None,
+    ) -> None:
+        self.callback_group = callback_group
+        self.blocked_since = 0.0
+        self._handle = Handle(close)
+        self._wake = wake
+        if callback_group is not None:
+            callback_group.add_entity(self)
+
+    @property
+    def handle(self) -> Handle:
+        """Whether it may be used."""
+        return self._handle
+
+    def wake(self) -> None:
+        """Have the executor look at it."""
+        if self._wake is not None:
+            self._wake()
+
+    def is_ready_now(self) -> bool:
+        """Whether a callback could run now; never blocks."""
+        raise NotImplementedError
+
+    def due_in(self) -> float | None:
+        """How long until it is ready by itself (s); None if something else must happen first."""
+        return None
+
+    def take(self) -> Anything:
+        """Take what the callback gets; `NOTHING` if somebody else has."""
+        raise NotImplementedError
+
+    async def run(self, taken: Anything) -> None:
+        """Run the callback."""
+        raise NotImplementedError
+
+    def describe(self) -> str:
+        """Name it in a diagnostic, such as "the timer of 0.5 s"."""
+        return type(self).__name__.lower()
+
+    def destroy(self) -> None:
+        """Destroy it. A second call does nothing."""
+        self._handle.destroy_when_not_in_use()

@@ -1,0 +1,89 @@
+"""turtleact's event loop, in a thread of its own.
+
+The threads of the program never run the loop, and the loop never runs the program's callbacks.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable, Coroutine
+from concurrent.futures import Future
+from typing import TypeVar
+
+from turtleact.tasks import new_event_loop
+
+__all__ = ["EventLoop"]
+
+T = TypeVar("T")
+
+SHORTEST = 0.001
+"""Shorter delays are left out (s)."""
+
+
+class EventLoop:
+    """An event loop in a daemon thread; it starts with its first use and never ends."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._thread: threading.Thread | None = None
+
+    @property
+    def is_here(self) -> bool:
+        """Whether the calling thread is the loop's."""
+        return threading.current_thread() is self._thread
+
+    def call(self, function: Callable[[], T]) -> T:
+        """Call a function in the loop, and return what it returns or raise what it raises."""
+        if self.is_here:
+            return function()
+        called: Future[T] = Future()
+
+        def call() -> None:
+            try:
+                called.set_result(function())
+            except BaseException as error:
+                called.set_exception(error)
+
+        self.post(call)
+        return called.result()
+
+    def post(self, function: Callable[[], object]) -> None:
+        """Call a function in the loop, after everything posted before, and do not wait."""
+        self._running().call_soon_threadsafe(function)
+
+    def post_later(self, delay: float, function: Callable[[], object]) -> None:
+        """Call a function in the loop after some seconds, and do not wait."""
+        loop = self._running()
+        if delay < SHORTEST:
+            loop.call_soon_threadsafe(function)
+        else:
+            loop.call_soon_threadsafe(loop.call_later, delay, function)
+
+    def run(self, coroutine: Coroutine[object, object, T], timeout: float | None = None) -> T:
+        """Run a coroutine in the loop and wait for its end.
+
+        Raises:
+            TimeoutError: if it has not ended in time; it is cancelled then.
+        """
+        running = self.start(coroutine)
+        try:
+            return running.result(timeout)
+        except BaseException:
+            running.cancel()
+            raise
+
+    def start(self, coroutine: Coroutine[object, object, T]) -> Future[T]:
+        """Run a coroutine in the loop and return its future."""
+        return asyncio.run_coroutine_threadsafe(coroutine, self._running())
+
+    def _running(self) -> asyncio.AbstractEventLoop:
+        with self._lock:
+            if self._loop is None:
+                loop = self._loop = new_event_loop()
+                self._thread = threading.Thread(
+                    target=loop.run_forever, name="turtleact-loop", daemon=True
+                )
+                self._thread.start()
+            return self._loop

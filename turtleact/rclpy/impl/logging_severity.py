@@ -1,0 +1,18 @@
+"""How severe a message of a log is."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+__all__ = ["LoggingSeverity"]
+
+
+class LoggingSeverity(IntEnum):
+    """The severities, the same numbers as in Python's logging."""
+
+    UNSET = 0
+    DEBUG = 10
+    INFO = 20
+    WARN = 30
+    ERROR = 40
+    FATAL = 50

@@ -1,0 +1,182 @@
+"""What a node sees of the graph: names, types and numbers of endpoints."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+from turtleact.graph import types_by_name
+from turtleact.rclpy.impl.connection import Connection
+from turtleact.rclpy.impl.typing import Anything
+from turtleact.transports.base import Endpoint, EndpointKind
+
+__all__ = ["NodeGraph"]
+
+TOPIC_ENDS: tuple[EndpointKind, ...] = ("publisher", "subscription")
+
+POLL = 0.02
+"""How often to look for a node (s)."""
+
+
+class NodeNameNonExistentError(RuntimeError):
+    """There is no node of that name."""
+
+
+class Named(Protocol):
+    """What these functions need to know of the node."""
+
+    @property
+    def connection(self) -> Connection:
+        """The graph."""
+
+    def resolve_topic_name(self, topic: str, *, only_expand: bool = False) -> str:
+        """Return the full name of a topic."""
+
+    def resolve_service_name(self, service: str, *, only_expand: bool = False) -> str:
+        """Return the full name of a service."""
+
+
+class NodeGraph:
+    """The part of a node that looks at the graph."""
+
+    def get_node_names(self: Named) -> list[str]:
+        """Return the names of all nodes, without their namespaces."""
+        return [name for name, _ in _names(self)]
+
+    def get_node_names_and_namespaces(self: Named) -> list[tuple[str, str]]:
+        """Return the names and namespaces of all nodes."""
+        return _names(self)
+
+    def get_node_names_and_namespaces_with_enclaves(self: Named) -> list[tuple[str, str, str]]:
+        """Return the names, namespaces and enclaves of all nodes."""
+        return [(name, namespace, "/") for name, namespace in _names(self)]
+
+    def get_fully_qualified_node_names(self: Named) -> list[str]:
+        """Return the full names of all nodes."""
+        return [f"{namespace.rstrip('/')}/{name}" for name, namespace in _names(self)]
+
+    def get_topic_names_and_types(
+        self: Named,
+        no_demangle: bool = False,  # noqa: ARG002  # rclpy's signature
+    ) -> list[tuple[str, list[str]]]:
+        """Return all topics and their types."""
+        return _listed(self, "topic", *TOPIC_ENDS)
+
+    def get_service_names_and_types(self: Named) -> list[tuple[str, list[str]]]:
+        """Return all services and their types."""
+        return _listed(self, "service", "service")
+
+    def get_publisher_names_and_types_by_node(
+        self: Named,
+        node_name: str,
+        node_namespace: str,
+        no_demangle: bool = False,  # noqa: ARG002  # rclpy's signature
+    ) -> list[tuple[str, list[str]]]:
+        """Return the topics that a node publishes, and their types.
+
+        Raises:
+            NodeNameNonExistentError: if there is no such node.
+        """
+        return _of_node(self, node_name, node_namespace, "publisher")
+
+    def get_subscriber_names_and_types_by_node(
+        self: Named,
+        node_name: str,
+        node_namespace: str,
+        no_demangle: bool = False,  # noqa: ARG002  # rclpy's signature
+    ) -> list[tuple[str, list[str]]]:
+        """Return the topics that a node reads, and their types; raises as above."""
+        return _of_node(self, node_name, node_namespace, "subscription")
+
+    def get_service_names_and_types_by_node(
+        self: Named, node_name: str, node_namespace: str
+    ) -> list[tuple[str, list[str]]]:
+        """Return the services of a node, and their types; raises as above."""
+        return _of_node(self, node_name, node_namespace, "service")
+
+    def get_client_names_and_types_by_node(
+        self: Named, node_name: str, node_namespace: str
+    ) -> list[tuple[str, list[str]]]:
+        """Return the services that a node calls, and their types; raises as above."""
+        return _of_node(self, node_name, node_namespace, "client")
+
+    def count_publishers(self: Named, topic_name: str) -> int:
+        """Return how many publishers a topic has."""
+        return _count(self, self.resolve_topic_name(topic_name), "publisher")
+
+    def count_subscribers(self: Named, topic_name: str) -> int:
+        """Return how many subscriptions a topic has."""
+        return _count(self, self.resolve_topic_name(topic_name), "subscription")
+
+    def count_clients(self: Named, service_name: str) -> int:
+        """Return how many clients a service has."""
+        return _count(self, self.resolve_service_name(service_name), "client")
+
+    def count_services(self: Named, service_name: str) -> int:
+        """Return how many servers a service has."""
+        return _count(self, self.resolve_service_name(service_name), "service")
+
+    def get_publishers_info_by_topic(
+        self: Named,
+        topic_name: str,
+        no_mangle: bool = False,  # rclpy's signature
+    ) -> list[Anything]:
+        """Return a `TopicEndpointInfo` for each publisher of a topic."""
+        name = topic_name if no_mangle else self.resolve_topic_name(topic_name)
+        return _infos(self, name, "publisher")
+
+    def get_subscriptions_info_by_topic(
+        self: Named,
+        topic_name: str,
+        no_mangle: bool = False,  # rclpy's signature
+    ) -> list[Anything]:
+        """Return a `TopicEndpointInfo` for each subscription of a topic."""
+        name = topic_name if no_mangle else self.resolve_topic_name(topic_name)
+        return _infos(self, name, "subscription")
+
+    def wait_for_node(self: Named, fully_qualified_node_name: str, timeout: float) -> bool:
+        """Wait until there is a node of that name; return whether there is one."""
+        wanted = f"/{fully_qualified_node_name.lstrip('/')}"
+        end = time.monotonic() + timeout
+        while wanted not in self.connection.nodes():
+            if time.monotonic() >= end:
+                return False
+            time.sleep(POLL)
+        return True
+
+
+def _names(node: Named) -> list[tuple[str, str]]:
+    found = (name.rpartition("/") for name in node.connection.nodes())
+    return [(name, above or "/") for above, _, name in found]
+
+
+def _listed(node: Named, kind: Anything, *kinds: EndpointKind) -> list[tuple[str, list[str]]]:
+    found = types_by_name(node.connection.endpoints(), kind, *kinds, hidden=True)
+    return [(name, list(types)) for name, types in found.items()]
+
+
+def _of_node(
+    node: Named, name: str, namespace: str, kind: EndpointKind
+) -> list[tuple[str, list[str]]]:
+    full = f"{namespace.rstrip('/')}/{name}"
+    if full not in node.connection.nodes():
+        raise NodeNameNonExistentError(f"Cannot get the names of an unknown node: {full}")
+    ends = [each for each in node.connection.endpoints() if each.node == full]
+    noun: Anything = "topic" if kind in TOPIC_ENDS else "service"
+    return [
+        (each, list(types)) for each, types in types_by_name(ends, noun, kind, hidden=True).items()
+    ]
+
+
+def _ends(node: Named, name: str, kind: EndpointKind) -> list[Endpoint]:
+    return [each for each in node.connection.endpoints(name) if each.kind == kind]
+
+
+def _count(node: Named, name: str, kind: EndpointKind) -> int:
+    return len(_ends(node, name, kind))
+
+
+def _infos(node: Named, name: str, kind: EndpointKind) -> list[Anything]:
+    from turtleact.rclpy.topic_endpoint_info import info_of
+
+    return [info_of(each) for each in _ends(node, name, kind)]

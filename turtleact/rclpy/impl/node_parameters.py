@@ -1,0 +1,526 @@
+"""The parameters of a node: declared ones, their values, descriptors and callbacks.
+
+A set of parameters is applied as a whole or not at all: first the callbacks "pre" may change the
+list, then descriptors and the callbacks "on" decide, then values change, the callbacks "post" are
+told, and the change is published.
+
+Source: the ROS 2 design article "ROS 2 Parameters"; rclpy ``node.py`` for names and texts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import TypeAlias
+
+from turtleact.rclpy.exceptions import (
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    ParameterAlreadyDeclaredException,
+    ParameterImmutableException,
+    ParameterNotDeclaredException,
+    ParameterUninitializedException,
+)
+from turtleact.rclpy.impl.typing import Anything
+from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.names import validate_parameter_name
+from turtleact.rclpy.parameter import PARAMETER_SEPARATOR_STRING, Parameter
+
+__all__ = ["NodeParameters"]
+
+PreCallback: TypeAlias = Callable[[list[Parameter]], list[Parameter]]
+OnCallback: TypeAlias = Callable[[list[Parameter]], Anything]
+PostCallback: TypeAlias = Callable[[list[Parameter]], object]
+
+
+def _result(*, successful: bool, reason: str = "") -> Anything:
+    made: Anything = interface_class("rcl_interfaces/msg/SetParametersResult")
+    return made(successful=successful, reason=reason)
+
+
+def _descriptor(**fields: object) -> Anything:
+    made: Anything = interface_class("rcl_interfaces/msg/ParameterDescriptor")
+    return made(**fields)
+
+
+class NodeParameters:
+    """The part of a node that has to do with parameters.
+
+    Args:
+        overrides: The initial values that the command line, a file or the program gives, by name.
+        allow_undeclared: Whether a parameter may be set and read without being declared.
+        publish: Publishes the names and messages of parameters that are new, changed and deleted.
+    """
+
+    def _init_parameters(
+        self,
+        overrides: dict[str, Parameter],
+        *,
+        allow_undeclared: bool,
+        publish: Callable[[list[Anything], list[Anything], list[Anything]], None],
+    ) -> None:
+        self._parameters: dict[str, Parameter] = {}
+        self._descriptors: dict[str, Anything] = {}
+        self._parameter_overrides = overrides
+        self._allow_undeclared_parameters = allow_undeclared
+        self._publish_parameters = publish
+        self._pre_set_parameters_callbacks: list[PreCallback] = []
+        self._on_set_parameters_callbacks: list[OnCallback] = []
+        self._post_set_parameters_callbacks: list[PostCallback] = []
+
+    # declaring
+
+    def declare_parameter(
+        self,
+        name: str,
+        value: Anything = None,
+        descriptor: Anything = None,
+        ignore_override: bool = False,  # rclpy's signature
+    ) -> Parameter:
+        """Declare a parameter, and return it.
+
+        Args:
+            name: Its name.
+            value: Its value, unless an override gives another; or a `Parameter.Type`, if it has
+                none yet.
+            descriptor: A ``rcl_interfaces.msg.ParameterDescriptor``.
+            ignore_override: Whether to ignore an override.
+
+        Raises:
+            ParameterAlreadyDeclaredException: if it was declared before.
+            InvalidParameterException: if the name is empty.
+            InvalidParameterValueException: if a callback refuses the value.
+            InvalidParameterTypeException: if an override is of another type.
+        """
+        if value is None and descriptor is None:
+            # Without a value and a descriptor, the type is not known: any type will do.
+            descriptor = _descriptor(dynamic_typing=True)
+        declaration = (name, value) if descriptor is None else (name, value, descriptor)
+        return self.declare_parameters("", [declaration], ignore_override)[0]
+
+    def declare_parameters(
+        self,
+        namespace: str,
+        parameters: Sequence[tuple[Anything, ...]],
+        ignore_override: bool = False,  # rclpy's signature
+    ) -> list[Parameter]:
+        """Declare several parameters, and return them; see `declare_parameter`.
+
+        Args:
+            namespace: What to put before each name.
+            parameters: Tuples of a name, and perhaps a value and a descriptor.
+            ignore_override: Whether to ignore overrides.
+        """
+        declared: list[Parameter] = []
+        descriptors: dict[str, Anything] = {}
+        for index, given in enumerate(parameters):
+            parameter, descriptor = self._declaration(index, given, namespace, ignore_override)
+            validate_parameter_name(parameter.name)
+            declared.append(parameter)
+            descriptors[parameter.name] = descriptor
+        known = [each.name for each in declared if each.name in self._parameters]
+        if known:
+            raise ParameterAlreadyDeclaredException(known)
+        for parameter in declared:
+            self._declare(parameter, descriptors[parameter.name])
+        return self.get_parameters_or_unset([each.name for each in declared])
+
+    def get_parameters_or_unset(self, names: Iterable[str]) -> list[Parameter]:
+        """Return declared parameters, also those without a value."""
+        return [self._parameters[name] for name in names if name in self._parameters]
+
+    def _declaration(
+        self, index: int, given: tuple[Anything, ...], namespace: str, ignore_override: bool
+    ) -> tuple[Parameter, Anything]:
+        """Return the parameter that a tuple declares, with its initial value and descriptor."""
+        if not 1 <= len(given) <= 3:
+            raise TypeError(
+                f"Invalid parameter tuple length at index {index} in parameters list: {given}; "
+                "expecting length between 1 and 3"
+            )
+        name, value, descriptor = (*given, None, None)[:3]
+        if not isinstance(name, str):
+            raise TypeError(
+                f"First element {name} at index {index} in parameters list is not a str."
+            )
+        full = f"{namespace}{PARAMETER_SEPARATOR_STRING}{name}" if namespace else name
+        if len(given) == 1:
+            descriptor = _descriptor(dynamic_typing=True)
+        if descriptor is None:
+            descriptor = _descriptor()
+        wanted: Anything = interface_class("rcl_interfaces/msg/ParameterDescriptor")
+        if not isinstance(descriptor, wanted):
+            raise TypeError(
+                f"Third element {descriptor} at index {index} in parameters list is not a "
+                "ParameterDescriptor."
+            )
+        if not descriptor.dynamic_typing:
+            kind = value if isinstance(value, Parameter.Type) else None
+            kind = kind or Parameter.Type.from_parameter_value(value)
+            if kind is Parameter.Type.NOT_SET and not isinstance(value, Parameter.Type):
+                raise ValueError(
+                    f"Cannot declare a statically typed parameter '{full}' with default value "
+                    "of type PARAMETER_NOT_SET"
+                )
+            descriptor.type = kind.value
+        default = None if isinstance(value, Parameter.Type) else value
+        if not ignore_override and full in self._parameter_overrides:
+            default = self._parameter_overrides[full].value
+        return Parameter(full, value=default), descriptor
+
+    def _declare(self, parameter: Parameter, descriptor: Anything) -> None:
+        """Declare a parameter with its initial value, which callbacks may refuse."""
+        descriptor.name = parameter.name
+        is_empty = parameter.type_ is Parameter.Type.NOT_SET and not descriptor.dynamic_typing
+        if is_empty:
+            self._parameters[parameter.name] = parameter
+            self._descriptors[parameter.name] = descriptor
+            return
+        if not descriptor.dynamic_typing and parameter.type_.value != descriptor.type:
+            raise InvalidParameterTypeException(parameter, Parameter.Type(descriptor.type).name)
+        result = self._apply(
+            [parameter], {parameter.name: descriptor}, allow_not_set=True, may_be_read_only=True
+        )
+        if not result.successful:
+            raise InvalidParameterValueException(parameter.name, parameter.value, result.reason)
+
+    def undeclare_parameter(self, name: str) -> None:
+        """Undeclare a parameter.
+
+        Raises:
+            ParameterNotDeclaredException: if it is not declared.
+            ParameterImmutableException: if it is read-only.
+        """
+        if not self.has_parameter(name):
+            raise ParameterNotDeclaredException(name)
+        if self._descriptors[name].read_only:
+            raise ParameterImmutableException(name)
+        del self._parameters[name]
+        del self._descriptors[name]
+
+    def has_parameter(self, name: str) -> bool:
+        """Whether a parameter is declared."""
+        return name in self._parameters
+
+    # reading
+
+    def get_parameter(self, name: str) -> Parameter:
+        """Return a parameter.
+
+        Raises:
+            ParameterNotDeclaredException: if it is not declared, and undeclared ones are not
+                allowed.
+            ParameterUninitializedException: if it has no value yet.
+        """
+        found = self._parameters.get(name)
+        if found is not None:
+            is_empty = found.type_ is Parameter.Type.NOT_SET
+            if is_empty and not self._descriptors[name].dynamic_typing:
+                raise ParameterUninitializedException(name)
+            return found
+        if self._allow_undeclared_parameters:
+            return Parameter(name, Parameter.Type.NOT_SET, None)
+        raise ParameterNotDeclaredException(name)
+
+    def get_parameters(self, names: list[str]) -> list[Parameter]:
+        """Return several parameters; see `get_parameter`.
+
+        Raises:
+            TypeError: if a name is no text.
+        """
+        if not all(isinstance(name, str) for name in names):
+            raise TypeError("All names must be instances of type str")
+        return [self.get_parameter(name) for name in names]
+
+    def get_parameter_or(self, name: str, alternative_value: Parameter | None = None) -> Parameter:
+        """Return a parameter, or another one if it is not declared or has no value."""
+        if alternative_value is None:
+            alternative_value = Parameter(name, Parameter.Type.NOT_SET)
+        if not self.has_parameter(name):
+            return alternative_value
+        found = self._parameters[name]
+        return alternative_value if found.type_ is Parameter.Type.NOT_SET else found
+
+    def get_parameters_by_prefix(self, prefix: str) -> dict[str, Parameter]:
+        """Return the parameters below a prefix, by the rest of their names."""
+        start = f"{prefix}{PARAMETER_SEPARATOR_STRING}" if prefix else ""
+        return {
+            name.removeprefix(start): self.get_parameter_or(name)
+            for name in self._parameters
+            if name.startswith(start)
+        }
+
+    def get_parameter_type(self, name: str) -> Parameter.Type:
+        """Return the type of a parameter.
+
+        Raises:
+            ParameterNotDeclaredException: if it is not declared, and undeclared ones are not
+                allowed.
+        """
+        if self.has_parameter(name):
+            return self._parameters[name].type_
+        if self._allow_undeclared_parameters:
+            return Parameter.Type.NOT_SET
+        raise ParameterNotDeclaredException(name)
+
+    def get_parameter_types(self, names: list[str]) -> list[Parameter.Type]:
+        """Return the types of several parameters; see `get_parameter_type`."""
+        if not all(isinstance(name, str) for name in names):
+            raise TypeError("All names must be instances of type str")
+        return [self.get_parameter_type(name) for name in names]
+
+    def list_parameters(self, prefixes: list[str], depth: int) -> Anything:
+        """Return the names below some prefixes as a ``rcl_interfaces.msg.ListParametersResult``.
+
+        Args:
+            prefixes: The prefixes; none means all names.
+            depth: How many dots a name may have after the prefix, plus one; 0 for any number.
+
+        Raises:
+            TypeError: if a prefix is no text, or the depth no number.
+            ValueError: if the depth is negative.
+        """
+        if not all(isinstance(each, str) for each in prefixes):
+            raise TypeError("All prefixes must be instances of type str")
+        if not isinstance(depth, int):
+            raise TypeError(f"depth must be an instance of type int, got {depth!r}")
+        if depth < 0:
+            raise ValueError("depth must be greater than or equal to zero")
+        made: Anything = interface_class("rcl_interfaces/msg/ListParametersResult")
+        result = made()
+        for name in sorted(self._parameters):
+            if any(_is_below(name, prefix, depth) for prefix in prefixes or [""]):
+                result.names.append(name)
+                above = name.rpartition(PARAMETER_SEPARATOR_STRING)[0]
+                if above and above not in result.prefixes:
+                    result.prefixes.append(above)
+        return result
+
+    # setting
+
+    def set_parameters(self, parameter_list: list[Parameter]) -> list[Anything]:
+        """Set parameters one by one, and return a ``SetParametersResult`` for each.
+
+        Raises:
+            ParameterNotDeclaredException: if one is not declared, and undeclared ones are not
+                allowed; those before it are set.
+        """
+        results: list[Anything] = []
+        for parameter in parameter_list:
+            self._check_declared([parameter])
+            results.append(self._set_atomically([parameter]))
+        return results
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> Anything:
+        """Set all parameters or none, and return a ``SetParametersResult``.
+
+        Raises:
+            ParameterNotDeclaredException: if one is not declared, and undeclared ones are not
+                allowed; none is set.
+        """
+        self._check_declared(parameter_list)
+        return self._set_atomically(parameter_list)
+
+    def _check_declared(self, parameters: list[Parameter]) -> None:
+        if not all(isinstance(each, Parameter) for each in parameters):
+            raise TypeError("parameter must be instance of type 'Parameter'")
+        unknown = [each.name for each in parameters if each.name not in self._parameters]
+        if unknown and not self._allow_undeclared_parameters:
+            raise ParameterNotDeclaredException(unknown)
+
+    def _set_atomically(self, parameters: list[Parameter]) -> Anything:
+        for callback in self._pre_set_parameters_callbacks:
+            parameters = callback(parameters)
+            if not parameters:
+                return _result(
+                    successful=False,
+                    reason="parameter list cannot be empty, this might be due to "
+                    "pre_set_parameters_callback modifying the original parameters list.",
+                )
+            self._check_declared(parameters)
+        descriptors = {
+            each.name: self._descriptors.get(each.name, _descriptor(dynamic_typing=True))
+            for each in parameters
+        }
+        return self._apply(parameters, descriptors, allow_not_set=False, may_be_read_only=False)
+
+    def _apply(
+        self,
+        parameters: list[Parameter],
+        descriptors: dict[str, Anything],
+        *,
+        allow_not_set: bool,
+        may_be_read_only: bool,
+    ) -> Anything:
+        """Set parameters if their descriptors and the callbacks "on" agree."""
+        for parameter in parameters:
+            descriptor = descriptors[parameter.name]
+            if descriptor.read_only and not may_be_read_only:
+                return _result(
+                    successful=False,
+                    reason=f"Trying to set a read-only parameter: {parameter.name}.",
+                )
+            is_undeclaring = parameter.type_ is Parameter.Type.NOT_SET and not allow_not_set
+            if is_undeclaring and descriptor.dynamic_typing:
+                continue
+            reason = _misfit(parameter, descriptor)
+            if reason:
+                return _result(successful=False, reason=reason)
+        for callback in list(self._on_set_parameters_callbacks):
+            result = callback(parameters)
+            if not result.successful:
+                return result
+        self._change(parameters, descriptors, allow_not_set=allow_not_set)
+        for post in list(self._post_set_parameters_callbacks):
+            post(parameters)
+        return _result(successful=True)
+
+    def _change(
+        self, parameters: list[Parameter], descriptors: dict[str, Anything], *, allow_not_set: bool
+    ) -> None:
+        """Set parameters, and publish what is new, changed and deleted."""
+        new: list[Anything] = []
+        changed: list[Anything] = []
+        deleted: list[Anything] = []
+        for parameter in parameters:
+            name, held = parameter.name, self._parameters.get(parameter.name)
+            if parameter.type_ is Parameter.Type.NOT_SET and not allow_not_set:
+                if held is not None:
+                    deleted.append(held.to_parameter_msg())
+                    del self._parameters[name]
+                    self._descriptors.pop(name, None)
+                continue
+            had_value = held is not None and held.type_ is not Parameter.Type.NOT_SET
+            (changed if had_value else new).append(parameter.to_parameter_msg())
+            self._parameters[name] = parameter
+            descriptor = self._descriptors[name] = descriptors[name]
+            descriptor.name = name
+            if descriptor.dynamic_typing:
+                descriptor.type = parameter.type_.value
+        self._publish_parameters(new, changed, deleted)
+
+    # callbacks
+
+    def add_pre_set_parameters_callback(self, callback: PreCallback) -> None:
+        """Call ``callback(parameters)`` first; it returns the list to set instead."""
+        self._pre_set_parameters_callbacks.insert(0, callback)
+
+    def add_on_set_parameters_callback(self, callback: OnCallback) -> None:
+        """Call ``callback(parameters)`` before they are set; its result may refuse them."""
+        self._on_set_parameters_callbacks.insert(0, callback)
+
+    def add_post_set_parameters_callback(self, callback: PostCallback) -> None:
+        """Call ``callback(parameters)`` after they were set."""
+        self._post_set_parameters_callbacks.insert(0, callback)
+
+    def remove_pre_set_parameters_callback(self, callback: PreCallback) -> None:
+        """Remove a callback; raises ValueError if it is not there."""
+        self._pre_set_parameters_callbacks.remove(callback)
+
+    def remove_on_set_parameters_callback(self, callback: OnCallback) -> None:
+        """Remove a callback; raises ValueError if it is not there."""
+        self._on_set_parameters_callbacks.remove(callback)
+
+    def remove_post_set_parameters_callback(self, callback: PostCallback) -> None:
+        """Remove a callback; raises ValueError if it is not there."""
+        self._post_set_parameters_callbacks.remove(callback)
+
+    # descriptors
+
+    def describe_parameter(self, name: str) -> Anything:
+        """Return the descriptor of a parameter.
+
+        Raises:
+            ParameterNotDeclaredException: if it is not declared, and undeclared ones are not
+                allowed.
+        """
+        if name in self._descriptors:
+            return self._descriptors[name]
+        if self._allow_undeclared_parameters:
+            return _descriptor(name=name)
+        raise ParameterNotDeclaredException(name)
+
+    def describe_parameters(self, names: list[str]) -> list[Anything]:
+        """Return several descriptors; see `describe_parameter`."""
+        return [self.describe_parameter(name) for name in names]
+
+    def set_descriptor(
+        self, name: str, descriptor: Anything, alternative_value: Anything = None
+    ) -> Anything:
+        """Give a parameter a descriptor, and perhaps another value; return its value.
+
+        Raises:
+            ParameterNotDeclaredException: if it is not declared.
+            ParameterImmutableException: if it is read-only.
+            InvalidParameterValueException: if the value does not fit.
+        """
+        if not self.has_parameter(name):
+            if self._allow_undeclared_parameters:
+                return self.get_parameter(name).get_parameter_value()
+            raise ParameterNotDeclaredException(name)
+        if self.describe_parameter(name).read_only:
+            raise ParameterImmutableException(name)
+        current = self.get_parameter(name)
+        given = alternative_value
+        candidate = current if given is None else _from_value(name, given)
+        if not descriptor.dynamic_typing:
+            descriptor.type = candidate.type_.value
+        result = self._apply(
+            [candidate], {name: descriptor}, allow_not_set=True, may_be_read_only=True
+        )
+        if not result.successful:
+            raise InvalidParameterValueException(name, candidate.value, result.reason)
+        return self.get_parameter(name).get_parameter_value()
+
+
+def _from_value(name: str, value: Anything) -> Parameter:
+    made: Anything = interface_class("rcl_interfaces/msg/Parameter")
+    return Parameter.from_parameter_msg(made(name=name, value=value))
+
+
+def _is_below(name: str, prefix: str, depth: int) -> bool:
+    if prefix and name != prefix and not name.startswith(f"{prefix}{PARAMETER_SEPARATOR_STRING}"):
+        return False
+    rest = name.removeprefix(prefix).strip(PARAMETER_SEPARATOR_STRING)
+    return not depth or rest.count(PARAMETER_SEPARATOR_STRING) < depth
+
+
+def _misfit(parameter: Parameter, descriptor: Anything) -> str:
+    """Return why a descriptor forbids a value; empty if it does not."""
+    if not descriptor.dynamic_typing and descriptor.type != parameter.type_.value:
+        return (
+            f"Wrong parameter type, expected '{Parameter.Type(descriptor.type)}' "
+            f"got '{parameter.type_}'"
+        )
+    if parameter.type_ is Parameter.Type.INTEGER and descriptor.integer_range:
+        return _out_of_integer_range(parameter, descriptor.integer_range[0])
+    if parameter.type_ is Parameter.Type.DOUBLE and descriptor.floating_point_range:
+        return _out_of_float_range(parameter, descriptor.floating_point_range[0])
+    return ""
+
+
+def _out_of_integer_range(parameter: Parameter, bounds: Anything) -> str:
+    low, high = sorted((bounds.from_value, bounds.to_value))
+    value: int = parameter.value
+    if not low <= value <= high:
+        return f"Parameter {parameter.name} out of range. Min: {low}, Max: {high}, value: {value}"
+    is_on_step = not bounds.step or value == high or (value - low) % bounds.step == 0
+    return "" if is_on_step else f"The parameter value for {parameter.name} is not a valid step. "
+
+
+def _out_of_float_range(parameter: Parameter, bounds: Anything) -> str:
+    low, high = sorted((bounds.from_value, bounds.to_value))
+    value: float = parameter.value
+    if math.isclose(value, low) or math.isclose(value, high):
+        return ""
+    if not low < value < high:
+        return f"Parameter {parameter.name} out of range Min: {low}, Max: {high}, value: {value}"
+    if not bounds.step:
+        return ""
+    steps = (value - low) / bounds.step
+    is_on_step = math.isclose(steps, round(steps), rel_tol=1e-9, abs_tol=1e-9)
+    return (
+        ""
+        if is_on_step
+        else f"The parameter value for {parameter.name} is not close enough to a valid step. "
+    )

@@ -1,0 +1,79 @@
+"""Opens the graph that a program joins: the one that is there, or a new one.
+
+A program looks for a router on its machine, such as ``turtleact serve``. If there is none, it
+becomes the router itself, so that programs find each other wherever they are started.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
+from functools import partial
+
+import anyio
+
+from turtleact.clock import Clock
+from turtleact.errors import TurtleactError
+from turtleact.rclpy.impl.settings import SETTINGS, Place
+from turtleact.transports import MemoryTransport, Transport, open_zenoh
+
+__all__ = ["open_chosen"]
+
+ATTEMPTS = 20
+"""How often to try, if another program becomes the router at the same moment."""
+
+PAUSE = 0.05
+"""How long to wait between two attempts (s)."""
+
+LISTEN = ("tcp/127.0.0.1:7447",)
+"""Where the nodes of a machine look for a router."""
+
+
+@asynccontextmanager
+async def open_chosen(domain: int) -> AsyncIterator[Transport]:
+    """Open the graph that was chosen for this process.
+
+    An embedded world has a connection of its own, as ``turtleact serve`` would have, so that other
+    programs and commands see it, too.
+
+    Raises:
+        TurtleactError: if the graph cannot be opened.
+    """
+    place = SETTINGS.place
+    async with AsyncExitStack() as stack:
+        if place.is_embedded:
+            from turtleact.app import open_world
+
+            world = open_world(graph=partial(_open, place, domain))
+            await stack.enter_async_context(world)
+        yield await stack.enter_async_context(_open(place, domain))
+
+
+@asynccontextmanager
+async def _open(place: Place, domain: int, clock: Clock | None = None) -> AsyncIterator[Transport]:
+    if place.is_alone:
+        yield MemoryTransport(clock)
+        return
+    peer = partial(open_zenoh, domain=domain, config=place.config, clock=clock)
+    async with AsyncExitStack() as stack:
+        if place.connect:
+            yield await stack.enter_async_context(peer(place.connect))
+        else:
+            router = partial(peer, mode="router", listen=LISTEN)
+            yield await _first(stack, [peer, router])
+
+
+async def _first(
+    stack: AsyncExitStack,
+    opening: Sequence[Callable[[], AbstractAsyncContextManager[Transport]]],
+) -> Transport:
+    """Enter the first of these graphs that can be opened, trying several times."""
+    for attempt in range(ATTEMPTS):
+        for open_it in opening:
+            try:
+                return await stack.enter_async_context(open_it())
+            except TurtleactError:
+                if attempt == ATTEMPTS - 1 and open_it is opening[-1]:
+                    raise
+        await anyio.sleep(PAUSE)
+    raise AssertionError("the last attempt raises")

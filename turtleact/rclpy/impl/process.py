@@ -1,0 +1,78 @@
+"""What exists once in a process: the event loop, the graphs that it has joined, and its contexts.
+
+A graph is joined when the first node needs it, and left when the last context that uses it is shut
+down. The event loop stays for the next ``init``.
+"""
+
+from __future__ import annotations
+
+import atexit
+import threading
+from typing import TYPE_CHECKING
+from weakref import WeakSet
+
+from turtleact.rclpy.impl.connection import Connection, OpenTransport
+from turtleact.rclpy.impl.event_loop import EventLoop
+from turtleact.rclpy.impl.opening import open_chosen
+
+if TYPE_CHECKING:
+    from turtleact.rclpy.context import Context
+
+__all__ = ["PROCESS", "Process"]
+
+
+class Process:
+    """The state of this process.
+
+    Attributes:
+        loop: The event loop.
+        contexts: All contexts that are initialised.
+        open_transport: Opens a graph that is not joined yet.
+    """
+
+    def __init__(self) -> None:
+        self.loop = EventLoop()
+        self.contexts: WeakSet[Context] = WeakSet()
+        self.open_transport: OpenTransport = open_chosen
+        self._lock = threading.Lock()
+        self._is_registered = False
+        self._connections: dict[int, tuple[Connection, set[int]]] = {}
+
+    def join(self, domain: int, user: object) -> Connection:
+        """Join a graph for a user, or return the connection that is there.
+
+        Raises:
+            TurtleactError: if there is no graph in reach.
+        """
+        with self._lock:
+            if not self._is_registered:
+                # Most programs end without a call of `shutdown`.
+                self._is_registered = True
+                atexit.register(self.shut_down)
+            if domain not in self._connections:
+                connection = Connection(self.loop, self.open_transport, domain)
+                self._connections[domain] = connection, set()
+            connection, users = self._connections[domain]
+            users.add(id(user))
+            return connection
+
+    def shut_down(self) -> None:
+        """Shut all contexts down."""
+        for context in list(self.contexts):
+            context.try_shutdown()
+
+    def leave(self, user: object) -> None:
+        """Leave all graphs that nobody else uses."""
+        closing: list[Connection] = []
+        with self._lock:
+            for domain, (connection, users) in list(self._connections.items()):
+                users.discard(id(user))
+                if not users:
+                    del self._connections[domain]
+                    closing.append(connection)
+        for connection in closing:
+            connection.close()
+
+
+#: The only one. It is global because rclpy's API is: ``rclpy.init()`` names no process.
+PROCESS = Process()

@@ -1,0 +1,336 @@
+"""Loggers: severities, filters, and where messages go.
+
+A call site is a place in the source code. It may log once only, skip its first message, or stay
+silent for some seconds, and it may not change its mind about that.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from types import FrameType
+from typing import TYPE_CHECKING, TypeAlias
+
+import msgspec
+
+from turtleact.rclpy.impl.logging_severity import LoggingSeverity
+from turtleact.rclpy.impl.typing import Anything
+
+if TYPE_CHECKING:
+    pass
+
+__all__ = ["LOG", "RcutilsLogger", "Record", "Rosout"]
+
+UNNAMED = ""
+DEFAULT_FORMAT = "[{severity}] [{time}] [{name}]: {message}"
+COLOURS = {
+    LoggingSeverity.DEBUG: "\033[32m",
+    LoggingSeverity.WARN: "\033[33m",
+    LoggingSeverity.ERROR: "\033[31m",
+    LoggingSeverity.FATAL: "\033[31m",
+}
+PLAIN = "\033[0m"
+
+FILTERS = ("once", "skip_first", "throttle_duration_sec")
+
+
+class Record(msgspec.Struct, frozen=True):
+    """One message of a log.
+
+    Attributes:
+        severity: How severe it is.
+        name: The name of the logger.
+        text: The message.
+        stamp: When it was logged (ns since 1970).
+        file: The file of the call site.
+        function: The function of the call site.
+        line: The line of the call site.
+    """
+
+    severity: LoggingSeverity
+    name: str
+    text: str
+    stamp: int
+    file: str
+    function: str
+    line: int
+
+
+Rosout: TypeAlias = Callable[[Record], object]
+"""Publishes a record on ``/rosout``."""
+
+
+class _Log:
+    """The levels of all loggers, and the output.
+
+    Attributes:
+        rosouts: Publishers of records, by the names of the nodes' loggers.
+    """
+
+    def __init__(self) -> None:
+        self.rosouts: dict[str, Rosout] = {}
+        self._levels: dict[str, int] = {UNNAMED: LoggingSeverity.INFO}
+        self._effective: dict[str, int] = {}
+        self._lock = threading.Lock()
+        self._format = os.environ.get("RCUTILS_CONSOLE_OUTPUT_FORMAT") or DEFAULT_FORMAT
+        self._to_stdout = os.environ.get("RCUTILS_LOGGING_USE_STDOUT") == "1"
+        self._colours = os.environ.get("RCUTILS_COLORIZED_OUTPUT", "")
+
+    def set_level(self, name: str, level: int) -> None:
+        """Set the level of a logger and of all below it; UNSET inherits it again."""
+        with self._lock:
+            self._levels[name] = level
+            self._effective = {}
+
+    def level(self, name: str) -> int:
+        """The level of a logger itself; UNSET if it inherits one."""
+        return self._levels.get(name, 0)
+
+    def effective_level(self, name: str) -> int:
+        """The level that counts: of the logger, or else of the nearest one above it."""
+        level = self._effective.get(name)
+        if level is None:
+            level = next((each for each in map(self.level, _above(name)) if each), 0)
+            self._effective[name] = level
+        return level
+
+    def reset(self) -> None:
+        """Give all loggers the levels that they had at first."""
+        with self._lock:
+            self._levels = {UNNAMED: LoggingSeverity.INFO}
+            self._effective = {}
+
+    def write(self, record: Record) -> None:
+        """Print a record, and publish it if its logger belongs to a node."""
+        text = self._formatted(record)
+        stream = sys.stdout if self._to_stdout else sys.stderr
+        if stream is not None:
+            with self._lock, suppress(ValueError, OSError):  # the stream may be closed at the end
+                stream.write(f"{self._coloured(record.severity, text, stream)}\n")
+                stream.flush()
+        for name in _above(record.name):
+            if name in self.rosouts:
+                self.rosouts[name](record)
+                return
+
+    def _formatted(self, record: Record) -> str:
+        seconds, rest = divmod(record.stamp, 1_000_000_000)
+        if self._format == DEFAULT_FORMAT:
+            stamp = f"{seconds}.{rest:09d}"
+            return f"[{record.severity.name}] [{stamp}] [{record.name}]: {record.text}"
+        values = {
+            "severity": record.severity.name,
+            "name": record.name,
+            "message": record.text,
+            "function_name": record.function,
+            "file_name": record.file,
+            "line_number": str(record.line),
+            "time": f"{seconds}.{rest:09d}",
+            "time_as_nanoseconds": str(record.stamp),
+            "date_time_with_ms": time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(seconds))
+            + f".{rest // 1_000_000:03d}",
+        }
+        return re.sub(r"\{(\w+)\}", lambda match: values.get(match[1], match[0]), self._format)
+
+    def _coloured(self, severity: LoggingSeverity, text: str, stream: Anything) -> str:
+        if self._colours == "0" or severity not in COLOURS:
+            return text
+        if self._colours != "1" and not stream.isatty():
+            return text
+        return f"{COLOURS[severity]}{text}{PLAIN}"
+
+
+#: The log of the process; rclpy's loggers are global too.
+LOG = _Log()
+
+
+class _Site:
+    """What a call site remembers: how it was first called, and what its filters need."""
+
+    __slots__ = ("filters", "has_logged", "has_skipped", "last", "name", "severity")
+
+    def __init__(self, severity: LoggingSeverity, name: str, filters: dict[str, Anything]) -> None:
+        self.severity = severity
+        self.name = name
+        self.filters = filters
+        self.has_logged = False
+        self.has_skipped = False
+        self.last = 0
+
+    def check(self, severity: LoggingSeverity, name: str, filters: dict[str, Anything]) -> None:
+        """Raise if the call site is called in another way than before."""
+        if severity != self.severity:
+            raise ValueError("Logger severity cannot be changed between calls.")
+        if name != self.name:
+            raise ValueError("Logger name cannot be changed between calls.")
+        if filters.keys() != self.filters.keys():
+            raise ValueError("Requested logging filters cannot be changed between calls.")
+        if any(
+            filters[name] is not self.filters[name] and filters[name] != self.filters[name]
+            for name in filters
+        ):
+            raise ValueError("Logging filter parameters cannot be changed between calls.")
+
+    def lets_pass(self) -> bool:
+        """Whether the filters let a message pass."""
+        passes = not self.filters.get("throttle_duration_sec") or self._is_due()
+        if passes and self.filters.get("skip_first"):
+            passes, self.has_skipped = self.has_skipped, True
+        if passes and self.filters.get("once"):
+            passes, self.has_logged = not self.has_logged, True
+        return passes
+
+    def _is_due(self) -> bool:
+        clock = self.filters.get("throttle_time_source_type")
+        now: int = time.monotonic_ns() if clock is None else clock.now().nanoseconds
+        wait = self.filters["throttle_duration_sec"] * 1_000_000_000
+        if now >= self.last + wait:
+            self.last = now
+            return True
+        return False
+
+
+class RcutilsLogger:
+    """A logger, by name. Dots in the name make a tree.
+
+    Args:
+        name: The name; empty for the root.
+    """
+
+    def __init__(self, name: str = "") -> None:
+        self.name = name
+        self._sites: dict[tuple[Anything, int], _Site] = {}
+
+    def get_child(self, name: str) -> RcutilsLogger:
+        """Return the logger of that name below this one.
+
+        Raises:
+            ValueError: if the name is empty.
+        """
+        if not name:
+            raise ValueError("Child logger name must not be empty.")
+        full = f"{self.name}.{name}" if self.name else name
+        return type(self)(full)
+
+    def set_level(self, level: LoggingSeverity | int) -> None:
+        """Log only messages that are at least this severe."""
+        LOG.set_level(self.name, LoggingSeverity(level))
+
+    def get_effective_level(self) -> LoggingSeverity:
+        """Return the level that counts, its own or the nearest one above it."""
+        return LoggingSeverity(LOG.effective_level(self.name))
+
+    def is_enabled_for(self, severity: LoggingSeverity | int) -> bool:
+        """Whether messages that are so severe are logged."""
+        return LOG.effective_level(self.name) <= severity
+
+    def log(
+        self,
+        message: object,
+        severity: LoggingSeverity | int,
+        name: str | None = None,
+        **kwargs: Anything,
+    ) -> bool:
+        """Log a message.
+
+        Args:
+            message: The text, or an object to convert.
+            severity: How severe it is.
+            name: The name to log it under, instead of the logger's own.
+            **kwargs: ``once``, ``skip_first``, ``throttle_duration_sec``, and
+                ``throttle_time_source_type``, a clock.
+
+        Returns:
+            Whether it was logged.
+
+        Raises:
+            RuntimeError: if the severity is none.
+            TypeError: if a filter does not exist.
+            ValueError: if the same call site asked for something else before.
+        """
+        try:
+            severity = LoggingSeverity(severity)
+        except ValueError as error:
+            raise RuntimeError(f"{severity!r} is no severity") from error
+        frame = _caller()
+        full = self.name if name is None else name
+        filters = _filters(kwargs) if kwargs else kwargs
+        key = (frame.f_code, frame.f_lasti)
+        site = self._sites.get(key)
+        if site is None:
+            site = self._sites[key] = _Site(severity, full, filters)
+        else:
+            site.check(severity, full, filters)
+        if LOG.effective_level(full) > severity or not site.lets_pass():
+            return False
+        code = frame.f_code
+        record = Record(
+            severity,
+            full,
+            str(message),
+            time.time_ns(),
+            code.co_filename,
+            code.co_name,
+            frame.f_lineno,
+        )
+        LOG.write(record)
+        return True
+
+    def debug(self, message: object, **kwargs: Anything) -> bool:
+        """Log a message for whoever looks for an error."""
+        return self.log(message, LoggingSeverity.DEBUG, **kwargs)
+
+    def info(self, message: object, **kwargs: Anything) -> bool:
+        """Log what the program does."""
+        return self.log(message, LoggingSeverity.INFO, **kwargs)
+
+    def warning(self, message: object, **kwargs: Anything) -> bool:
+        """Log that something is not as it should be."""
+        return self.log(message, LoggingSeverity.WARN, **kwargs)
+
+    def warn(self, message: object, **kwargs: Anything) -> bool:
+        """Log as `warning` does."""
+        return self.log(message, LoggingSeverity.WARN, **kwargs)
+
+    def error(self, message: object, **kwargs: Anything) -> bool:
+        """Log that something has failed."""
+        return self.log(message, LoggingSeverity.ERROR, **kwargs)
+
+    def fatal(self, message: object, **kwargs: Anything) -> bool:
+        """Log that the program cannot go on."""
+        return self.log(message, LoggingSeverity.FATAL, **kwargs)
+
+
+def _filters(given: dict[str, Anything]) -> dict[str, Anything]:
+    for name in given:
+        if name not in (*FILTERS, "throttle_time_source_type"):
+            raise TypeError(
+                f"parameter '{name}' is not one of the recognized logging options: "
+                f"{', '.join(FILTERS)}, throttle_time_source_type"
+            )
+    if "throttle_time_source_type" in given and "throttle_duration_sec" not in given:
+        raise TypeError(
+            'required parameter "throttle_duration_sec" not specified for logging filter "throttle"'
+        )
+    return given
+
+
+def _above(name: str) -> Iterator[str]:
+    """The name of a logger, and those above it, up to the root."""
+    while name:
+        yield name
+        name = name.rpartition(".")[0]
+    yield UNNAMED
+
+
+def _caller() -> FrameType:
+    """Return the frame that called a logger."""
+    frame = sys._getframe(2)
+    while frame.f_globals.get("__name__") == __name__ and frame.f_back is not None:
+        frame = frame.f_back
+    return frame

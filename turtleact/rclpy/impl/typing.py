@@ -1,0 +1,25 @@
+"""Types that several modules of rclpy use in their annotations."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+__all__ = ["Anything", "Subscriptable"]
+
+Anything: TypeAlias = Any
+"""A message, an interface, or a callback of the program.
+
+Message classes are made at run time, so no type checker knows their fields, and rclpy calls a
+callback with as many arguments as it takes.
+"""
+
+
+class Subscriptable:
+    """A class that programs may subscript in annotations, with any arguments.
+
+    How many type parameters rclpy's classes have differs between the distributions of ROS 2.
+    """
+
+    def __class_getitem__(cls, parameters: object) -> type:
+        """Return the class itself."""
+        return cls

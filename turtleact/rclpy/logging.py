@@ -1,0 +1,92 @@
+"""Logging: loggers by name, and their levels."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+from turtleact.rclpy.impl.logging_severity import LoggingSeverity
+from turtleact.rclpy.impl.rcutils_logger import LOG, RcutilsLogger
+
+__all__ = [
+    "LoggingSeverity",
+    "apply_levels",
+    "clear_config",
+    "get_logger",
+    "get_logger_effective_level",
+    "get_logger_level",
+    "get_logging_directory",
+    "get_logging_severity_from_string",
+    "initialize",
+    "set_logger_level",
+    "shutdown",
+]
+
+_root_logger = RcutilsLogger()
+
+
+def get_logger(name: str) -> RcutilsLogger:
+    """Return the logger with that name.
+
+    Raises:
+        ValueError: if the name is empty.
+    """
+    if not name:
+        raise ValueError("Logger name must not be empty.")
+    return _root_logger.get_child(name)
+
+
+def initialize() -> None:
+    """Do nothing: logging needs no preparation."""
+
+
+def shutdown() -> None:
+    """Do nothing: every message is written at once."""
+
+
+def clear_config() -> None:
+    """Give all loggers the levels that they had at first."""
+    LOG.reset()
+
+
+def set_logger_level(name: str, level: LoggingSeverity | int, detailed_error: bool = False) -> None:  # noqa: ARG001  # rclpy's signature
+    """Set the level of a logger by its name."""
+    LOG.set_level(name, LoggingSeverity(level))
+
+
+def get_logger_level(name: str) -> LoggingSeverity:
+    """Return the level of a logger itself, UNSET if it inherits one."""
+    return LoggingSeverity(LOG.level(name))
+
+
+def get_logger_effective_level(name: str) -> LoggingSeverity:
+    """Return the level that counts for a logger."""
+    return LoggingSeverity(LOG.effective_level(name))
+
+
+def get_logging_severity_from_string(log_severity: str) -> LoggingSeverity:
+    """Return the severity of that name.
+
+    Raises:
+        RuntimeError: if there is none.
+    """
+    try:
+        return LoggingSeverity[log_severity.upper()]
+    except KeyError:
+        raise RuntimeError(f"Logging severity '{log_severity}' does not exist") from None
+
+
+def get_logging_directory() -> Path:
+    """Return the folder for log files; turtleact writes none."""
+    given = os.environ.get("ROS_LOG_DIR")
+    if given:
+        return Path(given)
+    home = os.environ.get("ROS_HOME")
+    return (Path(home) if home else Path("~/.ros").expanduser()) / "log"
+
+
+def apply_levels(levels: Iterable[tuple[str, int]]) -> None:
+    """Set the levels that the command line asks for."""
+    for name, level in levels:
+        LOG.set_level(name, level)

@@ -1,0 +1,50 @@
+"""The two services through which others see and set the log levels of a process."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from turtleact.rclpy.impl.logging_severity import LoggingSeverity
+from turtleact.rclpy.impl.rcutils_logger import LOG
+from turtleact.rclpy.impl.typing import Anything
+from turtleact.rclpy.messages.classes import interface_class
+
+if TYPE_CHECKING:
+    from turtleact.rclpy.node import Node
+
+__all__ = ["LoggingService"]
+
+
+class LoggingService:
+    """Offers the services; the node owns them.
+
+    Args:
+        node: The node.
+    """
+
+    def __init__(self, node: Node) -> None:
+        name = node.get_name()
+        for kind, callback in (("Get", self._get), ("Set", self._set)):
+            node.create_service(
+                interface_class(f"rcl_interfaces/srv/{kind}LoggerLevels"),
+                f"{name}/{kind.lower()}_logger_levels",
+                callback,
+            )
+
+    def _get(self, request: Anything, response: Anything) -> Anything:
+        made: Anything = interface_class("rcl_interfaces/msg/LoggerLevel")
+        for name in request.names:
+            response.levels.append(made(name=name, level=LOG.level(name)))
+        return response
+
+    def _set(self, request: Anything, response: Anything) -> Anything:
+        made: Anything = interface_class("rcl_interfaces/msg/SetLoggerLevelsResult")
+        for wanted in request.levels:
+            try:
+                LOG.set_level(wanted.name, LoggingSeverity(wanted.level))
+            except ValueError:
+                result = made(successful=False, reason=f"no severity has the number {wanted.level}")
+            else:
+                result = made(successful=True)
+            response.results.append(result)
+        return response

@@ -1,0 +1,289 @@
+"""Message, service and action classes as rclpy programs use them.
+
+A class is made on first use from the definition of turtleact's class of the same name. Its source
+code is generated, as for the codecs, because messages are made and filled thousands of times a
+second.
+
+Source: ``rosidl_generator_py``, as measured from messages of ROS 2 Kilted.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Callable
+from operator import attrgetter
+from typing import TypeAlias, cast
+
+from turtleact.interfaces import Action, Message, Service, get_interface
+from turtleact.interfaces.definition import Constant, Field, MessageDefinition
+from turtleact.interfaces.types import Shape, definition
+from turtleact.rclpy.impl.typing import Anything
+from turtleact.rclpy.messages.fields import (
+    TYPECODES,
+    checker,
+    initial,
+    is_numeric_array,
+    is_numeric_sequence,
+    sequence_of,
+    type_text,
+)
+
+__all__ = [
+    "MISSING",
+    "InterfaceClass",
+    "interface_class",
+    "is_interface",
+    "maker",
+    "shape_of",
+    "type_name_of",
+]
+
+InterfaceClass: TypeAlias = Anything
+"""A class that is made at run time: a message class, or a service or action with its parts."""
+
+MISSING = object()
+"""Stands for a keyword that was left out."""
+
+CHECKS_BY_DEFAULT = os.environ.get("ROS_PYTHON_CHECK_FIELDS") == "1"
+
+
+class Metaclass(type):
+    """The class of message classes: constants and defaults cannot be changed."""
+
+    def __setattr__(cls, name: str, value: object) -> None:
+        """Set an attribute that is neither a constant nor a default."""
+        if name in cls.__dict__.get("_fixed", ()):
+            raise AttributeError(f"can't set attribute '{name}'")
+        super().__setattr__(name, value)
+
+
+class MessageBase:
+    """What all messages have in common."""
+
+    __slots__ = ()
+
+    _shape: Shape
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return False
+        return all(
+            _same(getattr(self, field.attribute), getattr(other, field.attribute))
+            for field in self._shape.fields
+        )
+
+    __hash__ = None  # type: ignore[assignment]  # messages are mutable
+
+    def __repr__(self) -> str:
+        fields = ((each.name, getattr(self, each.attribute)) for each in self._shape.fields)
+        values = ", ".join(f"{name}={_shown(value)}" for name, value in fields)
+        return f"{type(self).__module__}.{type(self).__name__}({values})"
+
+    @classmethod
+    def get_fields_and_field_types(cls) -> dict[str, str]:
+        """Return the names of the fields and the names of their types, in IDL."""
+        return {field.attribute: type_text(field.type) for field in cls._shape.fields}
+
+
+class ServiceMeta(type):
+    """The class of service and action classes, which have no instances."""
+
+    type_name: str
+
+    def __call__(cls, *_: object, **__: object) -> Anything:
+        """Refuse to make an instance, as rclpy does."""
+        kind = "Action" if hasattr(cls, "Goal") else "Service"
+        raise NotImplementedError(f"{kind} classes can not be instantiated")
+
+
+def is_interface(candidate: object) -> bool:
+    """Whether an object is one of the classes made here."""
+    return isinstance(candidate, Metaclass | ServiceMeta)
+
+
+@functools.cache
+def interface_class(type_name: str) -> InterfaceClass:
+    """Return the class of an interface by its full name, always the same one.
+
+    Raises:
+        UnknownInterface: if there is none, with the nearest known name.
+        InvalidInterface: if its file is malformed.
+    """
+    found = get_interface(type_name)
+    if issubclass(found, Message):
+        return _message_class(definition(found))
+    if issubclass(found, Service):
+        return _whole_class(found, _parts(found.type_name, ("Request", "Response", "Event")))
+    members = _parts(found.type_name, ("Goal", "Result", "Feedback"))
+    members["Impl"] = type("Impl", (), _implied(found.type_name))
+    return _whole_class(found, members)
+
+
+def _parts(type_name: str, names: tuple[str, ...]) -> dict[str, object]:
+    return {name: interface_class(f"{type_name}_{name}") for name in names}
+
+
+def _implied(action: str) -> dict[str, object]:
+    return {
+        "SendGoalService": interface_class(f"{action}_SendGoal"),
+        "GetResultService": interface_class(f"{action}_GetResult"),
+        "FeedbackMessage": interface_class(f"{action}_FeedbackMessage"),
+        "CancelGoalService": interface_class("action_msgs/srv/CancelGoal"),
+        "GoalStatusMessage": interface_class("action_msgs/msg/GoalStatusArray"),
+    }
+
+
+def _whole_class(found: type[Service | Action], members: dict[str, object]) -> InterfaceClass:
+    package, kind, name = found.type_name.split("/")
+    body = {"__module__": f"{package}.{kind}", "type_name": found.type_name, **members}
+    return ServiceMeta(name, (), body)
+
+
+def type_name_of(interface: Anything) -> str:
+    """Return the full name of the interface of a class."""
+    if isinstance(interface, ServiceMeta):
+        return interface.type_name
+    return shape_of(interface).type_name
+
+
+def shape_of(message_class: Anything) -> Shape:
+    """Return the declaration of a message class: its name, fields and constants."""
+    shape: Shape = message_class._shape
+    return shape
+
+
+@functools.cache
+def maker(message_class: Anything) -> Callable[..., object]:
+    """Return a function that makes a message of decoded values, in the order of the fields.
+
+    turtleact's decoder takes it for the message class: it has a shape too, with the makers of the
+    messages inside.
+    """
+    shape = shape_of(message_class)
+    names: dict[str, object] = {"new": message_class.__new__, "cls": message_class}
+    arguments = [f"a{index}" for index in range(len(shape.fields))]
+    lines = [f"def make({', '.join(arguments)}):", " m = new(cls)", " m._check_fields = False"]
+    for argument, field in zip(arguments, shape.fields, strict=True):
+        value = argument
+        if convert := _decoded(field):
+            names[f"convert_{argument}"] = convert
+            value = f"convert_{argument}({argument})"
+        lines.append(f" m._{field.attribute} = {value}")
+    lines.append(" return m")
+    exec("\n".join(lines), names)  # noqa: S102  # identifiers only
+    make = cast("Anything", names["make"])
+    nested = tuple(None if each is None else maker(each) for each in shape.nested)
+    make._shape = Shape(shape.type_name, shape.fields, shape.constants, nested)  # type: ignore[arg-type]  # as said above
+    return cast("Callable[..., object]", make)
+
+
+def _decoded(field: Field) -> Callable[[Anything], object] | None:
+    """Return the function that converts a decoded value to that of a field, if it differs."""
+    if is_numeric_array(field.type):
+        import numpy as np
+
+        dtype = np.dtype(TYPECODES[field.type.name])
+        return lambda value: np.frombuffer(value, dtype=dtype)
+    if field.type.name == "byte":
+        return _bytes_of if field.type.is_sequence else _byte_of
+    return None
+
+
+def _byte_of(value: int) -> bytes:
+    return bytes([value])
+
+
+def _bytes_of(values: list[int]) -> list[bytes]:
+    return [bytes([value]) for value in values]
+
+
+def _message_class(said: MessageDefinition) -> InterfaceClass:
+    package, kind, name = said.type_name.split("/")
+    nested = tuple(
+        interface_class(field.type.name) if field.type.is_nested else None for field in said.fields
+    )
+    constants = {constant.name: _constant(constant) for constant in said.constants}
+    defaults = {
+        f"{field.attribute.upper()}__DEFAULT": initial(field, None)()
+        for field in said.fields
+        if field.default is not None
+    }
+    body: dict[str, object] = {
+        "__module__": f"{package}.{kind}",
+        "__doc__": f"Message class '{name}'.",
+        "__slots__": [*(f"_{field.attribute}" for field in said.fields), "_check_fields"],
+        "__init__": _initialiser(said.fields, nested),
+        "_shape": Shape(said.type_name, said.fields, said.constants, nested),
+        "_fixed": frozenset({*constants, *defaults, "_fixed"}),
+        **constants,
+        **defaults,
+    }
+    for field, inside in zip(said.fields, nested, strict=True):
+        body[field.attribute] = _property(field, inside)
+    return Metaclass(name, (MessageBase,), body)
+
+
+def _constant(constant: Constant) -> object:
+    is_byte = constant.type.name == "byte"
+    return bytes([int(constant.value)]) if is_byte else constant.value
+
+
+def _initialiser(fields: tuple[Field, ...], nested: tuple[type | None, ...]) -> Callable[..., None]:
+    """Return the ``__init__`` of a message class."""
+    names: dict[str, object] = {
+        "missing": MISSING,
+        "checks": CHECKS_BY_DEFAULT,
+        "refuse": _refuse_unknown,
+    }
+    keywords = [f"{field.attribute}=missing" for field in fields]
+    lines = [
+        f"def __init__(self, *, {', '.join([*keywords, 'check_fields=checks'])}, **unknown):",
+        " self._check_fields = check_fields",
+        " if unknown and check_fields: refuse(unknown)",
+    ]
+    for field, inside in zip(fields, nested, strict=True):
+        name = field.attribute
+        names[f"make_{name}"] = initial(field, inside)
+        lines.append(f" if {name} is missing: self._{name} = make_{name}()")
+        is_converted = is_numeric_sequence(field.type) or is_numeric_array(field.type)
+        if is_converted:
+            lines.append(f" else: self.{name} = {name}")
+        else:
+            lines.append(f" elif check_fields: self.{name} = {name}")
+            lines.append(f" else: self._{name} = {name}")
+    exec("\n".join(lines), names)  # noqa: S102  # identifiers only
+    return cast("Callable[..., None]", names["__init__"])
+
+
+def _refuse_unknown(unknown: dict[str, object]) -> None:
+    raise AssertionError(f"Invalid arguments passed to constructor: {', '.join(sorted(unknown))}")
+
+
+def _property(field: Field, nested: type | None) -> property:
+    """Return the property of a field, which converts sequences of numbers."""
+    slot = f"_{field.attribute}"
+    names: dict[str, object] = {"check": checker(field, nested)}
+    value = "value"
+    if is_numeric_sequence(field.type) or is_numeric_array(field.type):
+        names["convert"] = sequence_of(field.type)
+        value = "convert(value)"
+    lines = [
+        "def set_value(self, value):",
+        " if self._check_fields: check(value)",
+        f" self.{slot} = {value}",
+    ]
+    exec("\n".join(lines), names)  # noqa: S102  # identifiers only
+    return property(attrgetter(slot), cast("Callable[..., None]", names["set_value"]))
+
+
+def _same(one: Anything, other: Anything) -> bool:
+    if hasattr(one, "dtype") or hasattr(other, "dtype"):
+        return len(one) == len(other) and all(a == b for a, b in zip(one, other, strict=True))
+    return bool(one == other)
+
+
+def _shown(value: Anything) -> str:
+    if hasattr(value, "typecode") or hasattr(value, "dtype"):
+        return repr(value.tolist())
+    return repr(value)

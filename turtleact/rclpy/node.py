@@ -1,0 +1,700 @@
+"""Nodes."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from types import TracebackType
+from typing import TYPE_CHECKING, Self, TypeVar
+
+from turtleact.errors import InvalidName
+from turtleact.rclpy.callback_groups import (
+    CallbackGroup,
+    MutuallyExclusiveCallbackGroup,
+    ReentrantCallbackGroup,
+)
+from turtleact.rclpy.client import Client
+from turtleact.rclpy.clock import Clock, ROSClock
+from turtleact.rclpy.constants import S_TO_NS
+from turtleact.rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from turtleact.rclpy.exceptions import (
+    InvalidServiceNameException,
+    InvalidTopicNameException,
+    NotInitializedException,
+)
+from turtleact.rclpy.guard_condition import GuardCondition
+from turtleact.rclpy.impl.arguments import arguments_of
+from turtleact.rclpy.impl.calls import CallEnd
+from turtleact.rclpy.impl.connection import Connection, Sender
+from turtleact.rclpy.impl.entity import Handle
+from turtleact.rclpy.impl.node_graph import NodeGraph
+from turtleact.rclpy.impl.node_parameters import NodeParameters
+from turtleact.rclpy.impl.rcutils_logger import LOG, RcutilsLogger
+from turtleact.rclpy.impl.rosout import rosout_of
+from turtleact.rclpy.impl.typing import Anything
+from turtleact.rclpy.logging import get_logger
+from turtleact.rclpy.messages.classes import interface_class, type_name_of
+from turtleact.rclpy.messages.codec import hash_of
+from turtleact.rclpy.names import (
+    expand_topic_name,
+    validate_full_topic_name,
+    validate_namespace,
+    validate_node_name,
+    validate_topic_name,
+)
+from turtleact.rclpy.parameter import Parameter
+from turtleact.rclpy.parameter_service import ParameterService
+from turtleact.rclpy.publisher import Publisher
+from turtleact.rclpy.qos import (
+    QoSProfile,
+    profile_of,
+    qos_profile_parameter_events,
+    qos_profile_rosout_default,
+    qos_profile_services_default,
+)
+from turtleact.rclpy.service import Service
+from turtleact.rclpy.subscription import Subscription
+from turtleact.rclpy.time_source import TimeSource
+from turtleact.rclpy.timer import Rate, Timer
+from turtleact.rclpy.type_support import check_is_valid_msg_type, check_is_valid_srv_type
+from turtleact.rclpy.utilities import get_default_context
+from turtleact.rclpy.waitable import Waitable
+from turtleact.transports.base import EVERY_SERVER, Endpoint, EndpointKind, Target
+
+if TYPE_CHECKING:
+    from turtleact.rclpy.context import Context
+    from turtleact.rclpy.executors import Executor
+    from turtleact.rclpy.qos_overriding_options import QoSOverridingOptions
+
+__all__ = ["HIDDEN_NODE_PREFIX", "Node"]
+
+HIDDEN_NODE_PREFIX = "_"
+
+E = TypeVar("E")
+
+
+class Node(NodeParameters, NodeGraph):
+    """A participant of the graph, with topics, services, timers and parameters.
+
+    Args:
+        node_name: Its name.
+        context: The context; None means the default one.
+        cli_args: More arguments, as on a command line, for this node only.
+        namespace: The prefix of relative names.
+        use_global_arguments: Whether the program's arguments count.
+        enable_rosout: Whether its log is published on ``/rosout``.
+        rosout_qos_profile: The quality of service of that.
+        start_parameter_services: Whether others may see and set its parameters.
+        parameter_overrides: Initial values of parameters.
+        allow_undeclared_parameters: Whether parameters need no declaration.
+        automatically_declare_parameters_from_overrides: Whether to declare all overrides.
+        enable_logger_service: Whether others may set its log level.
+
+    Raises:
+        NotInitializedException: if the context is not ok.
+        InvalidNodeNameException: if the name breaks the rules.
+        InvalidNamespaceException: if the namespace does.
+    """
+
+    PARAM_REL_TOL = 1e-6
+
+    def __init__(
+        self,
+        node_name: str,
+        *,
+        context: Context | None = None,
+        cli_args: list[str] | None = None,
+        namespace: str | None = None,
+        use_global_arguments: bool = True,
+        enable_rosout: bool = True,
+        rosout_qos_profile: QoSProfile | int = qos_profile_rosout_default,
+        start_parameter_services: bool = True,
+        parameter_overrides: list[Parameter] | None = None,
+        allow_undeclared_parameters: bool = False,
+        automatically_declare_parameters_from_overrides: bool = False,
+        enable_logger_service: bool = False,
+    ) -> None:
+        self._context = get_default_context() if context is None else context
+        if not self._context.ok():
+            raise NotInitializedException("cannot create node")
+        arguments = arguments_of(cli_args, self._context.arguments, use_shared=use_global_arguments)
+        self._name = arguments.node_name(node_name)
+        validate_node_name(self._name)
+        self._namespace = f"/{arguments.namespace(namespace or '', node_name).removeprefix('/')}"
+        validate_namespace(self._namespace)
+        self._arguments = arguments
+        self._publishers: list[Publisher] = []
+        self._subscriptions: list[Subscription] = []
+        self._clients: list[Client] = []
+        self._services: list[Service] = []
+        self._timers: list[Timer] = []
+        self._guards: list[GuardCondition] = []
+        self._waitables: list[Waitable] = []
+        self._executor_ref: weakref.ReferenceType[Executor] | None = None
+        self._default_callback_group = MutuallyExclusiveCallbackGroup()
+        self._rate_group = ReentrantCallbackGroup()
+        self._clock = ROSClock()
+        self._connection = self._context.connection
+        self._membership = self._connection.enter(self.get_fully_qualified_name())
+        self._handle = Handle(self._membership.close)
+        self._logger = get_logger(self.get_fully_qualified_name()[1:].replace("/", "."))
+        self._rosout: Sender | None = None
+        if enable_rosout and "--disable-rosout-logs" not in arguments.flags:
+            self._start_rosout(profile_of(rosout_qos_profile))
+        self._start_parameters(
+            parameter_overrides or [],
+            allow_undeclared=allow_undeclared_parameters,
+            declares_all=automatically_declare_parameters_from_overrides,
+        )
+        self._time_source = TimeSource(node=self)
+        self._time_source.attach_clock(self._clock)
+        if start_parameter_services:
+            self._parameter_service = ParameterService(self)
+        if enable_logger_service:
+            from turtleact.rclpy.logging_service import LoggingService
+
+            self._logger_service = LoggingService(self)
+        self._context.track_node(self)
+
+    def _start_rosout(self, qos: QoSProfile) -> None:
+        """Publish the node's log on ``/rosout``."""
+        end = self.endpoint("publisher", "/rosout", "rcl_interfaces/msg/Log", qos)
+        self._rosout = self._connection.advertise(end, hash_of(end.type_name))
+        LOG.rosouts[self._logger.name] = rosout_of(self._rosout)
+
+    def _start_parameters(
+        self, given: list[Parameter], *, allow_undeclared: bool, declares_all: bool
+    ) -> None:
+        """Prepare the parameters, with overrides from the command line and the program."""
+        found = self._arguments.parameters_for(self.get_fully_qualified_name())
+        overrides = {name: Parameter(name, value=value) for name, value in found.items()}
+        overrides |= {each.name: each for each in given}
+        self._parameter_event_publisher = self.create_publisher(
+            interface_class("rcl_interfaces/msg/ParameterEvent"),
+            "/parameter_events",
+            qos_profile_parameter_events,
+        )
+        self._init_parameters(
+            overrides, allow_undeclared=allow_undeclared, publish=self._publish_event
+        )
+        if declares_all:
+            dynamic: Anything = interface_class("rcl_interfaces/msg/ParameterDescriptor")
+            declared = [(name, each.value, dynamic()) for name, each in overrides.items()]
+            self.declare_parameters("", declared, ignore_override=True)
+
+    def _publish_event(
+        self, new: list[Anything], changed: list[Anything], deleted: list[Anything]
+    ) -> None:
+        made: Anything = interface_class("rcl_interfaces/msg/ParameterEvent")
+        self._parameter_event_publisher.publish(
+            made(
+                stamp=self._clock.now().to_msg(),
+                node=self.get_fully_qualified_name(),
+                new_parameters=new,
+                changed_parameters=changed,
+                deleted_parameters=deleted,
+            )
+        )
+
+    # what it has
+
+    @property
+    def publishers(self) -> Iterator[Publisher]:
+        """The publishers."""
+        yield from self._publishers
+
+    @property
+    def subscriptions(self) -> Iterator[Subscription]:
+        """The subscriptions."""
+        yield from self._subscriptions
+
+    @property
+    def clients(self) -> Iterator[Client]:
+        """The clients of services."""
+        yield from self._clients
+
+    @property
+    def services(self) -> Iterator[Service]:
+        """The servers of services."""
+        yield from self._services
+
+    @property
+    def timers(self) -> Iterator[Timer]:
+        """The timers."""
+        yield from self._timers
+
+    @property
+    def guards(self) -> Iterator[GuardCondition]:
+        """The guard conditions."""
+        yield from self._guards
+
+    @property
+    def waitables(self) -> Iterator[Waitable]:
+        """The waitables."""
+        yield from self._waitables
+
+    @property
+    def entities(self) -> tuple[Sequence[Anything], ...]:
+        """Everything with callbacks except waitables, by kind, in the order of a round.
+
+        The sequences are replaced, never changed, so any thread may go through them.
+        """
+        return self._timers, self._subscriptions, self._guards, self._clients, self._services
+
+    @property
+    def executor(self) -> Executor | None:
+        """The executor that runs its callbacks; None if there is none."""
+        return None if self._executor_ref is None else self._executor_ref()
+
+    @executor.setter
+    def executor(self, new_executor: Executor | None) -> None:
+        current = self.executor
+        if current is new_executor:
+            return
+        if current is not None:
+            current.remove_node(self)
+        if new_executor is None:
+            self._executor_ref = None
+        else:
+            self._executor_ref = weakref.ref(new_executor)
+            new_executor.add_node(self)
+
+    def _wake_executor(self) -> None:
+        executor = self.executor
+        if executor is not None:
+            executor.wake()
+
+    @property
+    def context(self) -> Context:
+        """The context."""
+        return self._context
+
+    @property
+    def connection(self) -> Connection:
+        """The graph."""
+        return self._connection
+
+    @property
+    def default_callback_group(self) -> CallbackGroup:
+        """The group of whatever is given none."""
+        return self._default_callback_group
+
+    @property
+    def handle(self) -> Handle:
+        """Whether it may be used."""
+        return self._handle
+
+    def get_name(self) -> str:
+        """Return its name."""
+        with self._handle:
+            return self._name
+
+    def get_namespace(self) -> str:
+        """Return its namespace."""
+        with self._handle:
+            return self._namespace
+
+    def get_fully_qualified_name(self) -> str:
+        """Return the namespace and the name."""
+        return f"{self._namespace.rstrip('/')}/{self._name}"
+
+    def get_clock(self) -> Clock:
+        """Return its clock, which tells ROS time."""
+        return self._clock
+
+    def get_logger(self) -> RcutilsLogger:
+        """Return its logger."""
+        return self._logger
+
+    # names
+
+    def resolve_topic_name(self, topic: str, *, only_expand: bool = False) -> str:
+        """Return the full name of a topic, remapped unless ``only_expand``."""
+        return self._resolve(topic, is_service=False, only_expand=only_expand)
+
+    def resolve_service_name(self, service: str, *, only_expand: bool = False) -> str:
+        """Return the full name of a service, remapped unless ``only_expand``."""
+        return self._resolve(service, is_service=True, only_expand=only_expand)
+
+    def _resolve(self, name: str, *, is_service: bool, only_expand: bool = False) -> str:
+        with self._handle:
+            validate_topic_name(name, is_service=is_service)
+            full = expand_topic_name(name, self._name, self._namespace)
+            validate_full_topic_name(full, is_service=is_service)
+            return full if only_expand else self._remapped(full, is_service=is_service)
+
+    def _remapped(self, full: str, *, is_service: bool) -> str:
+        try:
+            return self._arguments.remap(full, self._name, self._namespace)
+        except InvalidName as error:
+            kind = InvalidServiceNameException if is_service else InvalidTopicNameException
+            raise kind(error.name, error.problem, error.position) from error
+
+    def endpoint(
+        self, kind: EndpointKind, name: str, type_name: str, qos: QoSProfile | None = None
+    ) -> Endpoint:
+        """Describe an endpoint of this node."""
+        own = self.get_fully_qualified_name()
+        if qos is None:
+            return Endpoint(kind, name, type_name, own)
+        return Endpoint(kind, name, type_name, own, qos.for_transport())
+
+    # opening
+
+    def create_publisher(
+        self,
+        msg_type: Anything,
+        topic: str,
+        qos_profile: QoSProfile | int,
+        *,
+        callback_group: CallbackGroup | None = None,
+        event_callbacks: PublisherEventCallbacks | None = None,
+        qos_overriding_options: QoSOverridingOptions | None = None,
+        publisher_class: Callable[..., Publisher] = Publisher,
+    ) -> Publisher:
+        """Open a publisher.
+
+        Args:
+            msg_type: The class of the messages.
+            topic: The name of the topic.
+            qos_profile: The quality of service, or the depth of a default one.
+            callback_group: The group of the callbacks of its events.
+            event_callbacks: Callbacks of its events.
+            qos_overriding_options: Which policies parameters may override.
+            publisher_class: A class to make it of.
+
+        Raises:
+            InvalidTopicNameException: if the name breaks the rules.
+        """
+        qos = profile_of(qos_profile)
+        group = callback_group or self._default_callback_group
+        check_is_valid_msg_type(msg_type)
+        full = self._resolve(topic, is_service=False)
+        if qos_overriding_options is not None:
+            qos = self._overridden(qos_overriding_options, qos, full, is_publisher=True)
+        end = self.endpoint("publisher", full, type_name_of(msg_type), qos)
+        callbacks = event_callbacks or PublisherEventCallbacks()
+        watch = callbacks.watch(self.endpoint, self._connection, full, qos)
+        sender = self._connection.advertise(end, hash_of(type_name_of(msg_type)))
+        handlers = callbacks.create_event_handlers(group, watch, self._wake_executor)
+        publisher = publisher_class(
+            sender,
+            msg_type,
+            topic,
+            full,
+            qos,
+            event_handlers=handlers,
+            callback_group=group,
+            count_subscriptions=partial(self._count, full, "subscription"),
+        )
+        self._publishers = [*self._publishers, publisher]
+        for each in handlers:
+            self.add_waitable(each)
+        return publisher
+
+    def create_subscription(
+        self,
+        msg_type: Anything,
+        topic: str,
+        callback: Anything,
+        qos_profile: QoSProfile | int,
+        *,
+        callback_group: CallbackGroup | None = None,
+        event_callbacks: SubscriptionEventCallbacks | None = None,
+        qos_overriding_options: QoSOverridingOptions | None = None,
+        raw: bool = False,
+        content_filter_options: object = None,  # noqa: ARG002  # no middleware of ours filters
+    ) -> Subscription:
+        """Open a subscription.
+
+        Args:
+            msg_type: The class of the messages.
+            topic: The name of the topic.
+            callback: Takes each message, and perhaps a second argument with what is known of it.
+            qos_profile: The quality of service, or the depth of a default one.
+            callback_group: Decides when the callback may run.
+            event_callbacks: Callbacks of its events.
+            qos_overriding_options: Which policies parameters may override.
+            raw: Whether the callback gets bytes.
+            content_filter_options: Ignored.
+
+        Raises:
+            InvalidTopicNameException: if the name breaks the rules.
+        """
+        qos = profile_of(qos_profile)
+        group = callback_group or self._default_callback_group
+        check_is_valid_msg_type(msg_type)
+        full = self._resolve(topic, is_service=False)
+        if qos_overriding_options is not None:
+            qos = self._overridden(qos_overriding_options, qos, full, is_publisher=False)
+        callbacks = event_callbacks or SubscriptionEventCallbacks()
+        watch = callbacks.watch(self.endpoint, self._connection, full, qos)
+        handlers = callbacks.create_event_handlers(group, watch, self._wake_executor)
+        subscription = Subscription(
+            msg_type,
+            topic,
+            full,
+            callback,
+            group,
+            qos,
+            raw=raw,
+            event_handlers=handlers,
+            wake=self._wake_executor,
+            count_publishers=partial(self._count, full, "publisher"),
+        )
+        end = self.endpoint("subscription", full, type_name_of(msg_type), qos)
+        deliver = watch.counted(subscription.deliver)
+        opened = self._connection.subscribe(end, hash_of(type_name_of(msg_type)), deliver)
+        subscription.opened(opened)
+        self._subscriptions = [*self._subscriptions, subscription]
+        for each in handlers:
+            self.add_waitable(each)
+        self._wake_executor()
+        return subscription
+
+    def create_client(
+        self,
+        srv_type: Anything,
+        srv_name: str,
+        *,
+        qos_profile: QoSProfile = qos_profile_services_default,
+        callback_group: CallbackGroup | None = None,
+    ) -> Client:
+        """Open a client of a service.
+
+        Args:
+            srv_type: The class of the service.
+            srv_name: The name of the service.
+            qos_profile: Ignored.
+            callback_group: Decides when a response may be handled.
+
+        Raises:
+            InvalidServiceNameException: if the name breaks the rules.
+        """
+        check_is_valid_srv_type(srv_type)
+        full = self._resolve(srv_name, is_service=True)
+        client = Client(
+            self._context,
+            self.join(full, type_name_of(srv_type)),
+            srv_type,
+            srv_name,
+            full,
+            qos_profile,
+            callback_group or self._default_callback_group,
+            get_executor=lambda: self.executor,
+            wake=self._wake_executor,
+        )
+        self._clients = [*self._clients, client]
+        self._wake_executor()
+        return client
+
+    def join(self, full_name: str, type_name: str, target: Target = EVERY_SERVER) -> CallEnd:
+        """Open the transport's client end of a service."""
+        end = self.endpoint("client", full_name, type_name)
+        return CallEnd(self._connection, end, hash_of(type_name), target)
+
+    def create_service(
+        self,
+        srv_type: Anything,
+        srv_name: str,
+        callback: Anything,
+        *,
+        qos_profile: QoSProfile = qos_profile_services_default,
+        callback_group: CallbackGroup | None = None,
+    ) -> Service:
+        """Open a service.
+
+        Args:
+            srv_type: The class of the service.
+            srv_name: The name of the service.
+            callback: Takes a request and an empty response, and returns a response.
+            qos_profile: Ignored.
+            callback_group: Decides when the callback may run.
+
+        Raises:
+            InvalidServiceNameException: if the name breaks the rules.
+        """
+        check_is_valid_srv_type(srv_type)
+        full = self._resolve(srv_name, is_service=True)
+        service = Service(
+            srv_type,
+            srv_name,
+            full,
+            callback,
+            callback_group or self._default_callback_group,
+            qos_profile,
+            wake=self._wake_executor,
+        )
+        end = self.endpoint("service", full, type_name_of(srv_type))
+        type_hash = hash_of(type_name_of(srv_type))
+        service.opened(self._connection.serve(end, type_hash, service.handler))
+        self._services = [*self._services, service]
+        self._wake_executor()
+        return service
+
+    def create_timer(
+        self,
+        timer_period_sec: float,
+        callback: Anything,
+        callback_group: CallbackGroup | None = None,
+        clock: Clock | None = None,
+        autostart: bool = True,  # rclpy's signature
+    ) -> Timer:
+        """Open a timer.
+
+        Args:
+            timer_period_sec: The time between two calls (s).
+            callback: Called each time.
+            callback_group: Decides when the callback may run.
+            clock: Tells the time; None means the node's clock.
+            autostart: Whether it runs at once.
+
+        Raises:
+            RCLError: if the period is negative.
+        """
+        with self._handle:
+            timer = Timer(
+                callback,
+                callback_group or self._default_callback_group,
+                int(float(timer_period_sec) * S_TO_NS),
+                clock or self._clock,
+                context=self._context,
+                autostart=autostart,
+                wake=self._wake_executor,
+            )
+        self._timers = [*self._timers, timer]
+        self._wake_executor()
+        return timer
+
+    def create_guard_condition(
+        self, callback: Anything, callback_group: CallbackGroup | None = None
+    ) -> GuardCondition:
+        """Open a guard condition."""
+        self._handle.check()
+        group = callback_group or self._default_callback_group
+        guard = GuardCondition(callback, group, self._context, self._wake_executor)
+        self._guards = [*self._guards, guard]
+        self._wake_executor()
+        return guard
+
+    def create_rate(self, frequency: float, clock: Clock | None = None) -> Rate:
+        """Open a rate.
+
+        Args:
+            frequency: Beats per second.
+            clock: Tells the time; None means the node's clock.
+
+        Raises:
+            ValueError: if the frequency is not above zero.
+        """
+        if frequency <= 0:
+            raise ValueError("frequency must be > 0")
+        timer = self.create_timer(1.0 / frequency, None, self._rate_group, clock)
+        return Rate(timer, context=self._context)
+
+    def add_waitable(self, waitable: Waitable) -> None:
+        """Run a waitable with the node."""
+        waitable.call_on_wake(self._wake_executor)
+        self._waitables = [*self._waitables, waitable]
+        self._wake_executor()
+
+    def remove_waitable(self, waitable: Waitable) -> None:
+        """Run it no more."""
+        self._waitables = [each for each in self._waitables if each is not waitable]
+        self._wake_executor()
+
+    # closing
+
+    def destroy_publisher(self, publisher: Publisher) -> bool:
+        """Close a publisher of the node; return whether it was one."""
+        for each in publisher.event_handlers if publisher in self._publishers else ():
+            self.remove_waitable(each)
+        self._publishers, was_there = self._without(self._publishers, publisher)
+        return was_there
+
+    def destroy_subscription(self, subscription: Subscription) -> bool:
+        """Close a subscription of the node; return whether it was one."""
+        for each in subscription.event_handlers if subscription in self._subscriptions else ():
+            self.remove_waitable(each)
+        self._subscriptions, was_there = self._without(self._subscriptions, subscription)
+        return was_there
+
+    def destroy_client(self, client: Client) -> bool:
+        """Close a client of the node; return whether it was one."""
+        self._clients, was_there = self._without(self._clients, client)
+        return was_there
+
+    def destroy_service(self, service: Service) -> bool:
+        """Close a service of the node; return whether it was one."""
+        self._services, was_there = self._without(self._services, service)
+        return was_there
+
+    def destroy_timer(self, timer: Timer) -> bool:
+        """Close a timer of the node; return whether it was one."""
+        self._timers, was_there = self._without(self._timers, timer)
+        return was_there
+
+    def destroy_guard_condition(self, guard: GuardCondition) -> bool:
+        """Close a guard condition of the node; return whether it was one."""
+        self._guards, was_there = self._without(self._guards, guard)
+        return was_there
+
+    def destroy_rate(self, rate: Rate) -> bool:
+        """Close a rate of the node; return whether it was one."""
+        rate.destroy()
+        return self.destroy_timer(rate.timer)
+
+    def _without(self, held: list[E], thing: E) -> tuple[list[E], bool]:
+        """Destroy one of the things that the node has; return the others and whether it was one."""
+        if thing not in held:
+            return held, False
+        closing: Anything = thing
+        closing.destroy()
+        self._wake_executor()
+        return [each for each in held if each is not thing], True
+
+    def destroy_node(self) -> None:
+        """Close the node and everything on it. A second call does nothing."""
+        if self._handle.is_destroyed:
+            return
+        self._context.untrack_node(self)
+        self._time_source.destroy()
+        if self._rosout is not None:
+            LOG.rosouts.pop(self._logger.name, None)
+            self._rosout.close()
+        for waitable in self._waitables:
+            waitable.destroy()
+        for held in (self._publishers, *self.entities):
+            for each in held:
+                each.destroy()
+        self._publishers, self._subscriptions, self._clients = [], [], []
+        self._services, self._timers, self._guards, self._waitables = [], [], [], []
+        executor = self.executor
+        if executor is not None:
+            executor.remove_node(self)
+        self._handle.destroy_when_not_in_use()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.destroy_node()
+
+    def _count(self, name: str, kind: EndpointKind) -> int:
+        return sum(each.kind == kind for each in self._connection.endpoints(name))
+
+    def _overridden(
+        self, options: QoSOverridingOptions, qos: QoSProfile, topic: str, *, is_publisher: bool
+    ) -> QoSProfile:
+        from turtleact.rclpy.qos_overriding_options import declare_qos_parameters
+
+        found: QoSProfile = declare_qos_parameters(
+            self, topic, qos, options, is_publisher=is_publisher
+        )
+        return found

@@ -1,0 +1,234 @@
+"""Parameters: names with values of a few types."""
+
+from __future__ import annotations
+
+import array
+from collections.abc import Sequence
+from enum import Enum
+from pathlib import Path
+from typing import ClassVar
+
+from turtleact.rclpy.impl.arguments import Arguments, parse_value, read_parameters
+from turtleact.rclpy.impl.typing import Anything, Subscriptable
+from turtleact.rclpy.messages.classes import interface_class
+
+__all__ = [
+    "PARAMETER_SEPARATOR_STRING",
+    "Parameter",
+    "get_parameter_value",
+    "parameter_dict_from_yaml_file",
+    "parameter_value_to_python",
+]
+
+PARAMETER_SEPARATOR_STRING = "."
+
+FIELDS = (
+    None,
+    "bool_value",
+    "integer_value",
+    "double_value",
+    "string_value",
+    "byte_array_value",
+    "bool_array_value",
+    "integer_array_value",
+    "double_array_value",
+    "string_array_value",
+)
+"""The fields of ``rcl_interfaces.msg.ParameterValue``, by the number of the type."""
+
+
+class Parameter(Subscriptable):
+    """A parameter.
+
+    Args:
+        name: Its name.
+        type_: Its type; left out, that of the value.
+        value: Its value.
+
+    Raises:
+        TypeError: if the type is no `Parameter.Type`.
+        ValueError: if the value does not fit the type.
+    """
+
+    class Type(Enum):
+        """The types of parameters."""
+
+        NOT_SET = 0
+        BOOL = 1
+        INTEGER = 2
+        DOUBLE = 3
+        STRING = 4
+        BYTE_ARRAY = 5
+        BOOL_ARRAY = 6
+        INTEGER_ARRAY = 7
+        DOUBLE_ARRAY = 8
+        STRING_ARRAY = 9
+
+        @classmethod
+        def from_parameter_value(cls, parameter_value: object) -> Parameter.Type:
+            """Return the type of a value.
+
+            Raises:
+                TypeError: if no parameter can have it.
+            """
+            if parameter_value is None:
+                return cls.NOT_SET
+            single = _single(parameter_value)
+            if single is not None:
+                return cls[single]
+            if isinstance(parameter_value, list | tuple | array.array):
+                return _array_type(parameter_value)
+            raise TypeError(f"The given value is not one of the allowed types '{parameter_value}'.")
+
+        def check(self, parameter_value: object) -> bool:
+            """Whether a value fits."""
+            if self is Parameter.Type.NOT_SET:
+                return parameter_value is None
+            try:
+                found = Parameter.Type.from_parameter_value(parameter_value)
+            except TypeError:
+                return False
+            if isinstance(parameter_value, list | tuple | array.array) and not parameter_value:
+                return self.name.endswith("ARRAY")
+            return found is self
+
+    NOT_SET: ClassVar[Parameter.Type] = Type.NOT_SET
+
+    @classmethod
+    def from_parameter_msg(cls, param_msg: Anything) -> Parameter:
+        """Return the parameter in a ``rcl_interfaces.msg.Parameter``."""
+        kind = Parameter.Type(param_msg.value.type)
+        return cls(param_msg.name, kind, parameter_value_to_python(param_msg.value))
+
+    def __init__(self, name: str, type_: Type | None = None, value: Anything = None) -> None:
+        if type_ is None:
+            type_ = Parameter.Type.from_parameter_value(value)
+        if not isinstance(type_, Parameter.Type):
+            raise TypeError(f"type must be an instance of '{Parameter.Type!r}'")
+        if not type_.check(value):
+            raise ValueError(f"Type '{type_}' and value '{value}' do not agree")
+        self._name = name
+        self._type = type_
+        self._value = value
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return self._name
+
+    @property
+    def type_(self) -> Type:
+        """Its type."""
+        return self._type
+
+    @property
+    def value(self) -> Anything:
+        """Its value."""
+        return self._value
+
+    def __repr__(self) -> str:
+        return f"Parameter(name={self._name!r}, type={self._type}, value={self._value!r})"
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Parameter):
+            return NotImplemented
+        own = self._name, self._type, self._value
+        return own == (other._name, other._type, other._value)
+
+    __hash__ = None  # type: ignore[assignment]  # a value may be a list
+
+    def get_parameter_value(self) -> Anything:
+        """Return its value as a ``rcl_interfaces.msg.ParameterValue``."""
+        made: Anything = interface_class("rcl_interfaces/msg/ParameterValue")
+        message = made(type=self._type.value)
+        field = FIELDS[self._type.value]
+        if field is not None:
+            setattr(message, field, self._value)
+        return message
+
+    def to_parameter_msg(self) -> Anything:
+        """Return it as a ``rcl_interfaces.msg.Parameter``."""
+        made: Anything = interface_class("rcl_interfaces/msg/Parameter")
+        return made(name=self._name, value=self.get_parameter_value())
+
+
+def _single(value: object) -> str | None:
+    """Return the name of the type of a single value; None if it is none."""
+    kinds = ((bool, "BOOL"), (int, "INTEGER"), (float, "DOUBLE"), (str, "STRING"))
+    return next((name for kind, name in kinds if isinstance(value, kind)), None)
+
+
+def _array_type(values: Sequence[object]) -> Parameter.Type:
+    """Return the type of a list; an empty one counts as bytes.
+
+    Raises:
+        TypeError: if its elements differ, or are of no such type.
+    """
+    if all(isinstance(each, bytes) for each in values):
+        return Parameter.Type.BYTE_ARRAY
+    found = {_single(each) for each in values}
+    if len(found) == 1 and (kind := found.pop()) is not None:
+        return Parameter.Type[f"{kind}_ARRAY"]
+    raise TypeError(f"The given value is not one of the allowed types '{values!r}'.")
+
+
+def get_parameter_value(string_value: str) -> Anything:
+    """Return the ``rcl_interfaces.msg.ParameterValue`` that a text stands for, read as YAML."""
+    value = parse_value(string_value)
+    try:
+        return Parameter("", value=value).get_parameter_value()
+    except TypeError:
+        return Parameter("", value=string_value).get_parameter_value()
+
+
+def parameter_value_to_python(parameter_value: Anything) -> Anything:
+    """Return the value in a ``rcl_interfaces.msg.ParameterValue``.
+
+    Raises:
+        RuntimeError: if its type is unknown.
+    """
+    kind = parameter_value.type
+    if kind not in range(len(FIELDS)):
+        raise RuntimeError(f"unexpected parameter type {kind}")
+    field = FIELDS[kind]
+    if field is None:
+        return None
+    value = getattr(parameter_value, field)
+    return list(value) if field.endswith("array_value") else value
+
+
+def parameter_dict_from_yaml_file(
+    parameter_file: str,
+    use_wildcard: bool = False,  # rclpy's signature
+    target_nodes: Sequence[str] | None = None,
+    namespace: str = "",
+) -> dict[str, Anything]:
+    """Return the parameters in a file as messages, by name.
+
+    Args:
+        parameter_file: The path of the file.
+        use_wildcard: Whether parameters of ``/**`` count for the target nodes.
+        target_nodes: The full names of the nodes; None means all in the file.
+        namespace: What to put before each name.
+
+    Raises:
+        RuntimeError: if the file has no parameters of these nodes.
+    """
+    rules = read_parameters(Path(parameter_file))
+    found: dict[str, object] = {}
+    if target_nodes:
+        wanted = [rule for rule in rules if use_wildcard or rule.pattern != "/**"]
+        for node in target_nodes:
+            full = node if node.startswith("/") else f"/{node}"
+            values = Arguments(parameters=tuple(wanted)).parameters_for(full)
+            if not values:
+                raise RuntimeError(f"Param file does not contain any valid parameters for {node}")
+            found |= values
+    else:
+        for rule in rules:
+            found |= rule.values
+    prefix = f"{namespace}{PARAMETER_SEPARATOR_STRING}" if namespace else ""
+    return {
+        name: Parameter(f"{prefix}{name}", value=value).to_parameter_msg()
+        for name, value in found.items()
+    }

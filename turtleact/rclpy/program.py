@@ -1,0 +1,137 @@
+"""Prepares this process for a program that imports rclpy, and ends it when the program has ended.
+
+`prepare` must be called before the program's first import. It imports little: a program that does
+not use rclpy pays next to nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NoReturn
+
+import msgspec
+
+from turtleact.interfaces import load_interfaces, offer_interfaces
+from turtleact.rclpy.face import chosen_face
+from turtleact.rclpy.finder import install
+from turtleact.rclpy.impl.settings import SETTINGS, Place
+from turtleact.workspace import find_interfaces
+
+__all__ = ["Options", "end_threads", "leave", "offer_neighbours", "prepare"]
+
+PARENTS = 5
+"""How many folders above the program are searched for a ``src``."""
+
+ENDING = 1.5
+"""How long the program's threads may run on after its end (s)."""
+
+
+class Options(msgspec.Struct, frozen=True):
+    """How a program is run.
+
+    Attributes:
+        face: Whose rclpy it gets; see `turtleact.rclpy.face`.
+        place: Which graph it joins.
+        interfaces: A folder with more interfaces.
+    """
+
+    face: str = "auto"
+    place: Place = Place()
+    interfaces: str | None = None
+
+
+def prepare(options: Options, *folders: Path) -> None:
+    """Make rclpy and its interface packages importable, unless the genuine ones are.
+
+    The interfaces of the sourced workspace, and those near the working directory, must be known.
+
+    Args:
+        options: How the program is run.
+        *folders: Where the program is, to search for more interfaces.
+
+    Raises:
+        UsageError: if the options make no sense.
+        InvalidInterface: if the folder with interfaces does not exist.
+    """
+    face, middleware = chosen_face(options.face)
+    if face == "ros":
+        if "zenoh" not in middleware:
+            _note(
+                f"this program uses the rclpy of ROS with {middleware}; only with "
+                "RMW_IMPLEMENTATION=rmw_zenoh_cpp does it see turtleact's nodes"
+            )
+        return
+    offer_neighbours(*folders)
+    if options.interfaces is not None:
+        load_interfaces(options.interfaces)
+    SETTINGS.place = options.place
+    install()
+
+
+def offer_neighbours(*folders: Path) -> None:
+    """Make the interfaces of packages near these folders known, after all others.
+
+    A folder above that has a ``src``, or is one, counts as well.
+    """
+    known = find_interfaces(Path())
+    found: dict[str, Path] = {}
+    for place in _places(folders):
+        found = find_interfaces(place) | found
+    new = {name: path for name, path in found.items() if name not in known}
+    if new:
+        offer_interfaces(new)
+
+
+def end_threads() -> list[str]:
+    """Leave the graph, wait for the threads of a program that has ended, and name the stuck ones.
+
+    A callback that sleeps or computes for ever would keep the process alive: the interpreter waits
+    for its thread. If there are such threads, the process must be left without waiting for them.
+    """
+    process = sys.modules.get("turtleact.rclpy.impl.process")
+    if process is None:
+        return []
+    process.PROCESS.shut_down()
+    due = time.monotonic() + ENDING
+    own = threading.current_thread()
+    others = [each for each in threading.enumerate() if each is not own and not each.daemon]
+    for thread in others:
+        thread.join(max(0.0, due - time.monotonic()))
+    stuck = [each.name for each in others if each.is_alive()]
+    if stuck:
+        _note(f"leaving without threads that do not end: {', '.join(stuck)}")
+    return stuck
+
+
+def leave(error: BaseException | None) -> NoReturn:
+    """End the process as Python does after an exception or without one, but wait for no thread."""
+    if error is not None and not isinstance(error, SystemExit):
+        sys.excepthook(type(error), error, error.__traceback__)
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    if isinstance(error, KeyboardInterrupt):
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        signal.raise_signal(signal.SIGINT)
+    if isinstance(error, SystemExit):
+        os._exit(error.code if isinstance(error.code, int) else int(error.code is not None))
+    os._exit(0 if error is None else 1)
+
+
+def _places(folders: Sequence[Path]) -> Iterator[Path]:
+    """Where to look for packages: in these folders, and above them where there is a ``src``."""
+    for folder in folders:
+        yield folder
+        for above in list(folder.absolute().parents)[:PARENTS]:
+            if (above / "src").is_dir() or above.name == "src":
+                yield above
+
+
+def _note(text: str) -> None:
+    print(f"turtleact: {text}", file=sys.stderr)

@@ -1,0 +1,118 @@
+"""Publishers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from turtleact.rclpy.duration import Duration
+from turtleact.rclpy.impl.connection import Sender
+from turtleact.rclpy.impl.entity import Handle
+from turtleact.rclpy.impl.typing import Anything, Subscriptable
+from turtleact.rclpy.messages.codec import encode
+from turtleact.rclpy.qos import QoSProfile
+
+if TYPE_CHECKING:
+    from turtleact.rclpy.callback_groups import CallbackGroup
+
+__all__ = ["Publisher"]
+
+
+class Publisher(Subscriptable):
+    """Sends messages to a topic; made by `Node.create_publisher`.
+
+    A message is encoded in the thread that publishes it, so it may be changed afterwards.
+
+    Args:
+        sender: The transport's end.
+        msg_type: The class of the messages.
+        topic: The name of the topic, as it was given.
+        full_name: The full name of the topic.
+        qos_profile: The quality of service.
+        event_handlers: The waitables of its events.
+        callback_group: Their group.
+        count_subscriptions: Counts the subscriptions of the topic.
+    """
+
+    def __init__(
+        self,
+        sender: Sender,
+        msg_type: Anything,
+        topic: str,
+        full_name: str,
+        qos_profile: QoSProfile,
+        *,
+        event_handlers: Sequence[Anything] = (),
+        callback_group: CallbackGroup | None = None,
+        count_subscriptions: Callable[[], int],
+    ) -> None:
+        self._sender = sender
+        self._handle = Handle(sender.close)
+        self.msg_type = msg_type
+        self.topic = topic
+        self._full_name = full_name
+        self.qos_profile = qos_profile
+        self.event_handlers = list(event_handlers)
+        self.callback_group = callback_group
+        self._count_subscriptions = count_subscriptions
+
+    @property
+    def handle(self) -> Handle:
+        """Whether it may be used."""
+        return self._handle
+
+    @property
+    def topic_name(self) -> str:
+        """The full name of the topic."""
+        with self._handle:
+            return self._full_name
+
+    @property
+    def logger_name(self) -> str:
+        """The name of the topic as it was given."""
+        return self.topic
+
+    def publish(self, msg: Anything) -> None:
+        """Send a message, or bytes that hold an encoded one.
+
+        Raises:
+            TypeError: if it is of another class, or a value does not fit its type.
+            InvalidHandle: if the publisher was destroyed.
+        """
+        data = msg if isinstance(msg, bytes) else encode(msg, self.msg_type)
+        self._handle.check()
+        self._sender.publish(data)
+
+    def get_subscription_count(self) -> int:
+        """Return how many subscriptions the topic has."""
+        with self._handle:
+            return self._count_subscriptions()
+
+    def assert_liveliness(self) -> None:
+        """Say that the publisher is alive, for events of its own process."""
+        with self._handle:
+            for each in self.event_handlers:
+                each.publisher_is_alive()
+
+    def wait_for_all_acked(self, timeout: Duration | None = None) -> bool:  # noqa: ARG002  # as in rclpy
+        """Return True: reliable messages are handed to the network before this returns."""
+        with self._handle:
+            return True
+
+    def destroy(self) -> None:
+        """Destroy it. A second call does nothing."""
+        for each in self.event_handlers:
+            each.destroy()
+        self._handle.destroy_when_not_in_use()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.destroy()

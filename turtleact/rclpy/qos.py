@@ -1,0 +1,435 @@
+"""Quality of service: profiles, policies, presets, and whether two profiles fit.
+
+turtleact's transports know depth, reliability and durability, and never keep endpoints apart. The
+other policies are declared to peers and counted by the entity itself.
+"""
+
+from __future__ import annotations
+
+import warnings
+from enum import Enum, IntEnum
+from typing import TypeVar
+
+from turtleact.rclpy.duration import Duration
+from turtleact.rclpy.impl.typing import Anything
+from turtleact.transports import QoS
+
+__all__ = [
+    "DurabilityPolicy",
+    "HistoryPolicy",
+    "InvalidQoSProfileException",
+    "LivelinessPolicy",
+    "QoSCompatibility",
+    "QoSDurabilityPolicy",
+    "QoSHistoryPolicy",
+    "QoSLivelinessPolicy",
+    "QoSPolicyEnum",
+    "QoSPolicyKind",
+    "QoSPresetProfiles",
+    "QoSProfile",
+    "QoSReliabilityPolicy",
+    "ReliabilityPolicy",
+    "profile_of",
+    "qos_check_compatible",
+    "qos_policy_name_from_kind",
+    "qos_profile_action_status_default",
+    "qos_profile_best_available",
+    "qos_profile_default",
+    "qos_profile_parameter_events",
+    "qos_profile_parameters",
+    "qos_profile_rosout_default",
+    "qos_profile_sensor_data",
+    "qos_profile_services_default",
+    "qos_profile_system_default",
+    "qos_profile_unknown",
+]
+
+P = TypeVar("P", bound="QoSPolicyEnum")
+
+UNSPECIFIED = Duration()
+"""The duration of a policy in time that is not set."""
+
+
+class InvalidQoSProfileException(Exception):
+    """A profile lacks something."""
+
+    def __init__(self, *args: object) -> None:
+        super().__init__("Invalid QoSProfile", *args)
+
+
+class QoSPolicyKind(IntEnum):
+    """The policies, by number."""
+
+    INVALID = 1 << 0
+    DURABILITY = 1 << 1
+    DEADLINE = 1 << 2
+    LIVELINESS = 1 << 3
+    RELIABILITY = 1 << 4
+    HISTORY = 1 << 5
+    LIFESPAN = 1 << 6
+    DEPTH = 1 << 7
+    LIVELINESS_LEASE_DURATION = 1 << 8
+    AVOID_ROS_NAMESPACE_CONVENTIONS = 1 << 9
+
+
+def qos_policy_name_from_kind(policy_kind: QoSPolicyKind | int) -> str:
+    """Return the name of a policy."""
+    return QoSPolicyKind(policy_kind).name
+
+
+class QoSPolicyEnum(IntEnum):
+    """The base of policies with a few possible values."""
+
+    @classmethod
+    def short_keys(cls) -> list[str]:
+        """Return the short names of the values, in lower case."""
+        return [name.lower() for name in cls.__members__ if not name.startswith("RMW")]
+
+    @classmethod
+    def get_from_short_key(cls: type[P], name: str) -> int:
+        """Return the value with a short name."""
+        return cls[name.upper()].value
+
+    @property
+    def short_key(self) -> str:
+        """The short name of the value.
+
+        Raises:
+            AttributeError: if it has none.
+        """
+        return self.name.lower()
+
+
+class HistoryPolicy(QoSPolicyEnum):
+    """How many messages are kept."""
+
+    SYSTEM_DEFAULT = 0
+    KEEP_LAST = 1
+    KEEP_ALL = 2
+    UNKNOWN = 3
+
+
+class ReliabilityPolicy(QoSPolicyEnum):
+    """Whether messages may be lost."""
+
+    SYSTEM_DEFAULT = 0
+    RELIABLE = 1
+    BEST_EFFORT = 2
+    UNKNOWN = 3
+    BEST_AVAILABLE = 4
+
+
+class DurabilityPolicy(QoSPolicyEnum):
+    """Whether late subscriptions get the last messages."""
+
+    SYSTEM_DEFAULT = 0
+    TRANSIENT_LOCAL = 1
+    VOLATILE = 2
+    UNKNOWN = 3
+    BEST_AVAILABLE = 4
+
+
+class LivelinessPolicy(QoSPolicyEnum):
+    """Who says that a publisher is alive."""
+
+    SYSTEM_DEFAULT = 0
+    AUTOMATIC = 1
+    MANUAL_BY_TOPIC = 3
+    UNKNOWN = 4
+    BEST_AVAILABLE = 5
+
+
+QoSHistoryPolicy = HistoryPolicy
+QoSReliabilityPolicy = ReliabilityPolicy
+QoSDurabilityPolicy = DurabilityPolicy
+QoSLivelinessPolicy = LivelinessPolicy
+
+
+class QoSProfile:
+    """A quality of service.
+
+    Args:
+        **kwargs: The attributes; ``depth`` or ``history`` is needed.
+
+    Raises:
+        InvalidQoSProfileException: if both are missing, or KEEP_LAST has no depth.
+
+    Attributes:
+        history: KEEP_LAST or KEEP_ALL.
+        depth: How many messages are kept.
+        reliability: RELIABLE or BEST_EFFORT.
+        durability: VOLATILE or TRANSIENT_LOCAL.
+        lifespan: How long a message is valid.
+        deadline: The longest time between two messages.
+        liveliness: AUTOMATIC or MANUAL_BY_TOPIC.
+        liveliness_lease_duration: How long a publisher counts as alive.
+        avoid_ros_namespace_conventions: Ignored.
+    """
+
+    __slots__ = (
+        "_avoid_ros_namespace_conventions",
+        "_deadline",
+        "_depth",
+        "_durability",
+        "_history",
+        "_lifespan",
+        "_liveliness",
+        "_liveliness_lease_duration",
+        "_reliability",
+    )
+
+    def __init__(self, **kwargs: Anything) -> None:
+        names = {slot[1:] for slot in self.__slots__}
+        if unknown := kwargs.keys() - names:
+            raise AssertionError(f"Invalid arguments passed to constructor: {sorted(unknown)}")
+        if "history" not in kwargs:
+            if "depth" not in kwargs:
+                raise InvalidQoSProfileException("History and/or depth settings are required.")
+            kwargs["history"] = HistoryPolicy.KEEP_LAST
+        self.history = kwargs["history"]
+        if self.history == HistoryPolicy.KEEP_LAST and "depth" not in kwargs:
+            raise InvalidQoSProfileException("History set to KEEP_LAST without a depth setting.")
+        self.depth = kwargs.get("depth", 0)
+        self.reliability = kwargs.get("reliability", ReliabilityPolicy.RELIABLE)
+        self.durability = kwargs.get("durability", DurabilityPolicy.VOLATILE)
+        self.lifespan = kwargs.get("lifespan", UNSPECIFIED)
+        self.deadline = kwargs.get("deadline", UNSPECIFIED)
+        self.liveliness = kwargs.get("liveliness", LivelinessPolicy.SYSTEM_DEFAULT)
+        self.liveliness_lease_duration = kwargs.get("liveliness_lease_duration", UNSPECIFIED)
+        self.avoid_ros_namespace_conventions = kwargs.get("avoid_ros_namespace_conventions", False)
+        if self.history == HistoryPolicy.KEEP_LAST and self.depth == 0:
+            warnings.warn(
+                "A zero depth with KEEP_LAST doesn't make sense; no data could be stored. "
+                "This will be interpreted as SYSTEM_DEFAULT",
+                stacklevel=2,
+            )
+
+    @property
+    def history(self) -> HistoryPolicy:
+        """How many messages are kept."""
+        return self._history
+
+    @history.setter
+    def history(self, value: HistoryPolicy | int) -> None:
+        self._history = HistoryPolicy(_number(value))
+
+    @property
+    def depth(self) -> int:
+        """How many messages are kept with KEEP_LAST."""
+        return self._depth
+
+    @depth.setter
+    def depth(self, value: int) -> None:
+        if not isinstance(value, int):
+            raise AssertionError(f"the depth must be an int, not {value!r}")
+        if value < 0:
+            raise ValueError("depth must be greater than or equal to zero")
+        self._depth = value
+
+    @property
+    def reliability(self) -> ReliabilityPolicy:
+        """Whether messages may be lost."""
+        return self._reliability
+
+    @reliability.setter
+    def reliability(self, value: ReliabilityPolicy | int) -> None:
+        self._reliability = ReliabilityPolicy(_number(value))
+
+    @property
+    def durability(self) -> DurabilityPolicy:
+        """Whether late subscriptions get the last messages."""
+        return self._durability
+
+    @durability.setter
+    def durability(self, value: DurabilityPolicy | int) -> None:
+        self._durability = DurabilityPolicy(_number(value))
+
+    @property
+    def lifespan(self) -> Duration:
+        """How long a message is valid."""
+        return self._lifespan
+
+    @lifespan.setter
+    def lifespan(self, value: Duration) -> None:
+        self._lifespan = _duration(value)
+
+    @property
+    def deadline(self) -> Duration:
+        """The longest time between two messages."""
+        return self._deadline
+
+    @deadline.setter
+    def deadline(self, value: Duration) -> None:
+        self._deadline = _duration(value)
+
+    @property
+    def liveliness(self) -> LivelinessPolicy:
+        """Who says that a publisher is alive."""
+        return self._liveliness
+
+    @liveliness.setter
+    def liveliness(self, value: LivelinessPolicy | int) -> None:
+        self._liveliness = LivelinessPolicy(_number(value))
+
+    @property
+    def liveliness_lease_duration(self) -> Duration:
+        """How long a publisher counts as alive."""
+        return self._liveliness_lease_duration
+
+    @liveliness_lease_duration.setter
+    def liveliness_lease_duration(self, value: Duration) -> None:
+        self._liveliness_lease_duration = _duration(value)
+
+    @property
+    def avoid_ros_namespace_conventions(self) -> bool:
+        """Ignored."""
+        return self._avoid_ros_namespace_conventions
+
+    @avoid_ros_namespace_conventions.setter
+    def avoid_ros_namespace_conventions(self, value: bool) -> None:
+        assert isinstance(value, bool)  # noqa: S101  # as in rclpy
+        self._avoid_ros_namespace_conventions = value
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, QoSProfile):
+            return False
+        return all(getattr(self, slot) == getattr(other, slot) for slot in self.__slots__)
+
+    __hash__ = None  # type: ignore[assignment]  # profiles are mutable
+
+    def __str__(self) -> str:
+        values = (f"{slot[1:]}={getattr(self, slot)}" for slot in self.__slots__)
+        return f"{type(self).__name__}({', '.join(values)})"
+
+    def get_c_qos_profile(self) -> QoSProfile:
+        """Return the profile itself: there is no other form of it."""
+        return self
+
+    def for_transport(self) -> QoS:
+        """Return what turtleact's transports know of it."""
+        is_latched = self.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        is_lossy = self.reliability == ReliabilityPolicy.BEST_EFFORT
+        return QoS(
+            depth=self.kept or KEEP_ALL,
+            durability="transient_local" if is_latched else "volatile",
+            reliability="best_effort" if is_lossy else "reliable",
+        )
+
+    @property
+    def kept(self) -> int | None:
+        """How many unread messages are kept; None if all are."""
+        if self.history == HistoryPolicy.KEEP_ALL:
+            return None
+        return self.depth or SYSTEM_DEPTH
+
+
+KEEP_ALL = 1000
+"""How many messages of a latched topic are kept for late subscriptions with KEEP_ALL."""
+
+SYSTEM_DEPTH = 10
+"""The depth if a profile leaves it to the system."""
+
+
+def _number(value: Anything) -> int:
+    assert isinstance(value, int)  # noqa: S101  # as in rclpy
+    return int(value)
+
+
+def _duration(value: Anything) -> Duration:
+    assert isinstance(value, Duration)  # noqa: S101  # as in rclpy
+    return value
+
+
+def profile_of(given: QoSProfile | int) -> QoSProfile:
+    """Return a profile; a number is the depth of a default one.
+
+    Raises:
+        TypeError: if it is neither.
+        ValueError: if the number is negative.
+    """
+    if isinstance(given, QoSProfile):
+        return given
+    if isinstance(given, int) and not isinstance(given, bool):
+        if given < 0:
+            raise ValueError("history depth must be greater than or equal to zero")
+        return QoSProfile(depth=given)
+    raise TypeError(f"Expected QoSProfile or int, but received {type(given)}")
+
+
+def _preset(depth: int, **policies: Anything) -> QoSProfile:
+    return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=depth, **policies)
+
+
+_UNKNOWN = {
+    "reliability": ReliabilityPolicy.UNKNOWN,
+    "durability": DurabilityPolicy.UNKNOWN,
+    "liveliness": LivelinessPolicy.UNKNOWN,
+}
+_SYSTEM = {
+    "reliability": ReliabilityPolicy.SYSTEM_DEFAULT,
+    "durability": DurabilityPolicy.SYSTEM_DEFAULT,
+}
+_BEST_AVAILABLE = {
+    "reliability": ReliabilityPolicy.BEST_AVAILABLE,
+    "durability": DurabilityPolicy.BEST_AVAILABLE,
+    "deadline": Duration(nanoseconds=2**63 - 2),
+    "liveliness": LivelinessPolicy.BEST_AVAILABLE,
+    "liveliness_lease_duration": Duration(nanoseconds=2**63 - 2),
+}
+
+qos_profile_unknown = QoSProfile(history=HistoryPolicy.UNKNOWN, depth=0, **_UNKNOWN)
+qos_profile_default = _preset(10)
+qos_profile_system_default = QoSProfile(history=HistoryPolicy.SYSTEM_DEFAULT, depth=0, **_SYSTEM)
+qos_profile_sensor_data = _preset(5, reliability=ReliabilityPolicy.BEST_EFFORT)
+qos_profile_services_default = _preset(10)
+qos_profile_parameters = _preset(1000)
+qos_profile_parameter_events = _preset(1000)
+qos_profile_action_status_default = _preset(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+qos_profile_best_available = _preset(10, **_BEST_AVAILABLE)
+qos_profile_rosout_default = _preset(
+    1000, durability=DurabilityPolicy.TRANSIENT_LOCAL, lifespan=Duration(seconds=10)
+)
+
+
+class QoSPresetProfiles(Enum):
+    """The profiles that have a name."""
+
+    UNKNOWN = qos_profile_unknown
+    DEFAULT = qos_profile_default
+    SYSTEM_DEFAULT = qos_profile_system_default
+    SENSOR_DATA = qos_profile_sensor_data
+    SERVICES_DEFAULT = qos_profile_services_default
+    PARAMETERS = qos_profile_parameters
+    PARAMETER_EVENTS = qos_profile_parameter_events
+    ACTION_STATUS_DEFAULT = qos_profile_action_status_default
+    BEST_AVAILABLE = qos_profile_best_available
+    ROSOUT_DEFAULT = qos_profile_rosout_default
+
+    @classmethod
+    def short_keys(cls) -> list[str]:
+        """Return the names in lower case."""
+        return [name.lower() for name in cls.__members__]
+
+    @classmethod
+    def get_from_short_key(cls, name: str) -> Anything:
+        """Return the profile of that name."""
+        return cls[name.upper()].value
+
+
+class QoSCompatibility(IntEnum):
+    """Whether a publisher and a subscription fit."""
+
+    OK = 0
+    WARNING = 1
+    ERROR = 2
+
+
+def qos_check_compatible(
+    publisher_qos: QoSProfile, subscription_qos: QoSProfile
+) -> tuple[QoSCompatibility, str]:
+    """Return whether a publisher and a subscription with these profiles fit, and why not.
+
+    turtleact and rmw_zenoh never keep two endpoints apart, whatever their profiles.
+    """
+    del publisher_qos, subscription_qos
+    return QoSCompatibility.OK, ""

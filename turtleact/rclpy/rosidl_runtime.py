@@ -1,0 +1,96 @@
+"""The part of ``rosidl_runtime_py`` that programs use: classes by name, messages as plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from turtleact.interfaces import get_interface as find_interface
+from turtleact.interfaces import to_yaml
+from turtleact.rclpy.impl.typing import Anything
+from turtleact.rclpy.messages.classes import interface_class, shape_of
+from turtleact.rclpy.messages.codec import encode
+from turtleact.rclpy.messages.fields import is_numeric_array, is_numeric_sequence
+
+__all__ = [
+    "get_action",
+    "get_interface",
+    "get_message",
+    "get_service",
+    "message_to_ordereddict",
+    "message_to_yaml",
+    "set_message_fields",
+]
+
+
+def get_interface(identifier: str) -> Anything:
+    """Return the class of an interface by its full name, or by ``package/Name``."""
+    return interface_class(find_interface(identifier).type_name)
+
+
+def get_message(identifier: str) -> Anything:
+    """Return the class of a message."""
+    return get_interface(identifier)
+
+
+def get_service(identifier: str) -> Anything:
+    """Return the class of a service."""
+    return get_interface(identifier)
+
+
+def get_action(identifier: str) -> Anything:
+    """Return the class of an action."""
+    return get_interface(identifier)
+
+
+def message_to_ordereddict(msg: Anything) -> dict[str, Anything]:
+    """Return a message as plain values by field."""
+    return {
+        field.name: _plain(getattr(msg, field.attribute)) for field in shape_of(type(msg)).fields
+    }
+
+
+def message_to_yaml(msg: Anything) -> str:
+    """Return a message as YAML."""
+    from turtleact.interfaces import decode
+
+    ours: Anything = find_interface(shape_of(type(msg)).type_name)
+    return to_yaml(decode(ours, encode(msg, type(msg))))
+
+
+def set_message_fields(msg: Anything, values: Mapping[str, Anything]) -> None:
+    """Set the fields of a message from plain values.
+
+    Raises:
+        AttributeError: if there is no such field.
+    """
+    shape = shape_of(type(msg))
+    known = {
+        field.name: (field, nested)
+        for field, nested in zip(shape.fields, shape.nested, strict=True)
+    }
+    for name, value in values.items():
+        if name not in known:
+            raise AttributeError(f"'{type(msg).__name__}' has no field '{name}'")
+        field, nested = known[name]
+        if nested is None or is_numeric_sequence(field.type) or is_numeric_array(field.type):
+            setattr(msg, field.attribute, value)
+        elif field.type.is_sequence:
+            setattr(msg, field.attribute, [_filled(nested, each) for each in value])
+        else:
+            set_message_fields(getattr(msg, field.attribute), value)
+
+
+def _filled(message_class: Anything, values: Anything) -> Anything:
+    if isinstance(values, message_class):
+        return values
+    made = message_class()
+    set_message_fields(made, values)
+    return made
+
+
+def _plain(value: Anything) -> Anything:
+    if hasattr(value, "get_fields_and_field_types"):
+        return message_to_ordereddict(value)
+    if isinstance(value, list):
+        return [_plain(each) for each in value]
+    return value.tolist() if hasattr(value, "tolist") else value

@@ -1,0 +1,128 @@
+"""Servers of services."""
+
+from __future__ import annotations
+
+import inspect
+from collections import deque
+from collections.abc import Callable
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from turtleact.errors import InvalidMessage
+from turtleact.rclpy.impl.connection import RequestHandler
+from turtleact.rclpy.impl.entity import NOTHING, Entity
+from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
+from turtleact.rclpy.impl.typing import Anything, Subscriptable
+from turtleact.rclpy.messages.codec import decode, encode
+from turtleact.rclpy.qos import QoSProfile
+from turtleact.transports.base import Closeable
+
+if TYPE_CHECKING:
+    from turtleact.rclpy.callback_groups import CallbackGroup
+
+__all__ = ["Service"]
+
+logger = RcutilsLogger("rclpy.service")
+
+
+class Service(Subscriptable, Entity):
+    """Answers requests; made by `Node.create_service`.
+
+    Args:
+        srv_type: The class of the service.
+        srv_name: The name of the service, as it was given.
+        full_name: Its full name.
+        callback: Takes a request and an empty response, and returns a response.
+        callback_group: Decides when it may run.
+        qos_profile: The quality of service.
+        wake: Called when a request has come.
+
+    Attributes:
+        handler: What the transport passes requests to.
+    """
+
+    def __init__(
+        self,
+        srv_type: Anything,
+        srv_name: str,
+        full_name: str,
+        callback: Anything,
+        callback_group: CallbackGroup,
+        qos_profile: QoSProfile,
+        *,
+        wake: Callable[[], object] | None = None,
+    ) -> None:
+        self.srv_type = srv_type
+        self.srv_name = srv_name
+        self._full_name = full_name
+        self.callback = callback
+        self.qos_profile = qos_profile
+        self.handler = RequestHandler(self._receive)
+        self._waiting: deque[tuple[bytes, Callable[[bytes, str], object]]] = deque()
+        self._opened: Closeable | None = None
+        super().__init__(callback_group, close=self._close, wake=wake)
+
+    @property
+    def service_name(self) -> str:
+        """The full name of the service."""
+        with self.handle:
+            return self._full_name
+
+    def opened(self, opened: Closeable) -> None:
+        """Remember the transport's end, to close it."""
+        self._opened = opened
+
+    def _receive(self, request: bytes, respond: Callable[[bytes, str], object]) -> None:
+        self._waiting.append((request, respond))
+        self.wake()
+
+    def is_ready_now(self) -> bool:
+        """Whether a request waits."""
+        return bool(self._waiting) and not self._handle.is_destroyed
+
+    def take(self) -> Anything:
+        """Take a request and the function that answers it."""
+        try:
+            data, respond = self._waiting.popleft()
+        except IndexError:
+            return NOTHING
+        try:
+            return decode(data, self.srv_type.Request), respond
+        except InvalidMessage as error:
+            logger.error(f"a request to {self._full_name} cannot be read: {error}")
+            return NOTHING
+
+    async def run(self, taken: tuple[Anything, Callable[[bytes, str], object]]) -> None:
+        """Call the callback and send its response."""
+        request, respond = taken
+        response = self.callback(request, self.srv_type.Response())
+        if inspect.iscoroutine(response):
+            response = await response
+        self.send_response(response, respond)
+
+    def send_response(self, response: Anything, header: Callable[[bytes, str], object]) -> None:
+        """Send a response.
+
+        Raises:
+            TypeError: if it is of another class, or a value does not fit its type.
+        """
+        header(encode(response, self.srv_type.Response), "")
+
+    def describe(self) -> str:
+        """Name it in a diagnostic."""
+        return f"the service {self._full_name}"
+
+    def _close(self) -> None:
+        if self._opened is not None:
+            self._opened.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.destroy()

@@ -1,0 +1,116 @@
+"""Signals: SIGINT and SIGTERM shut every context down.
+
+A handler that Python calls may interrupt the program anywhere, also while it holds a lock. It
+therefore only tells a thread, which shuts the contexts down. Then it calls the handler that was
+there before: Python's own, for SIGINT, raises KeyboardInterrupt.
+"""
+
+from __future__ import annotations
+
+import queue
+import signal
+import threading
+from collections.abc import Callable
+from enum import IntFlag
+from types import FrameType
+from typing import TypeAlias
+
+from turtleact.rclpy.impl.process import PROCESS
+
+__all__ = [
+    "SignalHandlerGuardCondition",
+    "SignalHandlerOptions",
+    "get_current_signal_handlers_options",
+    "install_signal_handlers",
+    "uninstall_signal_handlers",
+]
+
+Handler: TypeAlias = Callable[[int, FrameType | None], object] | int | None
+
+
+class SignalHandlerOptions(IntFlag):
+    """Which signals are handled."""
+
+    NO = 0
+    SIGINT = 1
+    SIGTERM = 2
+    ALL = 3
+
+
+SIGNALS = {
+    SignalHandlerOptions.SIGINT: signal.SIGINT,
+    SignalHandlerOptions.SIGTERM: signal.SIGTERM,
+}
+
+
+class _Handlers:
+    """The handlers that are installed, and the thread that does their work."""
+
+    def __init__(self) -> None:
+        self.installed = SignalHandlerOptions.NO
+        self._before: dict[int, Handler] = {}
+        self._received: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+
+    def install(self, options: SignalHandlerOptions) -> None:
+        """Install handlers. Only Python's main thread can; in others this does nothing."""
+        if threading.current_thread() is not threading.main_thread():
+            return
+        if self._thread is None:
+            self._thread = threading.Thread(
+                target=self._work, name="turtleact-signals", daemon=True
+            )
+            self._thread.start()
+        for option, number in SIGNALS.items():
+            if option in options and option not in self.installed:
+                self._before[number] = signal.signal(number, self._receive)
+                self.installed |= option
+
+    def uninstall(self) -> None:
+        """Restore the handlers that were there before, unless somebody has replaced ours."""
+        if threading.current_thread() is not threading.main_thread():
+            return
+        for option, number in SIGNALS.items():
+            if option in self.installed:
+                if signal.getsignal(number) == self._receive:
+                    signal.signal(number, self._before.pop(number))
+                self.installed &= ~option
+
+    def _receive(self, number: int, frame: FrameType | None) -> None:
+        self._received.put(number)  # safe even if it interrupts another `put`
+        before = self._before.get(number)
+        if callable(before):
+            before(number, frame)
+
+    def _work(self) -> None:
+        while True:
+            self._received.get()
+            PROCESS.shut_down()
+
+
+HANDLERS = _Handlers()
+
+
+def install_signal_handlers(options: SignalHandlerOptions = SignalHandlerOptions.ALL) -> None:
+    """Install handlers of these signals; `rclpy.init` does so."""
+    HANDLERS.install(options)
+
+
+def get_current_signal_handlers_options() -> SignalHandlerOptions:
+    """Return which signals are handled."""
+    return HANDLERS.installed
+
+
+def uninstall_signal_handlers() -> None:
+    """Restore the handlers that were there before."""
+    HANDLERS.uninstall()
+
+
+class SignalHandlerGuardCondition:
+    """Stands for rclpy's; executors are woken when their context is shut down."""
+
+    def __init__(self, context: object = None) -> None:
+        self.context = context
+
+    def destroy(self) -> None:
+        """Do nothing."""

@@ -1,0 +1,195 @@
+"""Subscriptions."""
+
+from __future__ import annotations
+
+import inspect
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from enum import Enum
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from turtleact.errors import InvalidMessage
+from turtleact.rclpy.impl.entity import NOTHING, Entity
+from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
+from turtleact.rclpy.impl.typing import Anything, Subscriptable
+from turtleact.rclpy.messages.codec import decode
+from turtleact.rclpy.qos import QoSProfile
+from turtleact.transports.base import Closeable
+
+if TYPE_CHECKING:
+    from turtleact.rclpy.callback_groups import CallbackGroup
+
+__all__ = ["MessageInfo", "Subscription"]
+
+logger = RcutilsLogger("rclpy.subscription")
+
+
+class MessageInfo(dict[str, Anything]):
+    """What is known about a message besides its content: when it was sent and received (ns)."""
+
+
+class Subscription(Subscriptable, Entity):
+    """Receives the messages of a topic; made by `Node.create_subscription`.
+
+    Messages wait as bytes and are decoded in the thread of the callback. If there are more than the
+    profile's depth, the oldest are dropped.
+
+    Args:
+        msg_type: The class of the messages.
+        topic: The name of the topic, as it was given.
+        full_name: The full name of the topic.
+        callback: Takes each message, and perhaps a `MessageInfo`.
+        callback_group: Decides when it may run.
+        qos_profile: The quality of service.
+        raw: Whether the callback gets bytes.
+        event_handlers: The waitables of its events.
+        wake: Called when a message has come.
+        count_publishers: Counts the publishers of the topic.
+    """
+
+    class CallbackType(Enum):
+        """What a callback takes."""
+
+        MessageOnly = 0
+        WithMessageInfo = 1
+
+    def __init__(
+        self,
+        msg_type: Anything,
+        topic: str,
+        full_name: str,
+        callback: Anything,
+        callback_group: CallbackGroup,
+        qos_profile: QoSProfile,
+        *,
+        raw: bool = False,
+        event_handlers: Sequence[Anything] = (),
+        wake: Callable[[], object] | None = None,
+        count_publishers: Callable[[], int],
+    ) -> None:
+        self._count_publishers = count_publishers
+        self.msg_type = msg_type
+        self.topic = topic
+        self._full_name = full_name
+        self.qos_profile = qos_profile
+        self.raw = raw
+        self.event_handlers = list(event_handlers)
+        self._waiting: deque[tuple[bytes, int]] = deque(maxlen=qos_profile.kept)
+        self._opened: Closeable | None = None
+        self.callback = callback
+        super().__init__(callback_group, close=self._close, wake=wake)
+
+    @property
+    def callback(self) -> Anything:
+        """The callback."""
+        return self._callback
+
+    @callback.setter
+    def callback(self, value: Anything) -> None:
+        self._callback = value
+        self._callback_type = _callback_type(value)
+
+    @property
+    def topic_name(self) -> str:
+        """The full name of the topic."""
+        with self.handle:
+            return self._full_name
+
+    def deliver(self, data: bytes) -> None:
+        """Receive a message; the transport calls this in any thread."""
+        self._waiting.append((data, time.time_ns()))
+        self.wake()
+
+    def opened(self, opened: Closeable) -> None:
+        """Remember the transport's end, to close it."""
+        self._opened = opened
+
+    def take_waiting(self) -> Anything:
+        """Take a message without running the callback: a pair of message and info, or None."""
+        taken = self.take()
+        return None if taken is NOTHING else taken
+
+    def is_ready_now(self) -> bool:
+        """Whether a message waits."""
+        return bool(self._waiting) and not self._handle.is_destroyed
+
+    def take(self) -> Anything:
+        """Take a message and what is known about it."""
+        try:
+            data, received = self._waiting.popleft()
+        except IndexError:
+            return NOTHING
+        info = MessageInfo(source_timestamp=received, received_timestamp=received)
+        if self.raw:
+            return data, info
+        try:
+            return decode(data, self.msg_type), info
+        except InvalidMessage as error:
+            logger.error(f"a message of {self._full_name} cannot be read: {error}")
+            return NOTHING
+
+    async def run(self, taken: tuple[Anything, MessageInfo]) -> None:
+        """Call the callback."""
+        if self._callback_type is self.CallbackType.MessageOnly:
+            result = self._callback(taken[0])
+        else:
+            result = self._callback(*taken)
+        if inspect.iscoroutine(result):
+            await result
+
+    def describe(self) -> str:
+        """Name it in a diagnostic."""
+        return f"the subscription of {self._full_name}"
+
+    def get_publisher_count(self) -> int:
+        """Return how many publishers the topic has."""
+        with self.handle:
+            return self._count_publishers()
+
+    def destroy(self) -> None:
+        """Destroy it. A second call does nothing."""
+        for each in self.event_handlers:
+            each.destroy()
+        super().destroy()
+
+    def _close(self) -> None:
+        if self._opened is not None:
+            self._opened.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.destroy()
+
+
+def _callback_type(callback: Anything) -> Subscription.CallbackType:
+    """Return what a callback takes.
+
+    Raises:
+        RuntimeError: if it takes neither one nor two arguments.
+    """
+    try:
+        signature = inspect.signature(callback)
+    except (TypeError, ValueError):  # a function of C has none
+        return Subscription.CallbackType.MessageOnly
+    for kind, arguments in (
+        (Subscription.CallbackType.MessageOnly, (object(),)),
+        (Subscription.CallbackType.WithMessageInfo, (object(), object())),
+    ):
+        try:
+            signature.bind(*arguments)
+        except TypeError:
+            continue
+        return kind
+    raise RuntimeError(
+        "Subscription.__init__(): callback should be either be callable with one argument "
+        "(to get only the message) or two (to get message and message info)"
+    )

@@ -1,0 +1,254 @@
+"""Futures and tasks.
+
+A `Future` is what a client waits for; a `Task` is a callback or coroutine that an executor runs.
+A coroutine that awaits a future is parked there and costs nothing until the future is done.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+import sys
+import threading
+import warnings
+from collections.abc import Callable, Generator
+from typing import TYPE_CHECKING
+from weakref import ReferenceType, ref
+
+from turtleact.rclpy.impl.typing import Anything, Subscriptable
+
+if TYPE_CHECKING:
+    from turtleact.rclpy.executors import Executor
+    from turtleact.rclpy.impl.entity import Entity
+    from turtleact.rclpy.node import Node
+
+__all__ = ["Future", "Task"]
+
+
+class _Running(threading.local):
+    """The task whose step runs in this thread."""
+
+    task: Task | None = None
+
+
+RUNNING = _Running()
+
+
+class Future(Subscriptable):
+    """The outcome of something that has not ended yet.
+
+    Args:
+        executor: Runs the done callbacks; without one, they run at once.
+    """
+
+    def __init__(self, *, executor: Executor | None = None) -> None:
+        self._done = False
+        self._cancelled = False
+        self._result: Anything = None
+        self._exception: BaseException | None = None
+        self._exception_fetched = False
+        self._callbacks: list[Callable[[Anything], object]] = []
+        self._parked: list[Task] = []
+        self._lock = threading.Lock()
+        self._executor: ReferenceType[Executor] | None = None
+        self.set_executor(executor)
+
+    def __del__(self) -> None:
+        # An object whose __init__ failed has no attributes.
+        if getattr(self, "_exception", None) is not None and not self._exception_fetched:
+            print(
+                f"The following exception was never retrieved: {self._exception}", file=sys.stderr
+            )
+
+    def __await__(self) -> Generator[None, None, Anything]:
+        # A task of an executor is parked here. Any other caller, such as a task of asyncio, gets
+        # None and has to ask again.
+        while self._is_pending:
+            if RUNNING.task is not None:
+                RUNNING.task.awaited = self
+            yield
+        return self.result()
+
+    @property
+    def _is_pending(self) -> bool:
+        return not self._done and not self._cancelled
+
+    def cancel(self) -> None:
+        """Cancel it, unless it is done."""
+        with self._lock:
+            if self._done or self._cancelled:
+                return
+            self._cancelled = True
+        self._tell()
+
+    def cancelled(self) -> bool:
+        """Whether it was cancelled."""
+        return self._cancelled
+
+    def done(self) -> bool:
+        """Whether it has a result or an exception."""
+        return self._done
+
+    def result(self) -> Anything:
+        """Return the result, None if there is none yet; raises the exception if there is one."""
+        if self._exception is not None:
+            self._exception_fetched = True
+            raise self._exception
+        return self._result
+
+    def exception(self) -> BaseException | None:
+        """Return the exception, None if there is none."""
+        self._exception_fetched = True
+        return self._exception
+
+    def set_result(self, result: Anything) -> None:
+        """Set the result and run the done callbacks."""
+        with self._lock:
+            self._result = result
+            self._done, self._cancelled = True, False
+        self._tell()
+
+    def set_exception(self, exception: BaseException) -> None:
+        """Set the exception and run the done callbacks."""
+        with self._lock:
+            self._exception = exception
+            self._exception_fetched = False
+            self._done, self._cancelled = True, False
+        self._tell()
+
+    def add_done_callback(self, callback: Callable[[Anything], object]) -> None:
+        """Call ``callback(future)`` once it is done, or at once if it is."""
+        with self._lock:
+            if self._is_pending:
+                self._callbacks.append(callback)
+                return
+        self._run_callback(callback)
+
+    def remove_done_callback(self, callback: Callable[[Anything], object]) -> bool:
+        """Remove a callback that has not been called; return whether it was there."""
+        with self._lock:
+            try:
+                self._callbacks.remove(callback)
+            except ValueError:
+                return False
+            return True
+
+    def park(self, task: Task) -> bool:
+        """Resume a task once this is done; returns False if it is done already."""
+        with self._lock:
+            if self._is_pending:
+                self._parked.append(task)
+                return True
+            return False
+
+    def set_executor(self, executor: Executor | None) -> None:
+        """Choose who runs the done callbacks."""
+        self._executor = None if executor is None else ref(executor)
+
+    def _tell(self) -> None:
+        with self._lock:
+            callbacks, self._callbacks = self._callbacks, []
+            parked, self._parked = self._parked, []
+        for task in parked:
+            task.resume()
+        for callback in callbacks:
+            self._run_callback(callback)
+
+    def _run_callback(self, callback: Callable[[Anything], object]) -> None:
+        executor = None if self._executor is None else self._executor()
+        if executor is not None:
+            executor.create_task(callback, self)
+            return
+        try:
+            callback(self)
+        except Exception as error:
+            warnings.warn(f"Unhandled exception in done callback: {error}", stacklevel=2)
+
+
+class Task(Future):
+    """A function or coroutine that an executor runs; calling the task runs it, or its next step.
+
+    Args:
+        handler: A function, a coroutine function, or a coroutine.
+        args: Its arguments.
+        kwargs: Its keyword arguments.
+        executor: Runs the task, and its done callbacks.
+
+    Attributes:
+        awaited: The future that the last step ended at; None if it ended elsewhere.
+        origin: The entity and the node that it belongs to, if any.
+    """
+
+    def __init__(
+        self,
+        handler: Anything,
+        args: tuple[Anything, ...] | None = None,
+        kwargs: dict[str, Anything] | None = None,
+        executor: Executor | None = None,
+    ) -> None:
+        super().__init__(executor=executor)
+        self.awaited: Future | None = None
+        self.origin: tuple[Entity | None, Node | None] = None, None
+        self._args = args or ()
+        self._kwargs = kwargs or {}
+        self._handler: Anything = handler
+        if inspect.iscoroutinefunction(handler):
+            self._handler = handler(*self._args, **self._kwargs)
+        self._is_coroutine = inspect.iscoroutine(self._handler)
+        self._executing = False
+        self._task_lock = threading.Lock()
+
+    def __call__(self) -> None:
+        """Run it, or its next step. Does nothing if it is done, cancelled or running."""
+        if not self._is_pending or self._executing or not self._task_lock.acquire(blocking=False):
+            return
+        before, RUNNING.task, self.awaited = RUNNING.task, self, None
+        try:
+            if not self._is_pending:
+                return
+            self._executing = True
+            self._step()
+        finally:
+            RUNNING.task = before
+            self._executing = False
+            self._task_lock.release()
+        # The future may have become done since the step: then `park` refuses.
+        if self._is_pending and (self.awaited is None or not self.awaited.park(self)):
+            self.resume()
+
+    def _step(self) -> None:
+        try:
+            if not self._is_coroutine:
+                self._end(self._handler(*self._args, **self._kwargs))
+                return
+            self._handler.send(None)
+        except StopIteration as end:
+            self._end(end.value)
+        except Exception as error:
+            self._forget()
+            self.set_exception(error)
+
+    def _end(self, result: Anything) -> None:
+        self._forget()
+        self.set_result(result)
+
+    def _forget(self) -> None:
+        """Drop the handler and its arguments, which may refer to this task."""
+        self._handler, self._args, self._kwargs = None, (), {}
+
+    def resume(self) -> None:
+        """Have the executor run the next step."""
+        executor = None if self._executor is None else self._executor()
+        if executor is not None:
+            executor.resume(self)
+
+    def executing(self) -> bool:
+        """Whether a step runs now."""
+        return self._executing
+
+    def cancel(self) -> None:
+        """Cancel it, unless it is done. A coroutine does not run any further."""
+        super().cancel()
+        if self._is_coroutine and self.cancelled() and not self._executing:
+            with contextlib.suppress(Exception):
+                self._handler.close()

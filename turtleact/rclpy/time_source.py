@@ -1,0 +1,140 @@
+"""The source of ROS time: the system, or a simulator that publishes ``/clock``."""
+
+from __future__ import annotations
+
+import weakref
+from typing import TYPE_CHECKING
+
+from turtleact.rclpy.clock import Clock, ROSClock
+from turtleact.rclpy.clock_type import ClockType
+from turtleact.rclpy.impl.typing import Anything
+from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.parameter import Parameter
+from turtleact.rclpy.qos import QoSProfile, ReliabilityPolicy
+from turtleact.rclpy.time import Time
+
+if TYPE_CHECKING:
+    from turtleact.rclpy.node import Node
+    from turtleact.rclpy.subscription import Subscription
+
+__all__ = ["CLOCK_TOPIC", "USE_SIM_TIME_NAME", "TimeSource"]
+
+CLOCK_TOPIC = "/clock"
+USE_SIM_TIME_NAME = "use_sim_time"
+
+
+class TimeSource:
+    """Tells the clocks of a node what time it is, if the parameter ``use_sim_time`` is true.
+
+    Args:
+        node: The node; None if it is attached later.
+    """
+
+    def __init__(self, *, node: Node | None = None) -> None:
+        self._clock_sub: Subscription | None = None
+        self._node: weakref.ReferenceType[Node] | None = None
+        self._associated_clocks: list[ROSClock] = []
+        self._last_time_set: Time | None = None
+        self._ros_time_is_active = False
+        if node is not None:
+            self.attach_node(node)
+
+    @property
+    def ros_time_is_active(self) -> bool:
+        """Whether a simulator tells the time."""
+        return self._ros_time_is_active
+
+    @ros_time_is_active.setter
+    def ros_time_is_active(self, enabled: bool) -> None:
+        if self._ros_time_is_active == enabled:
+            return
+        self._ros_time_is_active = enabled
+        for clock in self._associated_clocks:
+            clock.activate(is_told=enabled)
+        node = self._attached()
+        if enabled:
+            self._subscribe()
+        elif node is not None and self._clock_sub is not None:
+            node.destroy_subscription(self._clock_sub)
+            self._clock_sub = None
+
+    def attach_node(self, node: Node) -> None:
+        """Follow the parameter of a node, which is declared if need be.
+
+        Raises:
+            RuntimeError: if the object is no node.
+        """
+        if not hasattr(node, "declare_parameter"):
+            raise TypeError("Node must be of type rclpy.node.Node")
+        if self._attached() is not None:
+            self.detach_node()
+        self._node = weakref.ref(node)
+        if not node.has_parameter(USE_SIM_TIME_NAME):
+            node.declare_parameter(USE_SIM_TIME_NAME, False)
+        parameter = node.get_parameter(USE_SIM_TIME_NAME)
+        if parameter.type_ is Parameter.Type.BOOL:
+            self.ros_time_is_active = parameter.value
+        else:
+            node.get_logger().error(
+                f"Invalid type for parameter '{USE_SIM_TIME_NAME}' {parameter.type_!r} "
+                "should be bool"
+            )
+        node.add_on_set_parameters_callback(self._on_parameter_event)
+
+    def detach_node(self) -> None:
+        """Leave the node."""
+        node = self._attached()
+        if node is not None and self._clock_sub is not None:
+            node.destroy_subscription(self._clock_sub)
+        self._clock_sub, self._node = None, None
+
+    def destroy(self) -> None:
+        """Leave the node, which is being destroyed."""
+        self._node = None
+        self._clock_sub = None
+
+    def attach_clock(self, clock: Clock) -> None:
+        """Tell a clock the time.
+
+        Raises:
+            ValueError: if it is not a clock of ROS time.
+        """
+        if clock.clock_type is not ClockType.ROS_TIME or not isinstance(clock, ROSClock):
+            raise ValueError("Only clocks with type ROS_TIME can be attached.")
+        if self._last_time_set is not None:
+            clock.set_ros_time_override(self._last_time_set)
+        clock.activate(is_told=self._ros_time_is_active)
+        self._associated_clocks.append(clock)
+
+    def clock_callback(self, msg: Anything) -> None:
+        """Take the time from a message of ``/clock``."""
+        time = Time.from_msg(msg.clock)
+        self._last_time_set = time
+        for clock in self._associated_clocks:
+            clock.set_ros_time_override(time)
+
+    def _attached(self) -> Node | None:
+        return None if self._node is None else self._node()
+
+    def _subscribe(self) -> None:
+        node = self._attached()
+        if node is not None and self._clock_sub is None:
+            self._clock_sub = node.create_subscription(
+                interface_class("rosgraph_msgs/msg/Clock"),
+                CLOCK_TOPIC,
+                self.clock_callback,
+                QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
+            )
+
+    def _on_parameter_event(self, parameters: list[Parameter]) -> Anything:
+        made: Anything = interface_class("rcl_interfaces/msg/SetParametersResult")
+        for parameter in parameters:
+            if parameter.name != USE_SIM_TIME_NAME:
+                continue
+            if parameter.type_ is not Parameter.Type.BOOL:
+                return made(
+                    successful=False,
+                    reason=f"{USE_SIM_TIME_NAME} parameter set to something besides a bool",
+                )
+            self.ros_time_is_active = parameter.value
+        return made(successful=True)

@@ -1,0 +1,261 @@
+"""The functions of ``rclpy`` itself: init, spin, shutdown and the like."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from importlib import import_module
+from types import TracebackType
+from typing import Self
+
+from turtleact.rclpy.context import Context
+from turtleact.rclpy.executors import Executor, SingleThreadedExecutor
+from turtleact.rclpy.node import Node
+from turtleact.rclpy.parameter import Parameter
+from turtleact.rclpy.signals import (
+    SignalHandlerOptions,
+    install_signal_handlers,
+    uninstall_signal_handlers,
+)
+from turtleact.rclpy.task import Future
+from turtleact.rclpy.utilities import get_default_context, get_rmw_implementation_identifier, ok
+from turtleact.rclpy.utilities import shutdown as _shutdown
+from turtleact.rclpy.utilities import try_shutdown as _try_shutdown
+
+__all__ = [
+    "Context",
+    "Future",
+    "InitContextManager",
+    "Node",
+    "Parameter",
+    "SignalHandlerOptions",
+    "create_node",
+    "get_default_context",
+    "get_global_executor",
+    "get_rmw_implementation_identifier",
+    "init",
+    "ok",
+    "shutdown",
+    "spin",
+    "spin_once",
+    "spin_until_future_complete",
+    "try_shutdown",
+]
+
+
+class _Global:
+    """Holds the executor of `spin`."""
+
+    def __init__(self) -> None:
+        self.executor: Executor | None = None
+        self.lock = threading.Lock()
+
+
+_global = _Global()
+
+
+class InitContextManager:
+    """What `init` returns: a context manager that shuts the context down.
+
+    Args:
+        context: The context.
+        is_default: Whether it is the default one.
+    """
+
+    def __init__(self, context: Context, *, is_default: bool) -> None:
+        self.context = context
+        self._is_default = is_default
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        try_shutdown(context=None if self._is_default else self.context)
+
+
+def init(
+    *,
+    args: Sequence[str] | None = None,
+    context: Context | None = None,
+    domain_id: int | None = None,
+    signal_handler_options: SignalHandlerOptions | None = None,
+) -> InitContextManager:
+    """Initialise a context, the default one if None.
+
+    Args:
+        args: The arguments of the program; None means ``sys.argv``.
+        context: The context.
+        domain_id: The ROS domain; None means that of the environment.
+        signal_handler_options: Which signals shut contexts down; None means all, for the default
+            context.
+
+    Raises:
+        RuntimeError: if the context was initialised before.
+    """
+    given = get_default_context() if context is None else context
+    if signal_handler_options is None:
+        is_default = context is None
+        signal_handler_options = SignalHandlerOptions.ALL if is_default else SignalHandlerOptions.NO
+    given.init(args, domain_id=domain_id)
+    install_signal_handlers(signal_handler_options)
+    return InitContextManager(given, is_default=context is None)
+
+
+def get_global_executor() -> Executor:
+    """Return the executor of `spin`."""
+    with _global.lock:
+        if _global.executor is None:
+            _global.executor = SingleThreadedExecutor()
+        return _global.executor
+
+
+def shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:
+    """Shut a context down, the default one if None.
+
+    Raises:
+        RuntimeError: if it is not initialised, or was shut down before.
+    """
+    _drop_executor()
+    _shutdown(context=context)
+    if uninstall_handlers or (uninstall_handlers is None and context is None):
+        uninstall_signal_handlers()
+
+
+def try_shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:
+    """Shut a context down, the default one if None, unless that has been done."""
+    _drop_executor()
+    _try_shutdown(context=context)
+    if uninstall_handlers or (uninstall_handlers is None and context is None):
+        uninstall_signal_handlers()
+
+
+def _drop_executor() -> None:
+    with _global.lock:
+        executor, _global.executor = _global.executor, None
+    if executor is not None:
+        executor.shutdown(0)
+
+
+def create_node(
+    node_name: str,
+    *,
+    context: Context | None = None,
+    cli_args: list[str] | None = None,
+    namespace: str | None = None,
+    use_global_arguments: bool = True,
+    enable_rosout: bool = True,
+    rosout_qos_profile: object = None,
+    start_parameter_services: bool = True,
+    parameter_overrides: list[Parameter] | None = None,
+    allow_undeclared_parameters: bool = False,
+    automatically_declare_parameters_from_overrides: bool = False,
+    enable_logger_service: bool = False,
+) -> Node:
+    """Make a node; see `Node`."""
+    from turtleact.rclpy.qos import profile_of, qos_profile_rosout_default
+
+    qos = rosout_qos_profile
+    return Node(
+        node_name,
+        context=context,
+        cli_args=cli_args,
+        namespace=namespace,
+        use_global_arguments=use_global_arguments,
+        enable_rosout=enable_rosout,
+        rosout_qos_profile=qos_profile_rosout_default if qos is None else profile_of(qos),  # type: ignore[arg-type]  # it checks that
+        start_parameter_services=start_parameter_services,
+        parameter_overrides=parameter_overrides,
+        allow_undeclared_parameters=allow_undeclared_parameters,
+        automatically_declare_parameters_from_overrides=automatically_declare_parameters_from_overrides,
+        enable_logger_service=enable_logger_service,
+    )
+
+
+class _Borrowed:
+    """A node in an executor for a while; then it goes back to where it was.
+
+    rclpy leaves it without an executor, so that its callbacks never run again.
+    """
+
+    def __init__(self, node: Node, executor: Executor) -> None:
+        self._node = node
+        self._executor = executor
+        self._before = node.executor
+
+    def __enter__(self) -> Executor:
+        self._executor.add_node(self._node)
+        return self._executor
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if self._before is self._executor:
+            return
+        self._executor.remove_node(self._node)
+        if self._before is not None:
+            self._before.add_node(self._node)
+
+
+def spin_once(
+    node: Node, *, executor: Executor | None = None, timeout_sec: float | None = None
+) -> None:
+    """Run one callback of a node.
+
+    Args:
+        node: The node.
+        executor: The executor; None means the global one.
+        timeout_sec: How long to wait (s); None or a negative number mean for ever.
+    """
+    with _Borrowed(node, get_global_executor() if executor is None else executor) as used:
+        used.spin_once(timeout_sec=timeout_sec)
+
+
+def spin(node: Node, executor: Executor | None = None) -> None:
+    """Run the callbacks of a node until its context is shut down.
+
+    Args:
+        node: The node.
+        executor: The executor; None means the global one.
+
+    Raises:
+        ExternalShutdownException: if the context is shut down elsewhere than in a callback.
+    """
+    with _Borrowed(node, get_global_executor() if executor is None else executor) as used:
+        while used.context.ok():
+            used.spin_once()
+
+
+def spin_until_future_complete(
+    node: Node,
+    future: Future,
+    executor: Executor | None = None,
+    timeout_sec: float | None = None,
+) -> None:
+    """Run the callbacks of a node until a future is done, or for some time.
+
+    Args:
+        node: The node.
+        future: The future.
+        executor: The executor; None means the global one.
+        timeout_sec: How long (s); None or a negative number mean for ever.
+    """
+    with _Borrowed(node, get_global_executor() if executor is None else executor) as used:
+        used.spin_until_future_complete(future, timeout_sec)
+
+
+def __getattr__(name: str) -> object:
+    """Import a module of rclpy when it is used as an attribute: ``rclpy.qos``."""
+    if not name.startswith("_"):
+        try:
+            return import_module(f"rclpy.{name}")
+        except ModuleNotFoundError:
+            pass
+    raise AttributeError(f"module 'rclpy' has no attribute '{name}'")
