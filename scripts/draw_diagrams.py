@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 
 BANDS: Final = (
     ("Command line", "main", "cli"),
-    ("Web", "main", "web"),
+    ("Doors", "main", "web"),
     ("Whole programs", "fill", "app"),
     ("What acts", "fill", "actions"),
     ("A participant", "main", "node"),
