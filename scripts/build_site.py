@@ -39,6 +39,8 @@ MOVED = {
 REMOTE_WORKER = "https://unpkg.com/iframe-worker/shim"
 """What Zensical's pages load if they are opened as files; docs/theme/search.js takes its place."""
 
+REMOTE_SCRIPT = re.compile(r"<script[^>]* src=[\"']?(\w+://[^\"'\s>]+)")
+
 FENCED = re.compile(r"(^```.*?^```$)", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"(?<=\]\()(?!\w+:|#)([^)#\s]+)")
 PIPE = re.compile(r"(?<=`)\\\|(?=[^|`]*`)")
@@ -58,6 +60,13 @@ class DeadLink(Exception):
         super().__init__(f"{page}: the site has no page for the link to {target}")
 
 
+class RemoteScript(Exception):
+    """A page of the site loads a script from the internet, so it needs a network."""
+
+    def __init__(self, page: str, address: str) -> None:
+        super().__init__(f"{page} loads {address}: put the script into docs/theme instead")
+
+
 def main() -> int:
     """Write the pages, then build the site from them."""
     shutil.rmtree(STAGE, ignore_errors=True)
@@ -73,11 +82,17 @@ def main() -> int:
 
 
 def make_search_local(folder: Path) -> None:
-    """Load what the search needs at file:// from the site, not from a server on the internet."""
+    """Load what the search needs at file:// from the site, not from a server on the internet.
+
+    Raises:
+        RemoteScript: if a page would still load a script from the internet.
+    """
     for path in folder.rglob("*.html"):
-        text = path.read_text("utf-8")
         script = os.path.relpath(folder / "theme" / "search.js", path.parent)
-        path.write_text(text.replace(REMOTE_WORKER, script), "utf-8")
+        text = path.read_text("utf-8").replace(REMOTE_WORKER, script)
+        if remote := REMOTE_SCRIPT.search(text):
+            raise RemoteScript(path.name, remote[1])
+        path.write_text(text, "utf-8")
 
 
 def stage(folder: Path) -> None:

@@ -61,7 +61,7 @@ def test_whole_numbers_are_taken_for_doubles_and_empty_lists_for_arrays(value, k
         (None, 0, "expected a bool, a number, a string, bytes, or a list of values of one kind"),
         ([1, "a"], 0, "or a list of values of one kind, not [1, 'a']"),
         ([[1]], 0, "or a list of values of one kind"),
-        ([], 0, "an empty list has no kind: give it an item"),
+        ([], 0, "an empty list has no kind: put an item in it"),
         ([], 5, "expected bytes, not []"),
         (0.5, 2, "expected a whole number, not 0.5"),
         (True, 2, "expected a whole number, not True"),

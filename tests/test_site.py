@@ -203,6 +203,12 @@ def test_the_search_of_a_page_that_is_opened_as_a_file_needs_no_network(build, t
     assert (ROOT / "docs" / "theme" / "search.js").exists()
 
 
+def test_a_page_that_loads_another_script_from_the_internet_is_an_error(build, tmp_path):
+    (tmp_path / "a.html").write_text('<script defer src="https://cdn.example/x.js"></script>')
+    with pytest.raises(build.RemoteScript, match=r"a\.html loads https://cdn\.example/x\.js"):
+        build.make_search_local(tmp_path)
+
+
 def test_developers_get_what_builds_the_site_and_testers_do_not():
     assert "turtleact[test,docs]" in EXTRAS["dev"]
     names = {requirement.partition(">")[0] for requirement in EXTRAS["docs"]}

@@ -67,16 +67,17 @@ def main() -> int:
     return status
 
 
-def serve(*targets: str) -> NoReturn:
-    """Do what ``turtleact serve TARGET... --no-sim`` does, then end the program.
+def serve(*targets: str, node: str) -> NoReturn:
+    """Do what ``turtleact serve TARGET... --no-sim --node-name NODE`` does, then end the program.
 
     This is for the ``main`` of a package. The program's own arguments are options of ``serve``.
 
     Args:
         *targets: The modules with the actions, such as ``lab.server``, or single actions, such as
             ``lab.server:countdown``.
+        node: The name of the node that serves them.
     """
-    sys.argv[1:] = ["serve", *targets, "--no-sim", *sys.argv[1:]]
+    sys.argv[1:] = ["serve", *targets, "--no-sim", "--node-name", node, *sys.argv[1:]]
     sys.exit(main())
 
 
@@ -147,9 +148,6 @@ def _advice(error: BaseException) -> str:
     from turtleact.errors import UnknownInterface
 
     if isinstance(error, UnknownInterface):
-        if error.type_name.rpartition("/")[2][:1].islower():
-            begins = "he name of an interface begins with a capital letter, and so does its file"
-            return f" T{begins}" if error.suggestion else f": t{begins}"
         return f"{' Otherwise' if error.suggestion else ':'} {ELSEWHERE}"
     if isinstance(error.__cause__, UnknownInterface):  # a file uses it
         return f"\nto make it known, {ELSEWHERE}"

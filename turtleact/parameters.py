@@ -253,7 +253,7 @@ def message_of(name: str, value: object, kind: int = _NOT_SET) -> ParameterValue
     own = _kind_of(value)
     if own == _NOT_SET and value == [] and isinstance(value, list):
         if kind == _NOT_SET:
-            raise InvalidParameter(name, "an empty list has no kind: give it an item")
+            raise InvalidParameter(name, "an empty list has no kind: put an item in it")
         own = kind if kind > _BYTES else own
     if own + 1 == kind and kind in (_DOUBLE, _DOUBLE + _ARRAY):  # integers, for doubles
         own = kind

@@ -359,7 +359,7 @@ def test_ctrl_c_lets_go_of_a_goal_that_is_watched(on_graph, graphs):
 def test_a_goal_that_nobody_holds_is_an_error(on_graph, graphs, verb):
     ran = on_graph(graphs.goals, verb, "abcdef")
     assert (ran.status, ran.out) == (1, "")
-    assert "no server in reach holds a goal abcdef; 'turtleact goals' lists what is held" in ran.err
+    assert "no server in reach holds a goal abcdef; 'turtleact goals' lists all goals" in ran.err
 
 
 def test_feedback_that_has_come_with_the_result_is_printed_before_it(on_graph, graphs):

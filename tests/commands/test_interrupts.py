@@ -418,6 +418,20 @@ def test_ignored_signals_are_dropped_by_the_system(interrupts):
     assert [signal.getsignal(each) for each in SIGNALS] == [signal.SIG_IGN] * 3
 
 
+def test_no_alarm_rings_while_python_ends(installed):
+    signal.raise_signal(SIGTERM)
+    with installed.beginning():
+        assert signal.getitimer(signal.ITIMER_REAL)[0] > 0
+    installed.ignore()
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
+def test_signals_are_given_back_to_python(installed):
+    installed.release()
+    assert signal.getsignal(SIGINT) is signal.default_int_handler
+    assert signal.getsignal(SIGTERM) is signal.SIG_DFL
+
+
 def test_what_was_printed_is_flushed_before_the_process_ends(monkeypatch, installed):
     flushed = []
 

@@ -260,7 +260,7 @@ def test_nodes_that_share_a_name_are_noted(on_graph, graphs):
 
     ran = on_graph(twice, "node", "list")
     assert ran.out == "/fibonacci_action_server\n/fibonacci_action_server\n"
-    assert ran.err.endswith("hard to tell: /fibonacci_action_server\n")
+    assert ran.err.endswith("several nodes have the same name: /fibonacci_action_server\n")
     ran = on_graph(twice, "node", "info", "/fibonacci_action_server")
     assert "2 nodes have the name '/fibonacci_action_server'" in ran.err
     assert "  Action Servers:\n    /fibonacci: example_interfaces/action/Fibonacci\n" in ran.out

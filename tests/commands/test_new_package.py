@@ -74,7 +74,8 @@ def test_its_program_is_found_and_serves_its_action(
         for module in [each for each in sys.modules if each.partition(".")[0] == "lab"]:
             del sys.modules[module]
     assert name == (options or ["server"])[-1]
-    assert served == [[str(here / "lab" / name), "serve", f"lab.{name}", "--no-sim", "--plain"]]
+    [(_, *line)] = served
+    assert line == ["serve", f"lab.{name}", "--no-sim", "--node-name", name, "--plain"]
 
 
 def test_an_unbuilt_package_runs_from_beginning_to_end(turtleact, here):
@@ -158,8 +159,8 @@ def test_a_user_whom_the_system_does_not_know_can_create_packages(turtleact, her
         (["class"], "'class' is the name of a Python module already: choose another name"),
         (["random"], "'random' is the name of a Python module already"),
         (["turtleact"], "'turtleact' is the name of a Python module already"),
-        (["lab", "--node-name", "my-node"], "--node-name is the name of a Python module too, unli"),
-        (["lab", "--dependencies", "Std"], "--dependencies are names of packages, unlike 'Std'"),
+        (["lab", "--node-name", "my-node"], "--node-name must be a valid name of a Python module"),
+        (["lab", "--dependencies", "Std"], "--dependencies must be names of packages, not 'Std'"),
         (
             ["lab", "--build-type", "cmake"],
             "--build-type is ament_python or ament_cmake: turtleact",

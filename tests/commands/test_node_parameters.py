@@ -257,7 +257,9 @@ async def numbers(transport):
     async with open_node("lab", transport=transport) as node:
         speed = node.parameter("speed", 1.0, range=(0, 2))
         gains = node.parameter("gains", [1.0])
-        yield speed, gains
+        data = node.parameter("data", b"on")
+        label = node.parameter("label", "a")
+        yield speed, gains, data, label
 
 
 def saying(answer, _request):
@@ -282,9 +284,17 @@ async def curt(transport):
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "value"), [("speed", "2", 2.0), ("gains", "[1, 2]", [1.0, 2.0])]
+    ("name", "text", "value"),
+    [
+        ("speed", "2", 2.0),
+        ("gains", "[1, 2]", [1.0, 2.0]),
+        ("gains", "[]", []),
+        ("data", "[1, 255]", b"\x01\xff"),
+        ("data", "[]", b""),
+        ("label", "'5'", "5"),
+    ],
 )
-def test_a_whole_number_sets_a_double(on_graph, name, text, value):
+def test_a_value_is_taken_as_the_type_of_its_parameter(on_graph, name, text, value):
     values: dict[str, object] = {}
 
     @asynccontextmanager
@@ -300,6 +310,23 @@ def test_a_whole_number_sets_a_double(on_graph, name, text, value):
 def test_a_whole_number_out_of_the_range_of_a_double_is_refused(on_graph):
     ran = on_graph(numbers, "param", "set", "/lab", "speed", "3")
     assert ran.err.endswith("floating point range. It takes 0.0 to 2.0, not 3.0.\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "problem"),
+    [
+        ("label", "5", "is of type {string}, setting it to {integer} is not allowed: for text, "),
+        ("label", "true", "for text, write \"'true'\""),
+        ("label", "[1]", "setting it to {integer_array} is not allowed."),
+        ("data", "[256]", "setting it to {integer_array} is not allowed."),
+        ("data", "[a]", "setting it to {string_array} is not allowed."),
+        ("gains", "1", "setting it to {integer} is not allowed."),
+    ],
+)
+def test_a_value_of_another_type_is_refused(on_graph, name, text, problem):
+    ran = on_graph(numbers, "param", "set", "/lab", name, text)
+    assert ran.status == 1
+    assert problem in ran.err
 
 
 def test_the_range_is_named_if_the_node_does_not_name_it(on_graph):

@@ -126,7 +126,7 @@ def test_a_type_with_which_the_action_is_not_served_is_named_with_the_one_it_is(
     ("type_name", "message"),
     [
         ("example_interfaces/action/Fibonaci", f"did you mean '{FIBONACCI}'?"),
-        ("std_msgs/msg/String", "std_msgs/msg/String: it is no action"),
+        ("std_msgs/msg/String", "std_msgs/msg/String: it is not the type of an action"),
     ],
 )
 def test_a_type_that_is_no_action_is_an_error_before_anything_is_printed(

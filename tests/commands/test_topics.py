@@ -289,7 +289,7 @@ def test_a_topic_that_is_not_there_is_waited_for_if_its_type_is_given(on_graph):
     ("type_name", "problem"),
     [
         ("std_msgs/msg/Strin", "unknown interface 'std_msgs/msg/Strin', did you mean"),
-        ("std_srvs/srv/Empty", "std_srvs/srv/Empty: it is no message"),
+        ("std_srvs/srv/Empty", "std_srvs/srv/Empty: it is not the type of a message"),
     ],
 )
 def test_a_type_that_is_no_message_is_an_error(on_graph, graphs, type_name, problem):

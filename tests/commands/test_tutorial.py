@@ -3,7 +3,7 @@
 The line above a block says what it is:
 
 - ``<!-- save FILE -->``: a file to save. ``open_zenoh()`` in it joins the graph of the test,
-  and it sleeps a fifth as long.
+  and it sleeps half as long.
 - ``<!-- terminal N -->``: commands and what they print. ``...`` matches anything.
 - ``<!-- terminal N, until Ctrl-C -->``: a server. It runs until the end of its section.
 - ``<!-- terminal N, meanwhile -->``: a program that ends while the next block is typed.
@@ -80,7 +80,7 @@ class Terminals:
 
     def save(self, name, text):
         text = text.replace("open_zenoh()", f"open_zenoh([{self.address!r}])")
-        text = text.replace("asyncio.sleep(0.5)", "asyncio.sleep(0.1)")  # a reader types slower
+        text = text.replace("asyncio.sleep(0.5)", "asyncio.sleep(0.25)")  # a reader types slower
         path = self.folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, "utf-8")

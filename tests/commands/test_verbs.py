@@ -77,6 +77,7 @@ USAGE = [
         "--turtles, --paused and --no-sim exclude each other: there is no world",
     ),
     (["serve", "--no-sim", "--speed", "2"], "--speed and --no-sim"),
+    (["serve", "lab", "--node-name", "lab"], "--node-name needs --no-sim: beside a world"),
     (["serve", "--no-sim", "--placing", "grid"], "--placing and --no-sim"),
     (["serve", "--no-sim", "--seed", "1"], "--seed and --no-sim"),
     (["serve", "--no-sim", "--collide"], "--collide and --no-sim"),
@@ -494,6 +495,7 @@ def test_programs_of_ros2_are_services_here(turtleact, monkeypatch, program, tar
     [service] = ran
     fleet = Fleet() if has_world else None
     assert (service.targets, service.fleet, service.reach) == (targets, fleet, Reach((), 3))
+    assert service.node_name == ("turtleact" if has_world else program[1])
 
 
 def test_the_fibonacci_server_serves_both_types():

@@ -31,6 +31,7 @@ from turtleact.interfaces.cdr import decoding, encoding
 from turtleact.interfaces.definition import INTEGER_RANGES, ArrayForm
 from turtleact.interfaces.standard import UUID, GoalInfo, Point, Time, Vector3
 from turtleact.interfaces.types import (
+    REGISTRY,
     Action,
     Message,
     MessageMeta,
@@ -217,10 +218,17 @@ def recorded(name: str) -> list[dict[str, Any]]:
     return [entry | {"cdr": bytes.fromhex(entry["cdr"])} for entry in entries]
 
 
+@functools.cache
+def recorded_types() -> dict[str, Any]:
+    """The types of all messages that are recorded, by name."""
+    with REGISTRY.isolated():
+        load_interfaces(HERE / "golden")
+        names = {entry["type"] for entry in (*recorded("cdr.json"), *FAST_CDR)}
+        return {name: get_interface(name) for name in names}
+
+
 def message_of(entry: dict[str, Any]) -> Any:
-    load_interfaces(HERE / "golden")
-    cls: Any = get_interface(entry["type"])
-    return from_dict(cls, entry["value"] or {})
+    return from_dict(recorded_types()[entry["type"]], entry["value"] or {})
 
 
 RCLPY = [pytest.param(entry, id=entry["type"]) for entry in recorded("cdr.json")]

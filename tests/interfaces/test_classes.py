@@ -199,9 +199,16 @@ class Drill(Action, type_name="example_msgs/action/Drill"):
         depth: int32
 
 
+@pytest.fixture(scope="module")
+def recorded_files() -> dict[str, str]:
+    with REGISTRY.isolated():
+        load_interfaces(GOLDEN)
+        return dict(REGISTRY.files)
+
+
 @pytest.fixture(autouse=True)
-def ros_is_known(own_registry: None) -> None:
-    load_interfaces(GOLDEN)
+def ros_is_known(own_registry: None, recorded_files: dict[str, str]) -> None:
+    REGISTRY.files.update(recorded_files)
 
 
 # --- as in ROS ------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ from turtleact.interfaces import (
     wstring,
 )
 from turtleact.interfaces.standard import Fibonacci, Point
+from turtleact.interfaces.types import REGISTRY
 
 GOLDEN = Path(__file__).parent / "golden"
 RECORDED: dict[str, str] = json.loads((GOLDEN / "type_hashes.json").read_text())
@@ -77,15 +78,16 @@ def hash_of(text: str, type_name: str = "example_msgs/msg/Sample") -> str:
     return type_hash(load_interface(text, type_name=type_name))
 
 
-@pytest.fixture
-def recorded_interfaces() -> None:
-    load_interfaces(GOLDEN)
+@pytest.fixture(scope="module")
+def recorded_interfaces():
+    with REGISTRY.isolated():
+        load_interfaces(GOLDEN)
+        return {name: get_interface(name) for name in RECORDED}
 
 
-@pytest.mark.usefixtures("recorded_interfaces")
 @pytest.mark.parametrize("type_name", RECORDED)
-def test_a_type_has_the_hash_that_ros_gives_it(type_name):
-    assert type_hash(get_interface(type_name)) == RECORDED[type_name]
+def test_a_type_has_the_hash_that_ros_gives_it(recorded_interfaces, type_name):
+    assert type_hash(recorded_interfaces[type_name]) == RECORDED[type_name]
 
 
 @pytest.mark.parametrize("type_name", GENERATED)

@@ -10,7 +10,14 @@ import pytest
 
 from turtleact.interfaces import Message, array, bool_, float64, int64, string, uint8
 from turtleact.interfaces.standard import Point, Twist, Vector3
-from turtleact.web.excerpts import LONGEST_TEXT, MOST_PLOTTED, MOST_VALUES, excerpt, numbers_in
+from turtleact.web.excerpts import (
+    CHARACTERS,
+    LONGEST_TEXT,
+    MOST_PLOTTED,
+    MOST_VALUES,
+    excerpt,
+    numbers_in,
+)
 
 
 class Mixed(Message, type_name="lab_interfaces/msg/Mixed"):
@@ -60,6 +67,16 @@ def test_a_long_list_is_cut_and_says_so():
         assert len(shown) == MOST_VALUES + 1
         assert shown[-1] == f"… {10_000 - MOST_VALUES} more"
         assert msgspec.json.encode(shown)
+
+
+def test_long_texts_leave_less_for_others():
+    class Texts(Message, type_name="lab_interfaces/msg/Texts"):
+        texts: list[string] = []
+
+    shown = plain(Texts(["x" * 10_000] * 100))["texts"]
+    assert len(str(shown)) < MOST_VALUES * CHARACTERS + 2 * LONGEST_TEXT
+    assert shown[0].endswith("x… 9000 more")
+    assert shown[-1].endswith(" more")
 
 
 def test_all_lists_of_a_message_share_the_bound():

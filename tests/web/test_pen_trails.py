@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import count, pairwise
 from math import cos, hypot, pi, sin
 
-from turtleact.web.pen_trails import FIRST_PEN, MOST_POINTS, Pen, PenTrails
+from turtleact.web.pen_trails import FIRST_PEN, MOST_LINES, MOST_POINTS, Pen, PenTrails
 
 
 def trails() -> PenTrails:
@@ -86,6 +86,17 @@ def test_a_turtle_that_comes_back_elsewhere_draws_no_line_to_there():
     drawn.lift("nobody")
     drive(drawn, (5.0, 5.0))
     assert drawn.since(0)["turtle1"].points[-1] == (5.0, 5.0, "", 0)
+
+
+def test_the_lines_of_turtles_that_are_gone_are_dropped_first():
+    drawn = trails()
+    drive(drawn, (1.0, 1.0))
+    for index in range(2 * MOST_LINES):
+        drawn.follow(f"gone{index}", 0.0, 0.0)
+        drawn.lift(f"gone{index}")
+    kept = drawn.since(0)
+    assert len(kept) == MOST_LINES
+    assert "turtle1" in kept
 
 
 def test_a_trail_is_bounded():

@@ -10,8 +10,19 @@ import pytest
 import turtleact
 from turtleact import Abort, GoalResponse
 from turtleact.app import open_world
-from turtleact.interfaces.standard import Empty, SetPen, TurtlePose
-from turtleact.transports import MemoryTransport
+from turtleact.interfaces import WireFormat
+from turtleact.interfaces.standard import (
+    UUID,
+    Empty,
+    GoalInfo,
+    GoalStatusArray,
+    GoalStatusMessage,
+    SetPen,
+    Time,
+    TurtlePose,
+)
+from turtleact.transports import MemoryTransport, QoS, open_zenoh
+from turtleact.transports.base import Endpoint
 from turtleact.web import open_bridge
 from turtleact.web.goal_history import MOST_ACTIVE, MOST_ENDED
 from turtleact.web.watching import MOST_FOLLOWED
@@ -90,7 +101,7 @@ async def test_a_rejected_goal_of_a_web_client_is_kept_with_its_reason():
         for id, upto in ("a", 1), ("b", 2):
             client.say("send_action_goal", id=id, args={"upto": upto}, **members)
         assert not (await client.hear())["result"]
-        rejected, running = await goals(client)
+        running, rejected = sorted(await goals(client), key=lambda each: str(each["status"]))
         assert (running["status"], running["request"]) == ("EXECUTING", {"upto": 1})
         assert (rejected["status"], rejected["request"]) == ("REJECTED", {"upto": 2})
         assert rejected["reason"]
@@ -129,6 +140,63 @@ async def heard_goals(client: Line) -> list[Values]:
         pass
     found: list[Values] = frame["values"]["goals"]
     return found
+
+
+async def test_a_goal_of_another_process_is_watched(tmp_path):
+    """Two sessions, as of two processes; the bridge opens its client only when there is a goal."""
+    here = f"unixsock-stream/{tmp_path}/router"
+    async with (
+        open_zenoh(mode="router", listen=[here]) as first,
+        open_zenoh(mode="peer", connect=[here], discovery=0.0) as second,
+        turtleact.open_node("robot", transport=first) as robot,
+        turtleact.open_node("web", transport=second) as node,
+        open_bridge(node) as bridge,
+        line(bridge) as client,
+    ):
+        robot.action_server(Count, "count", count)
+        await first.flush()
+        await second.explore()
+        last = await watch(client)
+        await robot.action_client(Count, "count").send_goal(goal(2))
+        while not (last["goals"] and last["goals"][0]["has_ended"]):
+            last = await watch(client, session=last["session"], since=last["revision"])
+        assert last["goals"][0]["status"] == "SUCCEEDED"
+        assert last["goals"][0]["result"] == {"counted": [0, 1]}
+        assert last["goals"][0]["request"] is None  # nobody here knows it
+
+
+async def test_a_goal_that_its_server_forgets_at_once_does_not_seem_to_run():
+    async with bridged() as (node, bridge), line(bridge) as client:
+        server = node.action_server(Count, "count", count, result_timeout=0.0)
+        await watch(client)
+        async with node.action_client(Count, "count").send_goal(goal(1)) as handle:
+            assert handle.goal_id
+            await handle.outcome()
+        assert all(each["has_ended"] for each in await goals(client))
+        await server.aclose()
+
+
+async def test_goals_of_an_unknown_type_are_shown_until_their_server_is_gone():
+    transport = MemoryTransport()
+    async with (
+        bridged(transport) as (_, bridge),
+        turtleact.open_node("other", transport=transport) as other,
+        line(bridge) as client,
+    ):
+        strange = Endpoint("service", "/odd/_action/send_goal", "odd/action/Odd_SendGoal", "/other")
+        odd = transport.serve(strange, WireFormat(Empty.Request), None)
+        statuses = other.publisher(
+            GoalStatusArray, "/odd/_action/status", QoS(durability="transient_local")
+        )
+        info = GoalInfo(UUID(bytes(range(16))), Time(1, 0))
+        statuses.publish(GoalStatusArray([GoalStatusMessage(info, 2)]))
+        await watch(client)
+        (running,) = await goals(client)
+        assert (running["type"], running["status"]) == ("odd/action/Odd", "EXECUTING")
+        statuses.publish(GoalStatusArray([]))
+        (ended,) = await goals(client)
+        assert (ended["status"], ended["reason"]) == ("UNKNOWN", "its server has forgotten it")
+        odd.close()
 
 
 async def test_more_goals_than_can_be_followed_are_still_shown():

@@ -119,7 +119,7 @@ class Drive:
         return self._helm.steering.is_reached(self.seen.pose, (target.x, target.y), theta=theta)
 
     def distance_to(self, targets: Sequence[Point]) -> float:
-        """How far it is in straight lines from here through the targets (m)."""
+        """The length of the straight lines from here through the targets (m)."""
         stops = [self.seen.pose[:2], *((target.x, target.y) for target in targets)]
         return sum(distance(*a, *b) for a, b in pairwise(stops))
 
@@ -172,7 +172,7 @@ class Drive:
         await self.wait_for_pose()
 
     async def rest(self) -> None:
-        """Come to rest, as fast as accelerations allow; without limits that takes no tick.
+        """Stop as fast as accelerations allow; without limits that takes no tick.
 
         Raises:
             Abort: if no pose of the turtle arrives.

@@ -71,7 +71,7 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
 
         Attributes:
             reached: How many targets were reached, over all rounds.
-            missed: The indices of those that were missed, round by round.
+            missed: The indices of the targets that were missed, round by round.
             distance: How far the turtle went (m).
             duration: How long it took (s), by the clock of the graph.
             bound: The shortest possible time (s) through all targets, at these speeds and in this
@@ -151,7 +151,7 @@ class _Tour:
         return stop % len(self._targets)
 
     def target(self, stop: int) -> Point | None:
-        """The target of a stop; None behind the last."""
+        """The target of a stop; None after the last."""
         return self._targets[self.index(stop)] if stop < self.stops else None
 
     def length_from(self, stop: int) -> float:

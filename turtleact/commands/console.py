@@ -29,7 +29,7 @@ __all__ = ["Console", "PosixConsole", "WindowsConsole", "console"]
 
 LOCAL_MODES: Final = 3
 CONTROL_CHARACTERS: Final = 6
-"""Indices in what ``tcgetattr`` returns: the local modes, such as ECHO; VMIN and VTIME."""
+"""Indices in the list of ``tcgetattr``: the local modes (such as ECHO), and VMIN and VTIME."""
 
 KEY_PERIOD: Final = 0.02
 """How often to ask Windows for pressed keys (s), as they cannot wake an event loop."""
@@ -44,7 +44,7 @@ CTRL_C: Final = "\x03"
 
 STDOUT: Final = -11
 VIRTUAL_TERMINAL: Final = 0x0004
-"""The standard output of Windows, and the mode in which it obeys control sequences."""
+"""The handle of standard output on Windows, and the mode flag for control sequences."""
 
 
 class Console(Protocol):

@@ -1,7 +1,7 @@
 """The graph that a verb uses: how to reach it, what to ask of it, and how the verb ends.
 
-A verb is a coroutine function that takes a `Node` and returns the exit status. The node is hidden,
-and has only what the verb opens on it.
+A verb is a coroutine function that takes a `Node` and returns the exit status. The node is hidden
+and opens nothing by itself.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ def interface_class(base: type[I], type_name: str, where: str = "") -> type[I]:
     Args:
         base: The kind that it must have: `Message`, `Service` or `Action`.
         type_name: The name of the interface.
-        where: What has this type, if the graph says so; empty if the user typed the name.
+        where: What has this type on the graph; empty if the user typed the type.
 
     Raises:
         UnknownInterface: if the user typed an unknown name.
@@ -165,14 +165,16 @@ def interface_class(base: type[I], type_name: str, where: str = "") -> type[I]:
         problem = f"{where}: its type {type_name} is not known here: {ELSEWHERE}"
         raise TurtleactError(problem) from None
     if not issubclass(found, base):
-        raise InvalidInterface(f"it is no {base.__name__.lower()}", source=found.type_name)
+        kind = base.__name__.lower()
+        problem = f"it is not the type of {'an' if kind == 'action' else 'a'} {kind}"
+        raise InvalidInterface(problem, source=found.type_name)
     return found
 
 
 def chosen_class(
     node: Node, kind: Kind, base: type[I], name: str, type_name: str | None
 ) -> type[I]:
-    """The class for a name: of the type that the user typed, else of the type on the graph.
+    """The class for a name, from the type that the user typed, or else from the graph.
 
     Args:
         node: A node on the graph.

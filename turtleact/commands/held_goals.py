@@ -185,7 +185,7 @@ async def find_goal(node: Node, wanted: str) -> HeldGoal:
     goals, silent = await held_goals(node, served_actions(node, None))
     found = find_goals(goals, wanted)
     if found is None:
-        hint = silence(silent) if silent else "'turtleact goals' lists what is held"
+        hint = silence(silent) if silent else "'turtleact goals' lists all goals"
         raise TurtleactError(f"no server in reach holds a goal {wanted}; {hint}")
     stuck = [server for server in _servers(node, {found.action: ""}) if server in silent]
     if stuck:
@@ -241,7 +241,7 @@ DONE, NOT_DONE, ABORTED, CANCELED = 0, 1, 4, 5
 HEADINGS = ("id", "action", "state", "age", "client")
 
 NOBODY = bytes(16)
-"""The id that means every goal, or none."""
+"""The id that stands for every goal in a cancel request."""
 
 PATIENCE = 10.0
 """How long a server has to answer a request to cancel (s, by the clock of the graph)."""
@@ -300,7 +300,7 @@ def _as_json(node: Node, goal: HeldGoal, now: int) -> str:
 
 
 def _clients(node: Node, action: str) -> list[str]:
-    """The nodes that may have sent a goal; ROS 2 does not say which of them did."""
+    """The nodes that may have sent a goal. ROS 2 does not say which of them sent it."""
     service = action_names(action).send_goal
     return sorted(
         {

@@ -3,7 +3,7 @@
 They need no graph. Interfaces ship with turtleact, are in the folder of ``--interfaces``, belong to
 the sourced ROS workspace, or are found near the working directory.
 
-Source: ros2cli ``ros2interface/verb/*.py`` for what is printed; its Jazzy for the words.
+Source: ros2cli ``ros2interface/verb/*.py`` for what is printed, with the words of Jazzy.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ on where the program stands:
 - In a start that may take long (`Interrupts.beginning`), a signal sets the system's alarm clock. It
   ends the process unless the start is over within `GRACE`.
 - In the event loop (`Interrupts.listening`), a signal wakes the task that waits in
-  `Interrupts.wait`. The loop may be stuck, in a body or in writing to a pipe that nobody reads. So
+  `Interrupts.wait`. The loop may be stuck in a body, or in writing to a pipe that nobody reads. So
   the alarm clock ends the process if the loop does not get to the second signal within `GRACE`, or
   if a deadline passes (`Interrupts.end_within`, `Interrupts.patience`). A third signal ends the
   process at once. From the first signal on, the clock also rings every `GRACE`. Otherwise Python
@@ -127,6 +127,8 @@ class Interrupts:
             return
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
+        if HAS_ALARM:  # at its end Python takes all handlers away, and then an alarm would kill it
+            signal.setitimer(signal.ITIMER_REAL, 0)
 
     def release(self) -> None:
         """Give the signals back to Python, for a program of the user's that handles its own.

@@ -203,7 +203,7 @@ async def print_nodes(node: Node, *, count: bool, hidden: bool) -> int:
     names = sorted(name for name in node.transport.nodes() if hidden or not is_hidden_node(name))
     shared = [name for name, number in Counter(names).items() if number > 1]
     if shared:
-        note(f"several nodes share a name, which makes them hard to tell: {', '.join(shared)}")
+        note(f"several nodes have the same name: {', '.join(shared)}")
     _say_lines([str(len(names))] if count else names)
     return FOUND
 
@@ -219,7 +219,7 @@ async def print_node_info(node: Node, name: str, *, hidden: bool) -> int:
     if name not in names:
         raise TurtleactError(f"node '{name}': there is none of that name{names_like(name, names)}")
     if names.count(name) > 1:
-        note(f"{names.count(name)} nodes have the name '{name}'; this is what they have together")
+        note(f"{names.count(name)} nodes have the name '{name}'; this list is for all of them")
     own = _endpoints_of(node, name)
     say_names(f"{name}\n")
     sections: tuple[tuple[str, Kind, EndpointKind], ...] = (

@@ -330,7 +330,7 @@ class Dashboard:
                     print(line.full, file=sys.stderr)
 
     async def run(self) -> None:
-        """Draw from the first heading line until this is cancelled; then print the last lines."""
+        """Start to draw at the first heading line. When cancelled, print the last lines."""
         if not self._has_said.is_set():
             await self._has_said.wait()
         with (
@@ -403,7 +403,7 @@ class _Served:
                 self._poses.close()
 
     def look(self) -> None:
-        """See where its turtle has gone."""
+        """Update the position of its turtle."""
         if self._poses is None or self.ended_at is not None:
             return
         for pose in self._poses.drain():

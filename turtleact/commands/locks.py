@@ -1,7 +1,7 @@
 """The ``--config`` file for access control: TLS, users and passwords, and what clients may use.
 
-Servers and clients read the same TOML file. What it leaves out is not checked. Paths in it are
-relative to the file.
+Servers and clients read the same TOML file. A section that is missing means no check. Paths in the
+file are relative to it.
 
 .. code-block:: toml
 
@@ -74,7 +74,7 @@ class Locks(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         tls: The certificates; None if links are not encrypted.
-        login: Users and passwords; None if nobody is asked for them.
+        login: Users and passwords; None if no password is needed.
         access: What others may use; None if they may use everything.
     """
 
@@ -164,7 +164,7 @@ _LOOPBACK: Final = re.compile(r"(localhost|127(\.\d+){3}|\[::1\])(:|$)")
 
 
 def _with_paths(locks: Locks, file: Path) -> Locks:
-    """The same with absolute paths; raises if a file does not exist."""
+    """Return the section with absolute paths; raises if a file does not exist."""
 
     def resolve(name: str, given: str) -> str:
         if not given:

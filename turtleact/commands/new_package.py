@@ -103,10 +103,10 @@ def check(package: NewPackage, *, has_node_name: bool) -> None:
     if keyword.iskeyword(name) or _is_module(name):
         raise UsageError(f"'{name}' is the name of a Python module already: choose another name")
     if not node.isidentifier() or keyword.iskeyword(node) or node.startswith("__"):
-        raise UsageError(f"--node-name is the name of a Python module too, unlike '{node}'")
+        raise UsageError(f"--node-name must be a valid name of a Python module, not '{node}'")
     for each in package.dependencies:
         if not _NAME.fullmatch(each):
-            raise UsageError(f"--dependencies are names of packages, unlike '{each}'")
+            raise UsageError(f"--dependencies must be names of packages, not '{each}'")
 
 
 def _is_module(name: str) -> bool:
@@ -235,7 +235,7 @@ async def countdown(goal):
 
 def main():
     """Serve the actions of this module until Ctrl-C."""
-    cli.serve("NAME.NODE")
+    cli.serve("NAME.NODE", node="NODE")
 '''
 
 _TEST: Final = '''\

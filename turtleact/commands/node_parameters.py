@@ -3,19 +3,19 @@
 A node serves its parameters by six services. Their answers are printed as ``ros2`` prints them.
 
 Source: ros2cli ``ros2param/verb/*.py`` and recordings of ROS 2 Jazzy for the order of things and
-for the words; rclpy ``parameter.py`` for what a text means, and what is in a file.
+for the words; rclpy ``parameter.py`` for how text is parsed, and for the file format.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar, cast
 
 import msgspec
 
 from turtleact.clock import within
 from turtleact.commands.message_text import read_text_file
 from turtleact.commands.output import note, say_names
-from turtleact.errors import TurtleactError, UsageError
+from turtleact.errors import InvalidParameter, TurtleactError, UsageError
 from turtleact.graph import is_hidden_node, names_like, types_by_name
 from turtleact.interfaces import Message
 from turtleact.interfaces.standard import (
@@ -29,7 +29,7 @@ from turtleact.interfaces.standard import (
     SetParametersResult,
 )
 from turtleact.interfaces.text import Document, block, tree_of
-from turtleact.parameters import out_of_range, value_of
+from turtleact.parameters import message_of, out_of_range, value_of
 
 if TYPE_CHECKING:
     import re
@@ -73,7 +73,7 @@ PATIENCE = 5.0
 
 
 class Owner(NamedTuple):
-    """The node whose parameters are meant.
+    """The node that has the parameters.
 
     Attributes:
         name: The name of the node, with or without a slash before it.
@@ -158,7 +158,7 @@ async def print_value(node: Node, owner: Owner, name: str, *, hide_type: bool) -
 
 
 async def set_value(node: Node, owner: Owner, name: str, value: ParameterValue) -> int:
-    """Set a parameter; the exit status says whether its node has taken the value.
+    """Set a parameter; the exit status says whether the node accepted the value.
 
     Raises:
         TurtleactError: if there is no such node.
@@ -202,7 +202,7 @@ async def dump(node: Node, owner: Owner) -> int:
 async def load(
     node: Node, owner: Owner, parameters: Mapping[str, Mapping[str, ParameterValue]], source: str
 ) -> int:
-    """Set the parameters that a file has for a node; the exit status says if all were taken.
+    """Set a node's parameters from a file; the exit status says whether all were accepted.
 
     Args:
         node: A node on the graph.
@@ -319,7 +319,7 @@ async def _set_one(
 async def _set(
     node: Node, owner: str, parameters: Sequence[Parameter]
 ) -> list[SetParametersResult]:
-    """Set parameters; a refusal also says what the parameter takes, or what it is called."""
+    """Set parameters; a refusal also names the allowed range or the nearest name."""
     request = SetParameters.Request(list(parameters))
     results = list((await _ask(node, SetParameters, owner, request)).results)
     refused = [place for place, result in enumerate(results) if not result.successful]
@@ -336,29 +336,44 @@ async def _set(
 async def _set_again(
     node: Node, owner: str, parameter: Parameter, refusal: SetParametersResult
 ) -> SetParametersResult:
-    """Set a double to a whole number, or explain a refusal with the parameter's range."""
+    """Set the parameter to the same value as its own type, or explain the refusal."""
     # ROS 2 refuses an integer for a double, although ``2`` can mean nothing else. The node is asked
     # for the parameter's type only after it has refused, so all other cases cost one call.
     [known] = await _described(node, owner, [parameter.name])
-    value = _as_double(parameter.value, known.type)
+    value = _of_type(parameter.value, known.type)
     result = refusal
     if value is not parameter.value:
         request = SetParameters.Request([Parameter(parameter.name, value)])
         [result] = (await _ask(node, SetParameters, owner, request)).results
-    taken = "" if result.successful else out_of_range(known, value)
+    taken = "" if result.successful else out_of_range(known, value) or _quoted(value, known.type)
     if taken[1:] not in result.reason:
         result.reason = f"{result.reason.rstrip('.')}: {taken}" if result.reason else taken
     return result
 
 
-def _as_double(value: ParameterValue, kind: int) -> ParameterValue:
-    """The same numbers as doubles, if they are integers and doubles are wanted."""
-    if (value.type, kind) == (ParameterType.PARAMETER_INTEGER, ParameterType.PARAMETER_DOUBLE):
-        return ParameterValue(kind, double_value=float(value.integer_value))
-    arrays = (ParameterType.PARAMETER_INTEGER_ARRAY, ParameterType.PARAMETER_DOUBLE_ARRAY)
-    if (value.type, kind) == arrays:
-        return ParameterValue(kind, double_array_value=[*map(float, value.integer_array_value)])
-    return value
+def _of_type(value: ParameterValue, kind: int) -> ParameterValue:
+    """The value as the type of its parameter, if that means the same; else the value itself.
+
+    Integers may be doubles or bytes, and an empty list is an array of any type.
+    """
+    plain: object = value_of(value)
+    if value.type == kind or plain is None:
+        return value
+    try:
+        if kind == ParameterType.PARAMETER_BYTE_ARRAY:
+            is_numbers = value.type == ParameterType.PARAMETER_INTEGER_ARRAY or plain == []
+            plain = bytes(cast("list[int]", plain)) if is_numbers else plain
+        return message_of("", plain, kind)
+    except (InvalidParameter, ValueError):  # bytes() refuses numbers over 255
+        return value
+
+
+def _quoted(value: ParameterValue, kind: int) -> str:
+    """How to write a number or bool as text, if text is wanted."""
+    plain = value_of(value)
+    if kind != ParameterType.PARAMETER_STRING or not isinstance(plain, bool | int | float):
+        return ""
+    return f"for text, write \"'{str(plain).lower()}'\""
 
 
 # how it is said
@@ -462,7 +477,7 @@ def parameter_value(text: str) -> ParameterValue:
 
 
 def read_file(path: str, *, use_wildcard: bool) -> dict[str, dict[str, ParameterValue]]:
-    """The parameters in a file, by the name of their node as it is written there.
+    """The parameters in a file, by the node names in that file.
 
     Args:
         path: A YAML file such as `dump` prints.

@@ -33,7 +33,7 @@ def say_names(text: str) -> None:
 
 
 def note(text: str) -> None:
-    """Print a line on stderr; if nobody can read that, do nothing."""
+    """Print a line on stderr, or nothing if stderr is closed."""
     if sys.stderr is None:
         return
     try:

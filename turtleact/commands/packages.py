@@ -2,8 +2,8 @@
 
 Nothing has to be built. A package's executables are the console scripts that its ``setup.py``,
 ``setup.cfg`` or ``pyproject.toml`` declares, and the programs that its ``CMakeLists.txt`` installs.
-``setup.py`` is read, never executed. Of an installed package, they are the files in ``lib/PACKAGE``
-of its prefix, where ``ros2 run`` looks too.
+``setup.py`` is read, never executed. The executables of an installed package are the files in
+``lib/PACKAGE`` of its prefix, where ``ros2 run`` looks too.
 
 Source: ros2cli ``ros2pkg/api``; setuptools' documentation of entry points.
 """
@@ -70,10 +70,10 @@ def find_installed() -> dict[str, Package]:
 def runnable(
     here: Path, built_in: Iterable[tuple[str, str]]
 ) -> dict[str, dict[str, Program | None]]:
-    """What can be run: by package and executable; None stands for what is built in.
+    """What can be run, by package and executable; None stands for a built-in program.
 
-    A source comes first, because it is the newest and the user's own. What is built in comes before
-    what is installed: ``turtlesim turtlesim_node`` is ours, even beside the real one.
+    Packages with sources come first, because they are the user's own. Built-in programs come before
+    installed ones: ``turtlesim turtlesim_node`` is ours, even if the real one is installed.
     """
     found: dict[str, dict[str, Program | None]] = {}
     for package in find_sources(here).values():
@@ -121,7 +121,7 @@ def _console_scripts(folder: Path) -> Iterator[str]:
 
 
 def _of_setup_py(text: str) -> Iterator[str]:
-    """The console scripts in a ``setup.py``, as far as they can be told without running it."""
+    """The console scripts in a ``setup.py``, as far as they can be read without running it."""
     known: dict[str, object] = {}
     tree = ast.parse(text)
     for node in tree.body:
@@ -145,7 +145,7 @@ def _scripts_in(declared: object) -> list[str]:
 
 
 def _value(node: ast.expr, known: Mapping[str, object]) -> object:
-    """The value of an expression of texts, lists and dicts; None for all that is not known."""
+    """Evaluate an expression of strings, lists and dicts; parts that are not constant are None."""
     match node:
         case ast.Constant(value=value):
             return value

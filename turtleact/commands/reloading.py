@@ -1,4 +1,4 @@
-"""``serve --reload``: serves the user's modules anew when their files change.
+"""``serve --reload``: serves the user's modules again when their files change.
 
 Only the user's actions and parameters are replaced. The process, the graph and the world live on,
 so turtles stay where they are and clients stay connected. Running goals of the old actions end
@@ -35,7 +35,7 @@ __all__ = ["Reloader", "Watch"]
 logger = logging.getLogger("turtleact.reload")
 
 INTERVAL = 0.15
-"""How often the files are looked at (s, event loop time)."""
+"""How often the files are checked (s, event loop time)."""
 
 REASON = "reloading"
 """Why a goal ends when its body is replaced."""
@@ -43,7 +43,7 @@ REASON = "reloading"
 UNCHANGED = "the actions stay as they are until the next change"
 
 Stamps: TypeAlias = dict[Path, tuple[int, int, int] | None]
-"""When each file was changed, how large it is, and which one it is; None if it is missing."""
+"""The time of change, size and identity of each file; None for a missing file."""
 
 
 class Watch:
@@ -59,10 +59,10 @@ class Watch:
         self._last = self._seen
 
     def look(self) -> list[Path]:
-        """Look at the files once, and list those that have changed, if they are at rest.
+        """Check the files once, and list those that have changed, unless they are still changing.
 
         An editor may write a file in parts, remove it and rename another, or save several files in
-        a row. So a change counts once two looks in a row have seen the same.
+        a row. So a change counts once two checks in a row have found the same state.
         """
         stamps = self._stamps()
         is_at_rest = stamps == self._last
@@ -86,7 +86,7 @@ class Watch:
 
 
 class Reloader:
-    """Replaces what a node serves of the user's modules when their files change.
+    """Replaces the actions and parameters of the user's modules when their files change.
 
     Args:
         node: The node.
@@ -157,7 +157,7 @@ class Reloader:
         self._say(f"reloaded: {', '.join(names)}")
 
     def _import(self, changed: list[Path]) -> Found | None:
-        """Import the modules anew; None if that fails, or a signal has come."""
+        """Import the modules again; None if that fails, or if a signal has come."""
         for name, file in REGISTRY.files.items():
             if Path(file) in changed:
                 REGISTRY.forget(name)  # it is read again when it is needed

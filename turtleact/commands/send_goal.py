@@ -337,7 +337,7 @@ class Sending:
         leave(status)
 
     def _way_back(self, sent: Sent) -> str:
-        """A sentence that says how to get back to a goal that goes on."""
+        """A sentence that says how to follow a goal that goes on."""
         if self._is_embedded:
             return ENDED_WITH_WORLD
         command = f"turtleact watch {sent.handle.goal_id.hex()}{self._order.place.options}"

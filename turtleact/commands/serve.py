@@ -47,12 +47,12 @@ ROUTER = "tcp/127.0.0.1:7447"
 """Where the nodes of a machine look for a router."""
 
 LEASE = 15.0
-"""How long the graph may show a node whose process was killed (s, event loop time).
+"""How long the graph may still show the node of a killed process (s, event loop time).
 
 Zenoh's own lease is 10 s."""
 
 MOST_LISTED = 12
-"""How many actions the line names that says when the server is ready."""
+"""How many actions the ready line names."""
 
 
 class Service(NamedTuple):
@@ -68,7 +68,8 @@ class Service(NamedTuple):
         is_live: Whether a terminal shows a dashboard.
         turtlesim_only: Whether the world serves only what turtlesim does, and no built-in actions.
         wait: Whether to wait until no other node serves an action, instead of refusing to serve it.
-        reload: Whether to serve the user's actions anew when their files change.
+        reload: Whether to reload the user's actions when their files change.
+        node_name: The name of the node that serves the actions, if there is no world.
     """
 
     targets: tuple[str, ...]
@@ -81,6 +82,7 @@ class Service(NamedTuple):
     turtlesim_only: bool = False
     wait: bool = False
     reload: bool = False
+    node_name: str = "turtleact"
 
 
 def run(service: Service, interrupts: Interrupts) -> int:
@@ -217,7 +219,7 @@ async def serve_declared(
 
 
 def _refused(taken: ActionConflict) -> TurtleactError:
-    """The same error, with the option of the command line."""
+    """The error, with a hint at the option of the command line."""
     return TurtleactError(
         f"action '{taken.action}' is served by node {taken.node} already: choose another name, or "
         "give --wait to serve it once that node has gone"
@@ -282,7 +284,8 @@ async def _open_node(
             from turtleact.clock import WallClock
 
             transport = await stack.enter_async_context(graph(WallClock()))
-            node = await stack.enter_async_context(open_node("turtleact", transport=transport))
+            opening = open_node(service.node_name, transport=transport)
+            node = await stack.enter_async_context(opening)
         node.on_transition(log.tell)
         yield node
 
@@ -363,7 +366,7 @@ class ServerLog:
             self.say(line)
 
     def say(self, line: str) -> None:
-        """Print a line at once; if nobody reads stdout any more, the server goes on without it."""
+        """Print a line at once; if stdout is closed, the server goes on without it."""
         if self.board is not None:
             self.board.say(line)
             return

@@ -81,7 +81,7 @@ class Place(NamedTuple):
         seed: The seed of the embedded world.
         reach: Where to look for a server first; None means only in the embedded world.
         interfaces: A folder with more interfaces.
-        options: The same as options of other verbs, each after a space.
+        options: These values as options for other verbs, each after a space.
     """
 
     speed: float | str = 1.0

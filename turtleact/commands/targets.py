@@ -1,11 +1,11 @@
-"""What ``serve`` is asked to serve: the user's modules, and the actions and parameters in them.
+"""What ``serve`` has to serve: the user's modules, and the actions and parameters in them.
 
 A target is a module (``lab``, ``lab.robot``), a file (``lab.py``, ``./src/lab.py``), or one object
-in either (``lab:fibonacci``, ``lab.py:Robot.drive``). A file is imported as the module that it is:
-its folder, or the folder above its package, goes to the beginning of ``sys.path``.
+in either (``lab:fibonacci``, ``lab.py:Robot.drive``). A file is imported as a module: its folder,
+or the folder above its package, goes to the beginning of ``sys.path``.
 
-`Modules` can import everything anew. It forgets the modules of the user's that the targets have
-imported, and nothing else: those in site-packages stay as they are.
+`Modules` can import everything again. It only forgets modules of the user's that the targets have
+imported. Those in site-packages stay as they are.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def read_target(text: str) -> Target:
     """Read a target.
 
     Raises:
-        UsageError: if it is none, or names a file that does not exist. The text says what exists.
+        UsageError: if the text is not a target, or names a file that does not exist.
     """
     name, separator, path = text.rpartition(":") if _has_object(text) else (text, "", "")
     if separator and not all(part.isidentifier() for part in path.split(".")):
@@ -125,7 +125,7 @@ def _file_of(name: str) -> Path | None:
 
 
 def _module_name(file: Path) -> str:
-    """The name under which a file is imported, with those of the packages that it is in."""
+    """The full module name of a file, with the packages that contain it."""
     names = [] if file.name == "__init__.py" else [file.stem]
     folder = file.parent
     while (folder / "__init__.py").is_file() and folder != folder.parent:
@@ -143,8 +143,8 @@ class Modules:
         targets: The targets, as the user has written them.
 
     Attributes:
-        files: The files of the user's modules, and those that are missing. Imported again once
-            one of them changes.
+        files: The files of the user's modules, and those that an import has not found. When one of
+            them changes, it is time to import anew.
 
     Raises:
         UsageError: if one of them is no target.
@@ -177,7 +177,7 @@ class Modules:
         return Found(actions, list({id(each): each for each in found}.values()))
 
     def find_again(self) -> Found:
-        """Import the user's modules anew; if that fails, `sys.modules` stays as it was.
+        """Import the user's modules again; if that fails, `sys.modules` stays unchanged.
 
         Raises:
             BaseException: as `find`, and `SystemExit` if a module raises it.
@@ -288,7 +288,7 @@ def _nothing_in(module: ModuleType, target: Target) -> str:
         for name, each in vars(module).items()
         if callable(each) and getattr(each, "__module__", "") == module.__name__
     ]
-    shown = f" (there are: {', '.join(functions)})" if functions else ""
+    shown = f" (its functions: {', '.join(functions)})" if functions else ""
     problem = f"{what} declares no action: put @turtleact.action(TYPE, NAME) above a body{shown}"
     if target.file is None:
         return problem

@@ -7,9 +7,9 @@ undone however the process ends or stops, except by SIGKILL and SIGSTOP, which c
 While it is held, writing never waits for the terminal (`Outlet`). A terminal that takes nothing,
 because its user pressed Ctrl-S or its connection hangs, misses frames.
 
-Two limits remain. When the window gets narrower, the terminal wraps lines anew, which may
-push the first of them out of the window for good. And what the user types is kept for the next
-reader, such as the shell.
+Two limits remain. When the window gets narrower, the terminal wraps lines again, which may
+push the first of them out of the window for good. And keys that the user presses are kept for the
+next reader, such as the shell.
 
 Source: ECMA-48 for the control sequences; the terminals' mode 2026 for frames without flicker; the
 GNU C Library manual, "Signaling Yourself", for how to stop.

@@ -100,7 +100,7 @@ class Order(NamedTuple):
 
 
 async def echo(node: Node, order: Order) -> int:
-    """Print the messages of a topic until the node is closed, or as long as the order says.
+    """Print the messages of a topic until the node is closed or the order's limit is reached.
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules.
@@ -140,7 +140,7 @@ async def _wait_for_publishers(node: Node, name: str) -> None:
 async def _print(
     node: Node, subscription: Subscription[Message], message_type: type[Message], order: Order
 ) -> int:
-    """Print messages for as long as the order says."""
+    """Print messages until the order's limit is reached."""
     count = missed = 0
     async with within(order.timeout, node.clock):
         async for message in subscription:
@@ -159,7 +159,7 @@ async def _print(
 
 
 def _is_terminal() -> bool:
-    """Whether stdout is a terminal, which a peer's string could command."""
+    """Whether stdout is a terminal, which control characters in a message could affect."""
     return sys.stdout is not None and sys.stdout.isatty()
 
 
@@ -233,7 +233,7 @@ def _text(message: Message, order: Order) -> str:
 
 
 def _described(cls: type[Message], values: dict[str, object], order: Order) -> dict[str, object]:
-    """The fields of a message, with descriptions in place of what is left out."""
+    """The fields of a message; those that are left out are only described."""
     described = dict(values)
     for field, nested in zip(fields(cls), nested_classes(cls), strict=True):
         value = values[field.name]

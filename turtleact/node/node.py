@@ -20,7 +20,7 @@ from turtleact.body import ActionBody, ActionDeclaration, ActionType, Body, Serv
 from turtleact.client import ActionClient
 from turtleact.client.client_endpoints import ClientEndpoints
 from turtleact.clock import Clock, check_timeout
-from turtleact.errors import InvalidOption, InvalidParameter, TurtleactError
+from turtleact.errors import InvalidOption, TurtleactError
 from turtleact.goal import Goal, GoalStatus
 from turtleact.graph import Graph, graph_of
 from turtleact.interfaces import Action, Message, Service, WireFormat
@@ -32,12 +32,7 @@ from turtleact.observers import GoalObserver
 from turtleact.server.endpoints import ActionEndpoints
 from turtleact.server.execution import CURRENT_GOAL, Execution, Served
 from turtleact.server.goal_handle import GoalHandle
-from turtleact.server.local_server import (
-    SHUTDOWN,
-    LocalActionServer,
-    SlotRequest,
-    restore_all,
-)
+from turtleact.server.local_server import LocalActionServer, SlotRequest, restore_all
 from turtleact.services import LocalServiceServer, ServiceClient, ServiceServer, ServiceType
 from turtleact.slot import Rules, Slot, Slots
 from turtleact.tasks import Background, Home, current_tasks
@@ -358,10 +353,7 @@ class Node:
         )
 
     def every(self, seconds: float) -> Timer:
-        """Make a timer: ``async for tick in node.every(0.5)``.
-
-        The timer follows the graph's clock. In virtual time it ticks as fast as the program can,
-        and while a world is paused it stands still. See `Timer` for late ticks.
+        """Make a timer: ``async for tick in node.every(0.5)``; see `Timer`.
 
         Args:
             seconds: The time between two ticks (s, by the graph's clock), above zero.
@@ -414,17 +406,12 @@ class Node:
                 out of range or refused; if you give only a name, and it is not declared.
             InvalidOption: if ``range`` or ``validate`` is not allowed.
         """
-        from turtleact.parameters import ParameterDeclaration, parameter
+        from turtleact.node.parameters import NodeParameters
 
         self._home.check()
-        if isinstance(name, ParameterDeclaration):
-            return self._parameters_opened().declare_once(name)
-        if default is not None:
-            declaration = parameter(name, default, **options)
-            return self._parameters_opened().declare(declaration)
         if self._parameters is None:
-            raise InvalidParameter(name, "it is not declared, nor is any other on this node")
-        return self._parameters.find(name)
+            self._parameters = NodeParameters(self, self._resources, self._home, self._tasks)
+        return self._parameters.get(name, default, options)
 
     def count_publishers(self, topic: str) -> int:
         """Count the publishers of a topic on all nodes.
@@ -455,25 +442,6 @@ class Node:
             await self._resources.aclose()
         finally:
             self._membership.close()
-
-    def _parameters_opened(self) -> NodeParameters:
-        """The node's parameters; opens their services at the first call."""
-        if self._parameters is None:
-            from turtleact.interfaces.standard import ParameterEvent
-            from turtleact.node.parameters import EVENTS_QOS, NodeParameters
-
-            opened = NodeParameters(
-                self.fully_qualified_name,
-                self.publisher(ParameterEvent, "/parameter_events", EVENTS_QOS),
-                self.clock,
-                self._resources,
-                self._home,
-                self._tasks,
-            )
-            for name, (service_type, handler) in opened.services().items():
-                self.service(service_type, f"~/{name}", handler)
-            self._parameters = opened
-        return self._parameters
 
     def _check_open(self) -> None:
         self._home.check()
@@ -570,7 +538,7 @@ class ActionServer(Generic[G, R, F]):
         """Whether no goal waits or runs, and no request waits for an answer."""
         return self._local.is_idle and not self._endpoints.is_asked
 
-    async def aclose(self, reason: str = SHUTDOWN) -> None:
+    async def aclose(self, reason: str = "shutdown") -> None:
         """Stop accepting goals, end the existing ones, and leave the graph.
 
         Running goals end ABORTED. A body that ignores its cancellation for ``grace`` seconds is

@@ -10,8 +10,8 @@ Source: rclcpp 28.1 (ROS 2 Jazzy), ``parameter_service.cpp`` and ``node_paramete
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, cast
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar, cast
 
 from turtleact.errors import InvalidParameter, TurtleactError
 from turtleact.interfaces import Message, stamp_of
@@ -27,7 +27,13 @@ from turtleact.interfaces.standard import (
     SetParametersResult,
 )
 from turtleact.interfaces.standard import Parameter as ParameterMessage
-from turtleact.parameters import ParameterDeclaration, ParameterTable, Value, value_of
+from turtleact.parameters import (
+    ParameterDeclaration,
+    ParameterTable,
+    Value,
+    parameter,
+    value_of,
+)
 from turtleact.summaries import loggable, summary, text_of
 from turtleact.transports import QoS
 
@@ -38,57 +44,82 @@ if TYPE_CHECKING:
     from turtleact.tasks import Home, Signal, Tasks
     from turtleact.topics import Publisher
 
-__all__ = ["EVENTS_QOS", "Changes", "NodeParameters", "Parameter"]
+__all__ = ["Changes", "NodeParameters", "Parameter"]
 
 logger = logging.getLogger("turtleact.parameters")
 
 P = TypeVar("P", bound=Value)
+M = TypeVar("M", bound=Message)
+Req = TypeVar("Req", bound=Message)
+Res = TypeVar("Res", bound=Message)
 
 EVENTS_QOS = QoS(depth=1000)
-"""The quality of service of ``/parameter_events``."""
+
+
+class Host(Protocol):
+    """What parameters need of a node."""
+
+    clock: Clock
+
+    @property
+    def fully_qualified_name(self) -> str:
+        """The namespace and the name."""
+
+    def publisher(self, message_type: type[M], topic: str, qos: QoS | None = None) -> Publisher[M]:
+        """Open the sending end of a topic."""
+
+    def service(
+        self,
+        service_type: ServiceType[Req, Res],
+        name: str,
+        handler: Callable[[Req], Res | Awaitable[Res]],
+    ) -> object:
+        """Serve a service."""
 
 
 class NodeParameters:
     """The parameters of a node, served as ``<node>/get_parameters`` and so on.
 
     Args:
-        node: The fully qualified name of the node.
-        events: Publishes each change.
-        clock: The time of the events.
+        node: The node.
         resources: Everything open on the node.
         home: The event loop of the node.
         tasks: The task functions of that event loop.
     """
 
-    def __init__(
-        self,
-        node: str,
-        events: Publisher[ParameterEvent],
-        clock: Clock,
-        resources: Resources,
-        home: Home,
-        tasks: Tasks,
-    ) -> None:
+    def __init__(self, node: Host, resources: Resources, home: Home, tasks: Tasks) -> None:
         self.resources = resources
         self._node = node
-        self._events = events
-        self._clock = clock
         self._home = home
         self._tasks = tasks
         self._table = ParameterTable()
         self._declared: dict[str, Parameter[Value]] = {}
         self._made_from: dict[str, object] = {}
+        self._events: Publisher[ParameterEvent] | None = None
 
-    def services(self) -> dict[str, tuple[ServiceType[Any, Any], Callable[[Any], Message]]]:
-        """The services to open on the node: types and handlers by name."""
-        return {
-            "get_parameters": (GetParameters, self._get),
-            "get_parameter_types": (GetParameterTypes, self._get_types),
-            "set_parameters": (SetParameters, self._set),
-            "set_parameters_atomically": (SetParametersAtomically, self._set_all),
-            "describe_parameters": (DescribeParameters, self._describe),
-            "list_parameters": (ListParameters, self._list),
-        }
+    def open(self) -> Publisher[ParameterEvent]:
+        """Serve the services, unless they are; returns the publisher of events."""
+        if self._events is not None:
+            return self._events
+        node = self._node
+        node.service(GetParameters, "~/get_parameters", self._get)
+        node.service(GetParameterTypes, "~/get_parameter_types", self._get_types)
+        node.service(SetParameters, "~/set_parameters", self._set)
+        node.service(SetParametersAtomically, "~/set_parameters_atomically", self._set_all)
+        node.service(DescribeParameters, "~/describe_parameters", self._describe)
+        node.service(ListParameters, "~/list_parameters", self._list)
+        self._events = node.publisher(ParameterEvent, "/parameter_events", EVENTS_QOS)
+        return self._events
+
+    def get(
+        self, name: ParameterDeclaration[P] | str, default: P | None, options: Mapping[str, Any]
+    ) -> Parameter[Any]:
+        """Declare a parameter, or find one; see `turtleact.Node.parameter`."""
+        if isinstance(name, ParameterDeclaration):
+            return self.declare_once(name)
+        if default is None:
+            return self.find(name)
+        return self.declare(parameter(name, default, **options))
 
     def declare(self, declaration: ParameterDeclaration[P]) -> Parameter[P]:
         """Declare a parameter.
@@ -97,6 +128,7 @@ class NodeParameters:
             InvalidParameter: if it is declared already, or cannot have its first value.
         """
         self.check_open()
+        self.open()
         check = _checker(declaration)
         self._table.declare(declaration.descriptor, declaration.message, check)
         made = Parameter[P](self, declaration.name, self._tasks.signal())
@@ -117,6 +149,8 @@ class NodeParameters:
         Raises:
             InvalidParameter: if none is declared.
         """
+        if not self._declared:
+            raise InvalidParameter(name, "it is not declared, nor is any other on this node")
         self._table.check_declared(name)
         return self._declared[name]
 
@@ -148,7 +182,8 @@ class NodeParameters:
         """Raise if the node is closed, or belongs to another event loop."""
         self._home.check()
         if not self.resources.is_open:
-            raise TurtleactError(f"node '{self._node}' is closed: open another")
+            name = self._node.fully_qualified_name
+            raise TurtleactError(f"node '{name}' is closed: open another")
 
     # the services
 
@@ -205,10 +240,12 @@ class NodeParameters:
         changed: Sequence[ParameterMessage] = (),
         deleted: Sequence[ParameterMessage] = (),
     ) -> None:
-        if self._events.has_subscriptions:
-            stamp = stamp_of(self._clock.now())
-            event = ParameterEvent(stamp, self._node, list(new), list(changed), list(deleted))
-            self._events.publish(event)
+        events = self.open()
+        if events.has_subscriptions:
+            stamp = stamp_of(self._node.clock.now())
+            name = self._node.fully_qualified_name
+            event = ParameterEvent(stamp, name, list(new), list(changed), list(deleted))
+            events.publish(event)
 
 
 class Parameter(Generic[P]):

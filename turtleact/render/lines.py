@@ -26,10 +26,10 @@ STYLES: Final = {
 }
 
 LONGEST_LIST: Final = 8
-"""How many elements of a list are shown: its first and its last."""
+"""Longer lists are shown with this many elements, the first and the last ones."""
 
 LONGEST_TEXT: Final = 400
-"""How many characters of a text are kept; no window shows more."""
+"""Longer texts are cut to this many characters; no window shows more."""
 
 
 def lines(content: Picture, *, width: int, height: int) -> list[str]:
@@ -73,7 +73,7 @@ def inline(value: object) -> str:
 
 
 def printable(text: str) -> str:
-    """A text without control characters, which must not reach the terminal."""
+    """A text without control characters; they must not reach the terminal."""
     return "".join(c if c.isprintable() else "·" for c in text[:LONGEST_TEXT])
 
 

@@ -1,7 +1,7 @@
-"""Arranges what a terminal shows about one goal, or about a server or a robot.
+"""Arranges what a terminal shows about a goal, a server or a robot.
 
-A goal: its state, its feedback, how far it is, and the map beside it. A server or a robot: lines
-that stay, the map, a table of goals or of keys, and the log.
+For a goal: its state, feedback and progress, and a map. For a server or a robot: a heading, a map,
+a table of goals or of keys, and the log.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ def _motion(motion: str) -> tuple[str, str]:
 
 
 def _feedback(goal: GoalView, *, width: int, rows: int) -> Picture:
-    """The last feedback. If the goal is somebody else's, earlier feedback is unknown."""
+    """The last feedback. Earlier feedback of somebody else's goal is unknown."""
     if goal.goal is None and goal.feedback is None:
         return cut("  no feedback since you watch", "dim")
     return feedback_table(goal.feedback, width=width, rows=rows)
@@ -284,7 +284,10 @@ def _row(goal: GoalRow, width: int, names: int) -> list[Picture]:
     if 2 + names + 2 + LONGEST_STATUS + 2 + LONGEST_DURATION > width:
         size = max(width - 2, 1)
         parts = [name[start : start + size] for start in range(0, len(name), size)]
-        folded = [Text.assemble(bullet if part is parts[0] else "  ", part) for part in parts]
+        folded = [
+            Text.assemble(bullet if number == 0 else "  ", (part, "bold"))
+            for number, part in enumerate(parts)
+        ]
         return [*folded, _cut(Text.assemble("  ", (goal.status.name, style), f"  {age}")), *below]
     line = Text.assemble(
         bullet,

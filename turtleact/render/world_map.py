@@ -66,8 +66,8 @@ class MapView(NamedTuple):
     Attributes:
         side: Length of its four walls (m), above zero.
         turtles: The turtles.
-        ink: What they have drawn.
-        targets: Where they go.
+        ink: The drawings.
+        targets: The targets of the turtles.
     """
 
     side: float
@@ -202,7 +202,7 @@ class Ink(Protocol):
 
 
 class Trails:
-    """Where turtles have been; drawn as they go, so that a frame costs only what is new.
+    """The trails of turtles. Each step is drawn when it happens, so a frame draws only what is new.
 
     Args:
         side: Length of the world's walls (m).

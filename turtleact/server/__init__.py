@@ -7,5 +7,5 @@
     local_server             decides which goals are accepted and which are canceled
     goal_handle | callbacks  the handle given to bodies; the user's callbacks
     execution                runs a body and ends its goal when the body ends
-    body_task                the task of a body
+    body_task | durable      the task of a body; goals that outlive their process
 """

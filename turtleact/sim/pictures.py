@@ -79,7 +79,7 @@ class Figure(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """All that is in a picture.
+    """Everything that a picture shows.
 
     Attributes:
         background: The colour where nothing was drawn.
@@ -99,7 +99,7 @@ class Snapshot(NamedTuple):
 def to_svg(snapshot: Snapshot) -> str:
     """A picture that scales: polylines, and an image of everything kept only as pixels.
 
-    Polylines lie over each other in the order of their beginning.
+    A polyline covers those that began before it.
     """
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{SIZE}" height="{SIZE}"'
@@ -126,7 +126,7 @@ def to_svg(snapshot: Snapshot) -> str:
 
 
 def to_png(snapshot: Snapshot) -> bytes:
-    """A picture pixel by pixel, as in turtlesim's window, except for the turtles."""
+    """A picture whose drawing equals turtlesim's window pixel by pixel."""
     import numpy as np
 
     layers = np.frombuffer(snapshot.pixels, np.uint8).reshape(SIZE, SIZE, 4)
@@ -143,7 +143,7 @@ def to_png(snapshot: Snapshot) -> bytes:
 def thumbnail(pixels: bytes, width: int, height: int) -> list[list[Colour | None]]:
     """A drawing in fewer pixels, row by row from the top; None where nothing was drawn.
 
-    A pixel has a colour that was drawn in its place: of several the one with most blue.
+    A pixel has a colour that was drawn in its place; if there are several, the one with most blue.
 
     Args:
         pixels: The drawing, as `Drawing.pixels` gives it.
@@ -246,7 +246,7 @@ def _paint(
 
 
 def _shown(start: int, length: int) -> slice:
-    """What of some rows or columns is in the picture; they may lie outside of it."""
+    """The part of some rows or columns that lies in the picture."""
     return slice(*(min(max(end, 0), SIZE) for end in (start, start + length)))
 
 

@@ -13,12 +13,23 @@ from typing import Any, Final, TypeAlias, cast
 from turtleact.interfaces import Message, fields
 from turtleact.interfaces.types import nested_classes
 
-__all__ = ["LONGEST_TEXT", "MOST_PLOTTED", "MOST_VALUES", "Plain", "excerpt", "numbers_in"]
+__all__ = [
+    "CHARACTERS",
+    "LONGEST_TEXT",
+    "MOST_PLOTTED",
+    "MOST_VALUES",
+    "Plain",
+    "excerpt",
+    "numbers_in",
+]
 
 Plain: TypeAlias = "dict[str, Plain] | list[Plain] | str | int | float | bool | None"
 
 MOST_VALUES: Final = 400
 """An excerpt holds at most this many numbers and texts."""
+
+CHARACTERS: Final = 20
+"""So many characters of a text count as one more value."""
 
 LONGEST_TEXT: Final = 1000
 """The maximum length of a text in an excerpt (characters)."""
@@ -68,14 +79,18 @@ class _Cutter:
                 for field in fields(type(value))
             }
         if isinstance(value, str):
-            self._left -= 1
-            cut = len(value) - LONGEST_TEXT
-            return f"{value[:LONGEST_TEXT]}… {cut} more" if cut > 0 else value
+            return self._text(value)
         if isinstance(value, bool | int | float):
             self._left -= 1
             is_exact = isinstance(value, float) or -LARGEST_EXACT <= value <= LARGEST_EXACT
             return value if is_exact else str(value)
         return self._items(cast("Sequence[object]", value))
+
+    def _text(self, value: str) -> str:
+        most = min(LONGEST_TEXT, max(0, self._left) * CHARACTERS)
+        shown = value[:most]
+        self._left -= 1 + len(shown) // CHARACTERS
+        return shown if shown == value else f"{shown}… {len(value) - most} more"
 
     def _items(self, values: Sequence[object]) -> list[Plain]:
         shown: list[Plain] = []

@@ -65,12 +65,12 @@ class GoalRecord:
         accepted: When it was accepted.
         at: When it was accepted, as a time of day (s since the epoch).
         status: The name of its status, or `REJECTED`.
-        request: The goal; None if nobody in this process knows it.
-        feedback: The newest feedback.
-        result: Its result, after its end.
+        request: The goal, shortened; None if nobody in this process knows it.
+        result: Its result, shortened; None before its end.
         reason: Why it was aborted or rejected.
         duration: How long it took; None while it runs, or if its end was not seen.
         revision: When it last changed.
+        has_ended: Whether it has ended.
     """
 
     def __init__(self, id: str, action: str, type: str, *, accepted: float, at: float) -> None:
@@ -80,23 +80,36 @@ class GoalRecord:
         self.accepted = accepted
         self.at = at
         self.status = GoalStatus.ACCEPTED.name
-        self.request: Message | None = None
-        self.feedback: Message | None = None
-        self.result: Message | None = None
+        self.request: Plain = None
+        self.result: Plain = None
         self.reason = ""
         self.duration: float | None = None
         self.revision = 0
         self.has_ended = False
         self._series: dict[str, Series] = {}
+        self._feedback: Message | Plain = None  # shortened when it is told, or at the end
+        self._told = (-1, msgspec.Raw())
 
     def take(self, feedback: Message, now: float) -> None:
         """Take feedback."""
-        self.feedback = feedback
+        self._feedback = feedback
         for path, value in numbers_in(feedback):
             self._series.setdefault(path, Series()).add(now - self.accepted, value)
 
-    def plain(self) -> dict[str, Plain]:
-        """The record as the page gets it."""
+    def shorten(self) -> None:
+        """Keep no message, as it may be large."""
+        if isinstance(self._feedback, Message):
+            self._feedback = excerpt(self._feedback)
+
+    def told(self) -> msgspec.Raw:
+        """The record as the page gets it, as JSON; made once for all pages."""
+        if self._told[0] != self.revision:
+            self._told = self.revision, msgspec.Raw(msgspec.json.encode(self.plain()))
+        return self._told[1]
+
+    def plain(self) -> dict[str, object]:
+        """The record in plain values."""
+        self.shorten()
         series: dict[str, Plain] = {
             path: [[time, value] for time, value in each.points]
             for path, each in self._series.items()
@@ -109,9 +122,9 @@ class GoalRecord:
             "at": self.at,
             "status": self.status,
             "has_ended": self.has_ended,
-            "request": None if self.request is None else excerpt(self.request),
-            "feedback": None if self.feedback is None else excerpt(self.feedback),
-            "result": None if self.result is None else excerpt(self.result),
+            "request": self.request,
+            "feedback": self._feedback,
+            "result": self.result,
             "reason": self.reason,
             "duration": self.duration,
             "series": series,
@@ -175,6 +188,7 @@ class GoalHistory:
         """
         record.status = status
         record.has_ended = True
+        record.shorten()
         if now is not None:
             record.duration = round(now - record.accepted, 3)
         self.change(record)

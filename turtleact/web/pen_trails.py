@@ -16,7 +16,10 @@ import msgspec
 
 from turtleact.geometry import distance
 
-__all__ = ["FIRST_PEN", "MOST_POINTS", "Pen", "PenTrails", "Tail"]
+__all__ = ["FIRST_PEN", "MOST_LINES", "MOST_POINTS", "Pen", "PenTrails", "Tail"]
+
+MOST_LINES: Final = 128
+"""The lines of this many turtles are kept, those of turtles that are gone included."""
 
 MOST_POINTS: Final = 2000
 """The maximum number of points of one turtle's line; the oldest are dropped."""
@@ -74,16 +77,11 @@ class PenTrails:
 
     def follow(self, name: str, x: float, y: float) -> None:
         """Note where a turtle is now."""
-        line = self._lines.get(name)
-        if line is None:
-            line = self._lines[name] = _Line(self._revise())
-        line.follow((x, y), self._revise)
+        self._line(name).follow((x, y), self._revise)
 
     def set_pen(self, name: str, pen: Pen) -> None:
         """Draw with another pen from now on."""
-        line = self._lines.get(name)
-        if line is None:
-            line = self._lines[name] = _Line(self._revise())
+        line = self._line(name)
         line.turn(self._revise)
         line.pen = pen
 
@@ -108,6 +106,14 @@ class PenTrails:
         tails = {name: line.since(revision) for name, line in self._lines.items()}
         return {name: tail for name, tail in tails.items() if tail.is_whole or tail.points}
 
+    def _line(self, name: str) -> _Line:
+        line = self._lines.get(name)
+        if line is None:
+            if len(self._lines) >= MOST_LINES:
+                self._lines.pop(min(self._lines, key=lambda each: self._lines[each].is_drawn))
+            line = self._lines[name] = _Line(self._revise())
+        return line
+
 
 class _Line:
     """One turtle's line.
@@ -121,6 +127,11 @@ class _Line:
         self._points: list[Point] = []
         self._begun = revision
         self._here: tuple[float, float] | None = None
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether its turtle is there."""
+        return self._here is not None
 
     def follow(self, there: tuple[float, float], revise: Callable[[], int]) -> None:
         here, self._here = self._here, there

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 import secrets
 import time
-from collections.abc import Awaitable, Callable, Container
+from collections.abc import Awaitable, Callable
 from contextlib import AbstractAsyncContextManager
 from typing import Any, Final, Protocol, TypeAlias
 
@@ -36,6 +36,7 @@ from turtleact.node import Node
 from turtleact.tasks import Background, current_tasks
 from turtleact.topics import Subscription
 from turtleact.transports import QoS
+from turtleact.web.excerpts import Plain, excerpt
 from turtleact.web.forms import form
 from turtleact.web.goal_history import REJECTED, GoalHistory, GoalRecord
 from turtleact.web.name_lookup import action_class, message_class
@@ -57,6 +58,9 @@ PACE: Final = 0.1
 PATIENCE: Final = 1.0
 """A page gets an answer at least once in this time (s), so that it knows the time."""
 
+REACHED_WITHIN: Final = 5.0
+"""How long it may take to reach the server of a goal (s, by the graph's clock)."""
+
 MOST_ACTIONS: Final = 200
 """How many actions are watched."""
 
@@ -68,6 +72,8 @@ MOST_TURTLES: Final = 64
 
 MOST_REQUESTS: Final = 64
 """How many goals may be sent before their status arrives."""
+
+FORGOTTEN: Final = "its server has forgotten it"
 
 SERVICES: Final = "/turtleact/web/"
 POSE: Final = "/pose"
@@ -112,7 +118,7 @@ class Watch:
         self._actions: dict[tuple[str, str], _Action] = {}
         self._poses: dict[str, Subscription[Any]] = {}
         self._following: dict[str, Background] = {}
-        self._requests: dict[str, Message] = {}
+        self._requests: dict[str, Plain] = {}
         self._services: dict[str, Callable[[Values], Awaitable[Values]]] = {
             "watch": self._watch,
             "form": _form,
@@ -147,10 +153,10 @@ class Watch:
             return
         record = self.history.find(goal_id.hex())
         if record is not None:
-            record.request = request
+            record.request = excerpt(request)
             self.history.change(record)
             return
-        self._requests[goal_id.hex()] = request
+        self._requests[goal_id.hex()] = excerpt(request)
         if len(self._requests) > MOST_REQUESTS:
             del self._requests[next(iter(self._requests))]
 
@@ -164,7 +170,7 @@ class Watch:
         """
         if self.is_watching:
             record = GoalRecord(new_goal_id().hex(), *action, accepted=self._now(), at=time.time())
-            record.request, record.reason = request, reason
+            record.request, record.reason = excerpt(request), reason
             self.history.end(record, REJECTED)
 
     def note_call(self, service: str, request: Any) -> None:  # noqa: ANN401  # any request
@@ -212,7 +218,7 @@ class Watch:
             "revision": self._revision,
             "is_whole": since == 0,
             "now": self._now(),
-            "goals": [record.plain() for record in changes.goals],
+            "goals": [record.told() for record in changes.goals],
             "dropped": changes.dropped,
             "trails": self.trails.since(since),
         }
@@ -244,7 +250,9 @@ class Watch:
 
     def _look_for_actions(self, served: dict[str, str]) -> None:
         for key in self._actions.keys() - served.items():
-            self._actions.pop(key).leave()
+            action = self._actions.pop(key)
+            action.leave()
+            self._lose(action.known, "its server has gone")
         for key in served.items():
             if key not in self._actions and len(self._actions) < MOST_ACTIONS:
                 self._actions[key] = _Action(self._node, key, self._take_statuses)
@@ -276,18 +284,20 @@ class Watch:
     # goals
 
     def _take_statuses(
-        self, action: tuple[str, str], message: GoalStatusArray, known: Container[str]
-    ) -> None:
-        """Take what an action says about its goals.
+        self, action: tuple[str, str], message: GoalStatusArray, known: set[str]
+    ) -> set[str]:
+        """Take what an action says about its goals, and return their ids.
 
         Args:
             action: The name and the type of the action.
             message: What it says.
-            known: The goals that it has told of before. Those of them that the history has dropped
-                are not taken up again.
+            known: The ids of the last message. Goals of them that the history has dropped are not
+                taken up again.
         """
+        told: set[str] = set()
         for each in message.status_list:
             id = bytes(each.goal_info.goal_id.uuid).hex()
+            told.add(id)
             record, status = self.history.find(id), status_of(each.status)
             if record is None and id in known:
                 continue
@@ -304,6 +314,16 @@ class Watch:
             else:
                 continue
             self._follow_goal(record)
+        self._lose(known - told, FORGOTTEN)
+        return told
+
+    def _lose(self, ids: set[str], reason: str) -> None:
+        """Note that nothing more will be heard of goals, except for those that are followed."""
+        for id in ids - self._following.keys():
+            record = self.history.find(id)
+            if record is not None and not record.has_ended:
+                record.reason = reason
+                self.history.end(record, GoalStatus.UNKNOWN.name, self._now())
 
     def _new_record(
         self, id: str, action: tuple[str, str], stamp: float, status: GoalStatus
@@ -333,9 +353,12 @@ class Watch:
         """Follow a goal to its end."""
         try:
             await self._read(record, is_late=record.has_ended)
-        except (UnknownGoal, UnknownInterface):
-            # The server has forgotten the goal, or nobody here knows its type.
-            pass
+        except UnknownInterface:
+            pass  # its status is all that can be known
+        except UnknownGoal:
+            if not record.has_ended:
+                record.reason = FORGOTTEN
+                self.history.end(record, GoalStatus.UNKNOWN.name, self._now())
         except TurtleactError as error:
             record.reason = str(error)
             self.history.end(record, GoalStatus.UNKNOWN.name, self._now())
@@ -344,8 +367,12 @@ class Watch:
 
     async def _read(self, record: GoalRecord, *, is_late: bool) -> None:
         async with self._open_client(record.action, action_class(record.type)) as client:
+            # A client that was opened just now may need a moment until it can reach a server in
+            # another process.
+            await client.wait_for_server(REACHED_WITHIN)
             handle = await client.attach(bytes.fromhex(record.id))
-            record.request = record.request or handle.request
+            if record.request is None and handle.request is not None:
+                record.request = excerpt(handle.request)
             self.history.change(record)
             async for event in handle.events():
                 match event:
@@ -356,7 +383,7 @@ class Watch:
                         record.status = status.name
                         self.history.change(record)
                     case ResultReceived(outcome=outcome):
-                        record.result, record.reason = outcome.result, outcome.reason
+                        record.result, record.reason = excerpt(outcome.result), outcome.reason
                         now = None if is_late else self._now()
                         self.history.end(record, outcome.status.name, now)
 
@@ -375,17 +402,20 @@ class _Action:
     Args:
         node: Subscribes to its status.
         key: Its name and type.
-        take: Called with each message about its goals, and those that it has told of before.
+        take: Called with each message about its goals and the ids of the last one; returns the ids.
+
+    Attributes:
+        known: The ids of the last message.
     """
 
     def __init__(
         self,
         node: Node,
         key: tuple[str, str],
-        take: Callable[[tuple[str, str], GoalStatusArray, Container[str]], None],
+        take: Callable[[tuple[str, str], GoalStatusArray, set[str]], set[str]],
     ) -> None:
+        self.known: set[str] = set()
         self._key = key
-        self._known: set[str] = set()
         self._take = take
         topic = f"{key[0]}/_action/status"
         self._statuses = node.subscription(GoalStatusArray, topic, STATUS_QOS)
@@ -403,9 +433,7 @@ class _Action:
     async def _read(self) -> None:
         # Only the newest message is kept, as each has all goals: under load, some are skipped.
         async for message in self._statuses:
-            self._take(self._key, message, self._known)
-            held = message.status_list
-            self._known = {bytes(each.goal_info.goal_id.uuid).hex() for each in held}
+            self.known = self._take(self._key, message, self.known)
 
 
 async def _form(args: Values) -> Values:

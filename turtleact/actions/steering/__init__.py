@@ -1,9 +1,9 @@
-"""Steering: from a pose and a target to a speed and a turn rate, nearly as fast as can be.
+"""Steering: from a pose and a target to a speed and a turn rate.
 
-A small library of its own, pure: it knows no topic, message, clock or simulator.
+A small library of pure functions. It knows no topic, message, clock or simulator.
 
 - `limits`: what a turtle may do, how its speed may change, and where it aims.
-- `law`: how it is driven, and how long a command holds.
+- `law`: the steering law, and how long a command holds.
 - `bounds`: how long a tour takes, at least and at most.
 """
 

@@ -1,8 +1,8 @@
-"""The time a tour takes: at least, whatever drives the turtle, and at most with the steering law.
+"""How long a tour takes: at least with any law, and at most with ours.
 
-`shortest_time` is proven for every law that keeps to a style. `time_bound` is proven if
-accelerations are not limited (`turtleact.actions.steering.law` has the proof); if they are, it is
-an allowance, which the tests try to exceed.
+`shortest_time` is proven for every law that keeps to a style. `time_bound` is proven for unlimited
+accelerations (`turtleact.actions.steering.law` has the proof). For limited ones it is an estimate
+that no test has been able to exceed.
 
 `least_loss` is the least time that turning costs a turtle that turns while it drives. Each leg of a
 tour has a direction, in which the turtle must cover a certain distance. While its heading is off by
@@ -62,8 +62,8 @@ _TURNING: dict[Style, float] = {
     "forward": 1.5,
     "rotate_then_drive": 1.0,
 }
-_SPARE = 4  # Ticks lost to rounding up for one target: at the end of the turn, and on arrival.
-_ROUNDS = 6  # Rounds of improving the points of a tour; more would not change the bound visibly.
+_SPARE = 4  # Ticks that one target may lose to rounding up, after the turn and on arrival.
+_ROUNDS = 6  # How often the points of a tour are improved; more would hardly change the bound.
 _ANGLES = 0.5, 0.2  # By which directions are turned (rad), while that proves more:
 _GAIN = 1e-3  # by more than this (s),
 _TUNED = 6  # and in tours of so many targets.
@@ -71,7 +71,7 @@ _COARSE, _FINE = 1, 3  # Cells of headings to a part: to turn directions, and to
 _VIEWS = 8  # where a short leg is seen from as many directions too.
 
 ROOM = 2.0
-"""Radii in which there is room for both turns of a leg."""
+"""A leg of this many radii has room for both of its turns."""
 
 _RIGHT = math.pi / 2
 _ROUNDING = 1e-9  # Of angles: a cell that ends at a direction is on one side of it (rad).
@@ -211,11 +211,11 @@ def _proven_length(
 
 
 def _turns(stops: Sequence[complex], theta: float, limits: Limits) -> Iterator[float]:
-    """The time (s) of each turn on the spot, if it is made towards the best point of its disc."""
+    """The time (s) of each turn on the spot towards the best point of the next disc."""
     heading, off = cmath.rect(1.0, theta), 0.0
     for i, (stop, target) in enumerate(pairwise(stops)):
         leg, ends = target - stop, (2.0 if i else 1.0) * limits.tolerance
-        if abs(leg) <= ends:  # it may lead anywhere, on the way of the turn
+        if abs(leg) <= ends:  # the leg may have any direction
             off += late(limits)
             continue
         leaves = math.asin(ends / abs(leg))
@@ -250,10 +250,10 @@ class _Tour:
         yield self._length(units), time
 
     def _better(self, units: list[complex]) -> Iterator[tuple[float, list[complex], list[float]]]:
-        """The directions turned, or left out, one by one for as long as they prove more.
+        """Turn the directions, or leave them out, one by one, as long as they prove more.
 
-        After each attempt the best so far: the time (s) that they prove, they themselves, and the
-        headings (rad) at the targets that they allow.
+        Yields after each attempt the best so far: the time (s) that it proves, the directions, and
+        the headings (rad) at the targets.
         """
         known: dict[tuple[Leg, ...], list[Cell]] = {}
         best, headings = self._time(units, _COARSE, known)
@@ -273,7 +273,7 @@ class _Tour:
         return _proven_length(self._start, self._centres, units, self._limits.tolerance)
 
     def _legs(self, units: Sequence[complex], views: int = 0) -> dict[int, Leg]:
-        """The legs that have a direction, or are seen in others, by which they are."""
+        """The legs by their index, except those without any direction."""
         limits, off, legs = self._limits, self._limits.tolerance, dict[int, Leg]()
         stops = pairwise([self._start, *self._centres])
         for i, ((stop, target), unit) in enumerate(zip(stops, units, strict=True)):
@@ -307,9 +307,9 @@ class _Tour:
         tried: Sequence[float] | None = None,
         enough: float = -math.inf,
     ) -> tuple[float, list[float]]:
-        """The time (s) that the directions prove, and headings (rad) at the targets that take it.
+        """The time (s) that the directions prove, and headings (rad) at the targets that need it.
 
-        No more than enough will do, if the tried headings take that.
+        If the tried headings need at most ``enough``, the search ends with them.
         """
         limits, driven = self._limits, self._length(units) / self._limits.max_linear
         legs = self._legs(units, views)
@@ -342,7 +342,7 @@ class _Tour:
 class View(msgspec.Struct, frozen=True):
     """A direction (rad), and how far along it the turtle must come, and can (radii).
 
-    The gain is what the way counts more in this direction than in that of its leg (radii).
+    The gain is how much more the way counts in this direction than in that of its leg (radii).
     """
 
     direction: float
@@ -354,7 +354,7 @@ class View(msgspec.Struct, frozen=True):
 class Leg(msgspec.Struct, frozen=True):
     """One leg: its unit vector, and how far along it the turtle must come, and can (radii).
 
-    Its views in other directions gain on none if it is left out.
+    A leg that is left out of the length is only seen through its views in other directions.
     """
 
     unit: complex
@@ -365,9 +365,9 @@ class Leg(msgspec.Struct, frozen=True):
 
 
 class Cell(msgspec.Struct, frozen=True):
-    """Headings between two legs: the middle one (rad), their range, and the cost up to there.
+    """Headings between two legs: the middle one (rad), their range, and the least cost up to there.
 
-    Before it is the cell at the corner before, from which it costs least.
+    ``before`` is the cell at the previous corner from which that cost comes.
     """
 
     heading: float
@@ -415,11 +415,11 @@ def least_loss(
         heading: At the start, a unit vector.
         legs: In order; one at least.
         turning: How it turns.
-        known: Results about the first legs of other tours that start with the same heading and have
-            the same ``turning``; new results are added.
+        known: Results for the first legs of other tours with the same first heading and the same
+            ``turning``. New results are added.
         tried: Headings (rad), one for each corner, that may be nearly the best. They are tried
-            first, and if nothing is known, whatever cannot be better is left out.
-        enough: If the tried headings lose no more than this, they are the answer.
+            first. If nothing is known, headings that cannot be better are then left out.
+        enough: If the tried headings lose at most this, they are the answer.
     """
     corners = [_corner(one, next_, turning) for one, next_ in pairwise(legs)]
     wanted = None if turning.last is None else Cell(turning.last, 2.0 * turning.slack)
@@ -474,7 +474,7 @@ def _nearest(corner: Sequence[Cell], heading: float, half: float) -> Cell:
 def _corner(leg: Leg, following: Leg, turning: Turning) -> list[Cell]:
     """All headings at a corner, cut at both directions and at the opposite ones.
 
-    Where there is room for both turns only the best: half before the target, half after.
+    If there is room for both turns, only the best one: half of the turn before the target.
     """
     half, begun = turning.half, phase(leg.unit)
     turn = math.remainder(phase(following.unit * leg.unit.conjugate()), 2.0 * half)
@@ -490,7 +490,7 @@ def _corner(leg: Leg, following: Leg, turning: Turning) -> list[Cell]:
 
 
 def _views(leg: Leg) -> Sequence[View]:
-    """Its own, if that counts, and the others."""
+    """The view in the leg's own direction, unless the leg is left out, and the others."""
     if leg.is_left_out:
         return leg.views
     return [View(phase(leg.unit), leg.least, leg.most), *leg.views]
@@ -560,7 +560,7 @@ def _pass(
 
 
 def _best(cells: Sequence[Cell], half: float) -> list[Cell]:
-    """The cells by cost, without those that a turn on the spot reaches just as fast."""
+    """The cells by cost, without those that a turn on the spot from another reaches as fast."""
     best: list[Cell] = []
     for cell in sorted(cells, key=_cost):
         for other in best:
@@ -583,7 +583,7 @@ def _turned(start: Cell, end: Cell, half: float) -> float:
 
 
 def _between(start: _Sight, end: _Sight, view: View, half: float, width: float) -> float:
-    """What a way takes from an error to another, each more by a width at most."""
+    """What a way from one error to another costs; each may be larger by a width."""
     sides = start[1] * end[1]
     if sides > 0:
         return _on_one_side(start, end, view, width)
@@ -594,10 +594,10 @@ def _between(start: _Sight, end: _Sight, view: View, half: float, width: float) 
 
 
 def _on_both_sides(start: _Sight, end: _Sight, view: View, half: float, width: float) -> float:
-    """What a way takes from an error to another on the other side."""
+    """What a way from an error to one on the other side costs."""
     (error, _, made), (wanted, _, made_wanted) = start, end
     least = max(error - made + wanted - made_wanted, error + wanted - view.most)
-    # Or it turns by the back, where an error of half a turn has two sides.
+    # Or the turtle turns the other way round: an error of half a turn is on both sides.
     whole = half - 1.0 - width
     away = max(0.0, half - error - width)
     if away + whole - wanted + made_wanted < least:
@@ -609,9 +609,10 @@ def _on_both_sides(start: _Sight, end: _Sight, view: View, half: float, width: f
 
 
 def _on_one_side(one: _Sight, other: _Sight, view: View, width: float) -> float:
-    """What a way takes from one error to another on the same side.
+    """What a way from one error to another on the same side costs.
 
-    The error falls until the way that is left is that of the turn to the other, and rises.
+    The error first falls. When the rest of the way is as long as the turn to the other error needs,
+    the error rises again.
     """
     (low, _, made_low), (high, _, made_high) = (one, other) if one < other else (other, one)
     lost = low - made_low + high - made_high
@@ -630,7 +631,7 @@ def _on_one_side(one: _Sight, other: _Sight, view: View, width: float) -> float:
 
 
 def _started(cell: Cell, leg: Leg, turning: Turning) -> float:
-    """What the last leg takes from a cell, if its end may be in any heading."""
+    """What the last leg costs from a cell, if it may end in any heading."""
     least = 0.0
     for view in _views(leg):
         if view.least > 0.0:
@@ -641,10 +642,10 @@ def _started(cell: Cell, leg: Leg, turning: Turning) -> float:
 
 
 def _made(error: float) -> float:
-    """The way made in turning from an error to none (radii)."""
+    """How far the turtle comes while it turns an error off (radii)."""
     return math.sin(error) if error < _RIGHT else 1.0
 
 
 def _lost(error: float) -> float:
-    """The integral of 1 - cos, and of 1 beyond a right angle, from 0 to an error."""
+    """The loss while an error is turned off: the integral of 1 - cos, or 1 beyond a right angle."""
     return error - _made(error)

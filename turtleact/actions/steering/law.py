@@ -1,46 +1,50 @@
-"""The law that drives a turtle through targets in nearly the shortest time.
+"""The steering law: drives a turtle through targets in nearly the shortest time.
 
-A pose and a target go in, a speed and a turn rate come out. Nothing is remembered from call to
-call: a turtle that somebody else moves is driven on from where it is. The rules:
+A pose and a target go in; a speed and a turn rate come out. The law remembers nothing between
+calls, so if somebody else moves the turtle, it continues from its new place. The rules:
 
-- **Turn hard, drive hard.** It turns at its limit towards the aim, the short way round, and drives
-  at its limit meanwhile: the shortest paths are arcs and straight lines (Dubins 1957).
-- **Choose the gear.** A target behind is driven to in reverse, style permitting.
-- **Never orbit.** A full-speed arc circles for ever round a target inside its turning circle. The
-  shortest way to such a point begins with an arc in the other gear, and keeps turning the same way
-  (Souères, Fourquet and Laumond 1994). Where reversing is not allowed, it turns on the spot.
-- **Look one target ahead.** A turn by an angle a costs a - sin(a) over the turn rate: made half
-  before the target and half after, a quarter of that. So the approach swings wide, as long as the
-  target stays outside the turning circle, and cuts the inner side of its disc. Driving forwards
-  only, it turns to the next target as soon as that arc leads through this one. Two targets whose
-  discs overlap are reached from between them, where an arc leads there, or else, driving forwards
-  only, if the second lies back.
+- **Turn hard, drive hard.** The turtle turns towards its aim at full rate, the short way round, and
+  drives at full speed meanwhile. The shortest paths consist of arcs and straight lines (Dubins
+  1957).
+- **Choose the gear.** The style ``fastest`` reverses to a target behind the turtle. The style
+  ``natural`` does so only if turning round and driving forwards would take three times as long.
+- **Never orbit.** At full speed, a turtle would circle for ever round a target inside its turning
+  circle. The shortest way to such a target begins with an arc in the other gear and keeps turning
+  the same way (Souères, Fourquet and Laumond 1994). ``fastest`` drives that arc; the other styles
+  turn on the spot.
+- **Look one target ahead.** Before a turn, the turtle swings wide: a turn by an angle a costs
+  a - sin(a) over the turn rate, and only a quarter of that if half of the turn is made before the
+  target. The turtle also cuts the inner side of the target's disc. Both end where the target would
+  get into the turning circle. Styles that drive forwards turn to the next target as soon as that
+  arc leads through this one. If the discs of two targets overlap, the turtle drives to a point
+  between them, if an arc leads there, or if it would have to turn round for the second.
 - **Land.** No tick turns beyond the aim or drives beyond the target. A step that would leave the
-  area ends at its edge, and the turtle turns on there.
-- **Face last.** A heading that is wanted at the target is turned to there, on the spot.
-- **Ease.** Where accelerations are limited, it is only as fast as it can still stop before the
-  target and the edge of the area, and as it can turn meanwhile; while it rolls the wrong way it
-  does not turn. It swings wide for no corner, and drives through a target without stopping. That
-  keeps it in the area but for centimetres, where it comes fast into a corner.
+  area ends at its edge; there the turtle continues to turn.
+- **Face last.** If a heading is wanted at the target, the turtle turns to it there, on the spot.
+- **Ease.** With limited accelerations, the turtle only drives as fast as it can still stop before
+  the target and the edge of the area, and as it can turn meanwhile. While it rolls the wrong way,
+  it does not turn. It does not swing wide, and does not stop at a target before the last. It may
+  leave the area by centimetres if it comes fast into a corner.
 
-`Helm` holds a command for as long as the law would say nothing new. Most ticks are like the one
-before: straight on, or turning as hard as possible. So when the law is asked, it is asked once
-more, for the pose to which its command leads some ticks later. If its command is the same there, it
-is taken to be the same at all ticks between, and held that long. Then the helm looks ahead again,
-twice as far each time, up to eight ticks. If the commands differ, the one found last is the next to
-use. A hold ends in the tick in which the turtle is not where it should be, so whatever moves the
-turtle is answered at once; nothing is held while commands come late. A hold ends before the target
-is reached, and stays in the area. Eased speeds change with every tick and are not held at all.
+`Helm` holds a command as long as the law would repeat it. Most ticks are like the one before:
+straight on, or turning at full rate. So the helm asks the law twice: for this pose, and for the
+pose to which the command leads some ticks later. If the answers are the same, it takes them to be
+the same for all ticks in between, and holds the command for them. Then it looks ahead again, twice
+as far each time, up to eight ticks. If the answers differ, the second one is used next. The helm
+checks each pose: as soon as the turtle is not where it should be, the hold ends. It holds nothing
+while commands come late, and nothing with limited accelerations, since those speeds change with
+every tick. A hold ends before the target is reached, and never leads out of the area.
 
-Why it always arrives: let e be the angle to the target, d its distance, R = v/omega the radius of
-the turning circle. The law only drives forwards where tan(e) <= d / R; there e/omega + d/v, the
-time to turn on the spot and then drive, falls at least as fast as time passes, at lower speeds
-too. In reverse it falls at least half as fast, and e faster than omega, so that this ends after
-e/omega. So a target takes at most 1.5 e/omega + d/v; `time_bound` allows more, for the swing.
-An eased turtle drives at v <= omega d / (2 tan(e)) in the same region, and stands still elsewhere.
+Why the turtle always arrives: let e be the angle to the target, d its distance, and R = v/omega the
+radius of the turning circle. The law drives forwards only if tan(e) <= d / R. Then e/omega + d/v,
+the time to turn on the spot and then drive, falls at least as fast as time passes, also at lower
+speeds. In the other gear it falls at least half as fast, and e falls faster than omega, so this
+ends after e/omega. Therefore a target takes at most 1.5 e/omega + d/v; `time_bound` adds room for
+swinging wide. With limited accelerations, the turtle drives at v <= omega d / (2 tan(e)) in the
+same region, and stands still elsewhere.
 
-Knows only that a command acts in the tick after the pose was seen, and that the turtle first turns
-and then moves.
+The law assumes that a command acts in the tick after the pose was seen, and that the turtle first
+turns and then moves.
 
 Source: L. E. Dubins, "On curves of minimal length with a constraint on average curvature", 1957;
 J. A. Reeds and L. A. Shepp, "Optimal paths for a car that goes both forwards and backwards", 1990;
@@ -87,27 +91,27 @@ __all__ = ["LONGEST", "OLDEST", "STILL", "Helm", "Steering"]
 _CORNER: dict[Style, float] = {"natural": 1.0, "fastest": 0.5, "forward": 1.0}
 _FORMER = {"arc": "fastest"}  # Former names of styles.
 _WORTH = 3.0  # The style natural reverses if turning round would take this many times as long.
-_SHARE = 0.5  # Of the highest speed that a turn allows: what an eased turtle makes of it.
+_SHARE = 0.5  # Share of the highest speed that a turn allows at which an eased turtle drives.
 _ROOM = 0.8  # Share of the way to the edge of the area in which it could stop.
 _GLANCES = (0.0, 0.25, 0.5, 0.75, 1.0)  # Shares of a turn after which it may have to stop.
 
 LONGEST: Final = 8
-"""Ticks that a command is held at most."""
+"""A command is held for at most this many ticks."""
 
 OLDEST: Final = 32
-"""Ticks after which a command is not held on: it lasts a second, though it would be the same."""
+"""After this many ticks a command is sent again, even if it is the same: it lasts one second."""
 
 STILL: Final = (0.0, 0.0)
-"""The speeds of a turtle that stands."""
+"""The speeds of a turtle that stands still."""
 
 _SAME = 3e-3
-"""Share of the tolerance by which a turn rate that is held may lead aside of where the law would.
+"""How far a held turn rate may lead aside of the law's own course, as a share of the tolerance.
 
-It is counted as if the turn rates differed all the while by what they differ at the end.
+The error is computed as if the turn rates differed all the time by as much as at the end.
 """
 
 _FOR_GOOD = 32 * LONGEST
-"""Ticks in which a turn that does not show counts as none: it is but the rounding of poses."""
+"""A turn that has no effect within this many ticks counts as none: poses are rounded."""
 
 _ROUNDING = 1e-5
 """How far (m, rad) a turtle may be from where it should be after a tick: poses are float32."""
@@ -159,17 +163,17 @@ class Steering(msgspec.Struct, frozen=True):
     ) -> Speeds:
         """The speeds for the next tick.
 
-        At the target the turtle comes to rest, or turns to the heading: if it shall drive through,
-        ask for the next target instead.
+        At the target the turtle stops, or turns to the heading. To drive through, ask for the next
+        target instead.
 
         Args:
             pose: Where the turtle is (m), and its heading (rad).
-            target: Where it shall go.
-            next_target: Where it shall go after that, to shape the approach.
-            speeds: What was last commanded. Accelerations are counted from there; and where both
-                ways are as good, the turtle turns on that way, and does not dither when commands
-                come late.
-            theta: The heading (rad) in which it shall be there at last; any if left out.
+            target: Where to go.
+            next_target: Where to go after that; shapes the approach.
+            speeds: The last command. Accelerations are counted from there. If both ways round are
+                equally good, the turtle keeps turning the same way, so that it does not dither when
+                commands come late.
+            theta: The heading (rad) at the target; any if left out.
 
         Returns:
             Linear (m/s) and angular (rad/s) speed, each within its limit.
@@ -191,7 +195,7 @@ class Steering(msgspec.Struct, frozen=True):
         return gear * linear + 0.0, angular
 
     def _rest(self, pose: Pose, theta: float | None, speeds: Speeds) -> Speeds:
-        """The way to stand still, in a heading if one is given."""
+        """The speeds to stop, and to turn to a heading if one is given."""
         limits = self.limits
         linear = ramp(0.0, speeds[0], limits.max_acceleration * limits.dt)
         error = 0.0 if theta is None else wrap_angle(theta - pose[2])
@@ -248,8 +252,9 @@ class Steering(msgspec.Struct, frozen=True):
         """Both speeds, in the gear, where they may change at once."""
         limits, miss = self.limits, MISS * self.limits.tolerance
         if after is not None and abs(after - goal) <= 2.0 * miss:
-            # Both are reached from between them, unless it would have to back away for that; where
-            # it may not, and the second lies back, turning to there is less than turning round.
+            # Both are reached from a point between them, unless the turtle would have to back away
+            # for that. If it may not, and the second target lies back, turning to that point is
+            # still less than turning round.
             between, less = (goal + after) / 2, miss - abs(after - goal) / 2
             turns = self._turns_round and leads_back(frame, goal, after, limits)
             if turns or is_clear(frame.see(between), limits, slack=less):
@@ -276,7 +281,7 @@ class Steering(msgspec.Struct, frozen=True):
         facing = late(limits) if self.style == "rotate_then_drive" else math.pi / 2
         error = turn_to(frame.see(aim), speeds[1], limits)
         if speeds[0] < 0.0 or (speeds[0] and abs(error) >= facing):
-            # A turn while it rolls on could lead into a wall.
+            # While it rolls on, a turn could lead it into a wall.
             wanted, angular = 0.0, self._turn_rate(0.0, speeds[1])
         else:
             angular = self._turn_rate(error, speeds[1])
@@ -296,7 +301,7 @@ class Steering(msgspec.Struct, frozen=True):
         slope = math.tan(abs(error))
         fastest = min(limits.max_linear, _SHARE * rate * abs(seen) / slope if slope else math.inf)
         ends = max(0.0, abs(seen) - limits.tolerance / 2)
-        if not (is_last or limits.step > limits.tolerance):  # it may drive through
+        if not (is_last or limits.step > limits.tolerance):  # it need not stop there
             ends = ends / min(1.0, slope) if slope else math.inf
         for share in _GLANCES:
             ahead = frame.turned(share * error)
@@ -305,7 +310,7 @@ class Steering(msgspec.Struct, frozen=True):
 
 
 class Course(NamedTuple):
-    """What the law is asked besides the pose and the speeds."""
+    """What the law is asked about, besides the pose and the speeds."""
 
     target: Point
     next_target: Point | None
@@ -313,7 +318,7 @@ class Course(NamedTuple):
 
 
 class Helm:
-    """Asks the law for a turtle's commands, and holds each while the law would say nothing new.
+    """Asks the law for a turtle's commands, and holds each as long as the law would repeat it.
 
     Args:
         steering: The law; its tick is the turtle's.
@@ -356,7 +361,7 @@ class Helm:
         *,
         theta: float | None = None,
     ) -> Speeds:
-        """The speeds from here on, as `Steering.command` has them."""
+        """The speeds from this pose on, as from `Steering.command`."""
         course = Course(target, next_target, theta)
         is_obeyed = self.foresees(pose)
         if self._known is not None and self._known[0] == course and self.at == pose:
@@ -375,7 +380,7 @@ class Helm:
         return self.speeds
 
     def holds(self, pose: Pose) -> bool:
-        """Whether the command still holds at the next pose, so that no new one is needed."""
+        """Whether the command still applies at the next pose, so that no new one is needed."""
         if not self.left:
             return False
         if not self.foresees(pose):
@@ -389,7 +394,7 @@ class Helm:
         return self.left > 0
 
     def foresees(self, pose: Pose) -> bool:
-        """Whether it is the pose of the last command, or the one to which that leads in a tick."""
+        """Whether a pose is that of the last command, or the one to which it leads in a tick."""
         (x, y, theta), (new_x, new_y, new_theta) = self.at, pose
         along, step_x, step_y = self._stride
         if along != new_theta:  # else it goes straight on
@@ -434,7 +439,7 @@ class Helm:
         return ticks
 
     def _before(self, target: Point) -> int:
-        """For how many ticks the target is surely not reached; one that is reached is no more."""
+        """For how many ticks the turtle surely does not reach the target."""
         limits = self._steering.limits
         if limits.is_eased:
             return 0
@@ -457,7 +462,7 @@ class Helm:
         )
 
     def _bulge(self, ticks: int) -> float:
-        """How far the way there may lead aside of a straight line (m), at most."""
+        """How far the way there can lead aside of a straight line (m)."""
         return abs(self._step * self._turn) * ticks * ticks / 8.0
 
     def _is_same(self, command: Speeds, ticks: int) -> bool:

@@ -1,15 +1,14 @@
 """What a turtle may do, how its speed may change, and where it aims.
 
 - `Limits`: speeds, accelerations, tolerances, and the `Area` in which the turtle stays.
-- `ramp` and its kin: speeds that change no faster than they may, and still end where they should.
-  The arithmetic is that of ticks, not of smooth time: a speed holds for a tick, and the next one
-  differs from it by at most the acceleration times the tick. The same functions serve lengths (m)
-  and angles (rad). An infinite acceleration is allowed everywhere.
-- `Frame` and `approach`: what a turtle sees of its target, and where it aims on the way there.
-  Points are complex numbers here, so a turn is a product.
+- `ramp`, `stopping_speed`, `ramp_time`: speeds under limited accelerations. They count in ticks: a
+  speed holds for a tick, and the next one differs from it by at most the acceleration times the
+  tick. The functions work for lengths (m) and for angles (rad). An acceleration may be infinite.
+- `Frame`, `approach` and the rest: where a turtle sees its target, and where it aims on the way
+  there. Points are complex numbers here, so a turn is a product.
 
-Source: Lynch and Park, Modern Robotics, section 9.2.2.2 (trapezoidal motion profiles); for aiming
-as for `turtleact.actions.steering.law`.
+Source: Lynch and Park, Modern Robotics, section 9.2.2.2 (trapezoidal motion profiles); for aiming,
+the sources of `turtleact.actions.steering.law`.
 """
 
 from __future__ import annotations
@@ -64,14 +63,14 @@ MISS = 0.9
 """Share of the tolerance by which a turning circle may miss the target."""
 
 _CUT = 0.75  # Share of the tolerance by which an aim is moved to the inner side of a corner.
-_FACING = 0.5  # Cosine of the angle to the target within which an approach is shaped,
-_SWING = 1.0 / 3.0  # and over what share of the way at most.
+_FACING = 0.5  # Approaches are shaped up to the angle to the target that has this cosine,
+_SWING = 1.0 / 3.0  # and over at most this share of the way.
 _MARGIN = 1e-3  # How far aims keep from the edge of the area (m), or a tenth of the tolerance.
-_LATE = 3  # Ticks that a command may come late and do no harm.
+_LATE = 3  # A command may come this many ticks late without harm.
 
 
 class Area(msgspec.Struct, frozen=True):
-    """The rectangle that the turtle stays in (m); without arguments it has no end."""
+    """The rectangle in which the turtle stays (m); without arguments it is infinite."""
 
     left: float = -math.inf
     bottom: float = -math.inf
@@ -90,7 +89,7 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, dict=True):
         tolerance: A target at this distance or nearer is reached (m).
         heading_tolerance: How far a wanted heading may be off (rad).
         dt: Length of a tick (s).
-        area: Where the turtle stays; a target outside is driven to all the same.
+        area: Where the turtle stays. It leaves the area only for a target outside.
 
     Raises:
         InvalidMessage: if a number is not above zero, or not finite where it must be, or a tick
@@ -140,11 +139,11 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, dict=True):
 
 
 def ramp(wanted: float, now: float, most: float) -> float:
-    """The speed of the next tick: the wanted one, or as near to it as it may come.
+    """The speed of the next tick: the wanted one, or as near to it as the limit allows.
 
     Args:
-        wanted: In the unit of the others.
-        now: The speed of this tick.
+        wanted: The wanted speed.
+        now: The speed of this tick, in the same unit.
         most: The largest change from tick to tick, zero or more; may be infinite.
 
     Example:
@@ -155,13 +154,13 @@ def ramp(wanted: float, now: float, most: float) -> float:
 
 
 def stopping_speed(room: float, acceleration: float, dt: float) -> float:
-    """The highest speed for the next tick from which it is still possible to stop in some room.
+    """The highest speed for the next tick after which the turtle can still stop within some room.
 
-    From v, ticks cover v dt + (v - a dt) dt + …, which is (v + a dt / 2)² / 2a at most; and a
-    speed up to a dt is gone after its tick.
+    From a speed v, the ticks until it stops cover v dt + (v - a dt) dt + …, at most
+    (v + a dt / 2)² / 2a. A speed up to a dt ends with its tick.
 
     Args:
-        room: What may still be covered, 0 or more (m or rad).
+        room: The length or angle that it may still cover, 0 or more (m or rad).
         acceleration: Above zero (m/s² or rad/s²).
         dt: Length of a tick (s).
 
@@ -179,9 +178,9 @@ def stopping_speed(room: float, acceleration: float, dt: float) -> float:
 
 
 def ramp_time(length: float, speed: float, acceleration: float) -> float:
-    """The shortest time (s) to cover a length from rest, moving at its end.
+    """The shortest time (s) to cover a length from rest, without stopping at its end.
 
-    At the acceleration up to the speed, and on at the speed.
+    The speed rises with the acceleration up to its limit, and then stays there.
 
     Args:
         length: 0 or more (m or rad).
@@ -205,7 +204,7 @@ class Frame(msgspec.Struct, frozen=True):
     heading: complex
 
     def see(self, point: complex) -> complex:
-        """How far a point is ahead and, as the imaginary part, to the left (m)."""
+        """How far a point is ahead (real part) and to the left (imaginary part), in m."""
         return (point - self.at) * self.heading.conjugate()
 
     def turned(self, angle: float) -> Frame:
@@ -214,7 +213,7 @@ class Frame(msgspec.Struct, frozen=True):
 
 
 def turn_to(seen: complex, turning: float, limits: Limits) -> float:
-    """The angle to a point (rad), the short way round; as before where that is a tie."""
+    """The angle to a point (rad), the short way round. In a tie it turns as before."""
     error = wrap_angle(phase(seen))
     if error * turning < 0.0 and abs(error) > math.pi - late(limits):
         return math.copysign(math.pi, turning)
@@ -222,14 +221,14 @@ def turn_to(seen: complex, turning: float, limits: Limits) -> float:
 
 
 def late(limits: Limits) -> float:
-    """How far a late command may turn (rad): as near to each other, two ways to turn are equal."""
+    """How far a late command may turn (rad). Two ways round that differ by less count as equal."""
     return min(_LATE * limits.turn, math.pi / 8)
 
 
 def sway(aside: float, limits: Limits) -> float:
-    """How far late commands may shift a point along the heading (m): so near, the gears are equal.
+    """How far late commands may shift a point along the heading (m): nearer, both gears are equal.
 
-    Backing away from a point beside it, the turtle turns and drives, and both shift the point.
+    A turtle that backs away from a point beside it turns and drives; both shift the point.
 
     Args:
         aside: How far the point is to the side (m).
@@ -239,13 +238,13 @@ def sway(aside: float, limits: Limits) -> float:
 
 
 def leads_back(frame: Frame, target: complex, after: complex, limits: Limits) -> bool:
-    """Whether the next target lies back from this one; no, where late commands drive past both."""
+    """Whether the next target lies back from this one; False if late commands drive past both."""
     back = ((target - frame.at) * (after - target).conjugate()).real < 0.0
     return back and _LATE * limits.step <= limits.tolerance
 
 
 def nearest(area: Area, point: complex, limits: Limits) -> complex:
-    """The nearest point that is in the area, by a margin."""
+    """The nearest point that lies in the area, with a margin."""
     margin = min(_MARGIN, limits.tolerance / 10)
     x = max(area.left + margin, min(area.right - margin, point.real))
     y = max(area.bottom + margin, min(area.top - margin, point.imag))
@@ -253,14 +252,14 @@ def nearest(area: Area, point: complex, limits: Limits) -> complex:
 
 
 def inside(target: complex, limits: Limits) -> tuple[Area, complex]:
-    """The area and the target within it; no area if the target is not reached from inside."""
+    """The area and the aim within it; no area if the target cannot be reached from inside."""
     aim = nearest(limits.area, target, limits)
     return (limits.area, aim) if abs(aim - target) <= limits.tolerance / 2 else (Area(), target)
 
 
 def room(area: Area, at: complex, step: complex, limits: Limits) -> float:
     """The share of a step, 0 to 1, that stays in the area; all of it if it leads inwards."""
-    # Half the margin of the aims, so that no rounding on the way to an aim ends at the edge.
+    # Half the margin of the aims, so that rounding on the way to an aim does not end at the edge.
     margin = min(_MARGIN, limits.tolerance / 10) / 2
     right = area.right - margin if step.real > 0.0 else area.left + margin
     top = area.top - margin if step.imag > 0.0 else area.bottom + margin
@@ -282,13 +281,13 @@ def reach(area: Area, at: complex, heading: complex, limits: Limits) -> float:
 def is_clear(seen: complex, limits: Limits, *, slack: float = 0.0) -> bool:
     """Whether driving on is the shortest way to a point.
 
-    It is if the last turn is a quarter turn or less: the point is outside the turning circle and,
-    where it is farther aside than the circle's centre, a radius ahead. Inside by no more than a
-    slack (m) still counts as outside.
+    It is if the last turn is at most a quarter turn. Then the point lies outside the turning
+    circle and, if it is farther aside than the circle's centre, at least a radius ahead. A point
+    inside by up to ``slack`` (m) counts as outside.
     """
     if seen.real >= limits.radius:
         return True
-    # Steps that first turn and then move walk on a circle that begins half a turn later.
+    # A tick first turns and then moves, so the circle begins half a tick's turn later.
     begun = complex(seen.real, abs(seen.imag)) * cmath.rect(1.0, -limits.turn / 2)
     short = max(0.0, limits.radius - begun.imag)
     return begun.real > 0.0 and math.hypot(begun.real, short) >= limits.radius - slack
@@ -297,17 +296,17 @@ def is_clear(seen: complex, limits: Limits, *, slack: float = 0.0) -> bool:
 def approach(
     frame: Frame, target: complex, after: complex, limits: Limits, *, area: Area, sharpest: float
 ) -> complex | None:
-    """Where to aim on the way to a target that is not the last; at itself if None.
+    """Where to aim on the way to a target before the last; None for the target itself.
 
-    The path is two lines, to a corner and from there through the inner side of the target's disc,
-    and the arc that joins them. It is the corner that is aimed at, as long as a tick towards it
-    leaves the disc outside the turning circle; from there on it is the disc.
+    The path consists of a line to a corner, a line from there through the inner side of the
+    target's disc, and the arc that joins them. The turtle aims at the corner, as long as a tick
+    towards it leaves the disc outside the turning circle, and then at the disc.
     """
     way, leg = target - frame.at, after - target
     if abs(leg) <= limits.tolerance or frame.see(target).real < _FACING * abs(way):
         return None
     inwards = leg / abs(leg) - way / abs(way)
-    # Two legs in one line have no inner side; the shift fades out towards that.
+    # Two legs in one line have no inner side, so the shift fades out towards that case.
     cut = _CUT * limits.tolerance / max(0.5, abs(inwards))
     aim = nearest(area, target + cut * inwards, limits)
     corner = aim - _arm(aim - frame.at, after - aim, limits.radius, sharpest)
@@ -318,10 +317,11 @@ def approach(
 
 
 def sweep(frame: Frame, target: complex, after: complex, limits: Limits, *, area: Area) -> float:
-    """1 or -1 to turn to the next target now, left or right, where that leads through this one.
+    """Whether to turn to the next target now: 1 to the left, -1 to the right, 0 not yet.
 
-    It does if the turning circle cuts the target's disc within a quarter turn, before it leads to
-    the next target. 0 if it does not, or if the next tick would leave the area.
+    The turtle turns if the arc leads through this target: the turning circle cuts its disc within a
+    quarter turn, before it leads to the next target. It does not if the next tick would leave the
+    area.
     """
     turn = wrap_angle(phase((after - target) * frame.heading.conjugate()))
     side = math.copysign(1.0, turn)
@@ -338,7 +338,7 @@ def sweep(frame: Frame, target: complex, after: complex, limits: Limits, *, area
 
 
 def _arm(way: complex, leg: complex, radius: float, sharpest: float) -> complex:
-    """From corner to aim: halfway between arriving and leaving, as long as the arc needs."""
+    """From the corner to the aim: midway between both directions, as long as the arc needs."""
     turn = phase(leg / way)
     if abs(turn) > sharpest:
         turn -= math.copysign(math.pi, turn)
@@ -347,6 +347,6 @@ def _arm(way: complex, leg: complex, radius: float, sharpest: float) -> complex:
 
 
 def landing(seen: complex, limits: Limits) -> float:
-    """The share of a full step to take: all of it, or up to the point nearest to the target."""
+    """The share of a full step to take: all of it, or as far as the point nearest to the target."""
     lands = 0.0 < seen.real < limits.step and abs(seen.imag) <= limits.tolerance
     return seen.real / limits.step if lands else 1.0

@@ -186,7 +186,7 @@ def type_and_text(
         what: What the message is called.
 
     Raises:
-        UsageError: if there are two, and the first is no type.
+        UsageError: if both are given, and the first is not a type.
     """
     if type_name is None or _TYPE_NAME.fullmatch(type_name):
         return type_name, text

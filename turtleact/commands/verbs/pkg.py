@@ -23,7 +23,7 @@ NewName: TypeAlias = Annotated[
 Dependencies: TypeAlias = Annotated[
     list[str] | None,
     typer.Option(
-        "--dependencies", metavar="PACKAGE...", help="Packages that it needs; separated by spaces."
+        "--dependencies", metavar="PACKAGE...", help="Packages that it needs, separated by spaces."
     ),
 ]
 BuildType: TypeAlias = Annotated[
@@ -49,12 +49,12 @@ Description: TypeAlias = Annotated[
 NodeName: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        "--node-name", metavar="NAME", help="The name of its program: server if left out."
+        "--node-name", metavar="NAME", help="The name of its program. If left out, server."
     ),
 ]
 Maintainer: TypeAlias = Annotated[
     str | None,
-    typer.Option("--maintainer-name", metavar="NAME", help="Who maintains it: you if left out."),
+    typer.Option("--maintainer-name", metavar="NAME", help="Who maintains it. If left out, you."),
 ]
 Email: TypeAlias = Annotated[
     str | None,
@@ -64,7 +64,7 @@ Package: TypeAlias = Annotated[
     str | None,
     typer.Argument(
         metavar="PACKAGE",
-        help="The package; all packages if left out.",
+        help="The package. If left out, all packages.",
         autocompletion=completion.runnable_packages,
         show_default=False,
     ),
@@ -162,7 +162,7 @@ def list_() -> Job:
 
 @app.command("executables", cls=Verb)
 def executables(package: Package = None) -> Job:
-    """List what can be run: a package and its executable a line."""
+    """List what can be run, one package and executable per line."""
 
     def job(_: Interrupts) -> int:
         from turtleact.commands.output import say_names

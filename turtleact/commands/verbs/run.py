@@ -55,7 +55,7 @@ Package: TypeAlias = Annotated[
     str,
     typer.Argument(
         metavar="PACKAGE",
-        help="The package, such as turtlesim; or a Python file, FILE.py.",
+        help="The package, such as turtlesim, or a Python file such as lab.py.",
         autocompletion=completion.runnable_packages,
         show_default=False,
     ),
@@ -156,7 +156,7 @@ def runnable_here() -> dict[str, dict[str, Program | None]]:
 
 
 def _listed(known: Mapping[str, Mapping[str, object]]) -> list[str]:
-    """What can be run, a line each: names that a file says could be commands to the terminal."""
+    """What can be run, one program per line, without control characters from file names."""
     pairs = [f"{package} {name}" for package in sorted(known) for name in known[package]]
     left_out = len(pairs) - MOST_LISTED
     if left_out > 0:
@@ -238,7 +238,7 @@ def _built_in(package: str, executable: str, arguments: Sequence[str], domain: i
     if package != "turtlesim":
         from turtleact.commands.verbs.serve import serve
 
-        return serve([FIBONACCI], no_sim=True, domain=domain)
+        return serve([FIBONACCI], no_sim=True, node_name=executable, domain=domain)
     where = reach(domain=domain)
 
     def job(interrupts: Interrupts) -> int:

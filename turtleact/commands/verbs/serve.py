@@ -104,7 +104,15 @@ Wait: TypeAlias = Annotated[
 ]
 Reload: TypeAlias = Annotated[
     bool,
-    typer.Option("--reload", help="Serve your actions anew when their files change."),
+    typer.Option("--reload", help="Reload your actions when their files change."),
+]
+NodeName: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--node-name",
+        metavar="NAME",
+        help="With --no-sim: the name of the node with your actions. If left out, turtleact.",
+    ),
 ]
 NoSim: TypeAlias = Annotated[
     bool,
@@ -173,6 +181,7 @@ def serve(
     wait: Wait = False,
     reload: Reload = False,
     no_sim: NoSim = False,
+    node_name: NodeName = None,
     speed: Speed = 1.0,
     turtles: Turtles = 1,
     placing: HowPlaced = "random",
@@ -194,6 +203,8 @@ def serve(
     fleet = Fleet(speed, turtles, placing, seed, collide=collide, paused=paused)
     if no_sim:
         _check_for_nothing_of_a_world(fleet)
+    elif node_name is not None:
+        raise UsageError("--node-name needs --no-sim: beside a world, your actions are on its node")
     if reload and not targets:
         raise UsageError(
             "--reload is for your own actions: name a module or a file, such as lab.py"
@@ -219,6 +230,7 @@ def serve(
             is_live=not (headless or plain),
             wait=wait,
             reload=reload,
+            node_name=node_name or "turtleact",
         )
         return run(service, interrupts)
 

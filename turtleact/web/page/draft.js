@@ -209,10 +209,10 @@ export class Draft extends EventTarget {
   }
 
   #changed() {
-    const count = this.places().length, who = this.turtle || this.#turtle;
+    const count = this.places().length, who = this.turtle ? ` for ${this.turtle}` : "";
     const isPossible = this.#takesPlaces() || "/patrol" in this.watch.graph.actions;
-    const hint = isPossible && this.#turtle ? `Choose places for ${who} on the map` : "";
-    setText($("draft-text"), count ? `${count} ${count === 1 ? "place" : "places"} for ${who} · ${this.action}` : hint);
+    const hint = isPossible && this.#turtle ? `Choose places for ${this.turtle || this.#turtle} on the map` : "";
+    setText($("draft-text"), count ? `${count} ${count === 1 ? "place" : "places"}${who} · ${this.action}` : hint);
     $("draft").classList.toggle("idle", !count);
     $("draft-send").hidden = $("draft-clear").hidden = !count;
     $("draft-send").disabled = $("do-send").disabled = !this.connection.isUp || !this.action;

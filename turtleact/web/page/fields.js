@@ -16,12 +16,10 @@ export function messageControl(fields) {
   return new Group(fields);
 }
 
-function controlOf(field) {
-  if (field.array) return new List(field);
-  return single(field);
+function controlOf(field, isOutermost) {
+  if (field.array) return new List(field, isOutermost);
+  return field.fields ? new Group(field.fields, field) : new Leaf(field);
 }
-
-const single = field => (field.fields ? new Group(field.fields, field) : new Leaf(field));
 
 const shortType = type => type.replace(/\/msg\//, "/");
 
@@ -50,10 +48,9 @@ const isCompact = fields => fields.length <= 4 && fields.every(
   ({type, array, comment}) => !array && !comment && (IS_FLOAT.test(type) || IS_INTEGER.test(type)));
 
 export class Leaf {
-  constructor(field, name = label(field.name)) {
+  constructor(field, name = label(field.name), note = noteOf(plain(field.comment), limits(field))) {
     this.field = field;
     const id = `field-${++count}`;
-    const note = noteOf(plain(field.comment), limits(field));
     this.input = make("input", {id, "aria-describedby": `${id}-note ${id}-error`, autocomplete: "off",
       type: field.type === "bool" ? "checkbox" : "text",
       inputmode: IS_FLOAT.test(field.type) || IS_INTEGER.test(field.type) ? "decimal" : null});
@@ -122,7 +119,7 @@ function zeroOf({type}) {
 
 class Group {
   constructor(fields, field = null, name = field && label(field.name)) {
-    this.controls = new Map(fields.map(each => [each.name, controlOf(each)]));
+    this.controls = new Map(fields.map(each => [each.name, controlOf(each, !field)]));
     const inside = [...this.controls.values()].map(({element}) => element);
     if (!field) this.element = make("div", {}, ...inside);
     else this.element = make("fieldset", {class: isCompact(fields) ? "compact" : null}, make("legend", {}, name, " ", make("small", {}, plain(field.array ? "" : field.comment))), ...inside);
@@ -151,16 +148,16 @@ class Group {
 export class List {
   controls = [];
 
-  constructor(field) {
+  constructor(field, isOutermost) {
     this.field = field;
-    this.items = make("div", {class: "items"});
+    this.items = make("div", {class: field.fields ? "items" : "items short"});
     this.error = make("small", {class: "error", role: "alert"});
     this.isFixed = field.array.form === "fixed";
     this.add = make("button", {type: "button", hidden: this.isFixed, onclick: () => {
       this.append().focus();
       this.#changed();
     }}, `Add to ${label(field.name)}`);
-    const hint = field.fields && takesXY(field.fields) ? "You can also choose them on the map." : "";
+    const hint = isOutermost && field.fields && takesXY(field.fields) ? "You can also choose them on the map." : "";
     const note = noteOf(plain(field.comment), limits(field), hint);
     this.element = make("fieldset", {}, make("legend", {}, label(field.name), " ", make("small", {}, note)),
       this.items, this.error, make("div", {class: "row"}, this.add));
@@ -172,8 +169,8 @@ export class List {
   }
 
   append(value) {
-    const name = `${label(this.field.name)} ${this.controls.length + 1}`;
-    const control = this.field.fields ? new Group(this.field.fields, this.field, name) : new Leaf({...this.field, comment: ""}, name);
+    const number = this.controls.length + 1, name = `${label(this.field.name)} ${number}`;
+    const control = this.field.fields ? new Group(this.field.fields, this.field, name) : new Leaf(this.field, String(number), "");
     if (value !== undefined) control.write(value);
     const item = make("div", {class: "item"}, control.element);
     if (!this.isFixed) {

@@ -1,5 +1,6 @@
 // What the server watches for all pages: goals, trails, the graph, and the time.
 
+const MOST_LINES = 128;
 const MOST_POINTS = 2000;
 
 export class Watch extends EventTarget {
@@ -77,6 +78,7 @@ export class Watch extends EventTarget {
       isReplaced ||= tail.is_whole;
       const points = tail.is_whole ? tail.points : [...(this.trails.get(name) ?? []), ...tail.points];
       this.trails.set(name, points.slice(-MOST_POINTS));
+      if (this.trails.size > MOST_LINES) this.trails.delete(this.trails.keys().next().value);
     }
     if (isReplaced || Object.keys(tails).length) this.#tell("trails", isReplaced);
   }

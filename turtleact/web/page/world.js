@@ -106,7 +106,7 @@ export class World {
     this.#drawEnds();
     const size = dots / unit;
     for (const goal of this.watch.goals.values()) if (!goal.has_ended) this.#drawGoal(goal, size);
-    this.#drawPlaces(this.draft.places(), {size, turtle: this.draft.turtle || "turtle1", isDraft: true});
+    this.#drawPlaces(this.draft.places(), {size, turtle: this.draft.turtle, isDraft: true});
     for (const turtle of this.turtles.values()) if (turtle.pose) this.#drawTurtle(turtle, size);
   }
 
