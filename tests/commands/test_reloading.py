@@ -172,6 +172,22 @@ async def test_an_interface_file_is_read_anew(desk):
         assert get_action("reload_msgs/action/Count").Goal(until=1).until == 1
 
 
+async def test_an_interface_stays_while_the_code_fails_and_is_read_with_the_next_success(desk):
+    with REGISTRY.isolated():
+        desk.folder.joinpath("reload_msgs", "action").mkdir(parents=True)
+        desk.write(file="reload_msgs/action/Count.action", text="int32 to\n---\n---\n")
+        load_interfaces(desk.folder)
+        desk.reloader.watch.follow()
+        assert get_action("reload_msgs/action/Count").Goal(to=1).to == 1
+        desk.write(file="reload_msgs/action/Count.action", text="int32 until\n---\n---\n")
+        desk.write(2, more="1 / 0")
+        await desk.rest()
+        assert get_action("reload_msgs/action/Count").Goal(to=1).to == 1
+        desk.write(2)
+        await desk.rest()
+        assert get_action("reload_msgs/action/Count").Goal(until=1).until == 1
+
+
 # --- what is replaced, and what stays ---------------------------------------------------------
 
 

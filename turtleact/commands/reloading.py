@@ -80,8 +80,8 @@ class Watch:
         self._last = self._seen
 
     def _stamps(self) -> Stamps:
-        interfaces = {Path(file) for file in REGISTRY.files.values()}
-        watched = self._modules.files | {each for each in interfaces if self._modules.has(each)}
+        interfaces = {each for each in _interface_files().values() if self._modules.has(each)}
+        watched = self._modules.files | interfaces
         return {file: _stamp(file) for file in sorted(watched)}
 
 
@@ -115,6 +115,7 @@ class Reloader:
         self._found: Found | None = None
         self._servers: list[ActionServer[Any, Any, Any]] = []
         self._parameters: list[Parameter[Any]] = []
+        self._stale: set[Path] = set()  # changed, but not yet imported with success
 
     def adopt(self, found: Found, servers: Iterable[ActionServer[Any, Any, Any]]) -> None:
         """Take over what the node serves already."""
@@ -157,9 +158,11 @@ class Reloader:
         self._say(f"reloaded: {', '.join(names)}")
 
     def _import(self, changed: list[Path]) -> Found | None:
-        """Import the modules again; None if that fails, or if a signal has come."""
-        for name, file in REGISTRY.files.items():
-            if Path(file) in changed:
+        """Import the modules anew; None if that fails, or a signal has come."""
+        known = REGISTRY.state()
+        self._stale.update(changed)
+        for name, file in _interface_files().items():
+            if file in self._stale:
                 REGISTRY.forget(name)  # it is read again when it is needed
         found = None
         try:
@@ -168,11 +171,13 @@ class Reloader:
                 found = self._modules.find_again()
         except TurtleactError as error:
             logger.error("%s; %s", error, UNCHANGED)
-            return None
         except BaseException as error:  # a module may raise anything, such as SystemExit
             logger.error("%s; %s", summary(error), UNCHANGED)
+        if found is None or self._interrupts.received:
+            REGISTRY.restore(known)  # the old actions have the old interfaces
             return None
-        return None if self._interrupts.received else found
+        self._stale.clear()
+        return found
 
     def _serve(self, found: Found) -> None:
         """Declare the parameters, and serve the actions.
@@ -193,6 +198,12 @@ class Reloader:
         for parameter in self._parameters:
             parameter.undeclare()
         self._parameters.clear()
+
+
+def _interface_files() -> dict[str, Path]:
+    """The interface files that may be read, by type name."""
+    files = REGISTRY.nearby | REGISTRY.files
+    return {name: Path(file) for name, file in files.items()}
 
 
 def _stamp(file: Path) -> tuple[int, int, int] | None:

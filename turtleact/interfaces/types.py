@@ -18,6 +18,7 @@ import functools
 import keyword
 import math
 import sys
+from copy import copy
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -180,16 +181,22 @@ class Registry:
         """All names known so far."""
         return list(self._known)
 
+    def state(self) -> dict[str, object]:
+        """Return what is registered now, for `restore`."""
+        return {name: copy(value) for name, value in vars(self).items()}
+
+    def restore(self, state: Mapping[str, object]) -> None:
+        """Forget what has been registered since `state`, and know again what was known then."""
+        vars(self).update({name: copy(value) for name, value in state.items()})
+
     @contextlib.contextmanager
     def isolated(self) -> Iterator[None]:
         """Forget at the end of the block everything registered inside it. For tests."""
-        kept = dict(self._known), dict(self.files), self.prefixes
-        offered = dict(self.nearby), self.on_nearby, set(self.settled)
+        kept = self.state()
         try:
             yield
         finally:
-            self._known, self.files, self.prefixes = kept
-            self.nearby, self.on_nearby, self.settled = offered
+            self.restore(kept)
 
 
 #: The package with the built-in classes.

@@ -30,6 +30,8 @@ __all__ = ["app", "serve"]
 MOST_TURTLES = 10_000
 """A node cannot publish the poses of more turtles in time."""
 
+NOTHING_TO_RELOAD = "--reload is for your own actions: name a module or a file, such as lab.py"
+
 WORLD, WEB = "World", "Web"
 """The headings of options."""
 
@@ -206,9 +208,7 @@ def serve(
     elif node_name is not None:
         raise UsageError("--node-name needs --no-sim: beside a world, your actions are on its node")
     if reload and not targets:
-        raise UsageError(
-            "--reload is for your own actions: name a module or a file, such as lab.py"
-        )
+        raise UsageError(NOTHING_TO_RELOAD)
     page = _page(web, token, allow_host, allow_origin)
     where = reach(connect, domain, config)
 
