@@ -41,6 +41,10 @@ REMOTE_WORKER = "https://unpkg.com/iframe-worker/shim"
 
 REMOTE_SCRIPT = re.compile(r"<script[^>]* src=[\"']?(\w+://[^\"'\s>]+)")
 
+CODE = re.compile(r"<code>.*?</code>", re.DOTALL)
+DOTS = re.compile("[\u2800-\u28ff\u2190-\u2199\u25cf\u2713]")
+"""Braille, arrows and marks: many fonts draw them too wide, so the style gives them a width."""
+
 FENCED = re.compile(r"(^```.*?^```$)", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"(?<=\]\()(?!\w+:|#)([^)#\s]+)")
 PIPE = re.compile(r"(?<=`)\\\|(?=[^|`]*`)")
@@ -74,15 +78,18 @@ def main() -> int:
     build = [sys.executable, "-m", "zensical", "build", "--strict"]
     ran = subprocess.run(build, cwd=STAGE, check=False)  # noqa: S603  # our own command
     if ran.returncode == 0:
-        make_search_local(STAGE / "site")
+        finish(STAGE / "site")
         shutil.rmtree(SITE, ignore_errors=True)
         shutil.copytree(STAGE / "site", SITE)
         print(f"{len(list(SITE.rglob('*.html')))} pages in {SITE.relative_to(ROOT)}/")
     return ran.returncode
 
 
-def make_search_local(folder: Path) -> None:
-    """Load what the search needs at file:// from the site, not from a server on the internet.
+def finish(folder: Path) -> None:
+    """Mend the pages that Zensical has built.
+
+    What the search needs at file:// is loaded from the site, not from a server on the internet.
+    Each dot of a drawing in a terminal is marked, so that the style can give it a width.
 
     Raises:
         RemoteScript: if a page would still load a script from the internet.
@@ -90,6 +97,7 @@ def make_search_local(folder: Path) -> None:
     for path in folder.rglob("*.html"):
         script = os.path.relpath(folder / "theme" / "search.js", path.parent)
         text = path.read_text("utf-8").replace(REMOTE_WORKER, script)
+        text = CODE.sub(lambda code: DOTS.sub(r"<i>\g<0></i>", code[0]), text)
         if remote := REMOTE_SCRIPT.search(text):
             raise RemoteScript(path.name, remote[1])
         path.write_text(text, "utf-8")

@@ -198,15 +198,22 @@ def test_the_search_of_a_page_that_is_opened_as_a_file_needs_no_network(build, t
     page = tmp_path / "reference" / "api" / "index.html"
     page.parent.mkdir(parents=True)
     page.write_text(f'<script src="{build.REMOTE_WORKER}"></script>')
-    build.make_search_local(tmp_path)
+    build.finish(tmp_path)
     assert page.read_text() == '<script src="../../theme/search.js"></script>'
     assert (ROOT / "docs" / "theme" / "search.js").exists()
+
+
+def test_each_dot_of_a_drawing_in_a_terminal_is_marked(build, tmp_path):
+    (tmp_path / "a.html").write_text("<p>\u2801</p><code>x\u2801\u2802</code>", "utf-8")
+    build.finish(tmp_path)
+    marked = "<p>\u2801</p><code>x<i>\u2801</i><i>\u2802</i></code>"
+    assert (tmp_path / "a.html").read_text("utf-8") == marked
 
 
 def test_a_page_that_loads_another_script_from_the_internet_is_an_error(build, tmp_path):
     (tmp_path / "a.html").write_text('<script defer src="https://cdn.example/x.js"></script>')
     with pytest.raises(build.RemoteScript, match=r"a\.html loads https://cdn\.example/x\.js"):
-        build.make_search_local(tmp_path)
+        build.finish(tmp_path)
 
 
 def test_developers_get_what_builds_the_site_and_testers_do_not():
