@@ -300,6 +300,15 @@ async def test_the_page_fits_a_phone_and_a_screen_reader(devtools):
             ]
             assert unnamed == []
 
+        # topics are shown, and turtles come and go
+        await page.click("[aria-label='Show /turtle2/pose']")
+        await page.until("document.querySelector('.topic dl')?.innerText.includes('theta')")
+        await page.click("[aria-label='Kill turtle2']")
+        await page.until("$('turtle').options.length === 1")
+        await page.click("#turtles form[aria-label='Pen'] button")
+        await page.until("$('said').textContent === 'The pen of turtle1 was set'")
+        assert page.complaints == []
+
 
 class Outside(HTMLParser):
     """What the page loads."""

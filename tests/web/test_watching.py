@@ -293,7 +293,9 @@ async def test_trails_are_kept_for_the_next_page():
             poses.publish(TurtlePose(x=4.0))
             poses.publish(TurtlePose(x=5.0))
         async with line(bridge) as another:
-            trail = (await watch(another))["trails"]["turtle1"]
+            news = await watch(another)
+            assert news["graph"]["poses"] == {"/turtle1/pose": "turtlesim/msg/Pose"}
+            trail = news["trails"]["turtle1"]
             assert trail["is_whole"]
             assert [point[0] for point in trail["points"]] == [1.0, 2.0, 3.0, 4.0]
             assert trail["points"][-1] == [4.0, 0.0, "#ff0000", 7]

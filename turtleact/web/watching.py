@@ -242,11 +242,12 @@ class Watch:
             "topics": {name: types[0] for name, types in graph.topics.items()},
             "services": {name: types[0] for name, types in graph.services.items()},
             "actions": {name: types[0] for name, types in graph.actions.items()},
+            "poses": self._published_poses(),
         }
         if seen != self._graph:
             self._graph, self._graph_revision = seen, self._revise()
         self._look_for_actions(seen["actions"])
-        self._look_for_turtles(seen["topics"])
+        self._look_for_turtles(seen["poses"])
 
     def _look_for_actions(self, served: dict[str, str]) -> None:
         for key in self._actions.keys() - served.items():
@@ -257,12 +258,19 @@ class Watch:
             if key not in self._actions and len(self._actions) < MOST_ACTIONS:
                 self._actions[key] = _Action(self._node, key, self._take_statuses)
 
-    def _look_for_turtles(self, topics: dict[str, str]) -> None:
-        found = {
-            name: type
-            for name, type in topics.items()
-            if name.endswith(POSE) and type in POSE_TYPES
+    def _published_poses(self) -> dict[str, str]:
+        """The topics on which turtles publish their poses, with their types."""
+        # Not all topics of poses: those of turtles that are gone stay as long as they are read,
+        # and the bridge reads them.
+        return {
+            each.name: each.type_name
+            for each in self._node.transport.endpoints()
+            if each.kind == "publisher"
+            and each.type_name in POSE_TYPES
+            and each.name.endswith(POSE)
         }
+
+    def _look_for_turtles(self, found: dict[str, str]) -> None:
         for topic in self._poses.keys() - found.keys():
             self._poses.pop(topic).close()
             self.trails.lift(_turtle(topic))

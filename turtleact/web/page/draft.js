@@ -196,7 +196,10 @@ export class Draft extends EventTarget {
   async #copy() {
     const values = this.#read();
     if (values === null) return;
-    const quoted = `'${toJson(values).replaceAll("'", String.raw`'\''`)}'`;
+    const form = await this.describe(this.watch.graph.actions[this.action]);
+    const changed = form.goal.filter(({name, default: usual}) => toJson(values[name]) !== toJson(usual));
+    const said = Object.fromEntries(changed.map(({name}) => [name, values[name]]));
+    const quoted = `'${toJson(said).replaceAll("'", String.raw`'\''`)}'`;
     const command = `turtleact send-goal ${this.action} ${this.watch.graph.actions[this.action]} ${quoted}`;
     $("command").hidden = false;
     setText($("command"), command);

@@ -47,6 +47,10 @@ export function takesXY(fields) {
 const isCompact = fields => fields.length <= 4 && fields.every(
   ({type, array, comment}) => !array && !comment && (IS_FLOAT.test(type) || IS_INTEGER.test(type)));
 
+// The values of a text that its comment names, such as ``arc`` or ``forward``.
+const wordsIn = ({type, comment}) =>
+  (type === "string" ? [...comment.matchAll(/``([\w-]+)``/g)].map(([, word]) => word) : []);
+
 export class Leaf {
   constructor(field, name = label(field.name), note = noteOf(plain(field.comment), limits(field))) {
     this.field = field;
@@ -58,6 +62,11 @@ export class Leaf {
     this.note = make("small", {id: `${id}-note`}, note);
     this.element = make("div", {class: "field"},
       make("label", {for: id, title: shortType(field.type)}, name), this.input, this.error, this.note);
+    const words = wordsIn(field);
+    if (words.length > 1) {
+      this.input.setAttribute("list", `${id}-words`);
+      this.element.append(make("datalist", {id: `${id}-words`}, ...words.map(value => make("option", {value}))));
+    }
     this.input.oninput = () => this.complain("");
     this.input.onchange = () => { this.complain(""); this.read([]); };
     this.write(field.array ? zeroOf(field) : field.default);

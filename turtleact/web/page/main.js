@@ -54,6 +54,10 @@ watch.addEventListener("graph", () => {
   setText($("graph"), `${many(nodes.length, "node")} · ${many(Object.keys(actions).length, "action")}`);
   $("pause").hidden = !watch.has("/world/set_simulation_state");
   turtles.refresh();
+  // A graph without turtles needs no map.
+  const hasMap = world.turtles.size > 0 || watch.has("/spawn");
+  $("map").hidden = !hasMap;
+  document.body.classList.toggle("bare", !hasMap);
 });
 
 const isPaused = () => watch.rate < .001;

@@ -6,7 +6,7 @@ const MOST_POINTS = 2000;
 export class Watch extends EventTarget {
   goals = new Map();
   trails = new Map();
-  graph = {nodes: [], topics: {}, services: {}, actions: {}};
+  graph = {nodes: [], topics: {}, services: {}, actions: {}, poses: {}};
   now = 0;
   rate = 1;
   #session = "";

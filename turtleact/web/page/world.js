@@ -52,9 +52,9 @@ export class World {
   onchange() {}
 
   #look() {
-    const {topics} = this.watch.graph, found = new Map();
-    for (const [topic, type] of Object.entries(topics)) {
-      if (/\/pose$/.test(topic) && /^turtlesim(_msgs)?\/msg\/Pose$/.test(type)) found.set(topic.slice(1, -5), {topic, type});
+    const found = new Map();
+    for (const [topic, type] of Object.entries(this.watch.graph.poses)) {
+      found.set(topic.slice(1, -"/pose".length), {topic, type});
     }
     let isNew = false;
     for (const [name, {topic, heard}] of this.turtles) {
@@ -92,6 +92,7 @@ export class World {
     this.#isStale = false;
     const canvas = this.#canvas, pen = this.#pen, dots = devicePixelRatio || 1;
     const width = Math.round(canvas.clientWidth * dots), height = Math.round(canvas.clientHeight * dots);
+    if (!width || !height) return; // the map is hidden
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, {width, height});
     const unit = Math.min(width, height) / SIDE * this.#view.zoom;
     const shift = [width / 2 - this.#view.x * unit, height / 2 - (SIDE - this.#view.y) * unit];
