@@ -35,7 +35,7 @@ new Timeline(watch);
 
 // the header
 
-connection.addEventListener("up", () => tell("connected", "good"));
+connection.addEventListener("up", () => { tell("connected", "good"); say(""); });
 connection.addEventListener("trying", () => tell("connecting …", ""));
 connection.addEventListener("down", ({detail}) => tell(`not connected, trying again in ${detail / 1000} s`, "bad"));
 connection.addEventListener("up", () => watch.follow());
@@ -62,8 +62,9 @@ watch.addEventListener("graph", () => {
 
 const isPaused = () => watch.rate < .001;
 watch.addEventListener("time", () => {
-  const rate = watch.rate < 10 ? watch.rate.toFixed(1).replace(".0", "") : Math.round(watch.rate);
-  setText($("rate"), isPaused() ? "paused" : `time ${rate}×`);
+  // The rate is measured, so it is only about right.
+  const whole = Math.round(watch.rate), isWhole = Math.abs(watch.rate / whole - 1) < .15;
+  setText($("rate"), isPaused() ? "paused" : `time ${isWhole ? whole : watch.rate.toFixed(1)}×`);
   setText($("pause"), isPaused() ? "Resume world" : "Pause world");
 });
 $("pause").onclick = () => {
