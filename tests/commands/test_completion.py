@@ -111,7 +111,7 @@ def test_verbs_are_completed_and_told_of(offered):
         (["topic", "h"], ["hz"]),
         (["action", "send"], ["send_goal"]),
         (["topic", "echo", "--qos-d"], ["--qos-durability", "--qos-depth"]),
-        (["serve", "--no"], ["--no-sim"]),
+        (["serve", "--no"], ["--no-sim", "--node-name"]),
         (["serve", "--placing", ""], ["random", "grid", "ring"]),
         (["topic", "echo", "/x", "--qos-durability", "v"], ["volatile"]),
         (["topic", "echo", "/x", "--qos-durability=v"], ["volatile"]),
@@ -129,12 +129,12 @@ def test_what_typer_knows_is_completed(completed, words, expected):
 
 
 @pytest.fixture
-def lab(tmp_path, monkeypatch):
+def yard(tmp_path, monkeypatch):
     """A working directory with a package that has an action and an executable."""
-    (tmp_path / "lab" / "action").mkdir(parents=True)
-    (tmp_path / "lab" / "action" / "Go.action").write_text("int32 far\n---\n---\n")
-    (tmp_path / "lab" / "pyproject.toml").write_text("[project.scripts]\ngo = 'lab.go:main'\n")
-    (tmp_path / "listen.py").touch()
+    (tmp_path / "yard" / "action").mkdir(parents=True)
+    (tmp_path / "yard" / "action" / "Go.action").write_text("int32 far\n---\n---\n")
+    (tmp_path / "yard" / "pyproject.toml").write_text("[project.scripts]\ngo = 'yard.go:main'\n")
+    (tmp_path / "yell.py").touch()
     monkeypatch.chdir(tmp_path)
     with REGISTRY.isolated():
         yield
@@ -143,14 +143,14 @@ def lab(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["run", "l"], ["lab", "listen.py"]),
-        (["run", "lab", ""], ["go"]),
-        (["interface", "show", "lab"], ["lab/action/Go"]),
-        (["interface", "package", "la"], ["lab"]),
-        (["topic", "pub", "/x", "lab/action/Go", "{"], ["{far: 0}"]),
+        (["run", "y"], ["yard", "yell.py"]),
+        (["run", "yard", ""], ["go"]),
+        (["interface", "show", "yard"], ["yard/action/Go"]),
+        (["interface", "package", "ya"], ["yard"]),
+        (["topic", "pub", "/x", "yard/action/Go", "{"], ["{far: 0}"]),
     ],
 )
-def test_packages_of_the_working_directory_are_completed_silently(lab, completed, words, expected):
+def test_packages_of_the_working_directory_are_completed_silently(yard, completed, words, expected):
     assert completed(*words) == expected
 
 

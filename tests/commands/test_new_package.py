@@ -67,6 +67,7 @@ def test_its_program_is_found_and_serves_its_action(
     monkeypatch.setattr(cli, "main", main)
     monkeypatch.setattr(sys, "argv", [])
     monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(sys, "meta_path", [*sys.meta_path])
     [(name, program)] = find_sources(here)["lab"].programs.items()
     try:
         assert run_program(program, ["--plain"], interrupts) == 5

@@ -20,6 +20,7 @@ def python(monkeypatch):
     """Python's own state, which a program may change."""
     monkeypatch.setattr(sys, "argv", [*sys.argv])
     monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(sys, "meta_path", [*sys.meta_path])
     before = {*sys.modules}
     yield
     for name in {*sys.modules} - before:

@@ -63,8 +63,8 @@ MISSING: Final = {
     "tf2_ros": "tf2 is not part of turtleact",
     "tf2_py": "tf2 is not part of turtleact",
     "tf2_geometry_msgs": "tf2 is not part of turtleact",
-    "launch": "start each program by itself, with 'turtleact run'",
-    "launch_ros": "start each program by itself, with 'turtleact run'",
+    "launch": "start each program by itself; 'turtleact run --help' lists what can be run",
+    "launch_ros": "start each program by itself; 'turtleact run --help' lists what can be run",
     "rclpy.lifecycle": "turtleact has no managed nodes",
     "rclpy.type_adapter": "turtleact has no type adapters",
 }
