@@ -85,6 +85,18 @@ async def test_the_page_drives_patrols_and_cancels(devtools):
         assert re.search(r"distance remaining\s+[\d.]+ m", shown)
         assert await page.run("$('draft-send').hidden")
 
+        # another one for the same turtle is rejected, and the form says so at the field
+        await page.click_map(5.0, 1.0)
+        await page.until("!$('draft-send').hidden")
+        await page.click("#draft-send")
+        await page.until("document.querySelector('#fields .error:not(:empty)')")
+        assert await page.text("#fields .error:not(:empty)") == (
+            "turtle 'turtle1' is being driven by another goal"
+        )
+        assert await page.run("document.activeElement.value") == "turtle1"
+        await page.until("document.querySelector('#ended .pill')?.textContent === 'rejected'")
+        await page.click("#tab-goals")
+
         # it is canceled, and stays in the history
         await page.click("#active .foot button")
         await page.until("document.querySelector('#ended .pill')?.textContent === 'canceled'")

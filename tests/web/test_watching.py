@@ -48,6 +48,7 @@ async def goals(client: Line) -> list[Values]:
     return found
 
 
+@pytest.mark.loops("asyncio", "trio")
 async def test_a_goal_of_anybody_is_watched_to_its_end():
     gate = Gate()
     async with bridged() as (node, bridge), line(bridge) as client:

@@ -91,13 +91,14 @@ export class Draft extends EventTarget {
     const args = this.#read();
     if (args === null) return;
     const type = this.watch.graph.actions[this.action];
-    this.#sent = {action: this.action, at: performance.now()};
+    const sent = this.#sent = {action: this.action};
     say(`Sending the goal to ${this.action} …`);
     try {
       await this.connection.sendGoal(this.action, type, toJson(args));
       say("");
     } catch (error) {
-      if (this.#sent) this.#fail(error.message);
+      if (this.#sent === sent) this.#fail(error.message);
+      else say(error.message);
     }
   }
 
@@ -184,9 +185,10 @@ export class Draft extends EventTarget {
     if (control instanceof Leaf === false) say(text);
   }
 
-  #notice({goal, isNews}) {
+  // A new goal of the action is taken for the one that was sent.
+  #notice({goal, before, isNews}) {
     const sent = this.#sent;
-    if (!sent || !isNews || goal.action !== sent.action || goal.status === "REJECTED") return;
+    if (!sent || before || !isNews || goal.action !== sent.action || goal.status === "REJECTED") return;
     this.#sent = null;
     say("");
     this.dispatchEvent(new Event("accepted"));
