@@ -170,7 +170,7 @@ def statements(node: ast.AST, *, loaded: bool) -> Iterator[ast.Import | ast.Impo
     for child in ast.iter_child_nodes(node):
         if isinstance(child, ast.Import | ast.ImportFrom):
             yield child
-        elif loaded and isinstance(child, Function):
+        elif isinstance(child, ast.expr) or (loaded and isinstance(child, Function)):
             continue
         elif loaded and isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
             yield from (each for other in child.orelse for each in statements(other, loaded=True))
