@@ -1429,7 +1429,7 @@ async def test_a_body_that_raises_what_is_hard_to_tell_ends_its_goal_all_the_sam
 
 class Huge(Exception):
     def __str__(self) -> str:
-        return "a" * 50_000_000
+        return "a" * 5_000_000
 
 
 def fail_hugely(*_: object) -> None:
@@ -1459,8 +1459,8 @@ async def tell_feedback(goal):
 async def test_a_body_that_fails_with_a_huge_text_is_logged_in_short(caplog, body):
     end = await end_of(body, awaited)
     assert len(end.reason) < 2 * LONGEST
-    assert len(caplog.records) == 1
-    assert "aaaa… (50,000,000 characters)" in caplog.text
+    assert [record.levelno for record in caplog.records] == [logging.ERROR]
+    assert "aaaa… (5,000,000 characters)" in caplog.text
     assert "in fail_hugely" in caplog.text or "in abort_hugely" in caplog.text  # the traceback
     assert len(caplog.text) < 2 * LONGEST
 
@@ -1470,7 +1470,7 @@ async def test_a_goal_callback_that_fails_with_a_huge_text_is_logged_in_short(ca
         with pytest.raises(GoalRejected) as caught:
             await served.client.send_goal(goal())
     assert len(str(caught.value)) < 2 * LONGEST
-    assert "aaaa… (50,000,000 characters)" in caplog.text
+    assert "aaaa… (5,000,000 characters)" in caplog.text
     assert len(caplog.text) < 2 * LONGEST
 
 
@@ -1481,14 +1481,14 @@ async def test_a_cancel_callback_that_fails_with_a_huge_text_is_logged_in_short(
     ):
         await handle.cancel()
         handle.detach()
-    assert "aaaa… (50,000,000 characters)" in caplog.text
+    assert "aaaa… (5,000,000 characters)" in caplog.text
     assert len(caplog.text) < 2 * LONGEST
 
 
 async def test_a_feedback_callback_that_fails_with_a_huge_text_is_logged_in_short(caplog):
     async with lab(tell_feedback) as served:
         await served.client.send_goal(goal(), feedback_callback=fail_hugely)
-    assert "aaaa… (50,000,000 characters)" in caplog.text
+    assert "aaaa… (5,000,000 characters)" in caplog.text
     assert len(caplog.text) < 2 * LONGEST
 
 
@@ -1496,5 +1496,5 @@ async def test_a_hook_that_fails_with_a_huge_text_is_logged_in_short(caplog):
     async with lab(tell_feedback) as served:
         served.node.on_transition(fail_hugely)
         await served.client.send_goal(goal())
-    assert "aaaa… (50,000,000 characters)" in caplog.text
+    assert "aaaa… (5,000,000 characters)" in caplog.text
     assert len(caplog.text) < 2 * LONGEST * len(caplog.records)
