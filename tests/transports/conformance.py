@@ -97,6 +97,18 @@ class Adder:
         self.lost.append(caller)
 
 
+class ThreadedAdder(Adder):
+    """A server that takes requests in any thread, and answers in one of its own."""
+
+    is_threaded = True
+
+    def reply_nowait(self, request: Any, caller: bytes, respond: Callable[[Any], object]) -> bool:
+        self.callers.append(caller)
+        reply = Reply(Sum.Response(total=sum(request.numbers)))
+        threading.Thread(target=respond, args=(reply,)).start()
+        return True
+
+
 class Inbox:
     """A subscriber that keeps what it is given."""
 
@@ -188,6 +200,19 @@ class TransportConformance:
             publication.publish(feedback(7))
             await peers.settle()
             assert inbox.numbers == [7]
+
+    @BOTH_WAYS
+    async def test_a_subscription_in_any_thread_gets_messages_in_order(self, transport, end):
+        async with transport() as peers:
+            inbox = Inbox()
+            at = getattr(peers, end)
+            at.subscribe(subscription(), SPEECH, inbox.deliver, in_any_thread=True)
+            publication = peers.here.advertise(publisher(), SPEECH)
+            await peers.settle()
+            for number in range(20):
+                publication.publish(feedback(number))
+            await peers.settle()
+            assert inbox.numbers == list(range(20))
 
     @BOTH_WAYS
     async def test_messages_arrive_in_the_order_of_their_publishing(self, transport, end):
@@ -790,6 +815,14 @@ class TransportConformance:
             caller = peers.here.join(client(), ASKING)
             await peers.settle()
             assert (await caller.call(numbers())).note == "added up"
+
+    @BOTH_WAYS
+    async def test_a_threaded_handler_may_answer_in_another_thread(self, transport, end):
+        async with transport() as peers:
+            getattr(peers, end).serve(service(), SERVING, ThreadedAdder())
+            caller = peers.here.join(client(), ASKING)
+            await peers.settle()
+            assert (await caller.call(numbers(2, 3))).message == Sum.Response(total=5)
 
     @BOTH_WAYS
     async def test_a_caller_is_served_while_a_server_is_open(self, transport, end):

@@ -360,6 +360,28 @@ async def test_a_message_that_cannot_be_read_is_logged_and_the_next_is_read(addr
     assert logged.startswith("topic /chatter: a message cannot be read: message: not plain CDR")
 
 
+@pytest.mark.parametrize("fails", [False, True])
+async def test_a_client_may_be_told_of_its_reply_in_the_thread_that_brings_it(address, fails):
+    error = ServiceError("/add", "no") if fails else None
+    async with two(address) as peers:
+        peers.there.serve(service(), SERVING, Adder(fail=error))
+        caller = peers.here.join(client(), ASKING)
+        await until(peers.here, lambda: caller.is_served)
+        ended: list[object] = []
+        done = threading.Event()
+
+        def on_end(call: Any) -> None:
+            try:
+                ended.append(call.take().message)
+            except ServiceError as refused:
+                ended.append(refused.reason)
+            done.set()
+
+        assert caller.ask(numbers(2, 3), on_end) is not None
+        await anyio.to_thread.run_sync(done.wait, 5)
+        assert ended == ["no" if fails else Sum.Response(total=5)]
+
+
 async def test_a_request_of_ros_is_answered_with_its_own_number_and_gid(address):
     async with beside(address) as (transport, other):
         transport.serve(service(), SERVING, adder := Adder())

@@ -57,6 +57,7 @@ __all__ = [
     "Source",
     "SyncHandler",
     "Target",
+    "ThreadedHandler",
     "TimePolicies",
     "Transport",
     "find_server",
@@ -343,8 +344,15 @@ class Caller(Closeable, Protocol):
             TurtleactError: if the caller is closed.
         """
 
-    def ask(self, request: object) -> PendingCall | None:
+    def ask(
+        self, request: object, on_end: Callable[[PendingCall], object] | None = None
+    ) -> PendingCall | None:
         """Send a request to another process now; return None if `call` would have to wait first.
+
+        Args:
+            request: The request.
+            on_end: Called once with the call when it is over, in the thread that brings the reply
+                or in the event loop. A client that uses it may ask in any thread, one at a time.
 
         Raises:
             InvalidMessage: if the request does not fit its type. Nothing was sent.
@@ -377,6 +385,20 @@ class SyncHandler(Protocol):
             Whether ``respond`` has been or will be called. If not, nothing has happened, and the
             request must be answered in a task.
         """
+
+
+@runtime_checkable
+class ThreadedHandler(Protocol):
+    """A `SyncHandler` that takes requests of other processes in the thread that brings them.
+
+    Its `SyncHandler.reply_nowait` always returns True, must be quick, and may call ``respond`` in
+    any thread. That saves a detour through the event loop.
+
+    Attributes:
+        is_threaded: True.
+    """
+
+    is_threaded: bool
 
 
 @runtime_checkable

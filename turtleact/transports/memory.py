@@ -26,6 +26,7 @@ from turtleact.transports.base import (
     Deliver,
     Endpoint,
     Format,
+    PendingCall,
     Publication,
     QoS,
     Reply,
@@ -395,7 +396,7 @@ class _Caller:
         except Exception as error:
             raise ServiceError(name, f"the handler failed: {summary(error)}") from error
 
-    def ask(self, _request: object) -> None:
+    def ask(self, _request: object, on_end: Callable[[PendingCall], object] | None = None) -> None:
         """Return None: there are no servers in other processes."""
 
     def why_not_served(self, suffix: str = "") -> str:

@@ -1,16 +1,24 @@
 """Calls of services, from any thread.
 
-A server of rclpy in the same process gets the request directly. Any other server is asked in the
-event loop.
+A server of rclpy in the same process gets the request directly. A server in another process is
+asked without a detour through the event loop, if it is known already.
 """
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 
 from turtleact.errors import TurtleactError
 from turtleact.rclpy.impl.connection import Connection, RequestHandler
-from turtleact.transports.base import EVERY_SERVER, Caller, Endpoint, Reply, Target
+from turtleact.transports.base import (
+    EVERY_SERVER,
+    Caller,
+    Endpoint,
+    PendingCall,
+    Reply,
+    Target,
+)
 
 __all__ = ["CallEnd"]
 
@@ -35,6 +43,7 @@ class CallEnd:
         self._connection = connection
         self._endpoint = endpoint
         self._caller: Caller = connection.join(endpoint, type_hash, target)
+        self._lock = threading.Lock()
         self._found: RequestHandler | None = None
         self._seen = -1
 
@@ -54,23 +63,33 @@ class CallEnd:
         Args:
             request: The encoded request.
             answered: Called with the response and its note, in any thread.
-            failed: Called if there will be no response, in the event loop.
+            failed: Called if there will be no response, in any thread.
         """
         handler = self._local()
         if handler is not None:
             handler.take(request, answered)
             return
 
-        async def call() -> None:
+        def ended(call: PendingCall) -> None:
             try:
-                reply: Reply = await self._caller.call(request)
+                settle(call.take())
             except TurtleactError as error:
                 failed(error)
-            else:
-                assert isinstance(reply.message, bytes)  # noqa: S101  # see `Encoded`
-                answered(reply.message, reply.note)
 
-        self._connection.loop.start(call())
+        async def call() -> None:
+            try:
+                settle(await self._caller.call(request))
+            except TurtleactError as error:
+                failed(error)
+
+        def settle(reply: Reply) -> None:
+            assert isinstance(reply.message, bytes)  # noqa: S101  # see `Encoded`
+            answered(reply.message, reply.note)
+
+        with self._lock:
+            is_sent = self._caller.ask(request, ended) is not None
+        if not is_sent:  # a server that was seen may not be reachable yet
+            self._connection.loop.start(call())
 
     def close(self) -> None:
         """Leave the graph when all calls under way have ended."""

@@ -7,6 +7,7 @@ event loop; topics are sent and received without it.
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import threading
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from typing import TypeAlias, cast
 
 import msgspec
 
+from turtleact.errors import TurtleactError
 from turtleact.rclpy.impl.event_loop import EventLoop
 from turtleact.transports import Transport
 from turtleact.transports.base import (
@@ -35,7 +37,7 @@ OpenTransport: TypeAlias = Callable[[int], AbstractAsyncContextManager[Transport
 """Opens the graph of a ROS domain."""
 
 Respond: TypeAlias = Callable[[bytes, str], object]
-"""Answers a request with a response and a note."""
+"""Answers a request with a response and a note. May be called in any thread."""
 
 CLOSING = 2.0
 """How long to wait for a graph to close (s)."""
@@ -114,29 +116,41 @@ class RequestHandler:
     """Passes the requests for a service to a function that may answer in any thread, at any time.
 
     Args:
-        take: Takes a request and the function that answers it.
+        take: Takes a request and the function that answers it, in any thread.
+
+    Attributes:
+        take: As given.
+        is_threaded: True: transports need not use the event loop for it.
     """
+
+    is_threaded = True
 
     def __init__(self, take: Callable[[bytes, Respond], None]) -> None:
         self.take = take
 
-    async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002  # not needed
-        """Answer a request from another process."""
-        import asyncio
+    def reply_nowait(
+        self,
+        request: object,
+        caller: bytes,  # noqa: ARG002  # a request outlives its client
+        respond: Callable[[Reply | TurtleactError], object],
+    ) -> bool:
+        """Take a request from another process."""
+        self.take(cast("bytes", request), lambda data, note: respond(Reply(data, note)))
+        return True
 
+    async def reply(self, request: object, caller: bytes) -> Reply:
+        """Answer a request in the event loop; transports prefer `reply_nowait`."""
         loop = asyncio.get_running_loop()
-        answered: asyncio.Future[Reply] = loop.create_future()
+        answered: asyncio.Future[Reply | TurtleactError] = loop.create_future()
 
-        def respond(response: bytes, note: str = "") -> None:
-            with contextlib.suppress(RuntimeError):  # the loop is closed
-                loop.call_soon_threadsafe(settle, Reply(response, note))
+        def settle(reply: Reply | TurtleactError) -> None:
+            loop.call_soon_threadsafe(answered.set_result, reply)
 
-        def settle(reply: Reply) -> None:
-            if not answered.done():
-                answered.set_result(reply)
-
-        self.take(cast("bytes", request), respond)
-        return await answered
+        self.reply_nowait(request, caller, settle)
+        reply = await answered
+        if isinstance(reply, TurtleactError):
+            raise reply
+        return reply
 
 
 class Connection:

@@ -37,6 +37,7 @@ from turtleact.transports.base import (
     Reply,
     SyncHandler,
     Target,
+    ThreadedHandler,
     why_not_served,
 )
 from turtleact.transports.rmw_zenoh.attachment import (
@@ -128,7 +129,11 @@ class WireService:
 
     def _take(self, query: Query) -> None:
         """Receive a query; a thread of the session calls this."""
-        self._context.inbox.push(partial(self._begin, query))
+        offers = tuple(self._offers)
+        if offers and offers[0].is_threaded and self._context.is_open:
+            self._begin(query)
+        else:
+            self._context.inbox.push(partial(self._begin, query))
 
     def _begin(self, query: Query) -> None:
         try:
@@ -138,7 +143,10 @@ class WireService:
             request = self._format.decode(query.payload)
         except InvalidMessage as error:
             about = f"service {self._name}: a request cannot be read"
-            self._context.complaints.warn(about, gid_in(query.attachment), error)
+            complain = partial(
+                self._context.complaints.warn, about, gid_in(query.attachment), error
+            )
+            self._context.inbox.push(complain)  # this may be another thread
             self._fail(query, error)
             return
         offer = self._offers[0] if self._offers else None
@@ -225,11 +233,12 @@ class WireService:
 class _Offer:
     """A handler of a service, and its registration inside the process."""
 
-    __slots__ = ("_near", "_service", "handler", "sync")
+    __slots__ = ("_near", "_service", "handler", "is_threaded", "sync")
 
     def __init__(self, service: WireService, near: Closeable, handler: object) -> None:
         self.handler = handler if isinstance(handler, AsyncHandler) else None
         self.sync = handler if isinstance(handler, SyncHandler) else None
+        self.is_threaded = isinstance(handler, ThreadedHandler)
         self._service = service
         self._near = near
 
@@ -295,12 +304,14 @@ class WireCaller:
             raise self._unavailable(self.why_not_served())
         return await self._send(payload, is_cancelable=True).reply()
 
-    def ask(self, request: object) -> PendingCall | None:
+    def ask(
+        self, request: object, on_end: Callable[[PendingCall], object] | None = None
+    ) -> PendingCall | None:
         """Send a request to another process now; None if that is not possible at once."""
         is_far = self.is_matching and self._context.is_open and not self._near.is_served
         if not is_far or not self._is_open:
             return None
-        return self._send(self._format.encode(request), is_cancelable=False)
+        return self._send(self._format.encode(request), is_cancelable=False, on_end=on_end)
 
     def close(self) -> None:
         """Leave the graph when the calls under way are over. A second call does nothing.
@@ -323,7 +334,7 @@ class WireCaller:
         """Handle the loss of a server: calls may still be answered by another one for a moment."""
         if server != self._endpoint.name:
             return
-        for call in tuple(self._calls):  # a copy, since finished calls remove themselves
+        for call in self._calls.copy():  # since finished calls remove themselves
             self._context.crew.run(call.end_soon(), f"a call of {self._endpoint.name}")
 
     async def _wait_for_route(self) -> None:
@@ -332,10 +343,18 @@ class WireCaller:
             while not self.is_matching and any(map(self._fits, self._servers())):
                 await self._context.near.wait_for_change()
 
-    def _send(self, payload: bytes, *, is_cancelable: bool) -> WireCall:
+    def _send(
+        self,
+        payload: bytes,
+        *,
+        is_cancelable: bool,
+        on_end: Callable[[PendingCall], object] | None = None,
+    ) -> WireCall:
         call = WireCall(
             self._context, payload, self._counter.next(), self, is_cancelable=is_cancelable
         )
+        if on_end is not None:
+            call.on_end.append(on_end)
         self._calls.add(call)
         self._context.outbox.post(call.send)
         return call
@@ -443,6 +462,8 @@ class WireCall:
         answer: The payload and attachment of the reply.
         error: The text and the kind of an error.
         is_over: Whether a reply or error has arrived, or neither ever will.
+        on_end: The function to call in any thread when it is over, taken out before it is called:
+            the last reply and the loss of the server may be noticed at the same moment.
     """
 
     answer: tuple[bytes, bytes] | None = None
@@ -467,6 +488,7 @@ class WireCall:
         self._attachment = attachment
         self._caller = caller
         self._is_cancelable = is_cancelable
+        self.on_end: list[Callable[[PendingCall], object]] = []
 
     def tell(self, told: Callable[[], object]) -> None:
         """Have a function called when it is over; see `turtleact.transports.base.PendingCall`."""
@@ -509,6 +531,16 @@ class WireCall:
             self._changed.fire()
         if self._told is not None and self._is_wanted:
             self._told()
+        self._end_here()
+
+    def _end_here(self) -> bool:
+        """Call the function for any thread, if there is one left; return whether there was."""
+        try:
+            on_end = self.on_end.pop()
+        except IndexError:
+            return False
+        on_end(self)
+        return True
 
     async def _wait(self) -> None:
         while not self.is_over:
@@ -551,13 +583,15 @@ class WireCall:
             if counts is not None and not counts(payload):
                 return  # another server may send a better reply; otherwise `_ended` comes next
             self.is_over = True
-            self._context.inbox.push(self._tell)
+            if not self._end_here():
+                self._context.inbox.push(self._tell)
 
     def _failed(self, text: str, kind: str) -> None:
         if not self.is_over:
             self.error = text, kind
             self.is_over = True
-            self._context.inbox.push(self._tell)
+            if not self._end_here():
+                self._context.inbox.push(self._tell)
 
     def _ended(self) -> None:
         if not self.is_over:  # otherwise the loop already knows
