@@ -126,6 +126,9 @@ class ServerOptions(TypedDict, total=False):
     grace: float
     journal: GoalJournal | None
     on_restart: OnRestart
+    pausable: bool
+    on_pause: Callable[..., Awaitable[object]] | None
+    on_resume: Callable[..., Awaitable[object]] | None
 
 
 def check_options(options: ServerOptions) -> None:
@@ -147,6 +150,10 @@ def check_options(options: ServerOptions) -> None:
     if options.get("on_restart", "abort") not in get_args(OnRestart):
         problem = f"expected 'abort' or 'resume', not {options.get('on_restart')!r}"
         raise InvalidOption("on_restart", problem)
+    for name in ("on_pause", "on_resume"):
+        callback = options.get(name)
+        if callback is not None and not inspect.iscoroutinefunction(callback):
+            raise InvalidOption(name, f"expected a coroutine function, not {callback!r}")
     for name in ("goal_callback", "cancel_callback"):
         callback = options.get(name)
         if callback is not None and not callable(callback):

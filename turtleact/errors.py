@@ -277,6 +277,12 @@ class UnknownGoal(GoalError):
     what = "the goal is not known to the server"
 
 
+class PauseRefused(GoalError):
+    """The goal could not be paused or resumed; it is as it was before."""
+
+    what = "the goal cannot be paused or resumed"
+
+
 class ActionConflict(TurtleactError):
     """Another node already serves the action; an action name belongs to one node.
 

@@ -19,7 +19,7 @@ import heapq
 from collections.abc import Callable, Collection, Iterable, Mapping
 from enum import IntEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
 
 import msgspec
 
@@ -181,6 +181,10 @@ class Goal(msgspec.Struct, eq=False):
         is_decided: Whether its end is settled. With a journal, it is announced a little later, and
             only then has the goal ended.
         resumed: What an earlier process has left of it; None if it began in this one.
+        is_paused: Whether its body stands still, and does so until it is resumed.
+        hold: The request that its body stands still; see `turtleact.server.pausing`.
+        paused_ns: How long it was paused before (ns), by the server's clock.
+        children: The goals that its body has sent and that have not ended, with what pauses them.
         waiters: How many callers wait for its result. The table keeps the goal while there are any.
         parent: The goal whose body sent this one, if any.
         sender: The client that sent it.
@@ -206,6 +210,10 @@ class Goal(msgspec.Struct, eq=False):
     ended: int = 0
     is_decided: bool = False
     resumed: object = None
+    is_paused: bool = False
+    hold: object = None
+    paused_ns: int = 0
+    children: dict[Goal, Any] | None = None
     waiters: int = 0
     parent: Goal | None = None
     sender: object = None

@@ -54,6 +54,7 @@ class GoalRecord(msgspec.Struct, kw_only=True):
         number: Its place in the order of acceptance; the journal counts.
         crashes: How often its server has crashed since its newest feedback.
         is_stopped: Whether its server has stopped in order since its last start.
+        is_paused: Whether it is paused.
         feedback: The newest feedback; empty if there is none.
         feedback_count: How many feedback messages there have been.
         partial_result: The partial result; empty if there is none.
@@ -76,6 +77,7 @@ class GoalRecord(msgspec.Struct, kw_only=True):
     number: int = 0
     crashes: int = 0
     is_stopped: bool = False
+    is_paused: bool = False
     feedback: bytes = b""
     feedback_count: int = 0
     partial_result: bytes = b""
@@ -93,6 +95,7 @@ class GoalChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         feedback: Its newest feedback.
         partial_result: Its partial result.
         is_stopped: Whether its server stops in order.
+        is_paused: Whether it is paused.
         crashes: How often its server has crashed since its newest feedback.
         result: Its result, when it ends.
         reason: Why it was aborted, when it ends.
@@ -104,6 +107,7 @@ class GoalChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     feedback: bytes | None = None
     partial_result: bytes | None = None
     is_stopped: bool | None = None
+    is_paused: bool | None = None
     crashes: int | None = None
     result: bytes | None = None
     reason: str | None = None

@@ -76,6 +76,17 @@ class GoalServer(Protocol):
     def cancel_goal_nowait(self, goal: Goal) -> None:
         """Request the cancellation of a goal without waiting for the answer."""
 
+    async def pause(self, goal: Goal, timeout: float) -> None:
+        """Pause a goal, and return when its body stands still.
+
+        Raises:
+            PauseRefused: if it cannot be paused, or not within ``timeout`` (s, event loop time).
+            ServerUnavailable: if the server has gone.
+        """
+
+    async def resume(self, goal: Goal) -> None:
+        """Let a paused goal go on; raises like `pause`."""
+
     async def wait_for_end(self, goal: Goal) -> None:
         """Wait until a goal has ended. Cancelling: safe, the goal goes on."""
 

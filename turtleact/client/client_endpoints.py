@@ -19,7 +19,9 @@ from typing import Any, Final, Generic, TypeVar, cast
 import anyio
 
 from turtleact.body import ActionType
-from turtleact.goal import CancelCode, GoalStatus
+from turtleact.errors import PauseRefused
+from turtleact.goal import CancelCode, Goal, GoalStatus
+from turtleact.goal_pausing import SetPaused, set_paused_service
 from turtleact.goal_wire import State, read_states
 from turtleact.interfaces import (
     GOAL_ID,
@@ -29,7 +31,7 @@ from turtleact.interfaces import (
     WireFormat,
     implied,
 )
-from turtleact.interfaces.standard import CancelGoal, GoalStatusArray
+from turtleact.interfaces.standard import UUID, CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
 from turtleact.transports.base import (
     EVERY_SERVER,
@@ -49,6 +51,9 @@ from turtleact.transports.base import (
 __all__ = ["ClientEndpoints", "RequestLimiter"]
 
 T = TypeVar("T")
+
+OFFERED_WITHIN: Final = 2.0
+"""How long to wait for a server to declare its service for pausing (s, by the graph's clock)."""
 
 AT_ONCE: Final = 8
 """How many unanswered requests are allowed; two places of the queue are left to other clients."""
@@ -156,6 +161,7 @@ class ClientEndpoints:
         self._servers: list[Endpoint] = []  # the servers that existed when `is_ours` was learned
         self._seen = 0  # the graph's change count when `_servers` was last compared
         self.send_goal = self._join(names.send_goal, "SendGoal", Target("one"))
+        self._set_paused: Caller | None = None
 
     @cached_property
     def implied(self) -> Implied:
@@ -203,6 +209,36 @@ class ClientEndpoints:
         if self.knows_ours():
             return await self._cancel_goal.call(request)
         return await self._cancels.call(self._cancel_goal, request)
+
+    async def set_paused(self, goal: Goal, *, is_paused: bool, timeout: float = 0.0) -> None:
+        """Pause or resume a goal. Only servers of turtleact can; ROS 2 has no such service.
+
+        Args:
+            goal: The goal.
+            is_paused: Whether it is to be paused.
+            timeout: How long its body may take to stand still (s).
+
+        Raises:
+            PauseRefused: if the server refuses, or does not offer the service.
+            ServerUnavailable: if the server goes away.
+        """
+        if self._set_paused is None:
+            name = set_paused_service(self.name)
+            self._set_paused = self.transport.join(
+                self._endpoint("client", name, SetPaused.type_name),
+                WireFormat(SetPaused, asks=True),
+                Target("one"),
+            )
+            self._opened.append(self._set_paused)
+        caller = self._set_paused
+        await wait_until_served(self.transport, lambda: caller.is_served or None, OFFERED_WITHIN)
+        if not caller.is_served:
+            raise PauseRefused("its server does not offer that; is it a server of turtleact?")
+        request = SetPaused.Request(UUID(cast("bytes", goal.id)), is_paused, timeout)
+        response: Any = (await caller.call(request)).message
+        if not response.success:
+            raise PauseRefused(response.message)
+        goal.is_paused = is_paused
 
     # opening and closing
 

@@ -207,6 +207,35 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         """Ask the server to cancel the goal without waiting; `status` shows later if it agreed."""
         self._reader.cancel_nowait()
 
+    @property
+    def is_paused(self) -> bool:
+        """Whether the goal is paused. ROS 2 has no state for this: `status` stays EXECUTING."""
+        return self._reader.goal.is_paused
+
+    async def pause(self, timeout: float = 5.0) -> None:
+        """Pause the goal, and return when its body stands still.
+
+        Pausing a paused goal does nothing. Cancelling: withdraws the request.
+
+        Args:
+            timeout: How long to wait for the body to stand still (s, event loop time). Then the
+                request is withdrawn, and the goal goes on.
+
+        Raises:
+            PauseRefused: if the goal cannot be paused, or not in time. The reason says why.
+            ServerUnavailable: if the server has gone.
+        """
+        await self._reader.pause(timeout)
+
+    async def resume(self) -> None:
+        """Let a paused goal go on; resuming one that is not paused does nothing.
+
+        Raises:
+            PauseRefused: if the server's ``on_resume`` fails. The goal stays paused.
+            ServerUnavailable: if the server has gone.
+        """
+        await self._reader.resume()
+
     def detach(self) -> None:
         """Let the goal continue when the ``async with`` block is left."""
         self._reader.is_detached = True
@@ -349,6 +378,16 @@ class GoalReader:
         """Ask the server to cancel the goal."""
         self._home.check()
         return await self._server.cancel_goal(self.goal)
+
+    async def pause(self, timeout: float) -> None:
+        """Pause the goal."""
+        self._home.check()
+        await self._server.pause(self.goal, timeout)
+
+    async def resume(self) -> None:
+        """Let the goal go on."""
+        self._home.check()
+        await self._server.resume(self.goal)
 
     def cancel_nowait(self) -> None:
         """Ask the server to cancel the goal without waiting."""

@@ -194,6 +194,21 @@ class RemoteActionServer:
         """Ask the server to cancel a goal without waiting; a failure is logged."""
         self._goals.cancel_nowait(goal)
 
+    # pausing
+
+    async def pause(self, goal: Goal, timeout: float) -> None:
+        """Ask the server to pause a goal, and wait until its body stands still.
+
+        Raises:
+            PauseRefused: if the server refuses, or cannot pause goals.
+            ServerUnavailable: if nobody answers.
+        """
+        await self._endpoints.set_paused(goal, is_paused=True, timeout=timeout)
+
+    async def resume(self, goal: Goal) -> None:
+        """Ask the server to let a paused goal go on; raises like `pause`."""
+        await self._endpoints.set_paused(goal, is_paused=False)
+
     # closing
 
     def client_lost(self, sender: object) -> None:  # noqa: ARG002  # always the same client

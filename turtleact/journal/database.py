@@ -63,6 +63,7 @@ CREATE TABLE goal (
     sender BLOB NOT NULL,
     crashes INTEGER NOT NULL,
     is_stopped INTEGER NOT NULL,
+    is_paused INTEGER NOT NULL,
     feedback BLOB NOT NULL,
     feedback_count INTEGER NOT NULL,
     partial_result BLOB NOT NULL,
@@ -329,7 +330,8 @@ def _select(
     for row in connection.execute(statement, values):
         record = GoalRecord(**dict(zip(_COLUMNS, row, strict=True)))
         record.status = GoalStatus(record.status)
-        record.is_nested, record.is_stopped = bool(record.is_nested), bool(record.is_stopped)
+        for flag in ("is_nested", "is_stopped", "is_paused"):
+            setattr(record, flag, bool(getattr(record, flag)))
         yield record
 
 

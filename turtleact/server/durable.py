@@ -123,6 +123,10 @@ class DurableGoals:
         change = GoalChange(partial_result=self._results.encode(goal.result))
         self._journal.progress(self._id(goal), change)
 
+    def paused(self, goal: Goal) -> None:
+        """Record that a goal was paused or resumed."""
+        self._journal.progress(self._id(goal), GoalChange(is_paused=goal.is_paused))
+
     async def written(self) -> None:
         """Wait until everything so far is written."""
         await self._journal.written()

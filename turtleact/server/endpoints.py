@@ -22,6 +22,8 @@ from contextlib import contextmanager
 from functools import cached_property, partial
 from typing import Any, cast
 
+import msgspec
+
 from turtleact.errors import GoalRejected
 from turtleact.goal import CancelCode, Goal, GoalStatus
 from turtleact.goal_server import GoalOrder
@@ -39,13 +41,17 @@ from turtleact.interfaces.standard import CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
 from turtleact.server.action_topics import FeedbackTopic, StatusTopic
 from turtleact.server.local_server import LocalActionServer
+from turtleact.server.pause_endpoints import PauseEndpoints
 from turtleact.services import LocalServiceServer
 from turtleact.summaries import STOPPED
 from turtleact.tasks import GRACE, Tasks, wait_while
 from turtleact.transports.base import (
     STATUS_QOS,
     Closeable,
+    Endpoint,
+    EndpointKind,
     MakeEndpoint,
+    QoS,
     Reply,
     Respond,
     Transport,
@@ -89,6 +95,8 @@ class ActionEndpoints:
         self._cancel_goal = _CancelGoal(server, names, transport, tasks)
         self._get_result = _GetResult(server, names, tasks)
         self._send_goal = _SendGoal(server, names, tasks, self._get_result)
+        on_demand: MakeEndpoint = partial(_on_demand, endpoint)
+        self._pausing = PauseEndpoints(server, transport, on_demand, tasks)
         self._services: list[Closeable] = []
         self._topics: list[FeedbackTopic | StatusTopic] = []
 
@@ -114,6 +122,7 @@ class ActionEndpoints:
         described = describe("publisher", names.status, GoalStatusArray.type_name, STATUS_QOS)
         self._topics = [feedback, StatusTopic(self._server, self._transport, described)]
         self._send_goal.expect_readers = feedback.expect_readers
+        self._pausing.open()
 
     def stop_taking_goals(self) -> None:
         """Stop accepting goals. Existing goals can still be cancelled and awaited."""
@@ -132,6 +141,7 @@ class ActionEndpoints:
             await service.aclose()
         for topic in self._topics:
             topic.close()
+        await self._pausing.aclose()
 
     def _is_expected(self) -> bool:
         """Whether a client in another process will soon ask how a goal has ended."""
@@ -372,6 +382,12 @@ class _GetResult(_ActionService):
         if goal.reason or goal.published:
             return Reply(message, GoalNote(goal.reason, goal.published).write())
         return Reply(message, OURS)
+
+
+def _on_demand(
+    endpoint: MakeEndpoint, kind: EndpointKind, name: str, type_name: str, qos: QoS | None = None
+) -> Endpoint:
+    return msgspec.structs.replace(endpoint(kind, name, type_name, qos), on_demand=True)
 
 
 def _joined(answers: list[CancelGoal.Response]) -> CancelGoal.Response:

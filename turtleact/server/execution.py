@@ -17,7 +17,7 @@ from contextvars import Context, ContextVar
 from functools import partial
 from typing import NamedTuple, Protocol, TypeAlias, cast
 
-from turtleact.body import ActionType, Body, Steps
+from turtleact.body import ActionType, Body, ServerOptions, Steps
 from turtleact.errors import Abort, Cancel, InvalidMessage, InvalidTransition, TurtleactError
 from turtleact.feedback import FeedbackLog
 from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable
@@ -26,6 +26,7 @@ from turtleact.interfaces import Message, snapshotter
 from turtleact.observers import Observers
 from turtleact.server.body_task import BodyTask
 from turtleact.server.durable import DurableGoals
+from turtleact.server.pausing import Pauses
 from turtleact.summaries import STOPPED, STOPS, loggable, summary, text_of
 from turtleact.tasks import Home, Signal, Tasks, is_cancellation, wait_while
 
@@ -89,6 +90,7 @@ class Execution:
         now: Returns the current time (ns since the epoch).
         release: Called when a goal ends. May return a callable that starts the next goal. None if
             goals never wait for one another.
+        options: The server's options, for pausing.
 
     Attributes:
         served: As given.
@@ -97,6 +99,7 @@ class Execution:
         outlet: The feedback topic; None while nobody reads it.
         bodies: The tasks of the running bodies, with their goals.
         durable: The goals in the server's journal, if it has one.
+        pauses: Pauses goals.
         is_suspended: Whether bodies are being stopped while their goals go on in the journal.
     """
 
@@ -107,8 +110,10 @@ class Execution:
         tasks: Tasks,
         now: Callable[[], int],
         release: Callable[[Goal], Callable[[], object] | None] | None,
+        options: ServerOptions,
     ) -> None:
         self.served = served
+        self.pauses = Pauses(served.body, options, self, tasks, now)
         self.observers = Observers(served.name)
         self.outlet: FeedbackOutlet | None = None
         self.durable: DurableGoals | None = None
@@ -145,6 +150,8 @@ class Execution:
         CURRENT_GOAL.set(goal)  # only in this task's context
         body = self.served.body
         try:
+            if goal.hold is not None:
+                await self.pauses.stand(goal)
             if body.wants_handle:
                 running = self._call(goal.request, self.make_handle(goal))
             else:
@@ -180,10 +187,12 @@ class Execution:
                 try:
                     if self._publish_or_emit(goal, item):
                         countdown = 1  # a callback has cancelled the goal: deliver that now
+                    if goal.hold is not None:
+                        await self.pauses.stand(goal)
                     countdown -= 1
                     if not countdown:
                         countdown = BURST
-                        await self._pause(goal)
+                        await self._yield_turn(goal)
                 except GeneratorExit:
                     raise
                 except BaseException as error:
@@ -213,7 +222,7 @@ class Execution:
         self.publish(goal, feedback)
         return goal.status is not status or goal.reason is not reason
 
-    async def _pause(self, goal: Goal) -> None:
+    async def _yield_turn(self, goal: Goal) -> None:
         """Let other tasks run, and wait for the sender's stream if it is far behind."""
         await self._tasks.checkpoint()
         if self.durable is not None:
@@ -316,6 +325,8 @@ class Execution:
         """
         before = goal.status
         goal.apply(event)
+        if event is GoalEvent.CANCEL_GOAL:
+            self.pauses.end(goal)
         if self.durable is not None and not goal.is_decided:
             self.durable.moved(goal)
         if self.observers.are_any:
@@ -347,6 +358,7 @@ class Execution:
         canceling = goal.status is GoalStatus.CANCELING
         if self.is_suspended and not canceling and event is not GoalEvent.SUCCEED:
             return
+        self.pauses.end(goal)
         goal.is_decided = True
         if result is not None:
             goal.result = result
@@ -368,7 +380,11 @@ class Execution:
 
     def _announce_end(self, goal: Goal, event: GoalEvent, reason: str) -> None:
         """End a goal for everybody who reads it."""
+        if goal.ended:  # the server was stopped before the journal had written the end
+            return
         goal.reason = reason
+        if goal.parent is not None and goal.parent.children is not None:
+            goal.parent.children.pop(goal, None)
         goal.parent = goal.on_feedback = None  # so that a chain of goals can be freed
         before = goal.status
         goal.apply(event)

@@ -73,6 +73,47 @@ class GoalHandle(Generic[G, R, F]):
         """
         return cast("Resumed[R, F] | None", self._goal.resumed)
 
+    @property
+    def is_paused(self) -> bool:
+        """Whether the goal is paused."""
+        return self._goal.is_paused
+
+    @property
+    def paused_time(self) -> float:
+        """How long the goal has been paused until now (s, by the graph's clock).
+
+        Subtract it where a body measures time that a pause should not count.
+        """
+        return self._execution.pauses.paused_time(self._goal)
+
+    async def pause(self, timeout: float = 5.0) -> None:
+        """Pause the goal, and return when its body stands still; not for the body itself.
+
+        Args:
+            timeout: How long to wait for the body (s, event loop time); then the goal goes on.
+
+        Raises:
+            PauseRefused: if the goal cannot be paused, or not in time.
+        """
+        self._execution.served.home.check()
+        await self._execution.pauses.pause(self._goal, timeout)
+
+    async def resume(self) -> None:
+        """Let a paused goal go on.
+
+        Raises:
+            PauseRefused: if ``on_resume`` fails. The goal stays paused.
+        """
+        self._execution.served.home.check()
+        await self._execution.pauses.resume(self._goal)
+
+    async def checkpoint(self) -> None:
+        """Let other tasks run, and stand still here while the goal is paused.
+
+        A coroutine body that is declared with ``pausable=True`` awaits this regularly.
+        """
+        await self._execution.pauses.checkpoint(self._goal)
+
     def publish_feedback(self, feedback: F) -> None:
         """Send a copy of ``feedback``; you may change the message and send it again.
 

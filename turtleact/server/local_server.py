@@ -111,6 +111,7 @@ class LocalActionServer:
         slot: The slot that goals run in; None if they need none, or after the server has closed.
         grace: How long a body may clean up (s, event loop time).
         durable: The goals in the server's journal; None if it has none.
+        pauses: Pauses and resumes the goals.
         closing_reason: The reason for goals that end because the server closes.
 
     Raises:
@@ -140,8 +141,9 @@ class LocalActionServer:
         self._cancels_lost = options.get("on_client_lost", "keep") == "cancel"
         self._table = GoalTable(options.get("result_timeout", 10.0))
         release = None if slot is None else self._release
-        self.execution = Execution(served, self._table, tasks, now, release)
+        self.execution = Execution(served, self._table, tasks, now, release, options)
         self.execution.durable = self.durable
+        self.pauses = self.execution.pauses
         self.observers: Observers = self.execution.observers
         goal_type = cast("type[Message]", served.action_type.Goal)
         self._check_goal = cast("Callable[[object], Message]", snapshotter(goal_type, root="goal"))
@@ -335,6 +337,8 @@ class LocalActionServer:
             raise GoalRejected(f"the server of '{self.name}' is shutting down")
         if not self._table.add(goal):
             raise GoalRejected(f"the server still holds a goal with the id {goal.hex}")
+        if goal.parent is not None:
+            goal.parent.children = {**(goal.parent.children or {}), goal: self.pauses}
         if self.slot is None:
             if self.observers.are_any:
                 self._show_accepted(goal)
@@ -506,9 +510,21 @@ class LocalActionServer:
         """Cancel a goal because the server decided so, unless it is already being cancelled."""
         is_wanted = goal.status.is_active and goal.status is not GoalStatus.CANCELING
         if is_wanted and not goal.reason and not goal.is_decided:
+            if not self.execution.is_suspended:  # a paused goal is still paused after a restart
+                self.pauses.end(goal)
             goal.reason = reason
             if goal.body is not None:
                 goal.body.cancel()
+
+    # pausing
+
+    async def pause(self, goal: Goal, timeout: float) -> None:
+        """Pause a goal and return when its body stands still; see `Pauses.pause`."""
+        await self.pauses.pause(goal, timeout)
+
+    async def resume(self, goal: Goal) -> None:
+        """Let a paused goal go on; see `Pauses.resume`."""
+        await self.pauses.resume(goal)
 
     def client_lost(self, sender: object) -> None:
         """Handle the loss of a client: with ``on_client_lost="cancel"`` its goals are canceled."""
@@ -538,6 +554,8 @@ class LocalActionServer:
         self._table.add(goal)
         if self.observers.are_any:
             self.observers.goal_changed(goal, GoalStatus.UNKNOWN, _ACCEPTED)
+        if record.is_paused:
+            self.pauses.hold(goal)
         if why := durable.why_not_resumed(record):
             canceling = record.status is GoalStatus.CANCELING
             self.execution.move(goal, GoalEvent.EXECUTE)
@@ -575,7 +593,7 @@ class LocalActionServer:
         await self.execution.wait_for_bodies(self.grace, SHUTDOWN)
         left = [goal for goal in self._table.active if not goal.is_decided]
         await durable.stop(left)
-        for goal in self._table.active:
+        for goal in left:
             problem = "its server was stopped; the goal goes on when the server is back"
             self.execution.lose(goal, ServerUnavailable(self.name, problem))
 

@@ -1,0 +1,434 @@
+"""Pausing and resuming goals, in process and by messages."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import Any
+
+import anyio
+import pytest
+
+import turtleact
+from turtleact import GoalStatus, ServerGoalHandle
+from turtleact.clock import VirtualClock
+from turtleact.errors import GoalAborted, GoalCanceled, InvalidOption, PauseRefused
+from turtleact.interfaces.standard.std_srvs.srv import Trigger
+from turtleact.journal import open_journal
+from turtleact.transports import MemoryTransport
+
+from ..client.test_remote_server import Apart
+from ..lab import Count, Gate, HandClock, feedback, goal, lab, result, running, take_turns
+
+ID = bytes(range(16))
+
+Handle = ServerGoalHandle[Count.Goal, Count.Result, Count.Feedback]
+
+
+class Walker:
+    """Bodies that take steps until the test has seen enough.
+
+    Attributes:
+        steps: How many were taken.
+        log: What the callbacks were told.
+    """
+
+    def __init__(self) -> None:
+        self.steps = 0
+        self.log: list[str] = []
+
+    async def generator(self, request: Count.Goal) -> AsyncIterator[Count.Feedback | Count.Result]:
+        while self.steps < request.upto:
+            self.steps += 1
+            yield feedback(self.steps)
+            await anyio.sleep(0)
+        yield result(self.steps)
+
+    async def coroutine(self, request: Count.Goal, handle: Handle) -> Count.Result:
+        while self.steps < request.upto:
+            self.steps += 1
+            await handle.checkpoint()
+        return result(self.steps)
+
+    async def blind(self, request: Count.Goal) -> Count.Result:
+        await anyio.sleep_forever()
+        return result()
+
+    async def on_pause(self, handle: Handle) -> None:
+        self.log.append(f"pause at {self.steps}")
+
+    async def on_resume(self, handle: Handle) -> None:
+        self.log.append(f"resume at {self.steps}")
+
+    async def stands_still(self) -> bool:
+        """Whether no step is taken for many turns of the loop."""
+        before = self.steps
+        await take_turns()
+        return self.steps == before
+
+
+MANY = 100_000
+"""More steps than a test waits for."""
+
+STYLES: dict[str, Any] = {"generator": {}, "coroutine": {"pausable": True}}
+
+
+@pytest.fixture(params=STYLES)
+def style(request) -> str:
+    name: str = request.param
+    return name
+
+
+async def test_a_paused_body_stands_still_until_it_is_resumed(style):
+    walker = Walker()
+    async with (
+        lab(getattr(walker, style), **STYLES[style]) as served,
+        served.client.send_goal(goal(MANY)) as handle,
+    ):
+        await handle.pause()
+        assert (handle.is_paused, handle.status) == (True, GoalStatus.EXECUTING)
+        assert await walker.stands_still()
+        await handle.pause()  # again: nothing happens
+        await handle.resume()
+        assert not handle.is_paused
+        assert not await walker.stands_still()
+        await handle.resume()
+
+
+async def test_the_callbacks_bring_the_robot_to_rest_and_start_it(style):
+    walker = Walker()
+    options: Any = {"on_pause": walker.on_pause, "on_resume": walker.on_resume, **STYLES[style]}
+    async with (
+        lab(getattr(walker, style), **options) as served,
+        served.client.send_goal(goal(MANY)) as handle,
+    ):
+        await handle.pause()
+        at = walker.steps
+        await handle.resume()
+    assert walker.log == [f"pause at {at}", f"resume at {at}"]
+
+
+async def test_an_action_with_on_pause_alone_can_be_paused():
+    walker = Walker()
+    async with (
+        lab(walker.blind, on_pause=walker.on_pause) as served,
+        served.client.send_goal(goal()) as handle,
+    ):
+        await handle.pause()
+        assert handle.is_paused
+    assert walker.log == ["pause at 0"]
+
+
+async def test_another_coroutine_body_refuses_with_a_reason():
+    async with lab(Walker().blind) as served, served.client.send_goal(goal()) as handle:
+        with pytest.raises(PauseRefused, match="declare it with pausable=True"):
+            await handle.pause()
+        assert not handle.is_paused
+
+
+async def test_a_body_that_does_not_stand_still_in_time_goes_on():
+    async def act(request: Count.Goal) -> AsyncIterator[Count.Feedback | Count.Result]:
+        yield feedback()
+        await gate.wait()
+        yield result(1)
+
+    gate = anyio.Event()
+    async with lab(act) as served, served.client.send_goal(goal()) as handle:
+        await take_turns()
+        with pytest.raises(PauseRefused, match=r"a checkpoint within 0\.01 s"):
+            await handle.pause(timeout=0.01)
+        assert not handle.is_paused
+        gate.set()
+        assert await handle.result() == result(1)
+
+
+async def test_a_pause_whose_caller_is_cancelled_is_withdrawn():
+    async def act(request: Count.Goal) -> AsyncIterator[Count.Feedback | Count.Result]:
+        await gate.wait()
+        yield feedback()
+        yield result(1)
+
+    gate = anyio.Event()
+    async with lab(act) as served, served.client.send_goal(goal()) as handle:
+        async with running(handle.pause) as pausing:
+            await take_turns()
+            pausing.scope.cancel()
+        gate.set()
+        assert await handle.result() == result(1)
+
+
+async def test_a_failing_callback_refuses():
+    async def fail(handle: Handle) -> None:
+        raise ValueError("the brakes are gone")
+
+    walker = Walker()
+    async with (
+        lab(walker.generator, on_pause=fail) as served,
+        served.client.send_goal(goal(MANY)) as handle,
+    ):
+        with pytest.raises(PauseRefused, match="on_pause failed: ValueError: the brakes are gone"):
+            await handle.pause()
+        assert not await walker.stands_still()
+
+
+async def test_a_goal_that_has_ended_or_is_being_canceled_is_not_paused():
+    walker = Walker()
+    async with lab(walker.generator) as served, served.client.send_goal(goal(1)) as handle:
+        await handle.result()
+        with pytest.raises(PauseRefused, match="it has ended"):
+            await handle.pause()
+
+    async def stubborn(request: Count.Goal) -> AsyncIterator[Count.Feedback | Count.Result]:
+        try:
+            yield feedback()
+            await anyio.sleep_forever()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await gate.wait()
+
+    gate = anyio.Event()
+    async with lab(stubborn) as served, served.client.send_goal(goal()) as handle:
+        await take_turns()
+        await handle.cancel()
+        with pytest.raises(PauseRefused, match="being canceled"):
+            await handle.pause()
+        gate.set()
+
+
+async def test_a_cancel_reaches_a_paused_body_at_once(style):
+    walker = Walker()
+    async with (
+        lab(getattr(walker, style), **STYLES[style]) as served,
+        served.client.send_goal(goal(MANY)) as handle,
+    ):
+        await handle.pause()
+        await handle.cancel()
+        with pytest.raises(GoalCanceled):
+            await handle.result()
+        assert not handle.is_paused
+
+
+async def test_the_end_of_the_server_reaches_a_paused_body(style):
+    walker = Walker()
+    async with (
+        lab(getattr(walker, style), **STYLES[style]) as served,
+        served.client.send_goal(goal(MANY)) as handle,
+    ):
+        await handle.pause()
+        await served.server.aclose()
+        with pytest.raises(GoalAborted, match="shutdown"):
+            await handle.result()
+
+
+async def test_a_preemption_reaches_a_paused_body():
+    walker = Walker()
+    async with (
+        lab(walker.generator, policy="preempt") as served,
+        served.client.send_goal(goal(MANY)) as handle,
+    ):
+        await handle.pause()
+        walker.steps = 0
+        assert await served.client.send_goal(goal(1)) == result(1)
+        with pytest.raises(GoalAborted, match="preempted"):
+            await handle.result()
+
+
+async def test_a_paused_goal_keeps_its_slot():
+    walker = Walker()
+    async with (
+        lab(walker.generator, policy="queue") as served,
+        served.client.send_goal(goal(MANY)) as first,
+        served.client.send_goal(goal(MANY)) as second,
+    ):
+        await first.pause()
+        await take_turns()
+        assert second.status is GoalStatus.ACCEPTED
+
+
+async def test_a_waiting_goal_begins_paused():
+    gate = Gate()
+    async with (
+        lab(gate.wait, policy="queue", pausable=True) as served,
+        served.client.send_goal(goal()) as first,
+        served.client.send_goal(goal()) as second,
+    ):
+        await second.pause()
+        gate.opened.set()
+        await first.result()
+        await take_turns()
+        assert (second.status, gate.log.count("begun")) == (GoalStatus.EXECUTING, 1)
+        await second.resume()
+        assert await second.result() == result(3)
+
+
+async def test_a_parent_pauses_and_resumes_its_children():
+    walker = Walker()
+
+    async def parent(request: Count.Goal, handle: Handle) -> AsyncIterator[Any]:
+        client = handle.node.action_client(Count, "child")
+        yield await client.send_goal(goal(MANY))
+
+    async with lab(parent) as served:
+        served.node.action_server(Count, "child", walker.generator)
+        async with served.client.send_goal(goal()) as handle:
+            await take_turns()
+            await handle.pause()
+            assert await walker.stands_still()
+            await handle.resume()
+            assert not await walker.stands_still()
+
+
+async def test_a_child_that_refuses_refuses_for_its_parent():
+    walker = Walker()
+
+    async def parent(request: Count.Goal, handle: Handle) -> AsyncIterator[Any]:
+        async with (
+            handle.node.action_client(Count, "walk").send_goal(goal(MANY)),
+            handle.node.action_client(Count, "blind").send_goal(goal()) as blind,
+        ):
+            yield await blind.result()
+
+    async with lab(parent) as served:
+        served.node.action_server(Count, "walk", walker.generator)
+        served.node.action_server(Count, "blind", walker.blind)
+        async with served.client.send_goal(goal()) as handle:
+            await take_turns()
+            with pytest.raises(PauseRefused, match="pausable=True"):
+                await handle.pause()
+            assert not await walker.stands_still()
+
+
+async def test_the_time_of_pauses_is_counted():
+    clock = HandClock()
+    times = list[float]()
+
+    async def act(request: Count.Goal, handle: Handle) -> Count.Result:
+        while len(times) < 2:
+            await handle.checkpoint()
+            if handle.paused_time != (times[-1] if times else 0.0):
+                times.append(handle.paused_time)
+        return result()
+
+    transport = MemoryTransport(clock)
+    async with (
+        lab(act, transport=transport, pausable=True) as served,
+        served.client.send_goal(goal()) as handle,
+    ):
+        for seconds in (1.5, 2.0):
+            await handle.pause()
+            clock.advance(seconds)
+            await handle.resume()
+            await take_turns()
+        await handle.result()
+    assert times == [1.5, 3.5]
+
+
+async def test_the_server_pauses_its_own_goals():
+    walker = Walker()
+    handles = list[Handle]()
+
+    async def act(request: Count.Goal, handle: Handle) -> AsyncIterator[Any]:
+        handles.append(handle)
+        async for each in walker.generator(request):
+            yield each
+
+    async with lab(act) as served, served.client.send_goal(goal(MANY)) as handle:
+        await take_turns()
+        await handles[0].pause()
+        assert (handle.is_paused, handles[0].is_paused) == (True, True)
+        await handles[0].resume()
+        assert not handle.is_paused
+
+
+@pytest.mark.parametrize("name", ["on_pause", "on_resume"])
+async def test_the_callbacks_are_coroutine_functions(name):
+    options: dict[str, Any] = {name: print}
+    with pytest.raises(InvalidOption, match=f"'{name}': expected a coroutine function"):
+        async with lab(Walker().generator, **options):
+            pass
+
+
+# --- from other processes -----------------------------------------------------------------------
+
+
+async def test_goals_are_paused_by_messages():
+    transport, walker = MemoryTransport(), Walker()
+    near: Any = Apart(transport)
+    async with (
+        turtleact.open_node("far", transport=transport) as far,
+        turtleact.open_node("near", transport=near) as node,
+    ):
+        far.action_server(Count, "count", walker.generator)
+        blind = far.action_server(Count, "blind", walker.blind)
+        async with node.action_client(Count, "count").send_goal(goal(MANY)) as handle:
+            await handle.pause()
+            assert handle.is_paused
+            assert await walker.stands_still()
+            await handle.resume()
+            assert not handle.is_paused
+        async with node.action_client(Count, blind.name).send_goal(goal()) as other:
+            with pytest.raises(PauseRefused, match="pausable=True"):
+                await other.pause()
+
+
+async def test_users_of_ros_pause_all_goals_of_an_action():
+    walker = Walker()
+    async with lab(walker.generator) as served, served.client.send_goal(goal(MANY)) as handle:
+        await take_turns()
+        pause = served.node.service_client(Trigger, "count/pause")
+        resume = served.node.service_client(Trigger, "count/resume")
+        assert (await pause.call(Trigger.Request())).message == "1 goals paused"
+        assert handle.is_paused
+        assert (await resume.call(Trigger.Request())).message == "1 goals resumed"
+        assert not handle.is_paused
+
+
+async def test_users_of_ros_are_told_what_cannot_be_paused():
+    async with lab(Walker().blind) as served, served.client.send_goal(goal(), goal_id=ID):
+        pause = served.node.service_client(Trigger, "count/pause")
+        answer = await pause.call(Trigger.Request())
+        assert not answer.success
+        assert answer.message.startswith("0 of 1 goals paused; goal 000102")
+
+
+# --- with a journal -----------------------------------------------------------------------------
+
+
+async def test_a_goal_is_still_paused_after_a_restart(tmp_path):
+    walker = Walker()
+    async with open_journal(tmp_path / "goals.db") as journal, turtleact.open_node("lab") as node:
+        options: Any = {"journal": journal, "on_restart": "resume"}
+        server = node.action_server(Count, "count", walker.generator, **options)
+        client = node.action_client(Count, "count")
+        async with client.send_goal(goal(MANY), goal_id=ID) as handle:
+            await handle.pause()
+            await server.aclose()
+        walker.steps = MANY - 1
+        node.action_server(Count, "count", walker.generator, **options)
+        async with client.attach(ID) as again:
+            assert again.is_paused
+            assert await walker.stands_still()
+            await again.resume()
+            assert await again.result() == result(MANY)
+
+
+@pytest.mark.loops("asyncio", "trio")
+async def test_a_sleeping_generator_takes_longer_by_its_pause():
+    clock = VirtualClock()
+
+    async def act(request: Count.Goal, handle: Handle) -> AsyncIterator[Any]:
+        for number in range(3):
+            yield feedback(number)
+            await handle.node.clock.sleep(1.0)
+        yield result()
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(clock.run)
+        async with lab(act, transport=MemoryTransport(clock)) as served:
+            async with served.client.send_goal(goal()) as handle:
+                await handle.pause()
+                paused_at = clock.time()
+                await clock.sleep(10.0)
+                await handle.resume()
+                await handle.result()
+            assert clock.time() == pytest.approx(paused_at + 10.0 + (3.0 - paused_at))
+        group.cancel_scope.cancel()

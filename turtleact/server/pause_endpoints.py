@@ -1,0 +1,120 @@
+"""The endpoints by which other processes pause goals; see `turtleact.goal_pausing`.
+
+All of them are declared only when another process has an endpoint of the same name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from turtleact.errors import PauseRefused, TurtleactError
+from turtleact.goal import Goal, GoalStatus
+from turtleact.goal_pausing import PausedGoals, SetPaused, paused_topic, set_paused_service
+from turtleact.interfaces import WireFormat
+from turtleact.interfaces.standard import UUID
+from turtleact.interfaces.standard.std_srvs.srv import Trigger
+from turtleact.services import LocalServiceServer
+from turtleact.transports.base import STATUS_QOS, Closeable, Publication, Source
+
+if TYPE_CHECKING:
+    from turtleact.server.local_server import LocalActionServer
+    from turtleact.tasks import Tasks
+    from turtleact.transports.base import MakeEndpoint, Transport
+
+__all__ = ["PauseEndpoints"]
+
+PATIENCE = 5.0
+"""How long bodies may take to stand still when all goals are paused (s, event loop time)."""
+
+
+class PauseEndpoints(Source):
+    """The services and the topic of one action server.
+
+    Args:
+        server: The server.
+        transport: The transport to open them on.
+        endpoint: Makes their descriptions.
+        tasks: The task functions of the event loop.
+    """
+
+    def __init__(
+        self, server: LocalActionServer, transport: Transport, endpoint: MakeEndpoint, tasks: Tasks
+    ) -> None:
+        self._server = server
+        self._transport = transport
+        self._endpoint = endpoint
+        self._tasks = tasks
+        self._services: list[LocalServiceServer[Any, Any]] = []
+        self._opened: list[Closeable] = []
+        self._publication: Publication | None = None
+
+    def open(self) -> None:
+        """Offer them."""
+        name = self._server.name
+        self._serve(SetPaused, set_paused_service(name), self._set_paused)
+        self._serve(Trigger, f"{name}/pause", self._pause_all)
+        self._serve(Trigger, f"{name}/resume", self._resume_all)
+        topic = self._endpoint("publisher", paused_topic(name), PausedGoals.type_name, STATUS_QOS)
+        self._publication = self._transport.advertise(topic, WireFormat(PausedGoals), self)
+        self._opened.append(self._publication)
+        self._server.pauses.on_change = self._publication.refresh
+
+    async def aclose(self) -> None:
+        """Leave the graph."""
+        self._server.pauses.on_change = lambda: None
+        for opened in self._opened:
+            opened.close()
+        for service in self._services:
+            await service.aclose()
+
+    def readers_changed(self, *, has_readers: bool) -> None:
+        """The message is made on demand, so there is nothing to do."""
+
+    def current(self) -> Sequence[object]:
+        """Build the message with all goals that are paused."""
+        ids = [UUID(self._server.name_goal(goal)) for goal in self._server.pauses.paused]
+        return (PausedGoals(goal_ids=ids),)
+
+    def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:
+        """Build the same message as bytes."""
+        return [encode(message) for message in self.current()]
+
+    def _serve(self, service: Any, name: str, handle: Callable[[Any], Any]) -> None:  # noqa: ANN401
+        server = LocalServiceServer(service, name, handle, tasks=self._tasks)
+        endpoint = self._endpoint("service", name, service.type_name)
+        self._services.append(server)
+        self._opened.append(self._transport.serve(endpoint, WireFormat(service), server))
+
+    async def _set_paused(self, request: SetPaused.Request) -> SetPaused.Response:
+        goal = self._server.find(bytes(request.goal_id.uuid))
+        if goal is None:
+            return SetPaused.Response(message="the server holds no such goal")
+        try:
+            if request.is_paused:
+                await self._server.pause(goal, request.timeout)
+            else:
+                await self._server.resume(goal)
+        except PauseRefused as refused:
+            return SetPaused.Response(message=refused.reason)
+        return SetPaused.Response(success=True)
+
+    async def _pause_all(self, _: Trigger.Request) -> Trigger.Response:
+        running = [each for each in self._server.held() if each.status is GoalStatus.EXECUTING]
+        return await self._each(running, lambda goal: self._server.pause(goal, PATIENCE), "paused")
+
+    async def _resume_all(self, _: Trigger.Request) -> Trigger.Response:
+        return await self._each(list(self._server.pauses.paused), self._server.resume, "resumed")
+
+    async def _each(
+        self, goals: list[Goal], switch: Callable[[Goal], Any], done: str
+    ) -> Trigger.Response:
+        problems = []
+        for goal in goals:
+            try:
+                await switch(goal)
+            except TurtleactError as error:
+                problems.append(f"goal {goal.hex}: {error}")
+        count = len(goals) - len(problems)
+        told = f"{count} of {len(goals)} goals {done}" if problems else f"{count} goals {done}"
+        return Trigger.Response(success=not problems, message="; ".join([told, *problems]))

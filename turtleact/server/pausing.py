@@ -1,0 +1,266 @@
+"""Pausing goals: their bodies stand still until they are resumed.
+
+A generator stands still at a ``yield``, where it is not stepped any more. A coroutine body stands
+still at ``await handle.checkpoint()``, if it is declared with ``pausable=True``. An action with
+``on_pause`` brings its robot to rest there; without the two others, that alone pauses it.
+
+ROS 2 has no state for this: a paused goal is EXECUTING. It keeps its place in its slot. A cancel, a
+preemption and the end of the server reach it at once.
+
+Source: VDA 5050 ``startPause`` and ``stopPause`` for what users expect of it.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Awaitable, Callable
+from typing import Any, Protocol
+
+import anyio
+
+from turtleact.body import Body, ServerOptions
+from turtleact.errors import PauseRefused
+from turtleact.goal import Goal, GoalStatus
+from turtleact.server.durable import DurableGoals
+from turtleact.summaries import loggable, summary
+from turtleact.tasks import Signal, Tasks
+
+__all__ = ["Hold", "Pauses"]
+
+logger = logging.getLogger("turtleact.server")
+
+Callback = Callable[[Any], Awaitable[object]]
+
+
+class Hold:
+    """A request that a goal's body stands still.
+
+    Attributes:
+        is_standing: Whether the body stands still.
+        is_before_start: Whether the body has not begun.
+        changed: Fires when that changes, and when the request is withdrawn.
+    """
+
+    __slots__ = ("changed", "is_before_start", "is_standing")
+
+    def __init__(self, changed: Signal, *, is_before_start: bool = False) -> None:
+        self.is_standing = False
+        self.is_before_start = is_before_start
+        self.changed = changed
+
+
+class Keeper(Protocol):
+    """What pausing needs of `turtleact.server.execution.Execution`."""
+
+    durable: DurableGoals | None
+
+    def make_handle(self, goal: Goal) -> object:
+        """Make the handle that the callbacks get."""
+
+
+class Pauses:
+    """Pauses and resumes the goals of one server.
+
+    Args:
+        body: The body.
+        options: The server's options, with ``pausable``, ``on_pause`` and ``on_resume``.
+        keeper: Makes handles, and has the journal.
+        tasks: The task functions of the event loop.
+        now: Returns the current time (ns since the epoch).
+
+    Attributes:
+        paused: The goals that are paused, and since when (ns).
+        on_change: Called when a goal has been paused or resumed.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        options: ServerOptions,
+        keeper: Keeper,
+        tasks: Tasks,
+        now: Callable[[], int],
+    ) -> None:
+        self.on_change: Callable[[], object] = lambda: None
+        self._on_pause: Callback | None = options.get("on_pause")
+        self._on_resume: Callback | None = options.get("on_resume")
+        self._stands = body.is_generator or options.get("pausable", False)
+        self._keeper = keeper
+        self._tasks = tasks
+        self._now = now
+        self._switching: dict[Goal, anyio.Lock] = {}
+        self.paused: dict[Goal, int] = {}
+
+    async def pause(self, goal: Goal, timeout: float) -> None:
+        """Pause a goal and those that its body has sent; return when all of them stand still.
+
+        Pausing a paused goal does nothing. Cancelling: withdraws the request.
+
+        Args:
+            goal: The goal.
+            timeout: How long to wait for the body to stand still (s, event loop time).
+
+        Raises:
+            PauseRefused: if it cannot be paused, or its body does not stand still in time. Then it
+                goes on.
+        """
+        async with self._switch(goal):
+            if goal.is_paused:
+                return
+            self._check(goal)
+            try:
+                await self._pause(goal, timeout)
+            except BaseException:
+                if not goal.is_paused:
+                    self.let_go(goal)
+                raise
+
+    async def resume(self, goal: Goal) -> None:
+        """Let a paused goal, and those that its body has sent, go on.
+
+        Resuming a goal that is not paused does nothing.
+
+        Raises:
+            PauseRefused: if ``on_resume`` fails. The goal stays paused.
+        """
+        async with self._switch(goal):
+            if not goal.is_paused:
+                return
+            if not (isinstance(goal.hold, Hold) and goal.hold.is_before_start):
+                await self._call(self._on_resume, goal, "on_resume")
+            if goal.is_paused:  # it may have been canceled meanwhile
+                self._set(goal, is_paused=False)
+                self.let_go(goal)
+        for child, pauses in (goal.children or {}).items():
+            await pauses.resume(child)
+
+    async def stand(self, goal: Goal) -> None:
+        """Stand still here if the goal is to be paused. Cancelling: safe."""
+        hold = goal.hold
+        if not isinstance(hold, Hold):
+            return
+        hold.is_standing = True
+        hold.changed.fire()
+        try:
+            while goal.hold is hold:
+                await hold.changed.wait()
+        finally:
+            hold.is_standing = False
+
+    async def checkpoint(self, goal: Goal) -> None:
+        """Let other tasks run, and stand still while the goal is paused."""
+        await self._tasks.checkpoint()
+        while goal.hold is not None:
+            await self.stand(goal)
+
+    def paused_time(self, goal: Goal) -> float:
+        """How long a goal has been paused (s)."""
+        since = self.paused.get(goal)
+        return (goal.paused_ns + (0 if since is None else self._now() - since)) / 1e9
+
+    def let_go(self, goal: Goal) -> None:
+        """Let the body go on, or withdraw the request that it stands still."""
+        hold, goal.hold = goal.hold, None
+        if isinstance(hold, Hold):
+            hold.changed.fire()
+
+    def end(self, goal: Goal) -> None:
+        """Forget that a goal is paused, because it is being canceled or has ended."""
+        if goal.hold is not None:
+            self.let_go(goal)
+        if goal.is_paused:
+            self._set(goal, is_paused=False)
+
+    def hold(self, goal: Goal) -> None:
+        """Let a goal begin paused, because it waits for its turn or was restored."""
+        goal.hold = Hold(self._tasks.signal(), is_before_start=True)
+        self._set(goal, is_paused=True)
+
+    def _check(self, goal: Goal) -> None:
+        if goal.is_decided or not goal.status.is_active:
+            raise PauseRefused("it has ended")
+        if goal.status is GoalStatus.CANCELING or goal.reason:
+            raise PauseRefused("it is being canceled")
+        if not self._stands and self._on_pause is None:
+            raise PauseRefused(
+                "its body cannot be paused: declare it with pausable=True and let it await "
+                "handle.checkpoint(), or give the action an on_pause"
+            )
+
+    async def _pause(self, goal: Goal, timeout: float) -> None:
+        if goal.status is GoalStatus.ACCEPTED:
+            self.hold(goal)
+            return
+        paused = list[tuple[Goal, Pauses]]()
+        try:
+            for child, pauses in (goal.children or {}).items():
+                if not child.is_paused:
+                    await pauses.pause(child, timeout)
+                paused.append((child, pauses))
+            # A body that waits for its paused children stands still with them.
+            if self._stands and not paused:
+                await self._wait_until_it_stands(goal, timeout)
+            await self._call(self._on_pause, goal, "on_pause")
+            if goal.is_decided or goal.status is not GoalStatus.EXECUTING:
+                raise PauseRefused("it is being canceled or has ended")
+        except BaseException:
+            with anyio.CancelScope(shield=True):
+                for child, pauses in paused:
+                    await pauses.resume(child)
+            raise
+        self._set(goal, is_paused=True)
+
+    async def _wait_until_it_stands(self, goal: Goal, timeout: float) -> None:
+        hold = goal.hold = Hold(self._tasks.signal())
+        with anyio.move_on_after(timeout):
+            while goal.hold is hold and not hold.is_standing:
+                await hold.changed.wait()
+        if goal.hold is not hold:
+            raise PauseRefused("it is being canceled or has ended")
+        if not hold.is_standing:
+            raise PauseRefused(
+                f"its body has not reached a yield or a checkpoint within {timeout:g} s, so the "
+                "request was withdrawn"
+            )
+
+    async def _call(self, callback: Callback | None, goal: Goal, what: str) -> None:
+        if callback is None:
+            return
+        try:
+            await callback(self._keeper.make_handle(goal))
+        except Exception as error:
+            told = loggable(error)
+            logger.error("the %s of goal %s failed", what, goal.hex, exc_info=told)
+            raise PauseRefused(f"{what} failed: {summary(error)}") from error
+
+    def _set(self, goal: Goal, *, is_paused: bool) -> None:
+        goal.is_paused = is_paused
+        if is_paused:
+            self.paused[goal] = self._now()
+        else:
+            goal.paused_ns += self._now() - self.paused.pop(goal)
+        if self._keeper.durable is not None and not goal.is_decided:
+            self._keeper.durable.paused(goal)
+        self.on_change()
+        if goal.listener is not None:
+            goal.listener.fire()
+
+    def _switch(self, goal: Goal) -> _Switch:
+        return _Switch(self._switching, goal)
+
+
+class _Switch:
+    """A lock for each goal, kept while somebody uses it."""
+
+    def __init__(self, locks: dict[Goal, anyio.Lock], goal: Goal) -> None:
+        self._locks = locks
+        self._goal = goal
+        self._lock = locks.setdefault(goal, anyio.Lock())
+
+    async def __aenter__(self) -> None:
+        await self._lock.acquire()
+
+    async def __aexit__(self, *_: object) -> None:
+        self._lock.release()
+        if not self._lock.statistics().tasks_waiting and not self._lock.locked():
+            self._locks.pop(self._goal, None)
