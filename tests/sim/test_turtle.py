@@ -285,6 +285,37 @@ async def test_a_teleport_changes_what_remains_of_a_rotation():
         assert result.delta == pytest.approx(-0.99, abs=1e-6)
 
 
+async def test_a_paused_rotation_stands_still_and_ends_where_an_undisturbed_one_does():
+    async with stage() as here:
+        told, undisturbed = await turn(here, 1.0)
+    async with stage() as here, here.rotations().send_goal(Goal(1.0)) as goal:
+        for _ in range(10):
+            await here.pass_ticks(3)
+            await goal.pause()
+            await here.pass_ticks(1)
+            pose = here.world.pose("turtle1")
+            await here.pass_ticks(100)
+            assert here.world.pose("turtle1") == pose
+            assert pose.angular_velocity == 0.0
+            await goal.resume()
+        again = [feedback.remaining async for feedback in goal]
+        assert (await goal.outcome(), again) == (undisturbed, told)
+
+
+async def test_a_paused_rotation_is_canceled_and_preempted():
+    async with stage() as here:
+        async with here.rotations().send_goal(Goal(3.0)) as goal:
+            await here.pass_ticks(3)
+            await goal.pause()
+            await goal.cancel()
+            assert (await goal.outcome()).status is GoalStatus.CANCELED
+        async with here.rotations().send_goal(Goal(3.0)) as goal:
+            await here.pass_ticks(3)
+            await goal.pause()
+            await here.rotations().send_goal(Goal(0.0))
+            assert (await goal.outcome()).reason == "preempted by another goal"
+
+
 async def test_a_rotation_lasts_longer_than_a_command():
     async with stage() as here:
         told, outcome = await turn(here, 3.1)

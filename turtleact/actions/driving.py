@@ -16,6 +16,9 @@ What can go wrong on the way:
 
 A robot that keeps its commands is sent only new ones. While its poses are as expected, they do not
 wake the driver.
+
+While a goal is paused, its drive is held: the turtle stands still, its poses are passed over, and
+the time of the drive stands still. A pause therefore changes nothing but the duration.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ import math
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import anyio.lowlevel
 from msgspec.structs import replace
@@ -48,7 +51,7 @@ from turtleact.tasks import Background
 if TYPE_CHECKING:
     from turtleact.actions.steering import Speeds, Style
     from turtleact.interfaces import Message
-    from turtleact.node import Node
+    from turtleact.node import Node, ServerGoalHandle
     from turtleact.topics import Publisher, Subscription
 
 __all__ = ["PATIENCE", "Drive", "Turtles"]
@@ -89,6 +92,10 @@ class Drive:
         self._turtle = turtle
         self._helm = Helm(steering) if robot.keeps_commands else Helm(steering, longest=1)
         self._until = math.inf
+        self._held: anyio.Event | None = None  # set when the turtle is released
+        self._is_standing = False
+        self._passed_over = 0.0
+        self._heard = self._clock.time()  # when the last pose came
         self._pose_topic, self._twist_topic = robot.topics(turtle)
         self._nothing_heard = f"nothing was heard of {self._pose_topic} for {SILENCE:g} s"
         self._why = self._nothing_heard
@@ -123,11 +130,44 @@ class Drive:
         stops = [self.seen.pose[:2], *((target.x, target.y) for target in targets)]
         return sum(distance(*a, *b) for a, b in pairwise(stops))
 
+    def time(self) -> float:
+        """The time of the drive (s): the node's clock without the time for which it was held.
+
+        It counts from pose to pose. So it stands still for exactly the ticks that were passed over,
+        whenever between two ticks the turtle is held and released. It is rounded to nanoseconds, so
+        that a sum of pauses does not move a moment beyond the tick in which it falls.
+        """
+        return round(self._clock.time() - self._passed_over, 9)
+
+    def hold(self) -> None:
+        """Let the turtle stand still from the next tick on, until `release`."""
+        if self._held is None:
+            self._held = anyio.Event()
+            if self._helm.steering.limits.is_eased:
+                self._helm.stop()
+            self._publish(STILL)
+
+    def release(self) -> None:
+        """Let the turtle go on; without limited accelerations at the speeds that it had."""
+        if self._held is None:
+            return
+        self._held.set()
+        self._held = None
+        if self._helm.steering.limits.is_eased:
+            self._helm.stop()  # the law starts from rest, with the next pose
+        elif not self._is_standing:  # otherwise the driver has a pose that needs a new command
+            self._publish(self._helm.speeds)
+
+    async def checkpoint(self) -> None:
+        """Let other tasks run, and wait while the turtle is held."""
+        await anyio.lowlevel.checkpoint()
+        await self._stand()
+
     def deadline(self, target: Point, *, theta: float | None = None) -> float:
-        """When to give up a target, by the node's clock (s)."""
+        """When to give up a target, by the time of the drive (s)."""
         stops = [(target.x, target.y)]
         bound = time_bound(self.seen.pose, stops, self._helm.steering, theta=theta)
-        return self._clock.time() + PATIENCE * bound
+        return self.time() + PATIENCE * bound
 
     async def shortest_time(self, targets: Sequence[Point], *, theta: float | None = None) -> float:
         """The shortest possible time (s) from here through the targets.
@@ -139,6 +179,7 @@ class Drive:
             for time in rising_times(self.seen.pose, stops, self._helm.steering, theta=theta):
                 least = max(least, time)
                 await anyio.lowlevel.checkpoint()
+        await self._stand()
         return least
 
     def too_late(self, target: str) -> Abort:
@@ -161,7 +202,7 @@ class Drive:
             target: Where to.
             next_target: The target after that.
             theta: The heading at the target (rad); any if left out.
-            until: Stop after the first tick at or after this time, by the clock (s).
+            until: Stop after the first tick at or after this time of the drive (s).
 
         Raises:
             Abort: if no pose of the turtle arrives.
@@ -194,6 +235,8 @@ class Drive:
     async def wait_for_pose(self) -> None:
         """Wait for the next pose, or take the newest of those that have come.
 
+        While the turtle is held, this does not return.
+
         Raises:
             Abort: if no pose arrives, or it is not valid.
         """
@@ -207,11 +250,19 @@ class Drive:
             for message in self._poses.drain():  # noqa: B007
                 pass
             seen = self._read(message)
-            if not self._objection(seen):
+            if self._objection(seen):
+                continue
+            if self._robot.keeps_commands:  # `_take` passes poses over and notes when they come
                 break
+            if self._held is None:
+                self._heard = self._clock.time()
+                break
+            self._pass_over()
+            self._publish(STILL)
         self.travelled += distance(*self.seen.pose[:2], *seen.pose[:2])
         self._seen = seen
         self._keep_pace(is_a_tick=self._robot.keeps_commands and self._helm.foresees(seen.pose))
+        await self._stand()
 
     async def aclose(self) -> None:
         """Stop the turtle where it is, and leave its topics."""
@@ -226,14 +277,32 @@ class Drive:
         """Take a pose that needs no new command, so the driver need not wake for it."""
         # Called for each pose while it is being published, 62 times a second and turtle, so this
         # must be short, and must not await. The message is read in full only if somebody asks.
+        if self._held is not None:
+            self._pass_over()
+            return True
         helm, x, y = self._helm, message.x, message.y
-        before = helm.at
-        if not helm.holds((x, y, message.theta)) or self._clock.time() >= self._until:
+        before, self._heard = helm.at, self._clock.time()
+        if not helm.holds((x, y, message.theta)) or self.time() >= self._until:
             return False
         self.travelled += math.hypot(x - before[0], y - before[1])
         self._taken = message
         self._taken_since += 1
         return True
+
+    def _pass_over(self) -> None:
+        """Ignore a pose that has come while the turtle was held: no time has passed for it."""
+        now = self._clock.time()
+        self._passed_over += now - self._heard
+        self._heard = now
+
+    async def _stand(self) -> None:
+        """Wait while the turtle is held."""
+        self._is_standing = True
+        try:
+            while self._held is not None:
+                await self._held.wait()
+        finally:
+            self._is_standing = False
 
     def _keep_pace(self, *, is_a_tick: bool) -> None:
         """Measure the time between poses, which may differ from ``Robot.dt``.
@@ -241,7 +310,7 @@ class Drive:
         Where the turtle has moved as it does in its tick, that has passed for it, however late the
         machine is.
         """
-        before, self._decided = self._decided, self._clock.time()
+        before, self._decided = self._decided, self.time()
         poses, self._taken_since = 1 + self._taken_since, 0
         if before is None:
             return
@@ -268,6 +337,10 @@ class Drive:
         self._tell(STILL)
 
     def _tell(self, speeds: Speeds) -> None:
+        if self._held is None:
+            self._publish(speeds)
+
+    def _publish(self, speeds: Speeds) -> None:
         self._twists.publish(self._robot.write(speeds, self._clock.now()))
 
     async def _keep_watch(self) -> None:
@@ -288,6 +361,8 @@ class Drive:
             if silence == PAUSE:
                 self._stop()
         await self._poses.aclose()
+        self._helm.stop()
+        self.release()  # a driver that waits for that gives up, too
 
     def _is_heard(self, message: Message) -> bool:
         """Whether a pose can be used; keep the reason if not."""
@@ -325,6 +400,7 @@ class Turtles:
         self._area = area
         self._robot = robot or Robot()
         self._driven: set[str] = set()
+        self._drives: dict[bytes, Drive] = {}
         self._proving = anyio.Lock()
 
     def steering(
@@ -397,8 +473,15 @@ class Turtles:
                 raise Reject(f"{path}{name} {problem}")
 
     @asynccontextmanager
-    async def drive(self, turtle: str, steering: Steering) -> AsyncIterator[Drive]:
+    async def drive(
+        self, turtle: str, steering: Steering, goal: ServerGoalHandle[Any, Any, Any] | None = None
+    ) -> AsyncIterator[Drive]:
         """Drive a turtle for the length of a block; at the end the turtle always stands still.
+
+        Args:
+            turtle: Its name.
+            steering: The law of steering.
+            goal: The goal that needs it; while it is paused, the turtle is held.
 
         Raises:
             Abort: if the turtle reports no pose, or another goal drives it already.
@@ -409,6 +492,10 @@ class Turtles:
             raise Abort(_taken(turtle))
         drive = Drive(self._node, self._robot, turtle, steering, self._proving)
         self._driven.add(topic)
+        if goal is not None:
+            self._drives[goal.goal_id] = drive
+            if goal.is_paused:  # since before its body has begun
+                drive.hold()
         try:
             # The first pose says where the turtle is; the way to it from nowhere does not count.
             await drive.wait_for_pose()
@@ -416,7 +503,19 @@ class Turtles:
             yield drive
         finally:
             self._driven.discard(topic)
+            if goal is not None:
+                del self._drives[goal.goal_id]
             await drive.aclose()
+
+    async def hold(self, goal: ServerGoalHandle[Any, Any, Any]) -> None:
+        """Hold the turtle of a goal that is paused; an ``on_pause``."""
+        if goal.goal_id in self._drives:
+            self._drives[goal.goal_id].hold()
+
+    async def release(self, goal: ServerGoalHandle[Any, Any, Any]) -> None:
+        """Release the turtle of a goal that is resumed; an ``on_resume``."""
+        if goal.goal_id in self._drives:
+            self._drives[goal.goal_id].release()
 
     def _topic(self, turtle: str) -> str:
         """The full name of its pose: a turtle may be called by several names."""

@@ -13,8 +13,6 @@ from turtleact.interfaces import Action, Message, float64, string
 from turtleact.interfaces.standard import Point, TurtlePose
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator
-
     from turtleact.actions.driving import Turtles
     from turtleact.actions.steering import Steering
     from turtleact.node import Node, ServerGoalHandle
@@ -89,7 +87,8 @@ def serve(
 ) -> None:
     """Serve ``/go_to``.
 
-    After a restart, a goal in a journal goes on from wherever its turtle stands.
+    After a restart, a goal in a journal goes on from wherever its turtle stands. While a goal is
+    paused, its turtle stands still, and its time limit does not run.
 
     Args:
         node: The node that serves it.
@@ -98,7 +97,12 @@ def serve(
         **options: As for `Node.action_server`.
     """
     server = _GoTo(turtles)
-    options = {"goal_callback": server.check, **options}
+    options = {
+        "goal_callback": server.check,
+        "on_pause": turtles.hold,
+        "on_resume": turtles.release,
+        **options,
+    }
     node.action_server(GoTo, "/go_to", server.execute, on_conflict=on_conflict, **options)
 
 
@@ -122,38 +126,37 @@ class _GoTo:
 
     async def execute(
         self, goal: GoTo.Goal, handle: ServerGoalHandle[GoTo.Goal, GoTo.Result, GoTo.Feedback]
-    ) -> AsyncIterator[GoTo.Feedback | GoTo.Result]:
-        clock, left = handle.node.clock, handle.resumed
+    ) -> GoTo.Result:
+        left = handle.resumed
         before = (left and left.partial_result) or GoTo.Result()
-        started = clock.time() - before.duration
+        started = handle.node.clock.time() - before.duration
         target = Point(x=goal.x, y=goal.y)
         theta = goal.theta if goal.heading_tolerance else None
-        async with self._turtles.drive(goal.turtle, self._steering(goal)) as drive:
-            deadline, due = drive.deadline(target, theta=theta), clock.time()
+        async with self._turtles.drive(goal.turtle, self._steering(goal), handle) as drive:
+            deadline, due = drive.deadline(target, theta=theta), drive.time()
             result = GoTo.Result(bound=before.bound)
 
             def note() -> None:
                 result.distance = before.distance + drive.travelled
-                result.duration = clock.time() - started
+                result.duration = drive.time() - started
                 handle.set_partial_result(result)
 
             try:
                 if not result.bound:
                     result.bound = await drive.shortest_time([target], theta=theta)
                 while not drive.has_reached(target, theta=theta):
-                    if clock.time() > deadline:
+                    if drive.time() > deadline:
                         raise drive.too_late(_missed(goal, is_there=drive.has_reached(target)))
-                    if clock.time() >= due:
-                        due = clock.time() + PERIOD
+                    if drive.time() >= due:
+                        due = drive.time() + PERIOD
                         note()
-                        yield GoTo.Feedback(
-                            pose=drive.pose, distance_remaining=drive.distance_to([target])
-                        )
+                        remaining = drive.distance_to([target])
+                        handle.publish_feedback(GoTo.Feedback(drive.pose, remaining))
                     await drive.towards(target, theta=theta, until=min(due, deadline))
                 await drive.rest()
             finally:
                 note()  # however it ends: a canceled or aborted goal tells how far it came
-        yield result
+        return result
 
     def _steering(self, goal: GoTo.Goal) -> Steering:
         return self._turtles.steering(

@@ -9,9 +9,7 @@ Source: nav2's waypoint follower for ``stop_on_failure`` and ``missed``.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Unpack
-
-import anyio.lowlevel
+from typing import TYPE_CHECKING, Any, Unpack
 
 from turtleact.body import ServerOptions
 from turtleact.errors import Reject
@@ -23,7 +21,6 @@ from turtleact.interfaces.standard import PatrolCommandInterface, Point, TurtleP
 if TYPE_CHECKING:
     from turtleact.actions.driving import Drive, Turtles
     from turtleact.actions.steering import Steering
-    from turtleact.clock import Clock
     from turtleact.node import Node, ServerGoalHandle
     from turtleact.node.conflicts import OnConflict
 
@@ -114,7 +111,8 @@ def serve(
     """Serve ``/patrol`` and ``/command_turtle``.
 
     After a restart, a goal in a journal goes on from wherever its turtle stands, with the first
-    target whose feedback is not in the journal.
+    target whose feedback is not in the journal. While a goal is paused, its turtle stands still,
+    and the time limit of its target does not run.
 
     Args:
         node: The node that serves them.
@@ -123,6 +121,7 @@ def serve(
         **options: As for `Node.action_server`.
     """
     server = _Patrol(turtles)
+    options = {"on_pause": turtles.hold, "on_resume": turtles.release, **options}
     checks: ServerOptions = {"goal_callback": server.check, **options}
     node.action_server(Patrol, "/patrol", server.execute, on_conflict=on_conflict, **checks)
     checks = {"goal_callback": server.check_command, **options}
@@ -211,7 +210,7 @@ class _Patrol:
         # already, but no feedback, is visited again.
         result.reached = left.feedback.reached if left and left.feedback else 0
         return await self._patrol(
-            goal, handle.node.clock, result, handle.publish_feedback, handle.set_partial_result
+            goal, handle, result, handle.publish_feedback, handle.set_partial_result
         )
 
     async def execute_command(
@@ -234,13 +233,13 @@ class _Patrol:
         left = handle.resumed
         reached = int(left.feedback.feedback_msg.split()[1]) if left and left.feedback else 0
         result = Patrol.Result(reached=reached)
-        await self._patrol(goal, handle.node.clock, result, tell, _nothing)
+        await self._patrol(goal, handle, result, tell, _nothing)
         return PatrolCommandInterface.Result(result_msg="Patrolling complete!")
 
     async def _patrol(
         self,
         goal: Patrol.Goal,
-        clock: Clock,
+        handle: ServerGoalHandle[Any, Any, Any],
         result: Patrol.Result,
         tell: Callable[[Patrol.Feedback], None],
         note: Callable[[Patrol.Result], None],
@@ -250,13 +249,13 @@ class _Patrol:
         ``result`` says what an earlier process has done of the goal.
         """
         tour = _Tour(goal.targets, 1 + goal.loops)
-        started, before = clock.time() - result.duration, result.distance
+        started, before = handle.node.clock.time() - result.duration, result.distance
         first = result.reached + len(result.missed)
-        async with self._turtles.drive(goal.turtle, self._steering(goal)) as drive:
+        async with self._turtles.drive(goal.turtle, self._steering(goal), handle) as drive:
 
             def record() -> None:
                 result.distance = before + drive.travelled
-                result.duration = clock.time() - started
+                result.duration = drive.time() - started
                 note(result)
 
             try:
@@ -266,13 +265,13 @@ class _Patrol:
                 for stop in range(first, tour.stops):
                     # A turtle that stands on its targets reaches all of them without waiting for
                     # a pose: a long list of such stops must not block the event loop,
-                    await anyio.lowlevel.checkpoint()
+                    await drive.checkpoint()
                     # nor may endless rounds of them pass without time passing.
                     if tour.index(stop) % AT_ONCE == 0:
                         if drive.seen is seen:  # no pose has come since
                             await drive.stay()
                         seen = drive.seen
-                    leg = _Leg(tour, stop, drive, clock, result, tell)
+                    leg = _Leg(tour, stop, drive, result, tell)
                     if await leg.run():
                         result.reached += 1
                         record()
@@ -304,7 +303,6 @@ class _Leg:
         tour: _Tour,
         stop: int,
         drive: Drive,
-        clock: Clock,
         result: Patrol.Result,
         tell: Callable[[Patrol.Feedback], None],
     ) -> None:
@@ -314,20 +312,19 @@ class _Leg:
         self._tour = tour
         self._stop = stop
         self._drive = drive
-        self._clock = clock
         self._result = result
         self._tell = tell
 
     async def run(self) -> bool:
         """Drive to a stop; False if it takes far too long."""
-        drive, clock, target = self._drive, self._clock, self._target
+        drive, target = self._drive, self._target
         after = self._tour.target(self._stop + 1)
         deadline = drive.deadline(target)
-        due = clock.time() + PERIOD
+        due = drive.time() + PERIOD
         while not drive.has_reached(target):
-            if clock.time() > deadline:
+            if drive.time() > deadline:
                 return False
-            if clock.time() >= due:
+            if drive.time() >= due:
                 due += PERIOD
                 self.tell(is_reached=False)
             await drive.towards(target, after, until=min(due, deadline))

@@ -126,6 +126,8 @@ class Turtle:
             self._rotate,
             on_demand=on_demand,
             goal_callback=_check,
+            on_pause=self._hold,
+            on_resume=self._release,
         )
 
     def leave(self, reason: str) -> None:
@@ -163,7 +165,10 @@ class Turtle:
             self.turn = None
 
     def rotate(self, turn: _Turn) -> None:
-        """Turn for one tick."""
+        """Turn for one tick; stand still if the goal is paused."""
+        if turn.is_held:
+            self._world.set_velocity(self.name, 0.0)
+            return
         # A velocity of zero in the last tick is a command like any other, as in turtlesim.
         omega = turn.tick(self._world.heading(self.name))
         if omega is None:
@@ -216,6 +221,7 @@ class Turtle:
             )
             self.turn.abort("preempted by another goal")
         turn = self.turn = _Turn(Rotation(goal.theta, self._world.heading(self.name)), handle)
+        turn.is_held = handle.is_paused
         self._on_work(self)
         try:
             await turn.ended.wait()
@@ -232,19 +238,36 @@ class Turtle:
             raise
         return turn.take()
 
+    async def _hold(self, handle: Handle) -> None:
+        self._set_held(handle, is_held=True)
+
+    async def _release(self, handle: Handle) -> None:
+        self._set_held(handle, is_held=False)
+
+    def _set_held(self, handle: Handle, *, is_held: bool) -> None:
+        if self.turn is not None and self.turn.goal_id == handle.goal_id:
+            self.turn.is_held = is_held
+
 
 class _Turn:
     """A goal of ``rotate_absolute`` that runs.
 
     Attributes:
         ended: Set at its end.
+        is_held: Whether the goal is paused.
     """
 
     def __init__(self, rotation: Rotation, handle: Handle) -> None:
         self.ended = anyio.Event()
+        self.is_held = False
         self._rotation = rotation
         self._handle = handle
         self._reason = ""
+
+    @property
+    def goal_id(self) -> bytes:
+        """The id of the goal."""
+        return self._handle.goal_id
 
     @property
     def result(self) -> RotateAbsolute.Result:
