@@ -4,8 +4,10 @@
 
     endpoints                answers clients in other processes
     action_topics            publishes feedback and status for whoever reads those topics
+    pause_endpoints          pauses goals for clients in other processes
     local_server             decides which goals are accepted and which are canceled
     goal_handle | callbacks  the handle given to bodies; the user's callbacks
     execution                runs a body and ends its goal when the body ends
-    body_task | durable      the task of a body; goals that outlive their process
+    body_task | pausing      the task of a body; goals that stand still
+    durable                  goals that outlive their process
 """
