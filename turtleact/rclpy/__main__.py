@@ -29,6 +29,7 @@ def main() -> None:
     )
     parser.add_argument("--face", choices=FACES, default="auto", help="whose rclpy to use")
     parser.add_argument("--embedded", action="store_true", help="have a world of turtles, too")
+    parser.add_argument("--alone", action="store_true", help="join no graph of other processes")
     parser.add_argument("--connect", metavar="ENDPOINT", help="where the graph is")
     parser.add_argument("--interfaces", metavar="DIR", help="a folder with more interfaces")
     parser.add_argument("-m", dest="module", action="store_true", help="run a module")
@@ -36,7 +37,7 @@ def main() -> None:
     parser.add_argument("arguments", nargs=REMAINDER, help="the program's own arguments")
     given = parser.parse_args()
     connect = tuple(given.connect.split(",")) if given.connect else ()
-    place = Place(connect, is_embedded=given.embedded)
+    place = Place(connect, is_embedded=given.embedded, is_alone=given.alone)
     options = Options(given.face, place, given.interfaces)
     file = None if given.module else Path(given.program)
     if file is not None and not file.is_file():

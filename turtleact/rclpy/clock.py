@@ -72,11 +72,11 @@ class JumpThreshold:
 
     def is_met_by(self, jump: TimeJump) -> bool:
         """Whether a callback is told of a jump."""
-        if self.on_clock_change and jump.clock_change in (
+        if jump.clock_change in (
             ClockChange.ROS_TIME_ACTIVATED,
             ClockChange.ROS_TIME_DEACTIVATED,
         ):
-            return True
+            return self.on_clock_change
         forward = self.min_forward is not None and jump.delta >= self.min_forward
         backward = self.min_backward is not None and jump.delta <= self.min_backward
         return forward or backward

@@ -421,6 +421,7 @@ class MultiThreadedExecutor(Executor):
             )
         self._executor = ThreadPoolExecutor(num_threads, thread_name_prefix="rclpy")
         self._failed: deque[Task] = deque()  # those whose exceptions were not raised yet
+        self._context.on_shutdown(self._let_threads_end)
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
         """Wait for one callback and start it; raises what an earlier one has raised."""
@@ -449,6 +450,10 @@ class MultiThreadedExecutor(Executor):
             return False
         self._executor.shutdown(wait=wait_for_threads and not self._is_own_thread())
         return True
+
+    def _let_threads_end(self) -> None:
+        """Let idle threads end, because the interpreter waits for them."""
+        self._executor.shutdown(wait=False)
 
     def _is_own_thread(self) -> bool:
         return threading.current_thread().name.startswith("rclpy_")

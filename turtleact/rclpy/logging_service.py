@@ -43,7 +43,7 @@ class LoggingService:
             try:
                 LOG.set_level(wanted.name, LoggingSeverity(wanted.level))
             except ValueError:
-                result = made(successful=False, reason=f"no severity has the number {wanted.level}")
+                result = made(successful=False, reason="Failed reason: Invalid logger level.")
             else:
                 result = made(successful=True)
             response.results.append(result)

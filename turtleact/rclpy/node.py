@@ -57,6 +57,7 @@ from turtleact.rclpy.service import Service
 from turtleact.rclpy.subscription import Subscription
 from turtleact.rclpy.time_source import TimeSource
 from turtleact.rclpy.timer import Rate, Timer
+from turtleact.rclpy.type_description_service import TypeDescriptionService
 from turtleact.rclpy.type_support import check_is_valid_msg_type, check_is_valid_srv_type
 from turtleact.rclpy.utilities import get_default_context
 from turtleact.rclpy.waitable import Waitable
@@ -70,7 +71,6 @@ if TYPE_CHECKING:
 __all__ = ["HIDDEN_NODE_PREFIX", "Node"]
 
 HIDDEN_NODE_PREFIX = "_"
-
 E = TypeVar("E")
 
 
@@ -151,6 +151,7 @@ class Node(NodeParameters, NodeGraph):
         self._time_source.attach_clock(self._clock)
         if start_parameter_services:
             self._parameter_service = ParameterService(self)
+        TypeDescriptionService(self)
         if enable_logger_service:
             from turtleact.rclpy.logging_service import LoggingService
 
@@ -553,16 +554,15 @@ class Node(NodeParameters, NodeGraph):
         Raises:
             RCLError: if the period is negative.
         """
-        with self._handle:
-            timer = Timer(
-                callback,
-                callback_group or self._default_callback_group,
-                int(float(timer_period_sec) * S_TO_NS),
-                clock or self._clock,
-                context=self._context,
-                autostart=autostart,
-                wake=self._wake_executor,
-            )
+        self._handle.check()
+        timer = Timer(
+            callback,
+            callback_group or self._default_callback_group,
+            int(float(timer_period_sec) * S_TO_NS),
+            clock or self._clock,
+            autostart=autostart,
+            wake=self._wake_executor,
+        )
         self._timers = [*self._timers, timer]
         self._wake_executor()
         return timer

@@ -135,7 +135,8 @@ class Parameter(Subscriptable):
         own = self._name, self._type, self._value
         return own == (other._name, other._type, other._value)
 
-    __hash__ = None  # type: ignore[assignment]  # a value may be a list
+    def __hash__(self) -> int:
+        return hash((self._name, self._type))
 
     def get_parameter_value(self) -> Anything:
         """Return its value as a ``rcl_interfaces.msg.ParameterValue``."""

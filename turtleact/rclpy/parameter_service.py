@@ -54,7 +54,7 @@ class ParameterService:
 
     def _get(self, request: Anything, response: Anything) -> Anything:
         for name in request.names:
-            if not self._node.has_parameter(name):
+            if self._node.get_parameter_or(name).type_ is Parameter.Type.NOT_SET:
                 # One unknown name leaves the answer empty, as in rclpy.
                 response.values = []
                 return response

@@ -197,12 +197,6 @@ class QoSProfile:
         self.liveliness = kwargs.get("liveliness", LivelinessPolicy.SYSTEM_DEFAULT)
         self.liveliness_lease_duration = kwargs.get("liveliness_lease_duration", UNSPECIFIED)
         self.avoid_ros_namespace_conventions = kwargs.get("avoid_ros_namespace_conventions", False)
-        if self.history == HistoryPolicy.KEEP_LAST and self.depth == 0:
-            warnings.warn(
-                "A zero depth with KEEP_LAST doesn't make sense; no data could be stored. "
-                "This will be interpreted as SYSTEM_DEFAULT",
-                stacklevel=2,
-            )
 
     @property
     def history(self) -> HistoryPolicy:
@@ -224,6 +218,12 @@ class QoSProfile:
             raise AssertionError(f"the depth must be an int, not {value!r}")
         if value < 0:
             raise ValueError("depth must be greater than or equal to zero")
+        if not value and self.history == HistoryPolicy.KEEP_LAST:
+            warnings.warn(
+                "A zero depth with KEEP_LAST doesn't make sense; no data could be stored. "
+                "This will be interpreted as SYSTEM_DEFAULT",
+                stacklevel=2,
+            )
         self._depth = value
 
     @property
@@ -304,6 +304,10 @@ class QoSProfile:
     def get_c_qos_profile(self) -> QoSProfile:
         """Return the profile itself: there is no other form of it."""
         return self
+
+    def to_dict(self) -> dict[str, Anything]:
+        """Return the policies by name."""
+        return {slot[1:]: getattr(self, slot) for slot in self.__slots__}
 
     def for_transport(self) -> QoS:
         """Return what turtleact's transports know of it."""

@@ -51,7 +51,7 @@ class TimeSource:
         self._ros_time_is_active = enabled
         for clock in self._associated_clocks:
             clock.activate(is_told=enabled)
-        node = self._attached()
+        node = self._get_node()
         if enabled:
             self._subscribe()
         elif node is not None and self._clock_sub is not None:
@@ -66,7 +66,7 @@ class TimeSource:
         """
         if not hasattr(node, "declare_parameter"):
             raise TypeError("Node must be of type rclpy.node.Node")
-        if self._attached() is not None:
+        if self._get_node() is not None:
             self.detach_node()
         self._node = weakref.ref(node)
         if not node.has_parameter(USE_SIM_TIME_NAME):
@@ -83,7 +83,7 @@ class TimeSource:
 
     def detach_node(self) -> None:
         """Leave the node."""
-        node = self._attached()
+        node = self._get_node()
         if node is not None and self._clock_sub is not None:
             node.destroy_subscription(self._clock_sub)
         self._clock_sub, self._node = None, None
@@ -113,11 +113,11 @@ class TimeSource:
         for clock in self._associated_clocks:
             clock.set_ros_time_override(time)
 
-    def _attached(self) -> Node | None:
+    def _get_node(self) -> Node | None:
         return None if self._node is None else self._node()
 
     def _subscribe(self) -> None:
-        node = self._attached()
+        node = self._get_node()
         if node is not None and self._clock_sub is None:
             self._clock_sub = node.create_subscription(
                 interface_class("rosgraph_msgs/msg/Clock"),

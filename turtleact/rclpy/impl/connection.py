@@ -196,10 +196,20 @@ class Connection:
         return self._posted(self.loop.call(partial(self._transport.enter, node)))
 
     def advertise(self, endpoint: Endpoint, type_hash: str, source: Source | None = None) -> Sender:
-        """Open the sending end of a topic."""
-        opening = partial(self._transport.advertise, endpoint, Encoded(type_hash), source)
+        """Open the sending end of a topic.
+
+        If a subscription is known, even the first message is sent to it.
+        """
+        transport = self._transport
+
+        def open_it() -> Publication:
+            publication = transport.advertise(endpoint, Encoded(type_hash), source)
+            if any(each.kind == "subscription" for each in transport.endpoints(endpoint.name)):
+                publication.expect_readers()
+            return publication
+
         is_latched = endpoint.qos.durability == "transient_local"
-        return Sender(self, self.loop.call(opening), is_latched=is_latched)
+        return Sender(self, self.loop.call(open_it), is_latched=is_latched)
 
     def subscribe(
         self, endpoint: Endpoint, type_hash: str, deliver: Callable[[bytes], None]
