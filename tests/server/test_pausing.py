@@ -17,7 +17,18 @@ from turtleact.journal import open_journal
 from turtleact.transports import MemoryTransport
 
 from ..client.test_remote_server import Apart
-from ..lab import Count, Gate, HandClock, feedback, goal, lab, result, running, take_turns
+from ..lab import (
+    Count,
+    Gate,
+    HandClock,
+    feedback,
+    goal,
+    lab,
+    local_server,
+    result,
+    running,
+    take_turns,
+)
 
 ID = bytes(range(16))
 
@@ -376,9 +387,9 @@ async def test_users_of_ros_pause_all_goals_of_an_action():
         await take_turns()
         pause = served.node.service_client(Trigger, "count/pause")
         resume = served.node.service_client(Trigger, "count/resume")
-        assert (await pause.call(Trigger.Request())).message == "1 goals paused"
+        assert (await pause.call(Trigger.Request())).message == "1 goal paused"
         assert handle.is_paused
-        assert (await resume.call(Trigger.Request())).message == "1 goals resumed"
+        assert (await resume.call(Trigger.Request())).message == "1 goal resumed"
         assert not handle.is_paused
 
 
@@ -387,7 +398,49 @@ async def test_users_of_ros_are_told_what_cannot_be_paused():
         pause = served.node.service_client(Trigger, "count/pause")
         answer = await pause.call(Trigger.Request())
         assert not answer.success
-        assert answer.message.startswith("0 of 1 goals paused; goal 000102")
+        assert answer.message.startswith("0 of 1 goal paused; goal 000102")
+
+
+async def test_users_of_ros_pause_waiting_goals_too():
+    walker = Walker()
+    async with (
+        lab(walker.generator, policy="queue") as served,
+        served.client.send_goal(goal(MANY)) as first,
+        served.client.send_goal(goal(MANY)) as second,
+    ):
+        pause = served.node.service_client(Trigger, "count/pause")
+        assert (await pause.call(Trigger.Request())).message == "2 goals paused"
+        await first.cancel()
+        assert await walker.stands_still()
+        assert (second.status, second.is_paused) == (GoalStatus.EXECUTING, True)
+
+
+async def test_a_client_knows_that_somebody_else_has_paused_its_goal():
+    transport, walker = MemoryTransport(), Walker()
+    near: Any = Apart(transport)
+    async with (
+        turtleact.open_node("far", transport=transport) as far,
+        turtleact.open_node("near", transport=near) as node,
+    ):
+        server = far.action_server(Count, "count", walker.generator)
+        async with (
+            node.action_client(Count, "count").send_goal(goal(MANY)) as sent,
+            node.action_client(Count, "count").attach(sent.goal_id) as attached,
+        ):
+            for is_paused in (True, False, True):
+                switch = local_server(server).pauses
+                own = local_server(server).find(sent.goal_id)
+                assert own is not None
+                await (switch.pause(own, 5.0) if is_paused else switch.resume(own))
+                await take_turns()
+                assert (sent.is_paused, attached.is_paused) == (is_paused, is_paused)
+            async with node.action_client(Count, "count").attach(sent.goal_id) as late:
+                late.detach()
+                assert late.is_paused
+            await sent.cancel()
+            await sent.outcome()
+            await take_turns()
+            assert (sent.is_paused, attached.is_paused) == (False, False)
 
 
 # --- with a journal -----------------------------------------------------------------------------

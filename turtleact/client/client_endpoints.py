@@ -21,7 +21,7 @@ import anyio
 from turtleact.body import ActionType
 from turtleact.errors import PauseRefused
 from turtleact.goal import CancelCode, Goal, GoalStatus
-from turtleact.goal_pausing import SetPaused, set_paused_service
+from turtleact.goal_pausing import PausedGoals, SetPaused, paused_topic, set_paused_service
 from turtleact.goal_wire import State, read_states
 from turtleact.interfaces import (
     GOAL_ID,
@@ -156,7 +156,7 @@ class ClientEndpoints:
         self._endpoint = endpoint
         self._names = names
         self._opened: list[Closeable] = []
-        self._watches_status = False
+        self._watches_status = self._watches_paused = False
         self._goals, self._cancels = RequestLimiter(), RequestLimiter()
         self._servers: list[Endpoint] = []  # the servers that existed when `is_ours` was learned
         self._seen = 0  # the graph's change count when `_servers` was last compared
@@ -238,7 +238,7 @@ class ClientEndpoints:
         response: Any = (await caller.call(request)).message
         if not response.success:
             raise PauseRefused(response.message)
-        goal.is_paused = is_paused
+        goal.is_paused = is_paused and not goal.ended
 
     # opening and closing
 
@@ -287,6 +287,22 @@ class ClientEndpoints:
 
         name, type_name = self._names.status, GoalStatusArray.type_name
         self._subscribe(name, type_name, _States(), deliver, STATUS_QOS)
+
+    def watch_paused(self, take_paused: Callable[[frozenset[bytes]], None]) -> None:
+        """Open the topic with the goals that are paused. A second call does nothing.
+
+        Args:
+            take_paused: Called with the ids of all goals that are paused.
+        """
+        if self._watches_paused:
+            return
+        self._watches_paused = True
+
+        def deliver(message: PausedGoals) -> None:
+            take_paused(frozenset(bytes(each.uuid) for each in message.goal_ids))
+
+        name, type_name = paused_topic(self.name), PausedGoals.type_name
+        self._subscribe(name, type_name, WireFormat(PausedGoals), deliver, STATUS_QOS)
 
     def close(self) -> None:
         """Leave the graph."""

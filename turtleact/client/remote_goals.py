@@ -500,7 +500,7 @@ class RemoteGoals:
     def _conclude(self, remote: RemoteGoal, reply: Reply, note: GoalNote) -> None:
         """End a goal the way its server reported."""
         response, goal = cast("Any", reply.message), remote.goal
-        goal.result, goal.reason = response.result, note.reason
+        goal.result, goal.reason, goal.is_paused = response.result, note.reason, False
         goal.ended = self._now()
         self._move(remote, GoalStatus(response.status))
 

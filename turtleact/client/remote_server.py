@@ -61,6 +61,7 @@ class RemoteActionServer:
         self._status = tasks.signal()
         self._last_told: dict[bytes, State] = {}
         self._held: dict[bytes, State] | None = None  # None until the first status arrives
+        self._paused: frozenset[bytes] = frozenset()
 
     @property
     def is_open(self) -> bool:
@@ -93,6 +94,8 @@ class RemoteActionServer:
             raise
         if goal.error is not None and not remote.is_accepted:
             raise goal.error
+        if self._endpoints.is_ours:
+            self._endpoints.watch_paused(self._take_paused)
         return goal
 
     async def run_goal(self, order: GoalOrder) -> Goal:
@@ -145,13 +148,14 @@ class RemoteActionServer:
             return remote.goal
         self._goals.open()
         self._endpoints.watch_status(self._take_states)
+        self._endpoints.watch_paused(self._take_paused)
         with anyio.move_on_after(STATUS_WITHIN):
             while self._held is None:
                 await self._status.wait()
         if self._held is None or goal_id not in self._held:
             return None
         state = self._held[goal_id]
-        goal = Goal(None, 0, id=goal_id)
+        goal = Goal(None, 0, id=goal_id, is_paused=goal_id in self._paused)
         self._goals.attach(goal, state)
         if status_of(state[2]).is_terminal:  # the server may have forgotten it without any notice
             with anyio.move_on_after(STATUS_WITHIN):
@@ -175,6 +179,11 @@ class RemoteActionServer:
             if goal_id in self._held:
                 self._goals.take_state(remote, self._held[goal_id])
         self._status.fire()
+
+    def _take_paused(self, paused: frozenset[bytes]) -> None:
+        self._paused = paused
+        for goal_id, remote in self._goals.by_id.items():
+            remote.goal.is_paused = goal_id in paused
 
     # canceling
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+import anyio
+
 from turtleact.errors import PauseRefused, TurtleactError
 from turtleact.goal import Goal, GoalStatus
 from turtleact.goal_pausing import PausedGoals, SetPaused, paused_topic, set_paused_service
@@ -26,6 +28,8 @@ __all__ = ["PauseEndpoints"]
 
 PATIENCE = 5.0
 """How long bodies may take to stand still when all goals are paused (s, event loop time)."""
+
+_PAUSABLE = (GoalStatus.ACCEPTED, GoalStatus.EXECUTING)
 
 
 class PauseEndpoints(Source):
@@ -100,8 +104,9 @@ class PauseEndpoints(Source):
         return SetPaused.Response(success=True)
 
     async def _pause_all(self, _: Trigger.Request) -> Trigger.Response:
-        running = [each for each in self._server.held() if each.status is GoalStatus.EXECUTING]
-        return await self._each(running, lambda goal: self._server.pause(goal, PATIENCE), "paused")
+        # Goals that wait for their turn are paused too: otherwise one could begin in the pause.
+        meant = [each for each in self._server.held() if each.status in _PAUSABLE]
+        return await self._each(meant, lambda goal: self._server.pause(goal, PATIENCE), "paused")
 
     async def _resume_all(self, _: Trigger.Request) -> Trigger.Response:
         return await self._each(list(self._server.pauses.paused), self._server.resume, "resumed")
@@ -109,12 +114,18 @@ class PauseEndpoints(Source):
     async def _each(
         self, goals: list[Goal], switch: Callable[[Goal], Any], done: str
     ) -> Trigger.Response:
-        problems = []
-        for goal in goals:
+        problems = list[str]()
+
+        async def try_to(goal: Goal) -> None:
             try:
                 await switch(goal)
             except TurtleactError as error:
                 problems.append(f"goal {goal.hex}: {error}")
+
+        async with anyio.create_task_group() as group:  # no robot waits for another
+            for goal in goals:
+                group.start_soon(try_to, goal)
         count = len(goals) - len(problems)
-        told = f"{count} of {len(goals)} goals {done}" if problems else f"{count} goals {done}"
+        what = f"{count} of {len(goals)}" if problems else str(count)
+        told = f"{what} goal{'s' * (len(goals) != 1)} {done}"
         return Trigger.Response(success=not problems, message="; ".join([told, *problems]))
