@@ -148,6 +148,9 @@ def _advice(error: BaseException) -> str:
     from turtleact.errors import UnknownInterface
 
     if isinstance(error, UnknownInterface):
+        if error.type_name.rpartition("/")[2][:1].islower():
+            begins = "he name of an interface begins with a capital letter, and so does its file"
+            return f" T{begins}" if error.suggestion else f": t{begins}"
         return f"{' Otherwise' if error.suggestion else ':'} {ELSEWHERE}"
     if isinstance(error.__cause__, UnknownInterface):  # a file uses it
         return f"\nto make it known, {ELSEWHERE}"

@@ -292,6 +292,8 @@ ADVICE = "source the ROS workspace that has it, give --interfaces DIR, or change
     [
         ("labs/action/Gone", f"unknown interface 'labs/action/Gone': {ADVICE} its package"),
         ("std_msgs/msg/Strin", f"did you mean 'std_msgs/msg/String'? Otherwise {ADVICE} its"),
+        ("lab/msg/go", "did you mean 'lab/msg/Out'? The name of an interface begins with a cap"),
+        ("labs/msg/gone", "'labs/msg/gone': the name of an interface begins with a capital letter"),
         ("lab/msg/Out", "lab/msg/Out.msg:1:1: unknown interface 'labs/msg/Gone'"),
         ("lab/msg/Out", f"\nto make it known, {ADVICE} its package\n"),
     ],

@@ -12,7 +12,7 @@ import pytest
 
 from turtleact.commands import programs
 from turtleact.commands.programs import Program, run_program
-from turtleact.errors import TurtleactError, UsageError
+from turtleact.errors import TurtleactError, UnknownInterface, UsageError
 
 
 @pytest.fixture
@@ -83,9 +83,18 @@ def test_a_traceback_begins_in_the_users_own_code(run, tmp_path, capsys, functio
     assert last == "ZeroDivisionError: division by zero"
 
 
-def test_an_error_of_turtleact_is_left_to_the_command_line(run):
-    with pytest.raises(TurtleactError, match="nobody is there"):
-        run("from turtleact import TurtleactError\nraise TurtleactError('nobody is there')")
+def test_the_traceback_of_a_failed_import_begins_in_the_users_own_code(run, tmp_path, capsys):
+    assert run("import nowhere_at_all", "main") == 1
+    _, place, *_ = capsys.readouterr().err.splitlines()
+    assert place == f'  File "{tmp_path / "go.py"}", line 1, in <module>'
+
+
+def test_an_error_of_turtleact_is_left_to_the_command_line_with_its_line(run, tmp_path):
+    text = "import turtleact\n\nturtleact.get_action('lab/action/Gone')\n"
+    with pytest.raises(TurtleactError) as raised:
+        run(text)
+    assert str(raised.value).startswith(f"{tmp_path}/go.py, line 3: unknown interface 'lab/action")
+    assert isinstance(raised.value.__cause__, UnknownInterface)
 
 
 @pytest.mark.parametrize(

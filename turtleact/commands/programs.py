@@ -6,13 +6,14 @@ it is handed a file, or a module and a function, and runs it as Python itself wo
 
 from __future__ import annotations
 
+import importlib
 import os
 import runpy
 import subprocess
 import sys
+import sysconfig
 import traceback
 from collections.abc import Callable, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["Program", "run_program"]
 
 OURS = str(Path(__file__))
+PACKAGE = str(Path(__file__).parents[1]) + os.sep
 
 FAILED, INTERRUPTED = 1, 130
 
@@ -78,7 +80,7 @@ def run_program(
 
     Raises:
         UsageError: if the module has no such function.
-        TurtleactError: if the program raises one.
+        TurtleactError: if the program raises one; the text names the line.
     """
     if program.file is not None and not is_python(program.file):
         return _start(program.file, arguments)
@@ -99,8 +101,11 @@ def run_program(
         return _status(end.code)
     except KeyboardInterrupt:
         return INTERRUPTED
-    except TurtleactError:
-        raise
+    except TurtleactError as error:
+        place = _place_of(error)
+        if not place:
+            raise
+        raise TurtleactError(f"{place}: {error}") from error
     except BaseException as error:
         return _told(error)
     finally:
@@ -126,7 +131,7 @@ def _function(program: Program) -> Callable[[], object]:
     Raises:
         UsageError: if the module has no such function.
     """
-    found: object = import_module(program.module)
+    found: object = importlib.import_module(program.module)
     for attribute in program.function.split("."):
         if not hasattr(found, attribute):
             where = f"{program.module}:{program.function}"
@@ -172,5 +177,21 @@ def _told(error: BaseException) -> int:
     return FAILED
 
 
+def _place_of(error: BaseException) -> str:
+    """The last line of the user's own code before an error; empty if there is none."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [
+        each for each in frames if not _is_ours(each.filename) and not _is_library(each.filename)
+    ]
+    return f"{own[-1].filename}, line {own[-1].lineno}" if own else ""
+
+
 def _is_ours(file: str) -> bool:
-    return file == OURS or file.startswith("<frozen ")
+    """Whether a file is this one, or one with which Python runs or imports a program."""
+    return file in (OURS, importlib.__file__) or file.startswith("<frozen ")
+
+
+def _is_library(file: str) -> bool:
+    """Whether a file belongs to turtleact, to Python or to what is installed."""
+    is_installed = {"site-packages", "dist-packages"} & {*Path(file).parts}
+    return bool(is_installed) or file.startswith((PACKAGE, sysconfig.get_path("stdlib")))

@@ -155,8 +155,13 @@ class DurableGoals:
     # after a restart
 
     def load(self) -> list[GoalRecord]:
-        """Return what the journal holds of this action."""
-        return self._journal.load(self._name)
+        """Return what the journal holds of this action; one name may have several types."""
+        return [record for record in self._journal.load(self._name) if self.owns(record)]
+
+    def owns(self, record: GoalRecord) -> bool:
+        """Whether a record is of this action and of its type."""
+        names = (record.action, record.type_name)
+        return names == (self._name, self._action_type.type_name)
 
     def ended(self, record: GoalRecord, now: int) -> Goal:
         """Make the goal of a record that has ended; ``now`` is the graph's time (ns)."""

@@ -270,7 +270,7 @@ class LocalActionServer:
         """Return the goal of a record; one whose result has expired is held once more."""
         goal = self.find(record.id)
         if goal is None:
-            if record.action != self.name or not record.ended:
+            if not durable.owns(record) or not record.ended:
                 raise GoalRejected(f"the id {record.id.hex()} belongs to another goal")
             goal = durable.ended(record, self._now())
             goal.ended = self._now()
