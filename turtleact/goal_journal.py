@@ -49,6 +49,7 @@ class GoalRecord(msgspec.Struct, kw_only=True):
         stamp: When the server accepted it (ns since the epoch, by the graph's clock).
         accepted: The same by the wall clock. The graph's clock may be virtual.
         status: Its state.
+        is_built_in: Whether a built-in action took it, which makes way for others of its name.
         is_nested: Whether another goal's body has sent it.
         sender: The gid of the client that sent it, if that is in another process.
         number: Its place in the order of acceptance; the journal counts.
@@ -72,6 +73,7 @@ class GoalRecord(msgspec.Struct, kw_only=True):
     stamp: int
     accepted: int
     status: GoalStatus = GoalStatus.ACCEPTED
+    is_built_in: bool = False
     is_nested: bool = False
     sender: bytes = b""
     number: int = 0
@@ -121,9 +123,12 @@ class GoalJournal(Protocol):
     Attributes:
         max_starts: After so many crashes of its server without feedback in between, a goal is not
             started again; None for no limit.
+        aborts_at_close: Whether a server that is closed ends its goals, even if they would go on
+            after a crash.
     """
 
     max_starts: int | None
+    aborts_at_close: bool
 
     def load(self, action: str) -> list[GoalRecord]:
         """Return the goals of an action that have not ended, or whose result can be asked for."""

@@ -268,7 +268,8 @@ def test_options_stand_anywhere(order, arguments):
 
 def test_options_reach_the_order(order):
     made = order("x", "-ft0.5", "--json", "--speed", "max", "--seed=7", "--embedded")
-    assert made[3:] == (Place("max", 7, None), True, 0.5, "json")
+    assert made[3:] == (Place("max", 7, None), True, 0.5, "json", 0.0)
+    assert order("x", "--reattach", "60").reattach == 60.0
 
 
 @pytest.mark.parametrize("option", ["--embedded", "--speed=2", "--seed=3"])

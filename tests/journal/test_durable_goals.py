@@ -454,6 +454,62 @@ async def test_a_goal_of_another_type_is_aborted_and_not_decoded(path):
                 await handle.result()
 
 
+async def test_goals_of_two_types_under_one_name_are_told_apart(path):
+    class Other(Action, type_name="lab_interfaces/action/Other"):
+        class Goal(Message):
+            pass
+
+        class Result(Message):
+            pass
+
+        class Feedback(Message):
+            pass
+
+    async def other(request: Other.Goal) -> Other.Result:
+        return Other.Result()
+
+    async with place(path) as here:
+        here.serve(Gate().wait)
+        (await here.client.send_goal(goal(2), goal_id=ID).__aenter__()).detach()
+        crashed = await here.crash()
+    async with place(crashed) as there:
+        there.node.action_server(Other, "count", other, journal=there.journal, on_restart="resume")
+        there.serve(Resuming(free=2).generator)
+        async with there.client.attach(ID) as handle:
+            assert await handle.result() == result(0, 1)
+
+
+async def test_a_built_in_action_leaves_the_goals_of_another_server_alone(path):
+    async with place(path) as here:
+        here.serve(Gate().wait)
+        (await here.client.send_goal(goal(2), goal_id=ID).__aenter__()).detach()
+        crashed = await here.crash()
+    async with (
+        place(crashed) as there,
+        turtleact.open_node("turtle_actions", transport=there.node.transport) as node,
+    ):
+        body = Resuming()
+        options: Any = {"journal": there.journal, "on_restart": "resume"}
+        built_in: Any = body.generator
+        node.action_server(Count, "count", built_in, on_conflict="withdraw", **options)
+        await settle()
+        there.serve(Resuming(free=2).generator)
+        await settle()
+        async with there.client.attach(ID) as handle:
+            assert await handle.result() == result(0, 1)
+        assert body.began == []
+
+
+async def test_a_journal_can_end_goals_at_a_clean_stop(path):
+    async with place(path, abort_at_close=True) as here:
+        server = here.serve(Gate().wait)
+        async with here.client.send_goal(goal(), goal_id=ID) as handle:
+            await server.aclose()
+            with pytest.raises(GoalAborted, match="shutdown"):
+                await handle.result()
+    assert records(path)[ID].status is GoalStatus.ABORTED
+
+
 async def test_an_ended_goal_still_answers_after_a_restart(path):
     async def act(request: Count.Goal) -> Count.Result:
         raise Abort("too far", result(2))

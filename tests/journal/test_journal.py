@@ -16,7 +16,7 @@ import turtleact
 from turtleact.errors import InvalidOption
 from turtleact.goal import GoalStatus
 from turtleact.goal_journal import GoalChange, GoalRecord
-from turtleact.journal import Journal, JournalError, open_journal, prune, read_goals
+from turtleact.journal import Journal, JournalError, find_goals, open_journal, prune, read_goals
 from turtleact.journal.database import Accept, Change, Database, Withdraw
 
 from ..lab import Count, Gate, goal, result, running, settle
@@ -107,7 +107,7 @@ def test_goals_are_read_by_time_and_id(path):
     database.write([Accept(record(number, NOW + number)) for number in range(3)], is_durable=False)
     database.close()
     assert [each.accepted - NOW for each in read_goals(path, since=NOW + 1)] == [1, 2]
-    assert [each.accepted - NOW for each in read_goals(path, goal_id=record(2).id)] == [2]
+    assert [each.accepted - NOW for each in find_goals(path, record(2).id.hex())] == [2]
 
 
 def test_pruning_deletes_what_has_ended_and_expired(path):

@@ -18,8 +18,9 @@ GROUPS: Final = {
     "param": ("list", "get", "set", "delete", "describe", "dump", "load"),
     "pkg": ("create", "list", "executables"),
     "interface": ("list", "package", "packages", "proto", "python", "show"),
+    "journal": ("prune",),
 }
-"""The groups of verbs that ``ros2`` has too."""
+"""The groups of verbs. ``ros2`` has them too, except ``journal``."""
 
 VERBS: Final = {
     "send-goal": "Send a goal, follow it to its end and print the result.",
@@ -27,10 +28,15 @@ VERBS: Final = {
     "cancel": "Cancel goals, no matter which client sent them.",
     "watch": "Print the feedback of a goal, then its result.",
     "result": "Wait for the result of a goal and print it.",
+    "journal": "Delete old goals from a journal: prune.",
     "serve": "Serve a world of turtles, and your own actions.",
     "run": "Run a program of a package, such as turtlesim turtlesim_node, or a file.",
     "teleop": "Drive a turtle with the keyboard.",
     "snapshot": "Save a picture of the world as PNG or SVG.",
-    **{name: f"Like 'ros2 {name}': {', '.join(verbs)}." for name, verbs in GROUPS.items()},
+    **{
+        name: f"Like 'ros2 {name}': {', '.join(verbs)}."
+        for name, verbs in GROUPS.items()
+        if name != "journal"
+    },
 }
 """What each verb does, in the order of ``turtleact --help``."""

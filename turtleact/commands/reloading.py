@@ -2,7 +2,8 @@
 
 Only the user's actions and parameters are replaced. The process, the graph and the world live on,
 so turtles stay where they are and clients stay connected. Running goals of the old actions end
-ABORTED with the reason "reloading".
+ABORTED with the reason "reloading". With a journal that resumes goals, they go on with the new
+actions instead.
 
 The new modules are imported first. If that fails, the error is logged, and the old actions go on as
 if nothing had happened, until the next change.
@@ -14,7 +15,7 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
 
 import anyio
 
@@ -27,10 +28,11 @@ if TYPE_CHECKING:
 
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.targets import Found, Modules
+    from turtleact.goal_journal import GoalJournal, OnRestart
     from turtleact.node import ActionServer, Node
     from turtleact.node.parameters import Parameter
 
-__all__ = ["Reloader", "Watch"]
+__all__ = ["Kept", "Reloader", "Watch"]
 
 logger = logging.getLogger("turtleact.reload")
 
@@ -44,6 +46,13 @@ UNCHANGED = "the actions stay as they are until the next change"
 
 Stamps: TypeAlias = dict[Path, tuple[int, int, int] | None]
 """The time of change, size and identity of each file; None for a missing file."""
+
+
+class Kept(TypedDict, total=False):
+    """The options of servers that keep their goals; empty without a journal."""
+
+    journal: GoalJournal
+    on_restart: OnRestart
 
 
 class Watch:
@@ -96,6 +105,7 @@ class Reloader:
         say: Tells the user what happens.
 
     Attributes:
+        node: As given.
         watch: As given.
     """
 
@@ -107,21 +117,34 @@ class Reloader:
         interrupts: Interrupts,
         say: Callable[[str], object],
     ) -> None:
-        self._node = node
+        self.node = node
         self._modules = modules
         self.watch = watch
         self._interrupts = interrupts
         self._say = say
         self._found: Found | None = None
         self._servers: list[ActionServer[Any, Any, Any]] = []
+        self._options: Kept = {}
         self._parameters: list[Parameter[Any]] = []
         self._stale: set[Path] = set()  # changed, but not yet imported with success
 
-    def adopt(self, found: Found, servers: Iterable[ActionServer[Any, Any, Any]]) -> None:
-        """Take over what the node serves already."""
+    def adopt(
+        self,
+        found: Found,
+        servers: Iterable[ActionServer[Any, Any, Any]],
+        options: Kept | None = None,
+    ) -> None:
+        """Take over what the node serves already.
+
+        Args:
+            found: What was found in the modules.
+            servers: The servers of its actions.
+            options: How to serve the actions from now on, beside their own options.
+        """
         self._found = found
         self._servers = list(servers)
-        self._parameters = [self._node.parameter(each) for each in found.parameters]
+        self._options = options or {}
+        self._parameters = [self.node.parameter(each) for each in found.parameters]
 
     async def run(self) -> None:
         """Watch and replace, until cancelled."""
@@ -185,9 +208,9 @@ class Reloader:
         If another node serves one of them by now, it is served once that node has gone.
         """
         for declaration in found.parameters:
-            self._parameters.append(self._node.parameter(declaration))
+            self._parameters.append(self.node.parameter(declaration))
         for action in found.actions:
-            self._servers.append(self._node.serve(action, on_conflict="wait"))
+            self._servers.append(self.node.serve(action, on_conflict="wait", **self._options))
 
     async def _close(self) -> None:
         """End the goals, and take actions and parameters off the node."""

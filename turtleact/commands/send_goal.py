@@ -74,6 +74,7 @@ class Order(NamedTuple):
         timeout: When to cancel the goal, or to give up if no server has accepted it (s, wall
             clock); 0 means to leave once it is accepted.
         view: How it is shown; ``auto`` is live on a terminal.
+        reattach: How long to wait for a server that has gone to return (s).
     """
 
     name: str
@@ -83,6 +84,7 @@ class Order(NamedTuple):
     feedback: bool
     timeout: float | None
     view: View
+    reattach: float = 0.0
 
 
 def run(order: Order, interrupts: Interrupts) -> int:
@@ -209,7 +211,7 @@ class Sending:
             try:
                 with sending:
                     await client.wait_for_server(PATIENCE)
-                    async with client.send_goal(goal) as handle:
+                    async with client.send_goal(goal, reattach=self._order.reattach) as handle:
                         self._sent = Sent(node, self._name, action_type.type_name, goal, handle)
                         status = await self._follow(self._sent, beside)
             except ServerUnavailable as error:

@@ -14,17 +14,18 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, aclosing, asynccontextmanager
 from datetime import datetime
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
 import anyio
 
 from turtleact.body import ActionDeclaration
 from turtleact.commands import runner
 from turtleact.commands.output import abandon, note, printable
-from turtleact.commands.reloading import Reloader, Watch
+from turtleact.commands.reloading import Kept, Reloader, Watch
 from turtleact.commands.targets import Found, Modules
 from turtleact.commands.terminal import can_move
 from turtleact.errors import ActionConflict, InvalidOption, TurtleactError, UsageError
+from turtleact.goal import GoalStatus
 from turtleact.node import Node, open_node
 from turtleact.tasks import Background
 from turtleact.transports import open_zenoh
@@ -35,8 +36,7 @@ if TYPE_CHECKING:
     from turtleact.clock import Clock
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.live import Dashboard
-    from turtleact.commands.settings import Fleet, Page, Reach
-    from turtleact.goal import GoalStatus
+    from turtleact.commands.settings import Fleet, Keeping, Page, Reach
     from turtleact.node import ActionServer, ServerGoalHandle
     from turtleact.node.conflicts import OnConflict
     from turtleact.transports import Transport, ZenohTransport
@@ -70,6 +70,7 @@ class Service(NamedTuple):
         wait: Whether to wait until no other node serves an action, instead of refusing to serve it.
         reload: Whether to reload the user's actions when their files change.
         node_name: The name of the node that serves the actions, if there is no world.
+        keeping: The journal of the goals; None for no journal.
     """
 
     targets: tuple[str, ...]
@@ -83,6 +84,7 @@ class Service(NamedTuple):
     wait: bool = False
     reload: bool = False
     node_name: str = "turtleact"
+    keeping: Keeping | None = None
 
 
 def run(service: Service, interrupts: Interrupts) -> int:
@@ -151,11 +153,13 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
                 await stack.enter_async_context(aclosing(drawing))
             graph = partial(_open_graph, service, opened)
             with interrupts.beginning(0):
-                node = await stack.enter_async_context(_open_node(service, graph, log))
+                options = await stack.enter_async_context(_open_journal(service.keeping))
+                opening = _open_node(service, graph, log, options)
+                node = await stack.enter_async_context(opening)
             if interrupts.received:
                 return 0
             reloader = Reloader(node, work.modules, work.watch, interrupts, log.say)
-            await _until_signal(interrupts, _begin(service, work.found, node, reloader))
+            await _until_signal(interrupts, _begin(service, work.found, reloader, options))
             if interrupts.received:
                 return 0
             if service.reload:
@@ -169,20 +173,44 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
             actions = listed(list(node.graph().actions))
             log.say(f"ready at {where}, domain {service.reach.domain}: {actions}")
             await interrupts.wait(1)
-            note("no more goals are accepted; running goals are ended")
+            goes_on = service.keeping is not None and service.keeping.resumes
+            rest = "go on when the server is back" if goes_on else "are ended"
+            note(f"no more goals are accepted; running goals {rest}")
     return 0
 
 
-async def _begin(service: Service, found: Found, node: Node, reloader: Reloader) -> None:
+@asynccontextmanager
+async def _open_journal(keeping: Keeping | None) -> AsyncIterator[Kept]:
+    """Open the journal; gives the options of the servers that use it.
+
+    Raises:
+        JournalError: if it cannot be opened.
+    """
+    if keeping is None:
+        yield {}
+        return
+    from turtleact.journal import open_journal
+
+    path, on_restart, abort_goals = keeping
+    async with open_journal(path, abort_at_close=abort_goals) as journal:
+        yield {"journal": journal, "on_restart": on_restart}
+
+
+async def _begin(service: Service, found: Found, reloader: Reloader, options: Kept) -> None:
     """Serve what the user has declared."""
+    node = reloader.node
     for declaration in found.parameters:
         node.parameter(declaration)
-    servers = await serve_declared(node, found.actions, wait=service.wait)
-    reloader.adopt(found, servers)
+    servers = await serve_declared(node, found.actions, wait=service.wait, **options)
+    reloader.adopt(found, servers, options)
 
 
 async def serve_declared(
-    node: Node, declared: list[ActionDeclaration[..., object]], *, wait: bool
+    node: Node,
+    declared: list[ActionDeclaration[..., object]],
+    *,
+    wait: bool,
+    **options: Unpack[Kept],
 ) -> list[ActionServer[Any, Any, Any]]:
     """Serve actions, and return once all of them are on the graph.
 
@@ -194,6 +222,7 @@ async def serve_declared(
         node: Serves the actions.
         declared: The actions; several types may share a name.
         wait: Whether to wait for other nodes too, however long.
+        **options: Options that replace declared ones; see `Node.action_server`.
 
     Returns:
         Their servers.
@@ -204,7 +233,7 @@ async def serve_declared(
     """
     try:
         on_conflict: OnConflict = "wait" if wait else "refuse"
-        servers = [node.serve(each, on_conflict=on_conflict) for each in declared]
+        servers = [node.serve(each, on_conflict=on_conflict, **options) for each in declared]
     except ActionConflict as taken:
         if taken.node == node.fully_qualified_name:
             raise UsageError(f"action '{taken.action}' is given twice") from None
@@ -266,8 +295,12 @@ async def _open_node(
     service: Service,
     graph: Callable[[Clock], AbstractAsyncContextManager[Transport]],
     log: ServerLog,
+    options: Kept,
 ) -> AsyncIterator[Node]:
-    """Open the node that serves the targets, on a graph with or without a world."""
+    """Open the node that serves the targets, on a graph with or without a world.
+
+    ``options`` has the journal for the built-in actions.
+    """
     async with AsyncExitStack() as stack:
         if service.fleet is not None:
             from turtleact.app import open_world
@@ -278,6 +311,7 @@ async def _open_node(
                 graph=graph,
                 on_transition=log.tell,
                 on_start=None if log.board is None else log.board.begin,
+                **options,
             )
             node: Node = await stack.enter_async_context(world)
         else:
@@ -357,7 +391,10 @@ class ServerLog:
         self, goal: ServerGoalHandle[Any, Any, Any], _old: GoalStatus, new: GoalStatus
     ) -> None:
         """Print a line for a change of a goal."""
-        reason = f": {printable(goal.reason)}" if goal.reason else ""
+        is_resumed = goal.resumed is not None and new is GoalStatus.EXECUTING
+        reason = (
+            " (resumed)" if is_resumed else f": {printable(goal.reason)}" if goal.reason else ""
+        )
         time = f"{datetime.now():%H:%M:%S.%f}"
         line = f"{time} {goal.action_name} {goal.goal_id.hex()} {new.name}{reason}"
         if self.board is not None:

@@ -14,11 +14,13 @@ from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.locks import Locks
+    from turtleact.goal_journal import OnRestart
     from turtleact.transports import QoS
 
 __all__ = [
     "Durability",
     "Fleet",
+    "Keeping",
     "Page",
     "Place",
     "Placing",
@@ -109,6 +111,25 @@ class Fleet(NamedTuple):
     seed: int = 0
     collide: bool = False
     paused: bool = False
+
+
+class Keeping(NamedTuple):
+    """How goals are kept in a journal.
+
+    Attributes:
+        path: The file.
+        on_restart: What becomes of goals that an earlier process has left unfinished.
+        abort_goals: Whether a clean stop ends goals that would go on after a crash.
+    """
+
+    path: str
+    on_restart: OnRestart = "abort"
+    abort_goals: bool = False
+
+    @property
+    def resumes(self) -> bool:
+        """Whether goals go on after a clean stop."""
+        return self.on_restart == "resume" and not self.abort_goals
 
 
 class Page(NamedTuple):

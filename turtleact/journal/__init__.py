@@ -9,7 +9,7 @@ Open a journal, and name it when you serve an action::
         node.serve(patrol, journal=journal, on_restart="resume")
 """
 
-from turtleact.journal.database import JournalError, prune, read_goals
+from turtleact.journal.database import JournalError, find_goals, prune, read_goals
 from turtleact.journal.writer import Journal, open_journal
 
-__all__ = ["Journal", "JournalError", "open_journal", "prune", "read_goals"]
+__all__ = ["Journal", "JournalError", "find_goals", "open_journal", "prune", "read_goals"]

@@ -33,6 +33,7 @@ __all__ = [
     "JournalError",
     "Withdraw",
     "explain",
+    "find_goals",
     "prune",
     "read_goals",
 ]
@@ -45,6 +46,12 @@ VERSION = 1
 
 BUSY = 5.0
 """How long a reader or a prune waits for the writer (s)."""
+
+AT_ONCE = 1000
+"""So many goals are deleted in one transaction, during which a server cannot write."""
+
+PAUSE = 0.002
+"""How long the file is left to a server after that (s)."""
 
 _COLUMNS = GoalRecord.__struct_fields__
 
@@ -59,6 +66,7 @@ CREATE TABLE goal (
     stamp INTEGER NOT NULL,
     accepted INTEGER NOT NULL,
     status INTEGER NOT NULL,
+    is_built_in INTEGER NOT NULL,
     is_nested INTEGER NOT NULL,
     sender BLOB NOT NULL,
     crashes INTEGER NOT NULL,
@@ -264,21 +272,29 @@ class Database:
                 part.rename(f"{self.moved_to}{suffix}")
 
 
-def read_goals(path: Path, since: int = 0, goal_id: bytes | None = None) -> Iterator[GoalRecord]:
+def find_goals(path: Path, beginning: str) -> list[GoalRecord]:
+    """Read the goals whose id begins with these hexadecimal digits.
+
+    Raises:
+        JournalError: if there is no such file, or it is not a journal.
+    """
+    first, last = (bytes.fromhex(beginning.ljust(32, digit)) for digit in "0f")
+    with _reading(path) as connection:
+        return list(_select(connection, "WHERE id BETWEEN ? AND ?", (first, last)))
+
+
+def read_goals(path: Path, since: int = 0) -> Iterator[GoalRecord]:
     """Read goals from a journal, also while a server writes it.
 
     Args:
         path: The file.
         since: Only goals accepted at or after this time (ns since the epoch, wall clock).
-        goal_id: Only the goal with this id.
 
     Raises:
         JournalError: if there is no such file, or it is not a journal.
     """
     with _reading(path) as connection:
-        if goal_id is not None:
-            yield from _select(connection, "WHERE id = ?", (goal_id,))
-        elif since:
+        if since:
             yield from _select(connection, "WHERE accepted >= ? ORDER BY number", (since,))
         else:
             yield from _select(connection, "ORDER BY number")
@@ -287,7 +303,8 @@ def read_goals(path: Path, since: int = 0, goal_id: bytes | None = None) -> Iter
 def prune(path: Path, before: int) -> int:
     """Delete the goals that ended before ``before`` (ns since the epoch, wall clock).
 
-    Works while a server writes the journal. Goals whose result can still be asked for stay.
+    Works while a server writes the journal, which has its turn again and again. Goals whose result
+    can still be asked for stay.
 
     Returns:
         How many goals were deleted.
@@ -296,11 +313,15 @@ def prune(path: Path, before: int) -> int:
         JournalError: if there is no such file, or it cannot be written.
     """
     with _reading(path, mode="rw") as connection:
-        gone = "ended > 0 AND ended < ? AND expires > 0 AND expires < ?"
-        statement = f"DELETE FROM goal WHERE {gone}"  # noqa: S608  # our own text
-        cursor = connection.execute(statement, (before, time.time_ns()))
-        connection.commit()
-        return cursor.rowcount
+        gone = "ended > 0 AND ended < ? AND expires > 0 AND expires < ? LIMIT ?"
+        some = f"SELECT number FROM goal WHERE {gone}"  # noqa: S608  # our own text
+        statement = f"DELETE FROM goal WHERE number IN ({some})"  # noqa: S608  # our own text
+        count = 0
+        while deleted := connection.execute(statement, (before, time.time_ns(), AT_ONCE)).rowcount:
+            connection.commit()
+            count += deleted
+            time.sleep(PAUSE)
+        return count
 
 
 @contextmanager
@@ -330,7 +351,7 @@ def _select(
     for row in connection.execute(statement, values):
         record = GoalRecord(**dict(zip(_COLUMNS, row, strict=True)))
         record.status = GoalStatus(record.status)
-        for flag in ("is_nested", "is_stopped", "is_paused"):
+        for flag in ("is_built_in", "is_nested", "is_stopped", "is_paused"):
             setattr(record, flag, bool(getattr(record, flag)))
         yield record
 
@@ -404,6 +425,10 @@ def _is_damaged(error: sqlite3.DatabaseError) -> bool:
 def explain(error: sqlite3.Error) -> str:
     """Say what an error means and what to do."""
     name = getattr(error, "sqlite_errorname", "")
+    if name.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB")):
+        return f"it is damaged, or no journal: {error}"
+    if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
+        return "another process keeps it locked; try again"
     if name == "SQLITE_FULL":
         return "the disk is full"
     if name.startswith(("SQLITE_READONLY", "SQLITE_CANTOPEN")):

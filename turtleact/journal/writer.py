@@ -74,11 +74,15 @@ class Journal:
         path: The file.
         max_starts: After so many crashes of its server without feedback in between, a goal is not
             started again; None for no limit.
+        aborts_at_close: Whether a server that is closed ends its goals.
     """
 
-    def __init__(self, path: Path, max_starts: int | None, tasks: Tasks) -> None:
+    def __init__(
+        self, path: Path, max_starts: int | None, tasks: Tasks, *, aborts_at_close: bool = False
+    ) -> None:
         self.path = path
         self.max_starts = max_starts
+        self.aborts_at_close = aborts_at_close
         self._tasks = tasks
         self._home = Home(f"journal '{path}'")
         self._held: dict[bytes, GoalRecord] = {}
@@ -325,7 +329,9 @@ def _by_expiry(record: GoalRecord) -> tuple[bool, int]:
 
 
 @asynccontextmanager
-async def open_journal(path: str | Path, *, max_starts: int | None = 3) -> AsyncIterator[Journal]:
+async def open_journal(
+    path: str | Path, *, max_starts: int | None = 3, abort_at_close: bool = False
+) -> AsyncIterator[Journal]:
     """Open a journal for the length of a block; servers of several nodes may share it.
 
     Close the servers before the journal, as the order of ``async with`` does.
@@ -334,6 +340,8 @@ async def open_journal(path: str | Path, *, max_starts: int | None = 3) -> Async
         path: The file; it is created if it does not exist. SQLite keeps two files beside it.
         max_starts: A goal whose server has crashed so often since its newest feedback ends ABORTED
             instead of being started again; None for no limit.
+        abort_at_close: Whether a server that is closed ends its goals. Otherwise, with
+            ``on_restart="resume"``, they go on when the server is back.
 
     Raises:
         InvalidOption: if ``max_starts`` is not a whole number from 1 up, or None.
@@ -343,7 +351,7 @@ async def open_journal(path: str | Path, *, max_starts: int | None = 3) -> Async
     if max_starts is not None and not is_count:
         problem = f"expected a whole number from 1, or None for no limit, not {max_starts!r}"
         raise InvalidOption("max_starts", problem)
-    journal = Journal(Path(path), max_starts, current_tasks())
+    journal = Journal(Path(path), max_starts, current_tasks(), aborts_at_close=abort_at_close)
     await journal.open()
     try:
         yield journal

@@ -189,6 +189,8 @@ class Node:
         local = LocalActionServer(
             served, options, self._tasks, self.clock.now, self._place(options)
         )
+        if local.durable is not None:
+            local.durable.is_built_in = on_conflict == "withdraw"
         endpoint = partial(self._endpoint, on_demand=on_demand)
         endpoints = ActionEndpoints(local, names, self.transport, endpoint, self._tasks)
         server: ActionServer[G, R, F] = ActionServer(self, action_type, local, endpoints)

@@ -43,6 +43,7 @@ class DurableGoals:
 
     Attributes:
         resumes: Whether unfinished goals go on after a restart.
+        is_built_in: Whether the action is built in, and makes way for others of its name.
         restored: Set when the goals of the earlier process are held again.
     """
 
@@ -55,6 +56,7 @@ class DurableGoals:
         result_timeout: float | None,
     ) -> None:
         self.resumes = on_restart == "resume"
+        self.is_built_in = False
         self.restored = anyio.Event()
         self._journal = journal
         self._action_type = action_type
@@ -64,6 +66,11 @@ class DurableGoals:
         self._goals = WireFormat(action_type.Goal)
         self._feedback = WireFormat(action_type.Feedback)
         self._results = WireFormat(action_type.Result)
+
+    @property
+    def suspends(self) -> bool:
+        """Whether goals go on after the server was closed."""
+        return self.resumes and not self._journal.aborts_at_close
 
     # accepting
 
@@ -87,6 +94,7 @@ class DurableGoals:
             stamp=goal.stamp,
             accepted=time.time_ns(),
             status=status,
+            is_built_in=self.is_built_in,
             is_nested=goal.parent is not None,
             sender=sender,
         )
@@ -155,8 +163,12 @@ class DurableGoals:
     # after a restart
 
     def load(self) -> list[GoalRecord]:
-        """Return what the journal holds of this action; one name may have several types."""
-        return [record for record in self._journal.load(self._name) if self.owns(record)]
+        """Return what the journal holds of this action; one name may have several types.
+
+        A built-in action and the user's own one of the same name never take each other's goals.
+        """
+        found = self._journal.load(self._name)
+        return [record for record in found if record.is_built_in == self.is_built_in]
 
     def owns(self, record: GoalRecord) -> bool:
         """Whether a record is of this action and of its type."""

@@ -612,7 +612,7 @@ class LocalActionServer:
         """
         self.is_open = False
         self._callbacks.close()
-        if self.durable is not None and self.durable.resumes:
+        if self.durable is not None and self.durable.suspends:
             await self._suspend(self.durable)
         else:
             for goal in self._table.active:
@@ -627,11 +627,16 @@ def restore_all(servers: list[LocalActionServer]) -> None:
     """Let servers go on with the goals that their journals hold.
 
     Servers may share a slot. Therefore the goals of all of them come in one order: first those that
-    ran, then those that waited for their turn.
+    ran, then those that waited for their turn. Of servers with the same name, the one of the goal's
+    type takes the goal. If there is none, any of them ends it, because its type has changed.
     """
     durable = [(server, server.durable) for server in servers if server.durable is not None]
-    found = [(record, server) for server, goals in durable for record in goals.load()]
-    for record, server in sorted(found, key=_by_turn):
+    found: dict[bytes, tuple[GoalRecord, LocalActionServer]] = {}
+    for server, goals in durable:
+        for record in goals.load():
+            if record.id not in found or goals.owns(record):
+                found[record.id] = record, server
+    for record, server in sorted(found.values(), key=_by_turn):
         server.restore(record)
     for _, goals in durable:
         goals.restored.set()

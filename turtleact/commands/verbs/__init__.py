@@ -98,6 +98,7 @@ PANELS: Final = {
     **dict.fromkeys(("send-goal", "goals", "cancel", "watch", "result"), "Goals"),
     **dict.fromkeys(("serve", "run", "teleop", "snapshot"), "Turtles"),
     **dict.fromkeys(GROUPS, "Verbs of ros2"),
+    "journal": "Goals",
 }
 """The heading of each verb in ``turtleact --help``."""
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import time
+from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
@@ -20,12 +23,14 @@ from turtleact.commands.verbs.options import (
     Interfaces,
     Plain,
     folder,
+    journal_in,
     message_of,
     on_graph,
     on_known_graph,
     only_one,
     reach,
     seconds,
+    span,
     speed_or_max,
     type_and_text,
     type_of,
@@ -75,6 +80,15 @@ Timeout: TypeAlias = Annotated[
         metavar="SECONDS",
         parser=seconds,
         help="Cancel the goal if it takes longer. With 0, exit as soon as it is accepted.",
+    ),
+]
+Reattach: TypeAlias = Annotated[
+    float,
+    typer.Option(
+        "--reattach",
+        metavar="SECONDS",
+        parser=seconds,
+        help="If the server goes away, wait so long for it to come back, then go on.",
     ),
 ]
 Stdin: TypeAlias = Annotated[bool, typer.Option("--stdin", help="Read the goal from stdin.")]
@@ -136,6 +150,18 @@ Ids: TypeAlias = Annotated[
     ),
 ]
 Json: TypeAlias = Annotated[bool, typer.Option("--json", help="Print one JSON object per line.")]
+Journal: TypeAlias = Annotated[
+    Path | None, journal_in(None, "Read this journal instead of asking the servers.")
+]
+Since: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--since",
+        metavar="TIME",
+        help="With --journal: only goals accepted within this time, such as 1h, or since then, "
+        "such as 2026-11-21T20:15.",
+    ),
+]
 All: TypeAlias = Annotated[
     bool, typer.Option("--all", help="Cancel all goals of the action, or of all actions.")
 ]
@@ -178,6 +204,7 @@ def send_goal(
     *,
     feedback: Feedback = False,
     timeout: Timeout = None,
+    reattach: Reattach = 0.0,
     stdin: Stdin = False,
     goal_file: GoalFile = None,
     json: JsonEvents = False,
@@ -198,6 +225,8 @@ def send_goal(
     way = "speed" if speed is not None else "seed" if seed is not None else "embedded"
     is_embedded = embedded or speed is not None or seed is not None
     only_one("where to send it", **{way: is_embedded}, connect=connect is not None)
+    if is_embedded and reattach:
+        raise UsageError("--reattach is for servers in other processes, not for an embedded world")
     said = {
         "connect": connect,
         "domain": None if str(domain) == (os.environ.get("ROS_DOMAIN_ID") or "0") else domain,
@@ -224,7 +253,7 @@ def send_goal(
         path = None if goal_file is None else str(goal_file)
         text = GoalText.read(goal, stdin=stdin, path=path, interrupts=interrupts)
         make_known(place.interfaces)
-        order = Order(name, type_name, text, place, feedback=feedback, timeout=timeout, view=view)
+        order = Order(name, type_name, text, place, feedback, timeout, view, reattach)
         return run(order, interrupts)
 
     return job
@@ -235,11 +264,18 @@ def goals(
     name: AnyName = None,
     *,
     json: Json = False,
+    journal: Journal = None,
+    since: Since = None,
     connect: Connect = None,
     domain: Domain = 0,
     config: Config = None,
 ) -> Job:
     """``goals``."""
+    if journal is not None:
+        first = 0 if since is None else _since(since)
+        return _read(lambda goals: goals.print_goals(journal, name, first, as_json=json))
+    if since is not None:
+        raise UsageError("--since needs --journal: servers forget goals soon after their end")
     from turtleact.commands import held_goals
 
     return on_graph(
@@ -298,12 +334,16 @@ def watch(
 def result(
     goal_id: Id,
     *,
+    journal: Journal = None,
     interfaces: Interfaces = None,
     connect: Connect = None,
     domain: Domain = 0,
     config: Config = None,
 ) -> Job:
     """``result``."""
+    if journal is not None:
+        wanted = _goal_id(goal_id)
+        return _read(lambda goals: goals.print_result(journal, wanted), interfaces)
     plan = _follow(goal_id, "plain", hears_feedback=False)
     return on_known_graph(reach(connect, domain, config), interfaces, plan)
 
@@ -424,6 +464,36 @@ def _moment_of_iso(text: str) -> int:
         return round(datetime.fromisoformat(text).timestamp() * 1e6) * 1000
     except (ValueError, OverflowError):
         return 0
+
+
+def _since(text: str) -> int:
+    """The moment that ``--since`` names, as nanoseconds since the epoch.
+
+    Raises:
+        UsageError: if it is neither a length of time nor a moment.
+    """
+    try:
+        return time.time_ns() - round(span(text) * 1e9)
+    except typer.BadParameter:
+        pass
+    try:
+        return moment(text)
+    except UsageError:
+        problem = "takes a length of time such as 1h, or a time such as 2026-11-21T20:15:00Z"
+        raise UsageError(f"--since {problem}, not {quoted(text)}") from None
+
+
+def _read(look: Callable[[ModuleType], int], interfaces: Path | None = None) -> Job:
+    """A job that reads a journal."""
+
+    def job(_: Interrupts) -> int:
+        from turtleact.commands import journaled_goals
+        from turtleact.commands.interfaces import make_known
+
+        make_known(folder(interfaces))
+        return look(journaled_goals)
+
+    return job
 
 
 def _goal_id(text: str) -> str:

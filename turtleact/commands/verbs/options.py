@@ -30,6 +30,7 @@ __all__ = [
     "Plan",
     "folder",
     "hertz",
+    "journal_in",
     "message_of",
     "on_graph",
     "on_known_graph",
@@ -37,6 +38,7 @@ __all__ = [
     "reach",
     "ros_domain",
     "seconds",
+    "span",
     "speed",
     "speed_or_max",
     "type_and_text",
@@ -58,6 +60,9 @@ MOST_DOMAIN = 232
 
 MOST_DIGITS = 18
 """The most digits of a whole number, so that it fits 64 bits."""
+
+_SPAN = re.compile(r"(?P<number>[0-9]{1,9}(?:\.[0-9]{1,9})?) *(?P<unit>s|min|h|d)")
+UNITS = {"s": 1, "min": 60, "h": 3600, "d": 86400}
 
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+)+")
 
@@ -128,6 +133,11 @@ def reach(connect: str | None = None, domain: int = 0, config: Path | None = Non
 def folder(interfaces: Path | None) -> str | None:
     """The folder that ``--interfaces`` names."""
     return None if interfaces is None else str(interfaces)
+
+
+def journal_in(panel: str | None, text: str) -> Any:  # noqa: ANN401  # as typer.Option
+    """The option ``--journal``, below a heading and with its help."""
+    return typer.Option("--journal", metavar="FILE", help=text, rich_help_panel=panel)
 
 
 def on_graph(where: Reach, look: Look) -> Job:
@@ -220,6 +230,19 @@ def seconds(given: str | float) -> float:
     if not value >= 0:
         raise typer.BadParameter(f"{quoted(str(given))} is not a number of seconds, 0 or more")
     return value
+
+
+def span(given: str | float) -> float:
+    """Parse a length of time such as ``90s``, ``30min``, ``1.5h`` or ``7d``, in seconds.
+
+    Raises:
+        typer.BadParameter: if the text is something else.
+    """
+    found = _SPAN.fullmatch(str(given))
+    if found is None:
+        problem = "is not a time such as 90s, 30min, 12h or 7d"
+        raise typer.BadParameter(f"{quoted(str(given))} {problem}")
+    return float(found["number"]) * UNITS[found["unit"]]
 
 
 def hertz(given: str | float) -> float:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import typer
 
 from turtleact.commands import VERBS, completion
-from turtleact.commands.settings import Fleet, Page, Placing, endpoints, quoted
+from turtleact.commands.settings import Fleet, Keeping, Page, Placing, endpoints, quoted
 from turtleact.commands.verbs import SETTINGS, Job, Verb
 from turtleact.commands.verbs.options import (
     Config,
@@ -16,6 +17,7 @@ from turtleact.commands.verbs.options import (
     Interfaces,
     Plain,
     folder,
+    journal_in,
     reach,
     whole,
 )
@@ -32,7 +34,7 @@ MOST_TURTLES = 10_000
 
 NOTHING_TO_RELOAD = "--reload is for your own actions: name a module or a file, such as lab.py"
 
-WORLD, WEB = "World", "Web"
+WORLD, WEB, GOALS = "World", "Web", "Goals"
 """The headings of options."""
 
 Targets: TypeAlias = Annotated[
@@ -116,6 +118,24 @@ NodeName: TypeAlias = Annotated[
         help="With --no-sim: the name of the node with your actions. If left out, turtleact.",
     ),
 ]
+OnRestart: TypeAlias = Annotated[
+    Literal["abort", "resume"] | None,
+    typer.Option(
+        "--on-restart",
+        help="What to do with unfinished goals in the journal: end them, or go on with "
+        "them. By default, abort.",
+        rich_help_panel=GOALS,
+    ),
+]
+AbortGoals: TypeAlias = Annotated[
+    bool,
+    typer.Option(
+        "--abort-goals",
+        help="With --on-restart resume: end running goals at Ctrl-C, so that they go on only after "
+        "a crash.",
+        rich_help_panel=GOALS,
+    ),
+]
 NoSim: TypeAlias = Annotated[
     bool,
     typer.Option(
@@ -167,6 +187,7 @@ _EXAMPLES = """\
   turtleact serve lab.py --reload
   turtleact serve lab:patrol robot.arm --no-sim
   turtleact serve --web 9090
+  turtleact serve lab.py --journal goals.db --on-restart resume
   turtleact serve --listen tls/0.0.0.0:7447 --config serve.toml
 """
 
@@ -184,6 +205,9 @@ def serve(
     reload: Reload = False,
     no_sim: NoSim = False,
     node_name: NodeName = None,
+    journal: Annotated[Path | None, journal_in(GOALS, "Keep the goals in this file.")] = None,
+    on_restart: OnRestart = None,
+    abort_goals: AbortGoals = False,
     speed: Speed = 1.0,
     turtles: Turtles = 1,
     placing: HowPlaced = "random",
@@ -203,14 +227,10 @@ def serve(
     """``serve``."""
     at = endpoints("--listen", listen)
     fleet = Fleet(speed, turtles, placing, seed, collide=collide, paused=paused)
-    if no_sim:
-        _check_for_nothing_of_a_world(fleet)
-    elif node_name is not None:
-        raise UsageError("--node-name needs --no-sim: beside a world, your actions are on its node")
-    if reload and not targets:
-        raise UsageError(NOTHING_TO_RELOAD)
-    page = _page(web, token, allow_host, allow_origin)
-    where = reach(connect, domain, config)
+    _check_world(fleet, node_name, no_sim=no_sim)
+    _check_reload(targets, reload=reload)
+    keeping = _keeping(journal, on_restart, abort_goals=abort_goals)
+    page, where = _page(web, token, allow_host, allow_origin), reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known
@@ -231,10 +251,23 @@ def serve(
             wait=wait,
             reload=reload,
             node_name=node_name or "turtleact",
+            keeping=keeping,
         )
         return run(service, interrupts)
 
     return job
+
+
+def _keeping(
+    journal: Path | None, on_restart: Literal["abort", "resume"] | None, *, abort_goals: bool
+) -> Keeping | None:
+    if journal is None:
+        if on_restart is not None or abort_goals:
+            raise UsageError("--on-restart and --abort-goals need --journal")
+        return None
+    if abort_goals and on_restart != "resume":
+        raise UsageError("--abort-goals needs --on-restart resume: other goals are ended anyway")
+    return Keeping(str(journal), on_restart or "abort", abort_goals)
 
 
 def _page(web: str | None, token: str | None, host: str | None, origin: str | None) -> Page | None:
@@ -249,11 +282,20 @@ def _page(web: str | None, token: str | None, host: str | None, origin: str | No
     return None if web is None else Page(*_host_and_port(web), token, hosts, origins)
 
 
-def _check_for_nothing_of_a_world(fleet: Fleet) -> None:
+def _check_world(fleet: Fleet, node_name: str | None, *, no_sim: bool) -> None:
+    if not no_sim and node_name is not None:
+        raise UsageError("--node-name needs --no-sim: beside a world, your actions are on its node")
+    if not no_sim:
+        return
     said = zip(Fleet._fields, fleet, Fleet(), strict=True)
     options = ", ".join(f"--{name}" for name, value, unasked in said if value != unasked)
     if options:
         raise UsageError(f"{options} and --no-sim exclude each other: there is no world")
+
+
+def _check_reload(targets: list[str] | None, *, reload: bool) -> None:
+    if reload and not targets:
+        raise UsageError(NOTHING_TO_RELOAD)
 
 
 def _check_loopback(listen: tuple[str, ...]) -> None:

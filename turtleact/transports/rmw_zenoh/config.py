@@ -57,6 +57,8 @@ DEFAULTS: dict[str, object] = {
     "timestamping/enabled": True,  # latched topics need it
     "connect/timeout_ms": 0,  # do not retry an endpoint that refuses while opening
     "connect/exit_on_failure": True,
+    # Zenoh waits up to 4 s before it connects again to a router that has gone.
+    "connect/retry": {"period_init_ms": 250, "period_max_ms": 1000, "period_increase_factor": 2},
     "listen/timeout_ms": 0,
     "listen/exit_on_failure": True,
 }

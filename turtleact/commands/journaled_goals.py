@@ -1,0 +1,168 @@
+"""``goals --journal``, ``result --journal`` and ``journal prune``: the goals in a file.
+
+No graph is needed. The file may belong to a server that runs, has ended or was killed.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from turtleact.client import Outcome
+from turtleact.commands.graph import interface_class
+from turtleact.commands.held_goals import ABORTED, CANCELED, DONE, duration
+from turtleact.commands.output import note, say, say_names
+from turtleact.commands.transcript import result_text
+from turtleact.errors import InvalidMessage, TurtleactError, UsageError
+from turtleact.goal import GoalStatus
+from turtleact.interfaces import SECOND, Action, WireFormat, type_hash
+from turtleact.journal import find_goals, prune, read_goals
+from turtleact.names import resolve_name
+
+if TYPE_CHECKING:
+    from turtleact.goal_journal import GoalRecord
+    from turtleact.interfaces import Message
+
+__all__ = ["print_goals", "print_result", "prune_goals"]
+
+HEADINGS = ("id", "action", "state", "age", "took", "reason")
+
+BLOCK = 1000
+"""So many goals are printed at once: a journal may have more of them than fit in memory."""
+
+
+def print_goals(path: Path, name: str | None, since: int, *, as_json: bool) -> int:
+    """Print the goals of a journal, as a table or as JSON, and return the exit status.
+
+    Args:
+        path: The journal.
+        name: The action; all if None.
+        since: Only goals accepted since then (ns since the epoch); 0 for all.
+        as_json: Whether to print one JSON object a line.
+
+    Raises:
+        JournalError: if it cannot be read.
+        InvalidName: if the name breaks ROS 2's rules.
+    """
+    action = None if name is None else resolve_name(name)
+    found = (goal for goal in read_goals(path, since) if action in (None, goal.action))
+    now, is_empty = time.time_ns(), True
+    widths = [len(heading) for heading in HEADINGS]
+    while goals := list(islice(found, BLOCK)):
+        if as_json:
+            say("".join(f"{_as_json(goal, now)}\n" for goal in goals))
+        else:
+            rows = [_row(goal, now) for goal in goals]
+            heading = [HEADINGS] if is_empty else []
+            say_names("".join(f"{line}\n" for line in _aligned([*heading, *rows], widths)))
+        is_empty = False
+    if is_empty and not as_json:
+        note("the journal has no such goal" if action or since else "the journal has no goals")
+    return DONE
+
+
+def print_result(path: Path, wanted: str) -> int:
+    """Print the result of a goal, and return the exit status.
+
+    Args:
+        path: The journal.
+        wanted: The beginning of the goal's id (hexadecimal).
+
+    Raises:
+        JournalError: if it cannot be read.
+        UsageError: if several goals begin like that.
+        TurtleactError: if there is none, it has not ended, or its type is not known here.
+    """
+    goals = find_goals(path, wanted)
+    if len(goals) > 1:
+        shown = ", ".join(goal.id.hex() for goal in goals)
+        raise UsageError(f"'{wanted}' is the beginning of several goals: {shown}")
+    if not goals:
+        raise TurtleactError(f"journal '{path}' has no goal {wanted}")
+    (goal,) = goals
+    if not goal.ended:
+        raise TurtleactError(
+            f"goal {goal.id.hex()} of {goal.action} has not ended: the journal says "
+            f"{goal.status.name}, with {goal.feedback_count} feedback messages"
+        )
+    say(result_text(Outcome(goal.status, _result(goal))))
+    if goal.reason:
+        note(f"the goal was aborted: {goal.reason}")
+    return {GoalStatus.ABORTED: ABORTED, GoalStatus.CANCELED: CANCELED}.get(goal.status, DONE)
+
+
+def prune_goals(path: Path, keep: int) -> int:
+    """Delete the goals that ended more than ``keep`` ns ago, and return the exit status.
+
+    Raises:
+        JournalError: if it cannot be written.
+    """
+    count = prune(path, time.time_ns() - keep)
+    say(f"deleted {count} {'goal' if count == 1 else 'goals'}\n")
+    return DONE
+
+
+def _result(goal: GoalRecord) -> Message:
+    action_type = interface_class(Action, goal.type_name, f"action '{goal.action}'")
+    if not goal.result and goal.type_hash != type_hash(action_type):
+        return action_type.Result()  # the goal was ended because its type had changed
+    try:
+        if goal.type_hash == type_hash(action_type):
+            result: Message = WireFormat(action_type.Result).decode(goal.result)
+            return result
+    except InvalidMessage:
+        pass
+    raise TurtleactError(
+        f"the result of goal {goal.id.hex()} cannot be read: {goal.type_name} has changed since "
+        "the goal was accepted"
+    )
+
+
+def _row(goal: GoalRecord, now: int) -> tuple[str, ...]:
+    took = duration(_seconds(goal.ended - goal.accepted)) if goal.ended else ""
+    age = duration(_seconds(now - goal.accepted))
+    state = f"{goal.status.name}{' (paused)' if goal.is_paused and not goal.ended else ''}"
+    return goal.id.hex(), goal.action, state, age, took, " ".join(goal.reason.split())
+
+
+def _as_json(goal: GoalRecord, now: int) -> str:
+    return json.dumps(
+        {
+            "id": goal.id.hex(),
+            "action": goal.action,
+            "type": goal.type_name,
+            "state": goal.status.name,
+            "paused": goal.is_paused and not goal.ended,
+            "stamp": _time(goal.stamp),
+            "age": _seconds(now - goal.accepted),
+            "accepted": _time(goal.accepted),
+            "ended": _time(goal.ended) if goal.ended else None,
+            "reason": goal.reason,
+            "feedback_count": goal.feedback_count,
+            "crashes": goal.crashes,
+        }
+    )
+
+
+def _time(moment: int) -> dict[str, int]:
+    sec, nanosec = divmod(moment, SECOND)
+    return {"sec": sec, "nanosec": nanosec}
+
+
+def _seconds(nanoseconds: int) -> float:
+    return max(0, nanoseconds) / SECOND  # the clock may have been set back
+
+
+def _aligned(rows: Iterable[tuple[str, ...]], widths: list[int]) -> Iterator[str]:
+    """Align rows with those before them as far as possible; the widths grow."""
+    rows = list(rows)
+    widths[:] = [
+        max(width, *map(len, column))
+        for width, column in zip(widths, zip(*rows, strict=True), strict=True)
+    ]
+    for row in rows:
+        yield "  ".join(map(str.ljust, row, widths)).rstrip()
