@@ -107,6 +107,7 @@ class ActionEndpoints:
 
     def open(self) -> None:
         """Open the endpoints, so that the action appears on the graph."""
+        self._pausing.open()
         action = self._server.served.action_type.type_name
         describe, names = self._endpoint, self._names
         for service, type_name in (
@@ -122,7 +123,6 @@ class ActionEndpoints:
         described = describe("publisher", names.status, GoalStatusArray.type_name, STATUS_QOS)
         self._topics = [feedback, StatusTopic(self._server, self._transport, described)]
         self._send_goal.expect_readers = feedback.expect_readers
-        self._pausing.open()
 
     def stop_taking_goals(self) -> None:
         """Stop accepting goals. Existing goals can still be cancelled and awaited."""
