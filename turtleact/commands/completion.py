@@ -266,7 +266,7 @@ def executables(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG
 
 
 def _runnable() -> dict[str, dict[str, Program | None]]:
-    from turtleact.commands.verbs.run import runnable_here
+    from turtleact.commands.packages import runnable_here
 
     return runnable_here()
 

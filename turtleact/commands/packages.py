@@ -23,7 +23,17 @@ from typing import Final, NamedTuple
 from turtleact.commands.programs import Program, is_python
 from turtleact.workspace import folders_near, package_name
 
-__all__ = ["Package", "find_installed", "find_sources", "runnable"]
+__all__ = ["Package", "find_installed", "find_sources", "runnable", "runnable_here"]
+
+PROGRAMS: Final = (
+    ("turtlesim", "turtlesim_node"),
+    ("turtlesim", "turtle_teleop_key"),
+    ("action_tutorials_py", "fibonacci_action_server"),
+    ("action_tutorials_cpp", "fibonacci_action_server"),
+    ("examples_rclpy_minimal_action_server", "server"),
+    ("examples_rclcpp_minimal_action_server", "action_server_member_functions"),
+)
+"""The programs of ROS 2 that have a counterpart here; those of other packages serve Fibonacci."""
 
 _MARKS: Final = ("package.xml", "setup.py", "setup.cfg", "pyproject.toml")
 """One of these files makes a folder a package."""
@@ -83,6 +93,11 @@ def runnable(
     for package in find_installed().values():
         found[package.name] = {**package.programs, **found.get(package.name, {})}
     return found
+
+
+def runnable_here() -> dict[str, dict[str, Program | None]]:
+    """What can be run from the working directory, `PROGRAMS` included; see `runnable`."""
+    return runnable(Path(), PROGRAMS)
 
 
 def _source(folder: Path) -> Package | None:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING
+from typing import Protocol
 from weakref import ReferenceType, ref
 
-if TYPE_CHECKING:
-    from turtleact.rclpy.impl.entity import Entity
-
 __all__ = ["CallbackGroup", "MutuallyExclusiveCallbackGroup", "ReentrantCallbackGroup"]
+
+
+class Member(Protocol):
+    """What a group knows of an entity."""
+
+    def describe(self) -> str:
+        """Name it in a diagnostic."""
 
 
 class CallbackGroup:
@@ -20,25 +24,25 @@ class CallbackGroup:
     """
 
     def __init__(self) -> None:
-        self.entities: set[ReferenceType[Entity]] = set()
+        self.entities: set[ReferenceType[Member]] = set()
 
-    def add_entity(self, entity: Entity) -> None:
+    def add_entity(self, entity: Member) -> None:
         """Add an entity to the group."""
         self.entities.add(ref(entity))
 
-    def has_entity(self, entity: Entity) -> bool:
+    def has_entity(self, entity: Member) -> bool:
         """Whether an entity belongs to the group."""
         return ref(entity) in self.entities
 
-    def can_execute(self, entity: Entity) -> bool:
+    def can_execute(self, entity: Member) -> bool:
         """Whether a callback of the entity may begin now."""
         raise NotImplementedError
 
-    def beginning_execution(self, entity: Entity) -> bool:
+    def beginning_execution(self, entity: Member) -> bool:
         """Take the right to run a callback of the entity; return whether that was possible."""
         raise NotImplementedError
 
-    def ending_execution(self, entity: Entity) -> None:
+    def ending_execution(self, entity: Member) -> None:
         """Give the right back."""
         raise NotImplementedError
 
@@ -46,15 +50,15 @@ class CallbackGroup:
 class ReentrantCallbackGroup(CallbackGroup):
     """Lets all callbacks run side by side."""
 
-    def can_execute(self, entity: Entity) -> bool:  # noqa: ARG002  # any entity
+    def can_execute(self, entity: Member) -> bool:  # noqa: ARG002  # any entity
         """Whether a callback of the entity may begin now."""
         return True
 
-    def beginning_execution(self, entity: Entity) -> bool:  # noqa: ARG002  # any entity
+    def beginning_execution(self, entity: Member) -> bool:  # noqa: ARG002  # any entity
         """Take the right to run a callback of the entity."""
         return True
 
-    def ending_execution(self, entity: Entity) -> None:
+    def ending_execution(self, entity: Member) -> None:
         """Do nothing: nobody waits."""
 
 
@@ -63,21 +67,21 @@ class MutuallyExclusiveCallbackGroup(CallbackGroup):
 
     def __init__(self) -> None:
         super().__init__()
-        self._active_entity: Entity | None = None
+        self._active_entity: Member | None = None
         self._lock = threading.Lock()
 
     @property
-    def active_entity(self) -> Entity | None:
+    def active_entity(self) -> Member | None:
         """The entity that holds the group."""
         return self._active_entity
 
-    def can_execute(self, entity: Entity) -> bool:
+    def can_execute(self, entity: Member) -> bool:
         """Whether a callback of the entity may begin now."""
         with self._lock:
             assert ref(entity) in self.entities  # noqa: S101  # as in rclpy
             return self._active_entity is None
 
-    def beginning_execution(self, entity: Entity) -> bool:
+    def beginning_execution(self, entity: Member) -> bool:
         """Take the right to run a callback of the entity; return whether that was possible."""
         with self._lock:
             assert ref(entity) in self.entities  # noqa: S101  # as in rclpy
@@ -86,7 +90,7 @@ class MutuallyExclusiveCallbackGroup(CallbackGroup):
                 return True
             return False
 
-    def ending_execution(self, entity: Entity) -> None:
+    def ending_execution(self, entity: Member) -> None:
         """Give the right back."""
         with self._lock:
             assert self._active_entity is entity  # noqa: S101  # as in rclpy

@@ -9,7 +9,7 @@ import weakref
 from collections.abc import Callable, Sequence
 from inspect import ismethod
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import Protocol, Self
 
 from turtleact.rclpy.exceptions import NotInitializedException
 from turtleact.rclpy.impl.arguments import Arguments, parse_arguments
@@ -18,13 +18,17 @@ from turtleact.rclpy.impl.entity import Handle
 from turtleact.rclpy.impl.process import PROCESS
 from turtleact.transports.rmw_zenoh.config import domain_of
 
-if TYPE_CHECKING:
-    from turtleact.rclpy.node import Node
-
 __all__ = ["Context"]
 
 DEFAULT_DOMAIN = 2**64 - 1
 """The number that stands for "the domain of the environment"."""
+
+
+class Tracked(Protocol):
+    """What a context knows of a node."""
+
+    def destroy_node(self) -> None:
+        """Destroy it. A second call does nothing."""
 
 
 class Context:
@@ -36,7 +40,7 @@ class Context:
     def __init__(self) -> None:
         self._lock = threading.RLock()
         self._callbacks: list[Callable[[], Callable[[], object] | None]] = []
-        self._nodes: weakref.WeakSet[Node] = weakref.WeakSet()
+        self._nodes: weakref.WeakSet[Tracked] = weakref.WeakSet()
         self._handle: Handle | None = None
         self._is_ok = False
         self._domain: int | None = None
@@ -154,11 +158,11 @@ class Context:
                 return
         callback()
 
-    def track_node(self, node: Node) -> None:
+    def track_node(self, node: Tracked) -> None:
         """Destroy a node when the context is shut down."""
         self._nodes.add(node)
 
-    def untrack_node(self, node: Node) -> None:
+    def untrack_node(self, node: Tracked) -> None:
         """Forget a node."""
         self._nodes.discard(node)
 

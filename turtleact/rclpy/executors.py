@@ -18,10 +18,10 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
-from typing import TYPE_CHECKING, Self, TypeAlias
+from typing import TYPE_CHECKING, Protocol, Self, TypeAlias
 
 from turtleact.rclpy.callback_groups import CallbackGroup
 from turtleact.rclpy.impl.diagnosis import BLOCKED_AFTER, note_blocked
@@ -32,7 +32,6 @@ from turtleact.rclpy.utilities import get_default_context
 
 if TYPE_CHECKING:
     from turtleact.rclpy.context import Context
-    from turtleact.rclpy.node import Node
 
 __all__ = [
     "ConditionReachedException",
@@ -46,11 +45,30 @@ __all__ = [
     "await_or_execute",
 ]
 
-Work: TypeAlias = "tuple[Task, Entity | None, Node | None]"
-"""Something to run, and the entity and node that it belongs to."""
+Work: TypeAlias = tuple[Task, object, object]
+"""Something to run, and the entity and node that it belongs to, if any."""
 
 LONGEST_LOCK = 0.1 if sys.platform == "win32" else None
 """How long to wait for a lock at a time (s); on Windows, a signal cannot interrupt that."""
+
+
+class Spinnable(Protocol):
+    """What an executor knows of a node."""
+
+    @property
+    def executor(self) -> Executor | None:
+        """The executor that runs its callbacks."""
+
+    @executor.setter
+    def executor(self, new_executor: Executor | None) -> None: ...
+
+    @property
+    def waitables(self) -> Iterable[Entity]:
+        """The waitables."""
+
+    @property
+    def entities(self) -> Sequence[Sequence[Entity]]:
+        """Everything else with callbacks, by kind, in the order of a round."""
 
 
 class TimeoutException(Exception):
@@ -99,13 +117,13 @@ class Executor:
 
     def __init__(self, *, context: Context | None = None) -> None:
         self._context = get_default_context() if context is None else context
-        self._nodes: dict[Node, None] = {}
+        self._nodes: dict[Spinnable, None] = {}
         self._nodes_lock = threading.RLock()
         self._is_shutdown = False
         self._wake = threading.Condition(threading.Lock())
         self._is_woken = False
         self._ready: deque[Task] = deque()  # those whose next step can run
-        self._round: deque[tuple[Node, Entity]] = deque()
+        self._round: deque[tuple[Spinnable, Entity]] = deque()
         self._work = _WorkTracker()
         self._context.on_shutdown(self.wake)
 
@@ -129,7 +147,7 @@ class Executor:
 
     # nodes
 
-    def add_node(self, node: Node) -> bool:
+    def add_node(self, node: Spinnable) -> bool:
         """Run the callbacks of a node; return whether it was not here before."""
         with self._nodes_lock:
             if node in self._nodes:
@@ -139,13 +157,13 @@ class Executor:
         self.wake()
         return True
 
-    def remove_node(self, node: Node) -> None:
+    def remove_node(self, node: Spinnable) -> None:
         """Run the callbacks of a node no more."""
         with self._nodes_lock:
             self._nodes.pop(node, None)
         self.wake()
 
-    def get_nodes(self) -> list[Node]:
+    def get_nodes(self) -> list[Spinnable]:
         """Return the nodes."""
         with self._nodes_lock:
             return list(self._nodes)
@@ -242,7 +260,7 @@ class Executor:
     def wait_for_ready_callbacks(
         self,
         timeout_sec: float | TimeoutObject | None = None,
-        nodes: list[Node] | None = None,
+        nodes: list[Spinnable] | None = None,
         condition: Callable[[], bool] = _never,
     ) -> Work:
         """Wait for something to run, and return it: a task, its entity and its node.
@@ -277,14 +295,14 @@ class Executor:
     def _wait_for_ready_callbacks(
         self,
         timeout_sec: float | TimeoutObject | None = None,
-        nodes: list[Node] | None = None,
+        nodes: list[Spinnable] | None = None,
         condition: Callable[[], bool] = _never,
     ) -> Generator[Work, None, None]:
         """Yield what `wait_for_ready_callbacks` returns, again and again."""
         while True:
             yield self.wait_for_ready_callbacks(timeout_sec, nodes, condition)
 
-    def _next_work(self, nodes: list[Node] | None) -> Work | None:
+    def _next_work(self, nodes: list[Spinnable] | None) -> Work | None:
         """Return a task that can go on, or the next ready entity of this round or a new one."""
         work = self._next_task(nodes)
         if work is None and self._round:
@@ -294,7 +312,7 @@ class Executor:
             work = self._next_entity(nodes)
         return work
 
-    def _next_task(self, nodes: list[Node] | None) -> Work | None:
+    def _next_task(self, nodes: list[Spinnable] | None) -> Work | None:
         for _ in range(len(self._ready)):
             try:
                 task = self._ready.popleft()
@@ -308,7 +326,7 @@ class Executor:
             self._ready.append(task)
         return None
 
-    def _next_entity(self, nodes: list[Node] | None) -> Work | None:
+    def _next_entity(self, nodes: list[Spinnable] | None) -> Work | None:
         waiting = self._round
         while waiting:
             try:
@@ -321,7 +339,7 @@ class Executor:
                     return work
         return None
 
-    def _begin(self, node: Node, entity: Entity) -> Work | None:
+    def _begin(self, node: Spinnable, entity: Entity) -> Work | None:
         """Take from an entity if its group lets it run; None otherwise."""
         group = entity.callback_group
         if not self.can_execute(entity) or not group.beginning_execution(entity):
@@ -347,7 +365,7 @@ class Executor:
             group.ending_execution(entity)
             self.wake()  # others of the group may run now
 
-    def _sleep(self, end: float | None, nodes: list[Node] | None) -> None:
+    def _sleep(self, end: float | None, nodes: list[Spinnable] | None) -> None:
         """Wait until woken, until something is due, or until ``end`` (s, `time.monotonic`)."""
         now = time.monotonic()
         left = None if end is None else end - now
@@ -521,7 +539,7 @@ class _WorkTracker:
             return self._changed.wait_for(lambda: self._count <= own, timeout)
 
 
-def _in_order(nodes: Iterable[Node]) -> Iterator[tuple[Node, Entity]]:
+def _in_order(nodes: Iterable[Spinnable]) -> Iterator[tuple[Spinnable, Entity]]:
     """All entities of some nodes, in the order in which a round serves them."""
     nodes = list(nodes)
     for node in nodes:

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from turtleact.rclpy.impl.logging_severity import LoggingSeverity
 from turtleact.rclpy.impl.rcutils_logger import LOG
-from turtleact.rclpy.impl.typing import Anything
+from turtleact.rclpy.impl.typing import Anything, ServiceHost
 from turtleact.rclpy.messages.classes import interface_class
-
-if TYPE_CHECKING:
-    from turtleact.rclpy.node import Node
 
 __all__ = ["LoggingService"]
 
@@ -22,7 +17,7 @@ class LoggingService:
         node: The node.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: ServiceHost) -> None:
         name = node.get_name()
         for kind, callback in (("Get", self._get), ("Set", self._set)):
             node.create_service(

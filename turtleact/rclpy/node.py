@@ -150,8 +150,8 @@ class Node(NodeParameters, NodeGraph):
         self._time_source = TimeSource(node=self)
         self._time_source.attach_clock(self._clock)
         if start_parameter_services:
-            self._parameter_service = ParameterService(self)
-        TypeDescriptionService(self)
+            self._parameter_service = ParameterService(self, self)
+        TypeDescriptionService(self, self)
         if enable_logger_service:
             from turtleact.rclpy.logging_service import LoggingService
 

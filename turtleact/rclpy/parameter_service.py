@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from turtleact.rclpy.exceptions import ParameterNotDeclaredException
-from turtleact.rclpy.impl.typing import Anything
+from turtleact.rclpy.impl.node_parameters import NodeParameters
+from turtleact.rclpy.impl.typing import Anything, ServiceHost
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import Parameter
 from turtleact.rclpy.qos import qos_profile_parameters
-
-if TYPE_CHECKING:
-    from turtleact.rclpy.node import Node
 
 __all__ = ["ParameterService"]
 
@@ -20,11 +16,12 @@ class ParameterService:
     """Offers the services; the node owns them.
 
     Args:
-        node: The node.
+        node: The node, which offers the services.
+        parameters: Its parameters.
     """
 
-    def __init__(self, node: Node) -> None:
-        self._node = node
+    def __init__(self, node: ServiceHost, parameters: NodeParameters) -> None:
+        self._parameters = parameters
         name = node.get_name()
         for kind, callback in (
             ("DescribeParameters", self._describe),
@@ -46,7 +43,7 @@ class ParameterService:
         made: Anything = interface_class("rcl_interfaces/msg/ParameterDescriptor")
         for name in request.names:
             try:
-                descriptor = self._node.describe_parameter(name)
+                descriptor = self._parameters.describe_parameter(name)
             except ParameterNotDeclaredException:
                 descriptor = made(name=name)
             response.descriptors.append(descriptor)
@@ -54,24 +51,24 @@ class ParameterService:
 
     def _get(self, request: Anything, response: Anything) -> Anything:
         for name in request.names:
-            if self._node.get_parameter_or(name).type_ is Parameter.Type.NOT_SET:
+            if self._parameters.get_parameter_or(name).type_ is Parameter.Type.NOT_SET:
                 # One unknown name leaves the answer empty, as in rclpy.
                 response.values = []
                 return response
-            parameter = self._node.get_parameter_or(name)
+            parameter = self._parameters.get_parameter_or(name)
             response.values.append(parameter.get_parameter_value())
         return response
 
     def _get_types(self, request: Anything, response: Anything) -> Anything:
         try:
-            found = self._node.get_parameter_types(list(request.names))
+            found = self._parameters.get_parameter_types(list(request.names))
         except ParameterNotDeclaredException:
             found = []
         response.types = [kind.value for kind in found]
         return response
 
     def _list(self, request: Anything, response: Anything) -> Anything:
-        response.result = self._node.list_parameters(list(request.prefixes), request.depth)
+        response.result = self._parameters.list_parameters(list(request.prefixes), request.depth)
         return response
 
     def _set(self, request: Anything, response: Anything) -> Anything:
@@ -83,7 +80,7 @@ class ParameterService:
     def _set_one(self, parameter: Parameter) -> Anything:
         made: Anything = interface_class("rcl_interfaces/msg/SetParametersResult")
         try:
-            return self._node.set_parameters_atomically([parameter])
+            return self._parameters.set_parameters_atomically([parameter])
         except ParameterNotDeclaredException as error:
             return made(successful=False, reason=str(error))
 
@@ -91,7 +88,7 @@ class ParameterService:
         made: Anything = interface_class("rcl_interfaces/msg/SetParametersResult")
         parameters = [Parameter.from_parameter_msg(each) for each in request.parameters]
         try:
-            response.result = self._node.set_parameters_atomically(parameters)
+            response.result = self._parameters.set_parameters_atomically(parameters)
         except ParameterNotDeclaredException as error:
             response.result = made(successful=False, reason=str(error))
         return response

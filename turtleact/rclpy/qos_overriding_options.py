@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING
 
 from turtleact.rclpy.duration import Duration
 from turtleact.rclpy.exceptions import ParameterAlreadyDeclaredException
+from turtleact.rclpy.impl.node_parameters import NodeParameters
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.publisher import Publisher
 from turtleact.rclpy.qos import QoSPolicyEnum, QoSPolicyKind, QoSProfile
-
-if TYPE_CHECKING:
-    from turtleact.rclpy.node import Node
 
 __all__ = [
     "InvalidQosOverridesError",
@@ -64,7 +61,12 @@ class QoSOverridingOptions:
 
 
 def declare_qos_parameters(
-    node: Node, topic: str, qos: QoSProfile, options: QoSOverridingOptions, *, is_publisher: bool
+    node: NodeParameters,
+    topic: str,
+    qos: QoSProfile,
+    options: QoSOverridingOptions,
+    *,
+    is_publisher: bool,
 ) -> QoSProfile:
     """Declare the parameters of an endpoint, and return its profile with their values.
 
@@ -121,7 +123,11 @@ _get_qos_policy_parameter = _parameter_of
 
 
 def _declare_qos_parameters(
-    entity_type: type, node: Node, topic: str, qos: QoSProfile, options: QoSOverridingOptions
+    entity_type: type,
+    node: NodeParameters,
+    topic: str,
+    qos: QoSProfile,
+    options: QoSOverridingOptions,
 ) -> QoSProfile:
     return declare_qos_parameters(
         node, topic, qos, options, is_publisher=issubclass(entity_type, Publisher)

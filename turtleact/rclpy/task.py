@@ -12,17 +12,22 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Generator
-from typing import TYPE_CHECKING
+from typing import Protocol
 from weakref import ReferenceType, ref
 
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
 
-if TYPE_CHECKING:
-    from turtleact.rclpy.executors import Executor
-    from turtleact.rclpy.impl.entity import Entity
-    from turtleact.rclpy.node import Node
-
 __all__ = ["Future", "Task"]
+
+
+class Runner(Protocol):
+    """What a future knows of an executor."""
+
+    def create_task(self, callback: Anything, *args: Anything) -> object:
+        """Run a function or coroutine."""
+
+    def resume(self, task: Task) -> None:
+        """Run a task, or its next step."""
 
 
 class _Running(threading.local):
@@ -41,7 +46,7 @@ class Future(Subscriptable):
         executor: Runs the done callbacks; without one, they run at once.
     """
 
-    def __init__(self, *, executor: Executor | None = None) -> None:
+    def __init__(self, *, executor: Runner | None = None) -> None:
         self._done = False
         self._cancelled = False
         self._result: Anything = None
@@ -50,7 +55,7 @@ class Future(Subscriptable):
         self._callbacks: list[Callable[[Anything], object]] = []
         self._parked: list[Task] = []
         self._lock = threading.Lock()
-        self._executor: ReferenceType[Executor] | None = None
+        self._executor: ReferenceType[Runner] | None = None
         self.set_executor(executor)
 
     def __del__(self) -> None:
@@ -141,7 +146,7 @@ class Future(Subscriptable):
                 return True
             return False
 
-    def set_executor(self, executor: Executor | None) -> None:
+    def set_executor(self, executor: Runner | None) -> None:
         """Choose who runs the done callbacks."""
         self._executor = None if executor is None else ref(executor)
 
@@ -184,11 +189,11 @@ class Task(Future):
         handler: Anything,
         args: tuple[Anything, ...] | None = None,
         kwargs: dict[str, Anything] | None = None,
-        executor: Executor | None = None,
+        executor: Runner | None = None,
     ) -> None:
         super().__init__(executor=executor)
         self.awaited: Future | None = None
-        self.origin: tuple[Entity | None, Node | None] = None, None
+        self.origin: tuple[object, object] = None, None
         self._args = args or ()
         self._kwargs = kwargs or {}
         self._handler: Anything = handler

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import weakref
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from turtleact.rclpy.clock import Clock, ROSClock
 from turtleact.rclpy.clock_type import ClockType
+from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import Parameter
@@ -14,13 +15,39 @@ from turtleact.rclpy.qos import QoSProfile, ReliabilityPolicy
 from turtleact.rclpy.time import Time
 
 if TYPE_CHECKING:
-    from turtleact.rclpy.node import Node
     from turtleact.rclpy.subscription import Subscription
 
 __all__ = ["CLOCK_TOPIC", "USE_SIM_TIME_NAME", "TimeSource"]
 
 CLOCK_TOPIC = "/clock"
 USE_SIM_TIME_NAME = "use_sim_time"
+
+
+class Timed(Protocol):
+    """What a time source knows of a node."""
+
+    def has_parameter(self, name: str) -> bool:
+        """Whether a parameter is declared."""
+
+    def declare_parameter(self, name: str, value: Anything) -> Parameter:
+        """Declare a parameter."""
+
+    def get_parameter(self, name: str) -> Parameter:
+        """Return a parameter."""
+
+    def add_on_set_parameters_callback(self, callback: Anything) -> None:
+        """Ask ``callback(parameters)`` before parameters are set."""
+
+    def get_logger(self) -> RcutilsLogger:
+        """Return its logger."""
+
+    def create_subscription(
+        self, msg_type: Anything, topic: str, callback: Anything, qos_profile: QoSProfile
+    ) -> Subscription:
+        """Open a subscription."""
+
+    def destroy_subscription(self, subscription: Subscription) -> bool:
+        """Close a subscription."""
 
 
 class TimeSource:
@@ -30,9 +57,9 @@ class TimeSource:
         node: The node; None if it is attached later.
     """
 
-    def __init__(self, *, node: Node | None = None) -> None:
+    def __init__(self, *, node: Timed | None = None) -> None:
         self._clock_sub: Subscription | None = None
-        self._node: weakref.ReferenceType[Node] | None = None
+        self._node: weakref.ReferenceType[Timed] | None = None
         self._associated_clocks: list[ROSClock] = []
         self._last_time_set: Time | None = None
         self._ros_time_is_active = False
@@ -58,7 +85,7 @@ class TimeSource:
             node.destroy_subscription(self._clock_sub)
             self._clock_sub = None
 
-    def attach_node(self, node: Node) -> None:
+    def attach_node(self, node: Timed) -> None:
         """Follow the parameter of a node, which is declared if need be.
 
         Raises:
@@ -113,7 +140,7 @@ class TimeSource:
         for clock in self._associated_clocks:
             clock.set_ros_time_override(time)
 
-    def _get_node(self) -> Node | None:
+    def _get_node(self) -> Timed | None:
         return None if self._node is None else self._node()
 
     def _subscribe(self) -> None:

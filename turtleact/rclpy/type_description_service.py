@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import get_interface, interface_source, type_hash
 from turtleact.interfaces.type_hash import description, referenced
 from turtleact.interfaces.types import Interface
-from turtleact.rclpy.impl.typing import Anything
+from turtleact.rclpy.impl.node_parameters import NodeParameters
+from turtleact.rclpy.impl.typing import Anything, ServiceHost
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import Parameter
-
-if TYPE_CHECKING:
-    from turtleact.rclpy.node import Node
 
 __all__ = ["START_TYPE_DESCRIPTION_SERVICE_PARAM", "TypeDescriptionService"]
 
@@ -27,17 +23,18 @@ class TypeDescriptionService:
 
     Args:
         node: The node, which owns the service.
+        parameters: Its parameters.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: ServiceHost, parameters: NodeParameters) -> None:
         self.service_name = f"{node.get_name()}/get_type_description"
         name = START_TYPE_DESCRIPTION_SERVICE_PARAM
-        if not node.has_parameter(name):
+        if not parameters.has_parameter(name):
             descriptor = interface_class("rcl_interfaces/msg/ParameterDescriptor")(
                 description=f"Whether to offer {self.service_name}.", read_only=True
             )
-            node.declare_parameter(name, True, descriptor)
-        parameter = node.get_parameter(name)
+            parameters.declare_parameter(name, True, descriptor)
+        parameter = parameters.get_parameter(name)
         self.enabled = parameter.type_ is Parameter.Type.BOOL and parameter.value
         if self.enabled:
             node.create_service(

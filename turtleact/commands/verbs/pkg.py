@@ -9,7 +9,6 @@ import typer
 
 from turtleact.commands import completion
 from turtleact.commands.verbs import Job, Verb, new_group
-from turtleact.commands.verbs.run import runnable_here
 from turtleact.errors import TurtleactError
 
 if TYPE_CHECKING:
@@ -153,6 +152,7 @@ def list_() -> Job:
 
     def job(_: Interrupts) -> int:
         from turtleact.commands.output import say_names
+        from turtleact.commands.packages import runnable_here
 
         say_names("".join(f"{name}\n" for name in sorted(runnable_here())))
         return 0
@@ -166,6 +166,7 @@ def executables(package: Package = None) -> Job:
 
     def job(_: Interrupts) -> int:
         from turtleact.commands.output import say_names
+        from turtleact.commands.packages import runnable_here
         from turtleact.interfaces.definition import did_you_mean
 
         known = runnable_here()

@@ -31,20 +31,9 @@ if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.programs import Program
 
-__all__ = ["app", "run", "runnable_here"]
+__all__ = ["app", "run"]
 
 FIBONACCI = "turtleact.actions.fibonacci"
-
-PROGRAMS = (
-    ("turtlesim", "turtlesim_node"),
-    ("turtlesim", "turtle_teleop_key"),
-    ("action_tutorials_py", "fibonacci_action_server"),
-    ("action_tutorials_cpp", "fibonacci_action_server"),
-    ("examples_rclpy_minimal_action_server", "server"),
-    ("examples_rclcpp_minimal_action_server", "action_server_member_functions"),
-)
-"""The programs of ROS 2 that have a counterpart here; those of other packages serve Fibonacci."""
-
 
 MOST_LISTED = 40
 """How many programs the help lists; a sourced ROS has hundreds."""
@@ -109,6 +98,8 @@ class Run(Verb):
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401  # click's classes
         """Look for packages only now: reading a command line needs none."""
+        from turtleact.commands.packages import runnable_here
+
         lines = [f"  {line}" for line in _listed(runnable_here())]
         self.epilog = "\n".join(["[bold]What can be run here[/]", *lines])
         super().format_help(ctx, formatter)
@@ -142,17 +133,12 @@ def run(
         raise UsageError(f"what to run is missing: {_HELP}")
     if package.endswith(".py"):
         return _running(_file(package), [executable, *rest] if executable else rest, how)
+    from turtleact.commands.packages import runnable_here
+
     program = _chosen(runnable_here(), package, executable)
     if program is not None:
         return _running(program, rest, how)
     return _built_in(package, executable, *_own_domain(rest, domain))
-
-
-def runnable_here() -> dict[str, dict[str, Program | None]]:
-    """What can be run from the working directory; see `turtleact.commands.packages.runnable`."""
-    from turtleact.commands.packages import runnable
-
-    return runnable(Path(), PROGRAMS)
 
 
 def _listed(known: Mapping[str, Mapping[str, object]]) -> list[str]:
@@ -225,7 +211,7 @@ def _own_domain(arguments: Sequence[str], domain: int) -> tuple[list[str], int]:
 
 
 def _built_in(package: str, executable: str, arguments: Sequence[str], domain: int) -> Job:
-    """The job of running one of `PROGRAMS`."""
+    """The job of running a program that is built in."""
     if executable == "turtle_teleop_key":
         from turtleact.commands.verbs.turtlesim import turtle_teleop_key
 

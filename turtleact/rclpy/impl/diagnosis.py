@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 
-from turtleact.rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from turtleact.rclpy.callback_groups import Member, MutuallyExclusiveCallbackGroup
 from turtleact.rclpy.impl.entity import Entity
 from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 
@@ -65,6 +65,6 @@ def warn_if_blocked(entity: Entity, what: str, *, is_answered: bool) -> None:
         )
 
 
-def _holder(entity: Entity) -> Entity | None:
+def _holder(entity: Entity) -> Member | None:
     group = entity.callback_group
     return group.active_entity if isinstance(group, MutuallyExclusiveCallbackGroup) else None

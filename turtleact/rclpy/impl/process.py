@@ -8,17 +8,21 @@ from __future__ import annotations
 
 import atexit
 import threading
-from typing import TYPE_CHECKING
+from typing import Protocol
 from weakref import WeakSet
 
 from turtleact.rclpy.impl.connection import Connection, OpenTransport
 from turtleact.rclpy.impl.event_loop import EventLoop
 from turtleact.rclpy.impl.opening import open_chosen
 
-if TYPE_CHECKING:
-    from turtleact.rclpy.context import Context
-
 __all__ = ["PROCESS", "Process"]
+
+
+class Closable(Protocol):
+    """What this module knows of a context."""
+
+    def try_shutdown(self) -> None:
+        """Shut down, unless that has been done."""
 
 
 class Process:
@@ -32,7 +36,7 @@ class Process:
 
     def __init__(self) -> None:
         self.loop = EventLoop()
-        self.contexts: WeakSet[Context] = WeakSet()
+        self.contexts: WeakSet[Closable] = WeakSet()
         self.open_transport: OpenTransport = open_chosen
         self._lock = threading.Lock()
         self._is_registered = False

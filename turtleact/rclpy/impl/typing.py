@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
-__all__ = ["Anything", "Subscriptable"]
+__all__ = ["Anything", "ServiceHost", "Subscriptable"]
 
 Anything: TypeAlias = Any
 """A message, an interface, or a callback of the program.
@@ -23,3 +23,15 @@ class Subscriptable:
     def __class_getitem__(cls, parameters: object) -> type:
         """Return the class itself."""
         return cls
+
+
+class ServiceHost(Protocol):
+    """What the services of a node know of it."""
+
+    def get_name(self) -> str:
+        """Return its name."""
+
+    def create_service(
+        self, srv_type: Anything, srv_name: str, callback: Anything, *, qos_profile: Anything = ...
+    ) -> object:
+        """Open a service."""
