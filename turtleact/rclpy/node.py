@@ -339,7 +339,7 @@ class Node(NodeParameters, NodeGraph):
         own = self.get_fully_qualified_name()
         if qos is None:
             return Endpoint(kind, name, type_name, own)
-        return Endpoint(kind, name, type_name, own, qos.for_transport())
+        return Endpoint(kind, name, type_name, own, qos.for_transport(), times=qos.times())
 
     # opening
 

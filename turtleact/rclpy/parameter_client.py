@@ -139,7 +139,7 @@ class AsyncParameterClient:
         use_wildcard: bool = False,
         callback: Callable[[Future], object] | None = None,
     ) -> Future:
-        """Set the parameters that a file has for the node, one by one."""
+        """Set the parameters in a file, one by one."""
         return self.set_parameters(self._loaded(parameter_file, use_wildcard), callback)
 
     def load_parameter_file_atomically(
@@ -148,7 +148,7 @@ class AsyncParameterClient:
         use_wildcard: bool = False,
         callback: Callable[[Future], object] | None = None,
     ) -> Future:
-        """Set all the parameters that a file has for the node, or none."""
+        """Set all the parameters in a file, or none."""
         return self.set_parameters_atomically(self._loaded(parameter_file, use_wildcard), callback)
 
     def on_parameter_event(
@@ -168,8 +168,7 @@ class AsyncParameterClient:
         )
 
     def _loaded(self, parameter_file: str, use_wildcard: bool) -> list[Anything]:
-        found = parameter_dict_from_yaml_file(parameter_file, use_wildcard, [self.remote_node_name])
-        return list(found.values())
+        return list(parameter_dict_from_yaml_file(parameter_file, use_wildcard).values())
 
     def _call(
         self, kind: str, callback: Callable[[Future], object] | None, **fields: Anything

@@ -13,6 +13,7 @@ from typing import TypeVar
 from turtleact.rclpy.duration import Duration
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.transports import QoS
+from turtleact.transports.base import TimePolicies
 
 __all__ = [
     "DurabilityPolicy",
@@ -319,6 +320,16 @@ class QoSProfile:
             reliability="best_effort" if is_lossy else "reliable",
         )
 
+    def times(self) -> TimePolicies:
+        """Return its policies in time, as peers are shown them."""
+        manual = self.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC
+        return TimePolicies(
+            deadline=_limit(self.deadline),
+            lifespan=_limit(self.lifespan),
+            liveliness="manual_by_topic" if manual else "automatic",
+            lease=_limit(self.liveliness_lease_duration),
+        )
+
     @property
     def kept(self) -> int | None:
         """How many unread messages are kept; None if all are."""
@@ -337,6 +348,12 @@ SYSTEM_DEPTH = 10
 def _number(value: Anything) -> int:
     assert isinstance(value, int)  # noqa: S101  # as in rclpy
     return int(value)
+
+
+def _limit(duration: Duration) -> int | None:
+    """Return a duration in nanoseconds; None if there is no limit."""
+    is_none = duration == UNSPECIFIED or duration == Duration.Infinite
+    return None if is_none else duration.nanoseconds
 
 
 def _duration(value: Anything) -> Duration:

@@ -151,7 +151,6 @@ def parse_arguments(args: Sequence[str] | None) -> Arguments:
         RCLError: if the value of an option is malformed.
     """
     remaps: list[RemapRule] = []
-    files: list[ParameterRule] = []
     parameters: list[ParameterRule] = []
     levels: list[tuple[str, int]] = []
     flags, unknown = set[str](), list[str]()
@@ -166,18 +165,18 @@ def parse_arguments(args: Sequence[str] | None) -> Arguments:
             continue
         value = next(words, None)
         if value is None:
-            raise RCLError(f"Failed to parse global arguments: no value after {word}")
+            raise RCLError(f"Failed to parse ROS arguments: no value after {word}")
         if kind == "remap":
             remaps.append(_remap(value))
         elif kind == "param":
             parameters.append(_parameter(value))
         elif kind == "params-file":
-            files += _read_file(value)
+            parameters += _read_file(value)
         elif kind == "log-level":
             levels.append(_level(value))
     if unknown:
         raise UnknownROSArgsError(f"Found unknown ROS arguments: {unknown}")
-    return Arguments(tuple(remaps), (*files, *parameters), tuple(levels), frozenset(flags))
+    return Arguments(tuple(remaps), tuple(parameters), tuple(levels), frozenset(flags))
 
 
 def arguments_of(own: Sequence[str] | None, shared: Arguments, *, use_shared: bool) -> Arguments:
@@ -224,7 +223,7 @@ def parse_value(text: str) -> object:
     try:
         return _plain(tree_of(Document(text, "value", "value", allow_nonfinite=True)))
     except InvalidMessage as error:
-        raise RCLError(f"Failed to parse global arguments: {error}") from error
+        raise RCLError(f"Failed to parse ROS arguments: {error}") from error
 
 
 def read_parameters(path: Path) -> list[ParameterRule]:
@@ -235,13 +234,27 @@ def read_parameters(path: Path) -> list[ParameterRule]:
         OSError: if it cannot be read.
     """
     try:
-        text = path.read_text("utf-8")
-        tree = _plain(tree_of(Document(text, "parameters", str(path), allow_nonfinite=True)))
+        trees = _trees(path.read_text("utf-8"), str(path))
     except (UnicodeDecodeError, InvalidMessage) as error:
-        raise RCLError(f"Failed to parse global arguments: {path}: {error}") from error
-    if not isinstance(tree, dict):
-        raise RCLError(f"Failed to parse global arguments: {path} has no parameters")
-    return list(_rules(tree, ""))
+        raise RCLError(f"Failed to parse ROS arguments: {path}: {error}") from error
+    if not all(isinstance(tree, dict) for tree in trees):
+        raise RCLError(f"Failed to parse ROS arguments: {path} has no parameters")
+    return [rule for tree in trees if isinstance(tree, dict) for rule in _rules(tree, "")]
+
+
+def _trees(text: str, path: str) -> list[object]:
+    """Parse a file of parameters: as a whole, or block by block.
+
+    A key may appear twice: ROS 2 reads the file from its beginning to its end, and so do we.
+    """
+    try:
+        return [_plain(tree_of(Document(text, "parameters", path, allow_nonfinite=True)))]
+    except InvalidMessage as error:
+        if "appears twice" not in str(error):
+            raise
+    blocks = re.split(r"(?m)^(?=[^\s#])", text)
+    documents = (Document(block, "parameters", path, allow_nonfinite=True) for block in blocks)
+    return [_plain(tree_of(document)) for document in documents]
 
 
 def _ros_words(args: Sequence[str]) -> Iterator[str]:
@@ -259,13 +272,13 @@ def _read_file(path: str) -> list[ParameterRule]:
     try:
         return read_parameters(Path(path))
     except OSError as error:
-        raise RCLError(f"Failed to parse global arguments: {path}: {error.strerror}") from error
+        raise RCLError(f"Failed to parse ROS arguments: {path}: {error.strerror}") from error
 
 
 def _remap(text: str) -> RemapRule:
     before, separator, target = text.partition(":=")
     if not separator or not before or not target:
-        raise RCLError(f"Failed to parse global arguments: {text!r} is no remap rule from:=to")
+        raise RCLError(f"Failed to parse ROS arguments: {text!r} is no remap rule from:=to")
     before = re.sub(r"^(rostopic|rosservice)://", "", before)
     node, _, source = before.rpartition(":")
     return RemapRule(node, source, target)
@@ -274,7 +287,7 @@ def _remap(text: str) -> RemapRule:
 def _parameter(text: str) -> ParameterRule:
     before, separator, value = text.partition(":=")
     if not separator or not before:
-        raise RCLError(f"Failed to parse global arguments: {text!r} is no parameter name:=value")
+        raise RCLError(f"Failed to parse ROS arguments: {text!r} is no parameter name:=value")
     node, _, name = before.rpartition(":")
     pattern = "/**" if not node else node if node.startswith("/") else f"/**/{node}"
     return ParameterRule(pattern, {name: parse_value(value)})
@@ -283,7 +296,7 @@ def _parameter(text: str) -> ParameterRule:
 def _level(text: str) -> tuple[str, int]:
     name, separator, level = text.rpartition(":=")
     if level.upper() not in LEVELS:
-        raise RCLError(f"Failed to parse global arguments: {level!r} is no log level")
+        raise RCLError(f"Failed to parse ROS arguments: {level!r} is no log level")
     return (name if separator else ""), LEVELS[level.upper()]
 
 
@@ -291,7 +304,7 @@ def _rules(tree: Mapping[str, object], path: str) -> Iterator[ParameterRule]:
     for key, value in tree.items():
         if not isinstance(value, dict):
             raise RCLError(
-                f"Failed to parse global arguments: '{key}' has no '{PARAMETERS}' around its values"
+                f"Failed to parse ROS arguments: '{key}' has no '{PARAMETERS}' around its values"
             )
         if key == PARAMETERS:
             yield ParameterRule(path or "/**", dict(_flat(value, "")))

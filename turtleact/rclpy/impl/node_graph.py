@@ -6,6 +6,7 @@ import time
 from typing import Protocol
 
 from turtleact.graph import types_by_name
+from turtleact.rclpy.exceptions import NameValidationException
 from turtleact.rclpy.impl.connection import Connection
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.transports.base import Endpoint, EndpointKind
@@ -102,19 +103,19 @@ class NodeGraph:
 
     def count_publishers(self: Named, topic_name: str) -> int:
         """Return how many publishers a topic has."""
-        return _count(self, self.resolve_topic_name(topic_name), "publisher")
+        return _count(self, _topic(self, topic_name), "publisher")
 
     def count_subscribers(self: Named, topic_name: str) -> int:
         """Return how many subscriptions a topic has."""
-        return _count(self, self.resolve_topic_name(topic_name), "subscription")
+        return _count(self, _topic(self, topic_name), "subscription")
 
     def count_clients(self: Named, service_name: str) -> int:
         """Return how many clients a service has."""
-        return _count(self, self.resolve_service_name(service_name), "client")
+        return _count(self, _service(self, service_name), "client")
 
     def count_services(self: Named, service_name: str) -> int:
         """Return how many servers a service has."""
-        return _count(self, self.resolve_service_name(service_name), "service")
+        return _count(self, _service(self, service_name), "service")
 
     def get_publishers_info_by_topic(
         self: Named,
@@ -122,7 +123,7 @@ class NodeGraph:
         no_mangle: bool = False,  # rclpy's signature
     ) -> list[Anything]:
         """Return a `TopicEndpointInfo` for each publisher of a topic."""
-        name = topic_name if no_mangle else self.resolve_topic_name(topic_name)
+        name = topic_name if no_mangle else _topic(self, topic_name)
         return _infos(self, name, "publisher")
 
     def get_subscriptions_info_by_topic(
@@ -131,7 +132,7 @@ class NodeGraph:
         no_mangle: bool = False,  # rclpy's signature
     ) -> list[Anything]:
         """Return a `TopicEndpointInfo` for each subscription of a topic."""
-        name = topic_name if no_mangle else self.resolve_topic_name(topic_name)
+        name = topic_name if no_mangle else _topic(self, topic_name)
         return _infos(self, name, "subscription")
 
     def wait_for_node(self: Named, fully_qualified_node_name: str, timeout: float) -> bool:
@@ -143,6 +144,20 @@ class NodeGraph:
                 return False
             time.sleep(POLL)
         return True
+
+
+def _topic(node: Named, name: str) -> str:
+    try:
+        return node.resolve_topic_name(name)
+    except NameValidationException as error:
+        raise ValueError(f"topic name is invalid: {error}") from error
+
+
+def _service(node: Named, name: str) -> str:
+    try:
+        return node.resolve_service_name(name)
+    except NameValidationException as error:
+        raise ValueError(f"service name is invalid: {error}") from error
 
 
 def _names(node: Named) -> list[tuple[str, str]]:

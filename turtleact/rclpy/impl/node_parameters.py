@@ -10,6 +10,7 @@ Source: the ROS 2 design article "ROS 2 Parameters"; rclpy ``node.py`` for names
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from typing import TypeAlias
 
@@ -24,7 +25,11 @@ from turtleact.rclpy.exceptions import (
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.names import validate_parameter_name
-from turtleact.rclpy.parameter import PARAMETER_SEPARATOR_STRING, Parameter
+from turtleact.rclpy.parameter import (
+    PARAMETER_SEPARATOR_STRING,
+    Parameter,
+    parameter_value_to_python,
+)
 
 __all__ = ["NodeParameters"]
 
@@ -92,10 +97,9 @@ class NodeParameters:
             InvalidParameterValueException: if a callback refuses the value.
             InvalidParameterTypeException: if an override is of another type.
         """
-        if value is None and descriptor is None:
-            # Without a value and a descriptor, the type is not known: any type will do.
-            descriptor = _descriptor(dynamic_typing=True)
-        declaration = (name, value) if descriptor is None else (name, value, descriptor)
+        declaration: tuple[Anything, ...] = (name, value, descriptor)
+        if descriptor is None:
+            declaration = (name,) if value is None else (name, value)
         return self.declare_parameters("", [declaration], ignore_override)[0]
 
     def declare_parameters(
@@ -143,8 +147,15 @@ class NodeParameters:
             raise TypeError(
                 f"First element {name} at index {index} in parameters list is not a str."
             )
+        if isinstance(value, interface_class("rcl_interfaces/msg/ParameterValue")):
+            value = parameter_value_to_python(value)
         full = f"{namespace}{PARAMETER_SEPARATOR_STRING}{name}" if namespace else name
         if len(given) == 1:
+            warnings.warn(
+                f"parameter '{full}' is declared without a type: give a value, a Parameter.Type, "
+                "or a descriptor with dynamic_typing",
+                stacklevel=3,
+            )
             descriptor = _descriptor(dynamic_typing=True)
         if descriptor is None:
             descriptor = _descriptor()
@@ -157,7 +168,7 @@ class NodeParameters:
         if not descriptor.dynamic_typing:
             kind = value if isinstance(value, Parameter.Type) else None
             kind = kind or Parameter.Type.from_parameter_value(value)
-            if kind is Parameter.Type.NOT_SET and not isinstance(value, Parameter.Type):
+            if kind is Parameter.Type.NOT_SET:
                 raise ValueError(
                     f"Cannot declare a statically typed parameter '{full}' with default value "
                     "of type PARAMETER_NOT_SET"
@@ -280,7 +291,7 @@ class NodeParameters:
             TypeError: if a prefix is no text, or the depth no number.
             ValueError: if the depth is negative.
         """
-        if not all(isinstance(each, str) for each in prefixes):
+        if isinstance(prefixes, str) or not all(isinstance(each, str) for each in prefixes):
             raise TypeError("All prefixes must be instances of type str")
         if not isinstance(depth, int):
             raise TypeError(f"depth must be an instance of type int, got {depth!r}")
@@ -437,7 +448,7 @@ class NodeParameters:
         if name in self._descriptors:
             return self._descriptors[name]
         if self._allow_undeclared_parameters:
-            return _descriptor(name=name)
+            return _descriptor()
         raise ParameterNotDeclaredException(name)
 
     def describe_parameters(self, names: list[str]) -> list[Anything]:
@@ -488,6 +499,8 @@ def _is_below(name: str, prefix: str, depth: int) -> bool:
 def _misfit(parameter: Parameter, descriptor: Anything) -> str:
     """Return why a descriptor forbids a value; empty if it does not."""
     if not descriptor.dynamic_typing and descriptor.type != parameter.type_.value:
+        if parameter.type_ is Parameter.Type.NOT_SET:
+            return "Static parameter cannot be undeclared"
         return (
             f"Wrong parameter type, expected '{Parameter.Type(descriptor.type)}' "
             f"got '{parameter.type_}'"
