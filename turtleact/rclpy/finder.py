@@ -66,6 +66,8 @@ MISSING: Final = {
     "launch": "start each program by itself; 'turtleact run --help' lists what can be run",
     "launch_ros": "start each program by itself; 'turtleact run --help' lists what can be run",
     "rclpy.lifecycle": "turtleact has no managed nodes",
+    "rclpy.experimental": "use a SingleThreadedExecutor or a MultiThreadedExecutor",
+    "rclpy.service_introspection": "turtleact publishes no events of services",
     "rclpy.type_adapter": "turtleact has no type adapters",
 }
 """What turtleact does not have, and what to say about it."""
