@@ -168,6 +168,10 @@ class Context:
 
     def _shut_down(self) -> bool:
         """Shut down and return True; return False if that was done before, or is impossible."""
+        with PROCESS.ending():
+            return self._end()
+
+    def _end(self) -> bool:
         with self._lock:
             if not self._is_ok:
                 return False

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import atexit
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Protocol
 from weakref import WeakSet
 
@@ -16,6 +18,9 @@ from turtleact.rclpy.impl.event_loop import EventLoop
 from turtleact.rclpy.impl.opening import open_chosen
 
 __all__ = ["PROCESS", "Process"]
+
+PATIENCE = 2.5
+"""How long the end of the process waits for contexts that other threads shut down (s)."""
 
 
 class Closable(Protocol):
@@ -39,6 +44,8 @@ class Process:
         self.contexts: WeakSet[Closable] = WeakSet()
         self.open_transport: OpenTransport = open_chosen
         self._lock = threading.Lock()
+        self._ended = threading.Condition(self._lock)
+        self._ending: list[int] = []
         self._is_registered = False
         self._connections: dict[int, tuple[Connection, set[int]]] = {}
 
@@ -61,9 +68,29 @@ class Process:
             return connection
 
     def shut_down(self) -> None:
-        """Shut all contexts down."""
+        """Shut all contexts down, and wait for those that other threads are shutting down.
+
+        After a signal, a thread shuts the contexts down while the main thread ends the program. If
+        the interpreter ended before the graph is left, a thread of Zenoh could call into it, and
+        the C library would abort the process.
+        """
         for context in list(self.contexts):
             context.try_shutdown()
+        own = threading.get_ident()
+        with self._ended:
+            self._ended.wait_for(lambda: not set(self._ending) - {own}, PATIENCE)
+
+    @contextmanager
+    def ending(self) -> Iterator[None]:
+        """While the calling thread is inside, it shuts a context down; see `shut_down`."""
+        with self._lock:
+            self._ending.append(threading.get_ident())
+        try:
+            yield
+        finally:
+            with self._ended:
+                self._ending.remove(threading.get_ident())
+                self._ended.notify_all()
 
     def leave(self, user: object) -> None:
         """Leave all graphs that nobody else uses."""
