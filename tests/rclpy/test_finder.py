@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from turtleact.rclpy.finder import install
+from turtleact.rclpy.finder import install, uninstall
 
 PACKAGES = ("rclpy", "geometry_msgs", "example_interfaces", "ament_index_python", "tf2_ros")
 
@@ -15,9 +15,9 @@ def _finder():
     before = {name: module for name, module in sys.modules.items() if _is_served(name)}
     for name in before:
         del sys.modules[name]
-    finder = install()
+    install(["/lab/src"])
     yield
-    sys.meta_path.remove(finder)
+    uninstall()
     for name in [name for name in sys.modules if _is_served(name)]:
         del sys.modules[name]
     sys.modules.update(before)
@@ -75,5 +75,13 @@ def test_a_package_of_ament_is_known_by_its_sources(tmp_path, monkeypatch):
         packages.get_package_prefix("hall")
 
 
-def test_a_second_install_changes_nothing():
-    assert install() is install()
+def test_a_second_install_replaces_the_first():
+    before = len(sys.meta_path)
+    install()
+    assert len(sys.meta_path) == before
+
+
+@pytest.mark.parametrize("name", ["hall_interfaces", "ament_index_python.action"])
+def test_a_package_without_interfaces_is_said_to_be_in_none_of_the_places(name):
+    with pytest.raises(ModuleNotFoundError, match=rf"No module named '{name}'.*\n  /lab/src"):
+        importlib.import_module(name)

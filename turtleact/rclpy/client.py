@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from turtleact.errors import ServerUnavailable, TurtleactError
+from turtleact.rclpy.exceptions import ROSInterruptException
 from turtleact.rclpy.impl.calls import CallEnd
 from turtleact.rclpy.impl.diagnosis import warn_if_blocked
 from turtleact.rclpy.impl.entity import NOTHING, Entity
@@ -89,6 +90,7 @@ class Client(Subscriptable, Entity):
         Raises:
             TypeError: if the request is of another class, or a value does not fit its type.
             TimeoutError: if there is no response in time.
+            ROSInterruptException: if the context is shut down meanwhile.
         """
         answered = threading.Event()
         future = self.call_async(request)
@@ -111,6 +113,8 @@ class Client(Subscriptable, Entity):
                 return True
             if end is not None and time.monotonic() >= end:
                 return False
+            if not self.context.ok():
+                raise ROSInterruptException
             if not has_warned and time.monotonic() - began >= BLOCKED_AFTER:
                 has_warned = True
                 warn_if_blocked(

@@ -26,10 +26,13 @@ from typing import Final
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import known_interfaces
 
-__all__ = ["Finder", "install"]
+__all__ = ["Finder", "install", "uninstall"]
 
 OURS: Final = "turtleact.rclpy"
 KINDS: Final = ("msg", "srv", "action")
+
+SUFFIXES: Final = ("_msgs", "_interfaces", "_srvs", "_actions", "_msg", "_action", "_interface")
+"""How the names of packages with interfaces end."""
 
 ALIASES: Final = {
     **dict.fromkeys(
@@ -188,6 +191,34 @@ class _Interfaces(Loader):
         module.__dict__["__dir__"] = lambda: sorted(names)
 
 
+class _Missing(MetaPathFinder):
+    """Comes last: says where the interfaces of a package were looked for that nobody has.
+
+    Args:
+        places: The folders.
+    """
+
+    def __init__(self, places: Sequence[str]) -> None:
+        self._places = tuple(dict.fromkeys(places))
+
+    def find_spec(
+        self,
+        fullname: str,
+        path: Sequence[str] | None,  # noqa: ARG002  # as above
+        target: ModuleType | None = None,  # noqa: ARG002  # as above
+    ) -> None:
+        """Raise `ModuleNotFoundError` for what looks like a package with interfaces."""
+        top, _, rest = fullname.partition(".")
+        if rest in KINDS or (not rest and top.endswith(SUFFIXES)):
+            said = "".join(f"\n  {place}" for place in self._places)
+            raise ModuleNotFoundError(
+                f"No module named '{fullname}'. Its interfaces ({top}/msg, {top}/srv, "
+                f"{top}/action) are in none of these places:{said}\n"
+                "Source the ROS workspace that has them, or give --interfaces DIR",
+                name=fullname,
+            )
+
+
 def _spec(name: str, loader: Loader, *, is_package: bool) -> ModuleSpec:
     return ModuleSpec(name, loader, origin="turtleact", is_package=is_package)
 
@@ -201,11 +232,17 @@ def _is_users_own(package: str) -> bool:
     return not any(each is not None and each.origin is not None for each in made)
 
 
-def install() -> Finder:
-    """Let this process find the modules, ahead of any others of those names."""
-    for each in sys.meta_path:
-        if isinstance(each, Finder):
-            return each
-    finder = Finder()
-    sys.meta_path.insert(0, finder)
-    return finder
+def install(places: Sequence[str] = ()) -> None:
+    """Let this process find the modules, ahead of any others of those names.
+
+    Args:
+        places: Where interfaces were looked for, to say so if a package has none.
+    """
+    uninstall()
+    sys.meta_path.insert(0, Finder())
+    sys.meta_path.append(_Missing(places))
+
+
+def uninstall() -> None:
+    """Undo `install`. Modules that were imported stay."""
+    sys.meta_path[:] = [each for each in sys.meta_path if not isinstance(each, Finder | _Missing)]

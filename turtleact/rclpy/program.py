@@ -71,7 +71,7 @@ def prepare(options: Options, *folders: Path) -> None:
     if options.interfaces is not None:
         load_interfaces(options.interfaces)
     SETTINGS.place = options.place
-    install()
+    install(_searched(options, folders))
 
 
 def offer_neighbours(*folders: Path) -> None:
@@ -131,6 +131,14 @@ def _places(folders: Sequence[Path]) -> Iterator[Path]:
         for above in list(folder.absolute().parents)[:PARENTS]:
             if (above / "src").is_dir() or above.name == "src":
                 yield above
+
+
+def _searched(options: Options, folders: Sequence[Path]) -> list[str]:
+    """Where interfaces were looked for, as an error shows it."""
+    given = [] if options.interfaces is None else [f"{options.interfaces} (--interfaces)"]
+    sourced = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
+    near = [str(place.absolute()) for place in (Path(), *_places(folders))]
+    return [*given, *sourced, *near, "turtleact's own interfaces"]
 
 
 def _note(text: str) -> None:
