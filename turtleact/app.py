@@ -97,8 +97,8 @@ async def open_world(
         paused: Whether the world starts paused.
         turtlesim_only: Whether the world serves only what the real turtlesim serves, on the node
             ``/turtlesim``. Otherwise it also serves the built-in actions (``/patrol``, ``/go_to``,
-            ``/command_turtle``, ``/fibonacci``) and a node ``/world`` with the time, pictures, and
-            all poses in one message.
+            ``/command_turtle``, ``/fibonacci``) and a node ``/world`` with services for time and
+            pictures, and a topic with all poses in one message.
         graph: Opens the graph that the world joins; left out, a graph within the process.
         on_transition: Called with each change of one of the world's goals; see
             `Node.on_transition`.

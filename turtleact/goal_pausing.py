@@ -36,7 +36,7 @@ class SetPaused(Service, type_name="turtleact_interfaces/srv/SetPaused"):
         """Whether it was done.
 
         Attributes:
-            success: Whether it is so now.
+            success: Whether the goal is now paused, or resumed, as requested.
             message: Why not.
         """
 
@@ -60,5 +60,5 @@ def set_paused_service(action: str) -> str:
 
 
 def paused_topic(action: str) -> str:
-    """Return the name of an action's topic with the goals that are paused."""
+    """Return the name of the topic that lists an action's paused goals."""
     return f"{action}/_action/paused"

@@ -102,9 +102,6 @@ _ARRAY = ParameterType.PARAMETER_BOOL_ARRAY - ParameterType.PARAMETER_BOOL
 """The number of an array is this much higher than the number of its items."""
 
 
-# --- declarations -------------------------------------------------------------------------------
-
-
 class ParameterDeclaration(Generic[P]):
     """A parameter that a module declares; made by `turtleact.parameter`.
 
@@ -183,7 +180,7 @@ def descriptor_of(
 
     Raises:
         InvalidParameter: if the name is empty or not a string.
-        InvalidOption: if the range does not fit the kind, or is none.
+        InvalidOption: if the range does not fit the kind, or is not a range.
     """
     if not isinstance(name, str) or not name:
         raise InvalidParameter(name, "its name must be a string that is not empty")
@@ -217,9 +214,6 @@ def _checked_bounds(bounds: Bounds, *, is_whole: bool) -> tuple[float, float, fl
         problem = f"the first number is at most the second, the step not negative, unlike {bounds}"
         raise InvalidOption("range", problem)
     return first, last, step
-
-
-# --- values -------------------------------------------------------------------------------------
 
 
 def value_of(message: ParameterValue) -> Value | None:
@@ -293,11 +287,8 @@ def _convert(value: object, kind: int) -> object:
     return float(cast("float", value)) if kind == _DOUBLE else value
 
 
-# --- ranges -------------------------------------------------------------------------------------
-
-
 def out_of_range(descriptor: ParameterDescriptor, value: ParameterValue) -> str:
-    """Say which numbers a parameter takes, if it does not take this one; else nothing.
+    """Say which numbers a parameter takes; empty if it takes this one.
 
     >>> speed = descriptor_of("speed", 2, bounds=(0, 10, 5))
     >>> out_of_range(speed, message_of("speed", 7))
@@ -336,9 +327,6 @@ def _is_same(one: float, other: float) -> bool:
     if isinstance(one, int) or math.isinf(one) or math.isinf(other):
         return one == other
     return abs(one - other) <= 2.220446049250313e-14 * abs(one + other)
-
-
-# --- the parameters of one node -----------------------------------------------------------------
 
 
 class ParameterTable:

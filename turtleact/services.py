@@ -227,7 +227,7 @@ class LocalServiceServer(Generic[Req, Res]):
             self._end(call, checked)
 
     def _reason(self, error: BaseException) -> str:
-        """Describe a handler's exception for a caller that still waits."""
+        """Describe a handler's exception for a caller that is still waiting."""
         if is_cancellation(error, self._tasks):
             return "the handler was canceled from within"
         logger.error("the handler of service %s failed", self.name, exc_info=loggable(error))

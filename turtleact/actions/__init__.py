@@ -24,7 +24,7 @@ def serve_built_ins(node: Node, *, side: float, **options: Unpack[ServerOptions]
 
     Each makes way for another server of its name, in any process: it takes no more goals as soon as
     discovery shows the other one, and its running goals finish. It comes back when the other one
-    has gone. The log says both.
+    has gone. The log reports both.
 
     Args:
         node: Where they are served.

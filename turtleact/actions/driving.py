@@ -307,21 +307,21 @@ class Drive:
     def _keep_pace(self, *, is_a_tick: bool) -> None:
         """Measure the time between poses, which may differ from ``Robot.dt``.
 
-        Where the turtle has moved as it does in its tick, that has passed for it, however late the
+        If the turtle has moved by exactly one tick, one tick has passed for it, however late the
         machine is.
         """
         before, self._decided = self._decided, self.time()
         poses, self._taken_since = 1 + self._taken_since, 0
         if before is None:
             return
-        # One pose may be late by chance. The estimate follows by `LEARNING` for each pose, and no
-        # pose counts more than twice the pace so far.
+        # One pose may be late by chance. Each pose moves the estimate by the share `LEARNING`, and
+        # counts as twice the estimate at most.
         lasted = self._robot.dt if is_a_tick else (self._decided - before) / poses
         change = min(lasted, 2.0 * self._pace) - self._pace
         self._pace += (1.0 - (1.0 - LEARNING) ** poses) * change
         limits = self._helm.steering.limits
         dt = min(max(self._robot.dt / 8.0, self._pace), math.pi / 2.0 / limits.max_angular)
-        # A new law ends what the helm holds, so small changes are not worth one.
+        # A new law drops the command that the helm holds, so a small change does not make one.
         if abs(dt - limits.dt) > limits.dt / 4.0:
             limits = replace(limits, dt=dt)
             self._helm.steering = replace(self._helm.steering, limits=limits)
@@ -368,7 +368,7 @@ class Drive:
         """Whether a pose can be used; keep the reason if not."""
         try:
             seen = self._robot.read(message)
-        except InvalidMessage:  # whoever drives will say so
+        except InvalidMessage:  # the driver reads it again and reports the error
             return True
         objection = self._objection(seen)
         self._why = objection or self._nothing_heard
@@ -497,7 +497,7 @@ class Turtles:
             if goal.is_paused:  # since before its body has begun
                 drive.hold()
         try:
-            # The first pose says where the turtle is; the way to it from nowhere does not count.
+            # The first pose only says where the turtle is: nothing has been travelled yet.
             await drive.wait_for_pose()
             drive.travelled = 0.0
             yield drive

@@ -206,8 +206,8 @@ class _Patrol:
         """``/patrol``."""
         left = handle.resumed
         result = (left and left.partial_result) or Patrol.Result()
-        # The feedback counts, since it was published: a target that the partial result names
-        # already, but no feedback, is visited again.
+        # Only published feedback counts. A target that is in the partial result but in no feedback
+        # is visited again.
         result.reached = left.feedback.reached if left and left.feedback else 0
         return await self._patrol(
             goal, handle, result, handle.publish_feedback, handle.set_partial_result
@@ -316,7 +316,7 @@ class _Leg:
         self._tell = tell
 
     async def run(self) -> bool:
-        """Drive to a stop; False if it takes far too long."""
+        """Drive to a stop; return False if it takes far too long."""
         drive, target = self._drive, self._target
         after = self._tour.target(self._stop + 1)
         deadline = drive.deadline(target)

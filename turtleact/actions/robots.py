@@ -51,7 +51,7 @@ class _Fields(NamedTuple):
 
 
 POSE_TYPES: Final[dict[str, _Fields | None]] = {
-    "turtlesim/msg/Pose": None,  # all of it are numbers
+    "turtlesim/msg/Pose": None,  # its fields are numbers, without messages inside
     "turtlesim_msgs/msg/Pose": None,
     "nav_msgs/msg/Odometry": _Fields("pose.pose", "twist.twist"),
     "geometry_msgs/msg/PoseStamped": _Fields("pose"),
@@ -198,7 +198,7 @@ def _read_stamped(message: Message, fields: _Fields) -> Sighting:
 def _heading(x: float, y: float, z: float, w: float, *, path: str) -> float:
     """The heading (rad) of a quaternion of any length, seen from above."""
     # Some drivers send quaternions that are not quite of length 1, and zeros before they know where
-    # they are. Any length has a heading, zero has none.
+    # they are. A quaternion of any length has a heading, except one of length zero.
     if not x * x + y * y + z * z + w * w > 0.0:
         raise InvalidMessage(path, f"({x}, {y}, {z}, {w}) is no rotation")
     return wrap_angle(math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))

@@ -112,7 +112,7 @@ class ActionClient(Generic[G, R, F]):
         named = None if goal_id is None else goal_id_bytes(goal_id)
         on_feedback = cast("OnFeedback | None", feedback_callback)  # called with the action's class
         check_timeout(reattach, "reattach", may_be_none=False)
-        if reattach and named is None:  # the goal must be found again by it
+        if reattach and named is None:  # reattaching finds the goal by its id
             named = new_goal_id()
         order = GoalOrder(goal, self, self._cancel_timeout, named, on_feedback, reattach)
         caller = sys._getframe(1)
@@ -222,7 +222,7 @@ class ActionClient(Generic[G, R, F]):
     ) -> tuple[GoalServer, Goal]:
         """Attach to a goal of this process whose server has gone, when the server is back.
 
-        Servers in other processes are waited for by `RemoteActionServer`.
+        `RemoteActionServer` waits for servers in other processes.
         """
         if self._server is self._remote:
             raise error
@@ -350,7 +350,7 @@ Coroutine.register(SendGoal)
 
 
 class Attach(msgspec.Struct, Generic[R, F], eq=False):
-    """Someone else's goal, about to be attached to: ``await`` or enter this for a handle."""
+    """What `ActionClient.attach` returns: ``await`` or enter it for a handle of the goal."""
 
     _client: ActionClient[Any, R, F]
     _goal_id: bytes

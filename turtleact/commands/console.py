@@ -132,7 +132,7 @@ class PosixConsole:
         return before
 
     def give_back(self, stream: TextIO, modes: Any) -> None:  # noqa: ANN401  # from `silence`
-        """Set the modes that were found."""
+        """Restore the modes that were found."""
         import termios
 
         with suppress(OSError, termios.error):

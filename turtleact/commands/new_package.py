@@ -31,18 +31,18 @@ _INTERFACES: Final = re.compile(r".*(_msgs|_interfaces|_srvs|_actions)")
 
 
 class NewPackage(NamedTuple):
-    """What the user wants.
+    """The package to create.
 
     Attributes:
         name: The name of the package.
         folder: Where the folder of the package is made.
         build_type: One of `BUILD_TYPES`. A package of the type ``ament_cmake`` has interfaces only.
-        node_name: The name of its executable, and of the module with it.
+        node_name: The name of its executable and of the module that contains it.
         dependencies: Other packages that it needs.
         description: What it is for.
         licence: Its licence.
-        maintainer: The name of who maintains it; the user's login name if None.
-        email: The address of who maintains it; one to be replaced if None.
+        maintainer: The maintainer's name; the user's login name if None.
+        email: The maintainer's address; a placeholder if None.
     """
 
     name: str
@@ -60,7 +60,7 @@ def create(package: NewPackage) -> None:
     """Write the files of a package, print their names, and say how to run and test it.
 
     Args:
-        package: What `check` has found to be possible.
+        package: A package that has passed `check`.
 
     Raises:
         TurtleactError: if the folder exists already, or a file cannot be written.
@@ -85,7 +85,7 @@ def check(package: NewPackage, *, has_node_name: bool) -> None:
     """Check the names of a package.
 
     Args:
-        package: What the user wants.
+        package: The package to create.
         has_node_name: Whether the user named an executable.
 
     Raises:

@@ -206,7 +206,7 @@ async def load(
 
     Args:
         node: A node on the graph.
-        owner: Whose they are.
+        owner: The node to set them on.
         parameters: What `parameter_values.read_file` has read.
         source: What an error calls the file.
 
@@ -352,7 +352,7 @@ async def _set_again(
 
 
 def _of_type(value: ParameterValue, kind: int) -> ParameterValue:
-    """The value as the type of its parameter, if that means the same; else the value itself.
+    """The value converted to the type of its parameter if nothing is lost; else the value itself.
 
     Integers may be doubles or bytes, and an empty list is an array of any type.
     """
@@ -376,7 +376,7 @@ def _quoted(value: ParameterValue, kind: int) -> str:
     return f"for text, write \"'{str(plain).lower()}'\""
 
 
-# how it is said
+# how answers are printed
 
 
 def _description(known: ParameterDescriptor) -> Iterator[str]:
@@ -423,7 +423,7 @@ class Kind(NamedTuple):
     Attributes:
         field: The field of ``ParameterValue`` that holds the value.
         name: The name of the type.
-        label: Is printed before a value.
+        label: Printed before a value.
     """
 
     field: str

@@ -43,7 +43,7 @@ class Program(NamedTuple):
             a module.
         module: The module to import, if there is no file.
         function: The function in that module, such as ``main`` or ``App.main``.
-        folders: What the program needs at the beginning of ``sys.path``.
+        folders: The folders that the program needs at the beginning of ``sys.path``.
     """
 
     name: str

@@ -78,13 +78,13 @@ class Watch:
         self._last = stamps
         if not is_at_rest:
             return []
-        # What is seen now is what an import after this reads. A change during that import, or while
-        # the old goals end, differs from it, so that a later look notices it.
+        # An import after this reads the files as they are now. A change during that import, or
+        # while the old goals end, differs from it, so that a later look notices it.
         before, self._seen = self._seen, stamps
         return [file for file, stamp in stamps.items() if stamp != before.get(file)]
 
     def follow(self) -> None:
-        """Watch what has been imported since, too."""
+        """Watch the files that have been imported since, too."""
         self._seen = {**self._stamps(), **self._seen}
         self._last = self._seen
 
@@ -126,7 +126,7 @@ class Reloader:
         self._servers: list[ActionServer[Any, Any, Any]] = []
         self._options: Kept = {}
         self._parameters: list[Parameter[Any]] = []
-        self._stale: set[Path] = set()  # changed, but not yet imported with success
+        self._stale: set[Path] = set()  # changed, and not imported successfully since
 
     def adopt(
         self,

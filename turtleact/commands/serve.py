@@ -130,7 +130,7 @@ def _find(modules: Modules, service: Service) -> Found:
 
 
 class Work(NamedTuple):
-    """What a server serves of the user's.
+    """The part of a server that comes from the user's modules.
 
     Attributes:
         modules: The modules of the targets.

@@ -60,7 +60,7 @@ class Reach(NamedTuple):
         """The graph that the options select.
 
         Raises:
-            UsageError: if ``connect`` makes no sense.
+            UsageError: if ``connect`` is not a list of endpoints.
         """
         return cls(endpoints("--connect", connect), domain, config)
 
@@ -68,7 +68,7 @@ class Reach(NamedTuple):
         """Read the ``--config`` file.
 
         Raises:
-            UsageError: if it cannot be read, or makes no sense.
+            UsageError: if it cannot be read, or has an invalid value.
         """
         from turtleact.commands.locks import Locks, read_locks
 

@@ -41,7 +41,7 @@ OURS = Path(__file__).parents[1]
 
 
 class Found(NamedTuple):
-    """What the targets mean.
+    """The actions and parameters that the targets name.
 
     Attributes:
         actions: The actions to serve, in the order of the targets and of their declaration.
@@ -107,7 +107,7 @@ def _file_of(name: str) -> Path | None:
     is_path = name.endswith(".py") or "/" in name or os.sep in name or name in (".", "..")
     if not name or (not is_path and name.isidentifier()):
         return None
-    path = Path(os.path.abspath(name))  # noqa: PTH100  # a link is imported as what it is called
+    path = Path(os.path.abspath(name))  # noqa: PTH100  # keeps the name of a link
     for file in (path, path.parent / f"{path.name}.py", path / "__init__.py"):
         if file.suffix == ".py" and file.is_file():
             return file
@@ -147,7 +147,7 @@ class Modules:
             them changes, it is time to import anew.
 
     Raises:
-        UsageError: if one of them is no target.
+        UsageError: if one of them is not a target.
     """
 
     def __init__(self, targets: Sequence[str]) -> None:
@@ -224,7 +224,7 @@ class Modules:
         }
 
     def _files_in(self, error: BaseException | None) -> set[Path]:
-        """The user's files that an error is about, or that would have to be there."""
+        """The user's files that an error concerns, and those that an import has missed."""
         found: set[Path] = set()
         while error is not None:
             found |= {Path(frame.filename) for frame in traceback.extract_tb(error.__traceback__)}
@@ -241,9 +241,6 @@ class Modules:
 def _file(module: ModuleType) -> Path | None:
     file = getattr(module, "__file__", None)
     return Path(file) if file else None
-
-
-# --- what a target means ------------------------------------------------------------------------
 
 
 def _actions_of(target: Target) -> list[ActionDeclaration[..., object]]:
@@ -320,9 +317,6 @@ def _members(found: object) -> Iterable[tuple[str, object]]:
 def _actions_there(module: ModuleType) -> str:
     names = [each.execute.__name__ for each in _declared_in(module)]
     return f" (there are: {', '.join(names)})" if names else ""
-
-
-# --- importing ----------------------------------------------------------------------------------
 
 
 def _import_module(target: Target) -> ModuleType:

@@ -182,7 +182,7 @@ def _wanted(order: Order) -> str:
 
 
 def turtles_in_reach(node: Node) -> list[str]:
-    """The names of all turtles, that is, of what subscribes to a ``cmd_vel``, sorted."""
+    """The names of all turtles, sorted: everything that subscribes to a ``cmd_vel``."""
     return sorted(
         {
             each.name.removesuffix(f"/{COMMANDS}").strip("/")
@@ -198,7 +198,7 @@ class _Driving:
     """Drives a turtle.
 
     Args:
-        order: What the user wants.
+        order: The options of the command.
         node: The node that drives it.
         turtle: The name of the turtle.
         region: The terminal.
@@ -285,7 +285,7 @@ class _Driving:
         if outcome.status is GoalStatus.ABORTED:
             self._tell(f"the rotation was aborted: {outcome.reason or 'no reason given'}")
 
-    # what the user sees
+    # output
 
     async def _watch(self) -> None:
         """Quit when the turtle is gone."""

@@ -326,7 +326,7 @@ def print_last(region: Region, compose: Compose, *, below: int) -> None:
     """Print a last frame that stays.
 
     Args:
-        region: Where the frames before it were drawn.
+        region: The region that the earlier frames were drawn on.
         compose: Composes it.
         below: How many lines will be printed below it; the frame leaves room for them, unless it
             would become smaller than `SMALLEST`.

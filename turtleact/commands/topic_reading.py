@@ -313,7 +313,7 @@ class Rate:
         """Nothing to print first."""
         return ""
 
-    def add(self, now: int, message: Message) -> None:  # noqa: ARG002  # only its coming counts
+    def add(self, now: int, message: Message) -> None:  # noqa: ARG002  # only its arrival counts
         """Add a message that came at this time (ns); if time goes back, start over."""
         if self._last is not None and now < self._last:
             self._between.clear()
@@ -394,11 +394,11 @@ class Delay:
 
     def add(self, now: int, message: Message) -> None:
         """Add the age of a message."""
-        stamp = message.header.stamp  # type: ignore[attr-defined]  # as `begin` has seen
+        stamp = message.header.stamp  # type: ignore[attr-defined]  # `begin` has checked it
         self._delays.append(now - nanoseconds(stamp))
         self._is_news = True
 
-    def line(self, now: int) -> str:  # noqa: ARG002  # how old they were then is what counts
+    def line(self, now: int) -> str:  # noqa: ARG002  # the age on arrival counts
         """The mean age; empty before the first message."""
         if not self._delays:
             return ""

@@ -52,8 +52,9 @@ SECOND: Final = 1_000_000_000
 def snapshot(message: M) -> M:
     """Return a deep copy of a message, with each value checked against its type.
 
-    The copy holds exactly what its types say: plain ints, floats and lists. ``bytes`` in a sequence
-    of bytes stay; every other sequence becomes a list. Floats may be infinite or nan.
+    The copy holds exactly what its types say: plain ints, floats and lists. A sequence of bytes
+    given as ``bytes`` stays ``bytes``; every other sequence becomes a list. Floats may be infinite
+    or nan.
 
     Raises:
         InvalidMessage: with the path of the first value that does not fit.

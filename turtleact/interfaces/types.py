@@ -186,7 +186,7 @@ class Registry:
         return {name: copy(value) for name, value in vars(self).items()}
 
     def restore(self, state: Mapping[str, object]) -> None:
-        """Forget what has been registered since `state`, and know again what was known then."""
+        """Restore what was registered when `state` was called, and forget everything since."""
         vars(self).update({name: copy(value) for name, value in state.items()})
 
     @contextlib.contextmanager

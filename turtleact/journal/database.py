@@ -111,7 +111,7 @@ class Accept(msgspec.Struct):
 
     Attributes:
         record: The goal; writing it sets its number.
-        known: The goal that already had its id, once this was written.
+        known: The goal that already had this id, if any; set when this is written.
     """
 
     record: GoalRecord

@@ -1,8 +1,8 @@
 """The journal that servers use: a thread that writes, and what the event loop knows of it.
 
 Everything to be written goes to one thread, in order. The thread writes all that has come meanwhile
-in one transaction. While it waits for the disk, more comes; thus a hundred goals at once cost a few
-waits and not a hundred.
+in one transaction. While it waits for the disk, more comes; so a hundred goals at once cost a few
+waits, not a hundred.
 
 If the disk cannot take it, new goals are refused with the reason, running goals go on, and what
 belongs to them is kept in memory and tried again until it can be written.
@@ -52,7 +52,8 @@ class _Job(msgspec.Struct, eq=False):
 
     Attributes:
         work: What to write; None to learn only that all before it was written.
-        done: Called in the event loop when it is written, or, if it need not be, has failed.
+        done: Called in the event loop when it is written; without ``is_durable``, also when the
+            first attempt has failed.
         failed: Called in the event loop with the reason instead of trying again.
         is_durable: Whether it must survive a power loss.
         is_told: Whether ``done`` was called although the write has failed.
@@ -297,7 +298,7 @@ class Journal:
             self._tasks.from_anywhere(partial(_call_all, done))
 
     def _fail(self, jobs: list[_Job], error: sqlite3.Error) -> None:
-        """Refuse what can be refused, and keep the rest to try again."""
+        """Report the failure of jobs that have ``failed``, and keep the others to try again."""
         if not self._is_failing:
             self._is_failing = True
             problem = "%s cannot be written: %s; goals go on, and it is tried again"

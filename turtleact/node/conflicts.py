@@ -95,7 +95,8 @@ class Rivals:
     def has_built_in(self, *, is_local: bool | None = None) -> bool:
         """Whether a built-in action must withdraw for this server: any, a local or a remote one.
 
-        Once this server is open, none of its type can be told to be remote.
+        Ask about remote servers before this server is open: afterwards, a server of the same type
+        always counts as local.
         """
         return self._node != BUILT_INS_NODE and BUILT_INS_NODE in self._nodes(is_local=is_local)
 

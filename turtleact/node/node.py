@@ -220,7 +220,7 @@ class Node:
         """Restore a server's goals on the loop's next turn, with those of its siblings."""
         if local.durable is not None:
             if not self._to_restore:
-                self._tasks.from_anywhere(self._restore)  # also on trio not before the next turn
+                self._tasks.from_anywhere(self._restore)  # on the next turn, even on trio
             self._to_restore.append(local)
 
     def _restore(self) -> None:

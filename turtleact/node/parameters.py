@@ -98,7 +98,7 @@ class NodeParameters:
         self._events: Publisher[ParameterEvent] | None = None
 
     def open(self) -> Publisher[ParameterEvent]:
-        """Serve the services, unless they are; returns the publisher of events."""
+        """Serve the services unless they are served already; return the publisher of events."""
         if self._events is not None:
             return self._events
         node = self._node
@@ -175,7 +175,7 @@ class NodeParameters:
             self._tell(deleted=[removed])
 
     def is_declared(self, parameter: Parameter[P]) -> bool:
-        """Whether a parameter has not been undeclared."""
+        """Whether a parameter is still declared."""
         return cast("object", self._declared.get(parameter.name)) is parameter
 
     def check_open(self) -> None:
@@ -295,8 +295,8 @@ class Parameter(Generic[P]):
     def on_change(self, hook: Callable[[P], object]) -> None:
         """Call ``hook(value)`` after each change from now on, in the event loop.
 
-        Setting a parameter to the value that it has is no change. If the hook raises, the exception
-        is logged and nothing else happens.
+        Setting a parameter to the value that it already has does not count as a change. If the hook
+        raises, the exception is logged and nothing else happens.
         """
         self._parameters.check_open()
         self._hooks.append(hook)

@@ -60,8 +60,9 @@ class Timer:
     async def __anext__(self) -> Tick:
         if self._is_awaited:
             raise TurtleactError("another task waits for this timer: give each its own")
-        # The tick that is due now, however late, or else the next one. The division may be a
-        # rounding error off, so it never takes back a tick, and `sleep_until` waits for the rest.
+        # The tick that is due now, however late, or else the next one. The division may be off by a
+        # rounding error: `max` then keeps it from repeating a tick, and `sleep_until` waits for the
+        # rest.
         passed = math.floor((self._clock.time() - self._start) / self.period)
         number = max(self._number + 1, passed)
         await self._wait_until(self._start + number * self.period)

@@ -61,7 +61,7 @@ BLOCK = 8192
 _FEW = 6
 """Up to this many angles are wrapped faster one by one than as arrays."""
 
-# Arrays, since numpy takes them faster than numbers.
+# Arrays, because numpy handles them faster than plain numbers.
 _ZERO = np.array(0.0)
 _ONE = np.array(1)
 _SIDE = np.array(SIDE)
@@ -90,7 +90,7 @@ class Fleet:
         count = len(x)
         self._rule = rule
         self._half = half_turn(rule)
-        # What a step turns too far when a whole turn, as the rule has it, is taken off its angle.
+        # The error in an angle (rad) after a whole turn of the rule's length was taken off it.
         self._slip = 2.0 * (math.pi - self._half)
         self._place = _complex(x, depth)
         self._theta = theta.copy()
@@ -126,7 +126,8 @@ class Fleet:
 
     def insert(self, index: int, place: Place) -> None:
         """Insert a turtle at rest at this index; otherwise like `place`."""
-        self._rearrange(np.insert(np.arange(len(self)), index, 0))  # a double of any, for its room
+        # This copies turtle 0, only to make room.
+        self._rearrange(np.insert(np.arange(len(self)), index, 0))
         self.place(index, place)
         self._rest(np.array([index]))
 
@@ -161,8 +162,7 @@ class Fleet:
             self._halt(tick)
         if not self._is_awake:
             return ()
-        # All turn before any moves: bringing angles into range costs by the call, hardly by the
-        # turtle.
+        # All turtles turn before any moves: wrapping angles costs per call, hardly per turtle.
         over: list[_Indices] = []
         for block in self._blocks:
             if block.turn():

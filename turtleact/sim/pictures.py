@@ -234,7 +234,7 @@ def _paint(
     y = (top + (np.arange(height * FINE) + 0.5) / FINE)[:, None]
     is_inside = np.zeros((len(y), len(x)), np.bool_)
     for a, b in zip(corners, np.roll(corners, -1), strict=True):
-        slope = (b.real - a.real) / ((b.imag - a.imag) or 1.0)  # what is level crosses no row
+        slope = (b.real - a.real) / ((b.imag - a.imag) or 1.0)  # a level edge crosses no row
         crosses = (a.imag > y) != (b.imag > y)
         is_inside ^= crosses & (x < a.real + (y - a.imag) * slope)
     cover = is_inside.reshape(height, FINE, width, FINE).mean(axis=(1, 3))

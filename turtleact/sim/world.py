@@ -77,7 +77,7 @@ class World:
         collide: Whether turtles stop each other (`turtleact.sim.fleet`).
 
     Attributes:
-        holonomic: The same; it may be changed at any time, and counts for later commands.
+        holonomic: As above; it may be changed at any time, and applies to later commands.
         on_jump: Called with a turtle's name and its places ``x + 1j * depth`` (m) before and after
             each teleport that is made.
 

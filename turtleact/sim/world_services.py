@@ -162,8 +162,8 @@ class Ticking:
         if not ticks:
             return
         step = self._step = _Step(ticks, on_tick)
-        # The clock runs just as far as the last of these ticks. Whoever waits by it for a later
-        # moment waits on, so a program that steps the world misses none of its own deadlines.
+        # The clock runs just as far as the last of these ticks. A task that waits on it for a later
+        # moment keeps waiting, so a program that steps the world misses none of its own deadlines.
         self._clock.stop_at(self._due(ticks - 1))
         self._changed.fire()
         try:
@@ -385,7 +385,7 @@ class Pictures:
 
     Args:
         node: Where it is opened.
-        look: How the world looks now.
+        look: Returns how the world looks now.
     """
 
     def __init__(self, node: Node, look: Callable[[], Snapshot]) -> None:

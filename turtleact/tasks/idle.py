@@ -69,7 +69,7 @@ def idleness() -> Callable[[], Awaitable[None]]:
 
 
 class IdleSelector(selectors.DefaultSelector):
-    """A selector that wakes those who wait for idleness before it blocks."""
+    """A selector that, before it blocks, wakes every task that waits for idleness."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -352,7 +352,7 @@ class Connection:
             cast("TaskGroup", self._group).start_soon(self._answer, self._count, said)
 
     async def _answer(self, number: int, said: CallService) -> None:
-        """Call a service and send its response, unless the client has had an answer already."""
+        """Call a service and send its response, unless the client has already been answered."""
         try:
             frame = _response(said, await self._shared.call(said), is_result=True)
         except TurtleactError as error:

@@ -49,7 +49,7 @@ class Serving:
 
     Args:
         node: The node that serves them.
-        keep: Sends the client a frame.
+        keep: Called with each frame for the client.
     """
 
     def __init__(self, node: Node, keep: Callable[[str], None]) -> None:

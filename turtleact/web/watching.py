@@ -145,7 +145,7 @@ class Watch:
             raise InvalidMessage("args", "expected an object")
         return await answer(args or {})
 
-    # what other parts of the bridge tell
+    # called by other parts of the bridge
 
     def note_request(self, goal_id: bytes, request: Message) -> None:
         """Note a goal that a web client has sent: servers elsewhere do not tell what was asked."""
@@ -299,8 +299,8 @@ class Watch:
         Args:
             action: The name and the type of the action.
             message: What it says.
-            known: The ids of the last message. Goals of them that the history has dropped are not
-                taken up again.
+            known: The ids of the last message. Goals that the history has dropped are not taken up
+                again.
         """
         told: set[str] = set()
         for each in message.status_list:
@@ -362,7 +362,7 @@ class Watch:
         try:
             await self._read(record, is_late=record.has_ended)
         except UnknownInterface:
-            pass  # its status is all that can be known
+            pass  # only its status can be known
         except UnknownGoal:
             if not record.has_ended:
                 record.reason = FORGOTTEN

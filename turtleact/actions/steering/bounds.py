@@ -64,17 +64,17 @@ _TURNING: dict[Style, float] = {
 }
 _SPARE = 4  # Ticks that one target may lose to rounding up, after the turn and on arrival.
 _ROUNDS = 6  # How often the points of a tour are improved; more would hardly change the bound.
-_ANGLES = 0.5, 0.2  # By which directions are turned (rad), while that proves more:
-_GAIN = 1e-3  # by more than this (s),
-_TUNED = 6  # and in tours of so many targets.
-_COARSE, _FINE = 1, 3  # Cells of headings to a part: to turn directions, and to prove by them,
-_VIEWS = 8  # where a short leg is seen from as many directions too.
+_ANGLES = 0.5, 0.2  # Angles by which directions are turned (rad), one after the other,
+_GAIN = 1e-3  # as long as a turn raises the bound by more than this (s),
+_TUNED = 6  # in tours of at most so many targets.
+_COARSE, _FINE = 1, 3  # Cells per part while directions are turned, and for the final bound,
+_VIEWS = 8  # for which a short leg is also measured in so many directions.
 
 ROOM = 2.0
 """A leg of this many radii has room for both of its turns."""
 
 _RIGHT = math.pi / 2
-_ROUNDING = 1e-9  # Of angles: a cell that ends at a direction is on one side of it (rad).
+_ROUNDING = 1e-9  # Angles this close (rad) count as equal, so a cell may end at a direction.
 
 
 def time_bound(
@@ -315,7 +315,7 @@ class _Tour:
         legs = self._legs(units, views)
         if not legs:
             return driven, [phase(self._heading)] * len(units)
-        corners = list(legs)[:-1]  # each at the target of its leg
+        corners = list(legs)[:-1]  # a corner lies at the target of its leg
         turning = Turning(
             half=self._half,
             tick=limits.turn,
@@ -340,7 +340,7 @@ class _Tour:
 
 
 class View(msgspec.Struct, frozen=True):
-    """A direction (rad), and how far along it the turtle must come, and can (radii).
+    """A direction (rad), and how far along it the turtle must come and can come (radii).
 
     The gain is how much more the way counts in this direction than in that of its leg (radii).
     """
@@ -352,7 +352,7 @@ class View(msgspec.Struct, frozen=True):
 
 
 class Leg(msgspec.Struct, frozen=True):
-    """One leg: its unit vector, and how far along it the turtle must come, and can (radii).
+    """One leg: its unit vector, and how far along it the turtle must come and can come (radii).
 
     A leg that is left out of the length is only seen through its views in other directions.
     """
@@ -409,7 +409,7 @@ def least_loss(
 ) -> tuple[float, list[float]]:
     """The least that turning takes over all legs, and the headings at the corners that take it.
 
-    In rad of turning at full rate, and in rad.
+    The first is in rad of turning at full rate, the headings are in rad.
 
     Args:
         heading: At the start, a unit vector.
@@ -419,7 +419,7 @@ def least_loss(
             ``turning``. New results are added.
         tried: Headings (rad), one for each corner, that may be nearly the best. They are tried
             first. If nothing is known, headings that cannot be better are then left out.
-        enough: If the tried headings lose at most this, they are the answer.
+        enough: The search ends with the tried headings if they lose at most this.
     """
     corners = [_corner(one, next_, turning) for one, next_ in pairwise(legs)]
     wanted = None if turning.last is None else Cell(turning.last, 2.0 * turning.slack)
@@ -539,7 +539,7 @@ def _pass(
         if following and limit < math.inf:
             cost = limit + _ROUNDING - _started(end, following, turning)
         most, wanted = cost, dict[int, _Sight]()
-        for way in chain(hint, ways):  # first that which is best for the cell before
+        for way in chain(hint, ways):  # first the one that was best for the previous cell
             start, sights = way
             least = max(0.0, _turned(start, end, half) - tick) if leg.is_left_out else 0.0
             if start.cost + least >= cost:
@@ -622,7 +622,7 @@ def _on_one_side(one: _Sight, other: _Sight, view: View, width: float) -> float:
         least = lost
     elif sine < made_low:
         least = lost - 2.0 * (math.asin(sine) - sine)
-    made = made_high + width  # at most, and soon known
+    made = made_high + width  # an upper limit that is quick to compute
     if made - made_low >= view.least and _made(high + width) - made_low >= view.least:
         # The turn alone may be enough.
         turned = high - made_high - _lost(low + width)

@@ -212,7 +212,7 @@ def only_one(what: str, **given: bool) -> None:
     """Refuse options that exclude each other.
 
     Args:
-        what: What all of them give, for the error.
+        what: The thing that each of them gives, for the error.
         **given: Whether each was given, by its name: ``goal_file`` is ``--goal-file``.
 
     Raises:

@@ -73,7 +73,7 @@ Whose: TypeAlias = Annotated[
     ),
 ]
 Embedded: TypeAlias = Annotated[
-    bool, typer.Option("--embedded", help="Run a world of turtles, too, for a program with rclpy.")
+    bool, typer.Option("--embedded", help="Also start a world of turtles, for a rclpy program.")
 ]
 
 

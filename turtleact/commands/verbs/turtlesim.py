@@ -87,7 +87,7 @@ def turtle_teleop_key(arguments: Sequence[str], domain: int) -> Job:
         domain: As for ``teleop``.
 
     Raises:
-        UsageError: if they make no sense, or nothing here has those names.
+        UsageError: if they are malformed, or name something that this program does not have.
     """
     remaps, parameters = ros_arguments(arguments)
     for kind, given, known in (("topic", remaps, REMAPS), ("parameter", parameters, SCALES)):
@@ -144,8 +144,8 @@ def _driving(
 
     Args:
         turtle: Its name; None for the one that ``remaps`` names, or turtle1.
-        remaps: What its topic and action are called instead.
-        speeds: The linear and the angular one, by what the user calls them.
+        remaps: Other names for its topic and its action.
+        speeds: The linear and the angular speed, by the names of their options.
         where: The graph; None for an embedded world.
         is_plain: Whether there is no live map.
     """

@@ -72,7 +72,7 @@ def decoder(
     value = reader.message(cls)
     reader.flush()
     reader.source.add(f"return {value}")
-    return reader.source.function()  # type: ignore[return-value]  # the text is made to be so
+    return reader.source.function()  # type: ignore[return-value]  # generated so
 
 
 @functools.cache
@@ -82,7 +82,7 @@ def part_decoder(cls: type[Message], order: str, arrays: str) -> Part:
     value = reader.message(cls)
     reader.flush()
     reader.source.add(f"return {value}, p")
-    return reader.source.function()  # type: ignore[return-value]  # the text is made to be so
+    return reader.source.function()  # type: ignore[return-value]  # generated so
 
 
 @functools.cache
@@ -90,7 +90,7 @@ def text_decoder(field_type: FieldType, order: str) -> Part:
     """Return a function that decodes a text in a sequence."""
     reader = Reader("data, p", order, "list", place=None)
     reader.source.add(f"return {reader.text(field_type.element)}, p")
-    return reader.source.function()  # type: ignore[return-value]  # the text is made to be so
+    return reader.source.function()  # type: ignore[return-value]  # generated so
 
 
 class Reader:

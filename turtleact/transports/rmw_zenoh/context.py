@@ -251,7 +251,7 @@ class Opened:
 
     Args:
         context: The transport's context.
-        near: Its part inside the process.
+        near: Its part inside this process.
         presence: Its part on Zenoh.
 
     Attributes:
@@ -368,7 +368,7 @@ class Complaints:
         """Log a warning, or count it.
 
         Args:
-            about: What went wrong, and where.
+            about: A sentence that says what went wrong, and where.
             peer: The gid of the sender; empty if unknown.
             error: The cause.
         """

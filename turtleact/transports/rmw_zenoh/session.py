@@ -342,7 +342,7 @@ class Querier:
         ended: Callable[[], object],
         is_cancelable: bool,
     ) -> Callable[[], None] | None:
-        """Send a request; this costs a fifth less if it need not be cancelable.
+        """Send a request; one that need not be cancelable costs a fifth less.
 
         Args:
             payload: The encoded request.
