@@ -142,11 +142,11 @@ def check_options(options: ServerOptions) -> None:
         raise InvalidOption("on_client_lost", f"expected 'keep' or 'cancel', not {lost!r}")
     is_time = isinstance(kept, int | float) and not isinstance(kept, bool) and 0 <= kept < 1e9
     if kept is not None and not is_time:
-        problem = f"expected seconds from 0 up, or None for ever, not {kept!r}"
+        problem = f"expected a number of seconds, 0 or more, or None for ever, not {kept!r}"
         raise InvalidOption("result_timeout", problem)
     grace = options.get("grace", 0.0)
     if not isinstance(grace, int | float) or isinstance(grace, bool) or not 0 <= grace < 1e9:
-        raise InvalidOption("grace", f"expected seconds from 0 up, not {grace!r}")
+        raise InvalidOption("grace", f"expected a number of seconds, 0 or more, not {grace!r}")
     if options.get("on_restart", "abort") not in get_args(OnRestart):
         problem = f"expected 'abort' or 'resume', not {options.get('on_restart')!r}"
         raise InvalidOption("on_restart", problem)

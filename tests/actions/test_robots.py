@@ -184,7 +184,7 @@ async def test_a_robot_whose_poses_are_old_is_not_driven_by_them():
         reason = await abort_reason(one)
         assert set(one.told) == {(0.0, 0.0)}
     assert reason == (
-        "/rover/odom tells old poses: by its stamp, the last one is 60 s old; "
+        "/rover/odom publishes old poses: by its stamp, the last one is 60 s old; "
         "set the clocks, or max_age"
     )
 
@@ -197,7 +197,7 @@ async def test_a_robot_whose_poses_grow_old_on_the_way_is_stopped_and_given_up()
         assert one.told[-1] == (0.0, 0.0)
         outcome = await goal.outcome()
         assert one.node.clock.time() <= 2.0 + 2.5 + 0.1
-    assert "/rover/odom tells old poses" in outcome.reason
+    assert "/rover/odom publishes old poses" in outcome.reason
 
 
 async def test_any_age_will_do_where_the_clocks_are_not_the_same():

@@ -247,7 +247,7 @@ async def test_a_full_disk_refuses_new_goals_and_lets_running_ones_end(path, mon
             assert await handle.result() == result(3)
         (kept,) = read_goals(path)
     assert (kept.id, kept.status) == (ID, GoalStatus.SUCCEEDED)
-    assert "goals go on, and it is tried again" in caplog.text
+    assert "goals go on, and writing is tried again" in caplog.text
     assert "can be written again" in caplog.text
 
 

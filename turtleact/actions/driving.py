@@ -381,7 +381,7 @@ class Drive:
         age = (self._clock.now() - seen.stamp) / 1e9
         if age > self._robot.max_age:
             problem = f"by its stamp, the last one is {age:.3g} s old"
-            return f"{self._pose_topic} tells old poses: {problem}; set the clocks, or max_age"
+            return f"{self._pose_topic} publishes old poses: {problem}; set the clocks, or max_age"
         back = ((self.seen.stamp or 0) - seen.stamp) / 1e9
         return f"the stamps of {self._pose_topic} went back by {back:.3g} s" if back > 0.0 else ""
 

@@ -301,7 +301,7 @@ class Journal:
         """Report the failure of jobs that have ``failed``, and keep the others to try again."""
         if not self._is_failing:
             self._is_failing = True
-            problem = "%s cannot be written: %s; goals go on, and it is tried again"
+            problem = "%s cannot be written: %s; goals go on, and writing is tried again"
             logger.error(problem, self.path, explain(error))
         calls = list[Callable[[], object]]()
         kept = list[_Job]()

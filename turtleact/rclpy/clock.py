@@ -43,12 +43,12 @@ class JumpThreshold:
     """Which jumps of a clock a callback is told of.
 
     Args:
-        min_forward: The smallest jump forward; None for none at all.
-        min_backward: The smallest jump backward, negative; None for none at all.
-        on_clock_change: Whether to tell of changes of the source.
+        min_forward: The smallest forward jump to report; None reports none.
+        min_backward: The smallest backward jump to report, negative; None reports none.
+        on_clock_change: Whether to report changes of the source.
 
     Raises:
-        ValueError: if a jump has the wrong sign, or nothing would be told.
+        ValueError: if a jump has the wrong sign, or nothing would be reported.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class TimeJump:
 
 
 class JumpHandle:
-    """Callbacks that are told of jumps; a context manager.
+    """Callbacks that are called when the time jumps; a context manager.
 
     Args:
         clock: The clock.
@@ -135,7 +135,7 @@ class JumpHandle:
         clock.add_jump_handle(self)
 
     def unregister(self) -> None:
-        """Tell of no more jumps. A second call does nothing."""
+        """Stop calling the callbacks. A second call does nothing."""
         if self._clock is not None:
             self._clock.remove_jump_handle(self)
             self._clock = None
@@ -233,7 +233,7 @@ class Clock:
         self._jump_handles.append(handle)
 
     def remove_jump_handle(self, handle: JumpHandle) -> None:
-        """Tell it no more."""
+        """Stop telling it of jumps."""
         if handle in self._jump_handles:
             self._jump_handles.remove(handle)
 

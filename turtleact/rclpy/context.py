@@ -69,7 +69,7 @@ class Context:
 
         Raises:
             RuntimeError: if it was initialised before, or the domain is negative.
-            UnknownROSArgsError: if an argument after ``--ros-args`` makes no sense.
+            UnknownROSArgsError: if an argument after ``--ros-args`` is unknown.
         """
         with self._lock:
             if domain_id is not None and domain_id < 0:
@@ -125,7 +125,7 @@ class Context:
         return self._domain
 
     def destroy(self) -> None:
-        """Shut down, unless that has been done."""
+        """Shut down unless it is shut down already."""
         self._shut_down()
 
     def shutdown(self) -> None:
@@ -138,11 +138,11 @@ class Context:
             raise RuntimeError("Context must be initialized before it can be shutdown")
 
     def try_shutdown(self) -> None:
-        """Shut down, unless that has been done."""
+        """Shut down unless it is shut down already."""
         self._shut_down()
 
     def on_shutdown(self, callback: Callable[[], object]) -> None:
-        """Call ``callback()`` when the context is shut down, at once if it was.
+        """Call ``callback()`` when the context is shut down, or at once if it is shut down already.
 
         Raises:
             TypeError: if it cannot be called.

@@ -64,7 +64,7 @@ class EventHandler(Waitable):
         return False
 
     def publisher_is_alive(self) -> None:
-        """Note that the publisher says that it is alive."""
+        """Record that the publisher asserts that it is alive."""
 
 
 QoSEventHandler = EventHandler

@@ -36,7 +36,7 @@ class RCLError(RuntimeError):
 
 
 class UnknownROSArgsError(RuntimeError):
-    """An argument after ``--ros-args`` has no meaning."""
+    """An argument after ``--ros-args`` is unknown."""
 
 
 class NotInitializedException(Exception):
@@ -47,7 +47,7 @@ class NotInitializedException(Exception):
 
 
 class NoTypeSupportImportedException(Exception):
-    """A class is no message, service or action of ROS 2."""
+    """A class is not a message, service or action of ROS 2."""
 
     def __init__(self, *args: object) -> None:
         super().__init__("no type support imported", *args)

@@ -6,8 +6,8 @@ waitables of all nodes, then for each node its timers, subscriptions, guard cond
 services.
 
 Threads: `_wake` protects only the flag of the same name and its condition. Nodes, tasks and groups
-have locks of their own, which no callback is called under. An entity is taken from, and its group
-held, in the thread that waits; the callback may run in another.
+have locks of their own, which no callback is called under. The thread that waits takes from the
+entity and holds its group; the callback may run in another thread.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ class Executor:
         return True
 
     def remove_node(self, node: Spinnable) -> None:
-        """Run the callbacks of a node no more."""
+        """Stop running the callbacks of a node."""
         with self._nodes_lock:
             self._nodes.pop(node, None)
         self.wake()
@@ -245,7 +245,7 @@ class Executor:
     def spin_once_until_future_complete(
         self, future: Future, timeout_sec: float | TimeoutObject | None = None
     ) -> None:
-        """Wait for one callback and run it, unless a future is done before."""
+        """Wait for one callback and run it, unless a future is done first."""
         raise NotImplementedError
 
     def _spin_once_until_future_complete(
@@ -395,7 +395,7 @@ class SingleThreadedExecutor(Executor):
     def spin_once_until_future_complete(
         self, future: Future, timeout_sec: float | TimeoutObject | None = None
     ) -> None:
-        """Wait for one callback and run it, unless a future is done before."""
+        """Wait for one callback and run it, unless a future is done first."""
         future.add_done_callback(self._future_done)
         self._spin_once(timeout_sec, future)
 
@@ -448,7 +448,7 @@ class MultiThreadedExecutor(Executor):
     def spin_once_until_future_complete(
         self, future: Future, timeout_sec: float | TimeoutObject | None = None
     ) -> None:
-        """Wait for one callback and start it, unless a future is done before."""
+        """Wait for one callback and start it, unless a future is done first."""
         future.add_done_callback(self._future_done)
         self._spin_once(timeout_sec, future)
 

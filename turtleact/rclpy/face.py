@@ -36,7 +36,7 @@ def chosen_face(asked: str) -> tuple[Literal["turtleact", "ros"], str]:
         asked: What the user asked for.
 
     Raises:
-        UsageError: if ``asked`` is no face, or the genuine one is asked for and does not work.
+        UsageError: if ``asked`` is not a face, or the genuine rclpy is asked for and does not work.
     """
     if asked not in FACES:
         raise UsageError(f"--face is one of {', '.join(FACES)}, not '{asked}'")

@@ -61,7 +61,7 @@ def get_logger_level(name: str) -> LoggingSeverity:
 
 
 def get_logger_effective_level(name: str) -> LoggingSeverity:
-    """Return the level that counts for a logger."""
+    """Return the effective level of a logger."""
     return LoggingSeverity(LOG.effective_level(name))
 
 

@@ -278,7 +278,7 @@ class Node(NodeParameters, NodeGraph):
 
     @property
     def default_callback_group(self) -> CallbackGroup:
-        """The group of whatever is given none."""
+        """The group of every entity that is created without one."""
         return self._default_callback_group
 
     @property
@@ -363,7 +363,7 @@ class Node(NodeParameters, NodeGraph):
             callback_group: The group of the callbacks of its events.
             event_callbacks: Callbacks of its events.
             qos_overriding_options: Which policies parameters may override.
-            publisher_class: A class to make it of.
+            publisher_class: The class of the publisher; None means `Publisher`.
 
         Raises:
             InvalidTopicNameException: if the name breaks the rules.
@@ -412,7 +412,7 @@ class Node(NodeParameters, NodeGraph):
         Args:
             msg_type: The class of the messages.
             topic: The name of the topic.
-            callback: Takes each message, and perhaps a second argument with what is known of it.
+            callback: Called with each message, and with a `MessageInfo` if it takes two arguments.
             qos_profile: The quality of service, or the depth of a default one.
             callback_group: Decides when the callback may run.
             event_callbacks: Callbacks of its events.
@@ -607,46 +607,46 @@ class Node(NodeParameters, NodeGraph):
     # closing
 
     def destroy_publisher(self, publisher: Publisher) -> bool:
-        """Close a publisher of the node; return whether it was one."""
+        """Close a publisher of the node; return whether the node had it."""
         for each in publisher.event_handlers if publisher in self._publishers else ():
             self.remove_waitable(each)
         self._publishers, was_there = self._without(self._publishers, publisher)
         return was_there
 
     def destroy_subscription(self, subscription: Subscription) -> bool:
-        """Close a subscription of the node; return whether it was one."""
+        """Close a subscription of the node; return whether the node had it."""
         for each in subscription.event_handlers if subscription in self._subscriptions else ():
             self.remove_waitable(each)
         self._subscriptions, was_there = self._without(self._subscriptions, subscription)
         return was_there
 
     def destroy_client(self, client: Client) -> bool:
-        """Close a client of the node; return whether it was one."""
+        """Close a client of the node; return whether the node had it."""
         self._clients, was_there = self._without(self._clients, client)
         return was_there
 
     def destroy_service(self, service: Service) -> bool:
-        """Close a service of the node; return whether it was one."""
+        """Close a service of the node; return whether the node had it."""
         self._services, was_there = self._without(self._services, service)
         return was_there
 
     def destroy_timer(self, timer: Timer) -> bool:
-        """Close a timer of the node; return whether it was one."""
+        """Close a timer of the node; return whether the node had it."""
         self._timers, was_there = self._without(self._timers, timer)
         return was_there
 
     def destroy_guard_condition(self, guard: GuardCondition) -> bool:
-        """Close a guard condition of the node; return whether it was one."""
+        """Close a guard condition of the node; return whether the node had it."""
         self._guards, was_there = self._without(self._guards, guard)
         return was_there
 
     def destroy_rate(self, rate: Rate) -> bool:
-        """Close a rate of the node; return whether it was one."""
+        """Close a rate of the node; return whether the node had it."""
         rate.destroy()
         return self.destroy_timer(rate.timer)
 
     def _without(self, held: list[E], thing: E) -> tuple[list[E], bool]:
-        """Destroy one of the things that the node has; return the others and whether it was one."""
+        """Destroy an entity of the node; return the others, and whether it was one of them."""
         if thing not in held:
             return held, False
         closing: Anything = thing

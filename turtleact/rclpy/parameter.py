@@ -46,7 +46,7 @@ class Parameter(Subscriptable):
         value: Its value.
 
     Raises:
-        TypeError: if the type is no `Parameter.Type`.
+        TypeError: if the type is not a `Parameter.Type`.
         ValueError: if the value does not fit the type.
     """
 
@@ -154,7 +154,7 @@ class Parameter(Subscriptable):
 
 
 def _single(value: object) -> str | None:
-    """Return the name of the type of a single value; None if it is none."""
+    """Return the name of the type of a single value; None if no type fits."""
     kinds = ((bool, "BOOL"), (int, "INTEGER"), (float, "DOUBLE"), (str, "STRING"))
     return next((name for kind, name in kinds if isinstance(value, kind)), None)
 

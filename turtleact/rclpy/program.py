@@ -47,7 +47,7 @@ class Options(msgspec.Struct, frozen=True):
 
 
 def prepare(options: Options, *folders: Path) -> None:
-    """Make rclpy and its interface packages importable, unless the genuine ones are.
+    """Make rclpy and its interface packages importable, unless the genuine ones are used.
 
     The interfaces of the sourced workspace, and those near the working directory, must be known.
 
@@ -77,7 +77,7 @@ def prepare(options: Options, *folders: Path) -> None:
 def offer_neighbours(*folders: Path) -> None:
     """Make the interfaces of packages near these folders known, after all others.
 
-    A folder above that has a ``src``, or is one, counts as well.
+    A folder above them that is called ``src``, or contains one, is searched as well.
     """
     known = find_interfaces(Path())
     found: dict[str, Path] = {}

@@ -90,7 +90,7 @@ class Publisher(Subscriptable):
             return self._count_subscriptions()
 
     def assert_liveliness(self) -> None:
-        """Say that the publisher is alive, for events of its own process."""
+        """Assert that the publisher is alive; only events in this process notice."""
         with self._handle:
             for each in self.event_handlers:
                 each.publisher_is_alive()

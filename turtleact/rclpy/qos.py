@@ -131,7 +131,7 @@ class DurabilityPolicy(QoSPolicyEnum):
 
 
 class LivelinessPolicy(QoSPolicyEnum):
-    """Who says that a publisher is alive."""
+    """Who asserts that a publisher is alive."""
 
     SYSTEM_DEFAULT = 0
     AUTOMATIC = 1
@@ -265,7 +265,7 @@ class QoSProfile:
 
     @property
     def liveliness(self) -> LivelinessPolicy:
-        """Who says that a publisher is alive."""
+        """Who asserts that a publisher is alive."""
         return self._liveliness
 
     @liveliness.setter
@@ -311,7 +311,7 @@ class QoSProfile:
         return {slot[1:]: getattr(self, slot) for slot in self.__slots__}
 
     def for_transport(self) -> QoS:
-        """Return what turtleact's transports know of it."""
+        """Return the part of it that turtleact's transports know."""
         is_latched = self.durability == DurabilityPolicy.TRANSIENT_LOCAL
         is_lossy = self.reliability == ReliabilityPolicy.BEST_EFFORT
         return QoS(

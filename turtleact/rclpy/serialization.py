@@ -14,5 +14,5 @@ def serialize_message(message: Anything) -> bytes:
 
 
 def deserialize_message(serialized_message: bytes, message_type: Anything) -> Anything:
-    """Return the message that some bytes stand for."""
+    """Return the message that some bytes encode."""
     return decode(bytes(serialized_message), message_type)

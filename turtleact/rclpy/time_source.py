@@ -89,7 +89,7 @@ class TimeSource:
         """Follow the parameter of a node, which is declared if need be.
 
         Raises:
-            RuntimeError: if the object is no node.
+            RuntimeError: if the object is not a node.
         """
         if not hasattr(node, "declare_parameter"):
             raise TypeError("Node must be of type rclpy.node.Node")

@@ -70,7 +70,7 @@ class Timer(Entity):
         timer_period_ns: int,
         clock: Clock,
         *,
-        context: Context | None = None,  # noqa: ARG002  # the node belongs to it
+        context: Context | None = None,  # noqa: ARG002  # the node's context
         autostart: bool = True,
         wake: Callable[[], object] | None = None,
     ) -> None:
@@ -128,12 +128,12 @@ class Timer(Entity):
             return self._is_canceled
 
     def cancel(self) -> None:
-        """Call the function no more, until `reset`."""
+        """Stop calling the function until `reset`."""
         with self.handle:
             self._is_canceled = True
 
     def reset(self) -> None:
-        """Start the time again, also after `cancel`."""
+        """Start a new period, also after `cancel`."""
         with self.handle:
             self._next_call = self._clock.now_ns() + self._period
             self._is_canceled = False
@@ -170,7 +170,7 @@ class Timer(Entity):
         return max(0.0, (self._next_call - self._clock.now_ns()) / 1e9)
 
     def take(self) -> Anything:
-        """Count a call, and return what is said about it."""
+        """Count a call, and return its `TimerInfo`."""
         if not self.is_ready_now():
             return NOTHING
         now = self._clock.now_ns()

@@ -85,7 +85,7 @@ def init(
     domain_id: int | None = None,
     signal_handler_options: SignalHandlerOptions | None = None,
 ) -> InitContextManager:
-    """Initialise a context, the default one if None.
+    """Initialise a context; None means the default one.
 
     Args:
         args: The arguments of the program; None means ``sys.argv``.
@@ -115,7 +115,7 @@ def get_global_executor() -> Executor:
 
 
 def shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:
-    """Shut a context down, the default one if None.
+    """Shut down a context; None means the default one.
 
     Raises:
         RuntimeError: if it is not initialised, or was shut down before.
@@ -127,7 +127,7 @@ def shutdown(*, context: Context | None = None, uninstall_handlers: bool | None 
 
 
 def try_shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:
-    """Shut a context down, the default one if None, unless that has been done."""
+    """Shut down a context unless it is shut down already; None means the default one."""
     _drop_executor()
     _try_shutdown(context=context)
     if uninstall_handlers or (uninstall_handlers is None and context is None):

@@ -23,7 +23,7 @@ class TypeHash:
 
     @classmethod
     def from_text(cls, text: str) -> TypeHash:
-        """Return the hash that a text such as ``RIHS01_…`` shows; none if it shows none."""
+        """Parse a hash such as ``RIHS01_…``; any other text gives an empty hash."""
         version, _, digits = text.removeprefix("RIHS").partition("_")
         try:
             return cls(int(version), bytes.fromhex(digits))

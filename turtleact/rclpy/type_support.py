@@ -23,8 +23,8 @@ def check_for_type_support(msg_or_srv_type: Anything) -> None:
     """Check that something is a class of an interface.
 
     Raises:
-        AttributeError: if it is not.
-        NoTypeSupportImportedException: if it says so itself.
+        AttributeError: if it is not one.
+        NoTypeSupportImportedException: if it is a class of ROS whose type support is not loaded.
     """
     if is_interface(msg_or_srv_type):
         return

@@ -1,4 +1,4 @@
-"""The default context, and what is said about the installation."""
+"""The default context, and facts about the installation."""
 
 from __future__ import annotations
 
@@ -54,17 +54,17 @@ def get_default_context(*, shutting_down: bool = False) -> Context:
 
 
 def ok(*, context: Context | None = None) -> bool:
-    """Whether a context, else the default one, is initialised and not shut down."""
+    """Whether a context, or the default one, is initialised and not shut down."""
     return (get_default_context() if context is None else context).ok()
 
 
 def shutdown(*, context: Context | None = None) -> None:
-    """Shut a context down, else the default one; raises as `Context.shutdown`."""
+    """Shut down a context, or the default one; raises as `Context.shutdown`."""
     (get_default_context(shutting_down=True) if context is None else context).shutdown()
 
 
 def try_shutdown(*, context: Context | None = None) -> None:
-    """Shut a context down, else the default one, unless that has been done."""
+    """Shut down a context, or the default one, unless it is shut down already."""
     given = get_default_context() if context is None else context
     if given.ok():
         if context is None:

@@ -215,7 +215,7 @@ class ActionClient(Waitable):
         """Ask the server to cancel a goal, and return the future of the answer.
 
         Raises:
-            TypeError: if it is no `ClientGoalHandle`.
+            TypeError: if it is not a `ClientGoalHandle`.
         """
         _check_handle(goal_handle)
         info = self._kind.goal_info(goal_handle.goal_id)
@@ -226,7 +226,7 @@ class ActionClient(Waitable):
         """Return the future of a goal's result, a message with ``status`` and ``result``.
 
         Raises:
-            TypeError: if it is no `ClientGoalHandle`.
+            TypeError: if it is not a `ClientGoalHandle`.
         """
         _check_handle(goal_handle)
         request = self._kind.service("get_result").Request(goal_id=goal_handle.goal_id)
@@ -299,7 +299,7 @@ class ActionClient(Waitable):
     # as a waitable
 
     def is_ready(self, wait_set: object) -> bool:  # noqa: ARG002  # there is none
-        """Whether something has come."""
+        """Whether something has arrived."""
         return bool(self._events)
 
     def get_num_entities(self) -> NumberOfEntities:

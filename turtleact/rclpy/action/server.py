@@ -445,14 +445,14 @@ class ActionServer(Waitable):
         try:
             encode(response, type(response))
         except TypeError as error:
-            self._logger.error(f"The result cannot be sent, an empty one is: {error}")
+            self._logger.error(f"The result cannot be sent, so an empty one is sent: {error}")
             response.result = self._action_type.Result()
         future = self._result_futures.get(goal_id)
         if future is not None:
             future.set_result((response, goal_handle.goal.published))
 
     def goal_changed(self, goal_handle: ServerGoalHandle) -> None:
-        """Tell others that a goal has another state; its handle calls this."""
+        """Publish a goal's new state; its handle calls this."""
         if not goal_handle.is_active and self._timeout_ns >= 0:
             due = time.monotonic_ns() + self._timeout_ns
             self._expiries.append((due, goal_handle.goal.id or b""))

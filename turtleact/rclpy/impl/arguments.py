@@ -147,7 +147,7 @@ def parse_arguments(args: Sequence[str] | None) -> Arguments:
     """Parse the arguments of a program, ``sys.argv`` if None.
 
     Raises:
-        UnknownROSArgsError: if an argument makes no sense.
+        UnknownROSArgsError: if an argument is unknown.
         RCLError: if the value of an option is malformed.
     """
     remaps: list[RemapRule] = []
@@ -180,12 +180,12 @@ def parse_arguments(args: Sequence[str] | None) -> Arguments:
 
 
 def arguments_of(own: Sequence[str] | None, shared: Arguments, *, use_shared: bool) -> Arguments:
-    """Return the arguments that count for a node: its own come first.
+    """Return the arguments that apply to a node: its own come first.
 
     Args:
         own: More arguments, as on a command line.
         shared: Those of the program.
-        use_shared: Whether those count.
+        use_shared: Whether to include those.
     """
     if own is None:
         return shared if use_shared else Arguments()
@@ -322,7 +322,7 @@ def _flat(tree: Mapping[str, object], prefix: str) -> Iterator[tuple[str, object
 
 
 def _plain(value: object) -> object:
-    """Replace words that only errors need by plain text."""
+    """Replace words that keep their spelling for errors by plain values."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list):

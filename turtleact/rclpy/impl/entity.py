@@ -48,7 +48,7 @@ class Handle:
         """Raise if it was destroyed.
 
         Raises:
-            InvalidHandle: if it was.
+            InvalidHandle: if it was destroyed.
         """
         if self._is_destroyed:
             raise InvalidHandle("cannot use Destroyable because destruction was requested")

@@ -1,4 +1,4 @@
-"""What some programs use of rclpy's extension module."""
+"""The parts of rclpy's extension module that some programs use."""
 
 from __future__ import annotations
 

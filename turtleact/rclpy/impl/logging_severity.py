@@ -1,4 +1,4 @@
-"""How severe a message of a log is."""
+"""The severities of log messages."""
 
 from __future__ import annotations
 

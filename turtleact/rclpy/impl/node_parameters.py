@@ -237,7 +237,7 @@ class NodeParameters:
         """Return several parameters; see `get_parameter`.
 
         Raises:
-            TypeError: if a name is no text.
+            TypeError: if a name is not a string.
         """
         if not all(isinstance(name, str) for name in names):
             raise TypeError("All names must be instances of type str")
@@ -288,7 +288,7 @@ class NodeParameters:
             depth: How many dots a name may have after the prefix, plus one; 0 for any number.
 
         Raises:
-            TypeError: if a prefix is no text, or the depth no number.
+            TypeError: if a prefix is not a string, or the depth not a number.
             ValueError: if the depth is negative.
         """
         if isinstance(prefixes, str) or not all(isinstance(each, str) for each in prefixes):

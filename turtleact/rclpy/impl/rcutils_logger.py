@@ -226,7 +226,7 @@ class RcutilsLogger:
         return LoggingSeverity(LOG.effective_level(self.name))
 
     def is_enabled_for(self, severity: LoggingSeverity | int) -> bool:
-        """Whether messages that are so severe are logged."""
+        """Whether messages of this severity are logged."""
         return LOG.effective_level(self.name) <= severity
 
     def log(
@@ -249,7 +249,7 @@ class RcutilsLogger:
             Whether it was logged.
 
         Raises:
-            RuntimeError: if the severity is none.
+            RuntimeError: if there is no such severity.
             TypeError: if a filter does not exist.
             ValueError: if the same call site asked for something else before.
         """
