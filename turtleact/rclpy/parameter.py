@@ -210,7 +210,7 @@ def parameter_dict_from_yaml_file(
         parameter_file: The path of the file.
         use_wildcard: Whether parameters of ``/**`` count for the target nodes.
         target_nodes: The full names of the nodes; None means all in the file.
-        namespace: What to put before each name.
+        namespace: What to put before each name, with its dot: ``"robot."``.
 
     Raises:
         RuntimeError: if the file has no parameters of these nodes.
@@ -228,8 +228,7 @@ def parameter_dict_from_yaml_file(
     else:
         for rule in rules:
             found |= rule.values
-    prefix = f"{namespace}{PARAMETER_SEPARATOR_STRING}" if namespace else ""
     return {
-        name: Parameter(f"{prefix}{name}", value=value).to_parameter_msg()
+        f"{namespace}{name}": Parameter(f"{namespace}{name}", value=value).to_parameter_msg()
         for name, value in found.items()
     }
