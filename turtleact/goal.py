@@ -184,7 +184,7 @@ class Goal(msgspec.Struct, eq=False):
         is_paused: Whether its body stands still, and does so until it is resumed.
         hold: The request that its body stands still; see `turtleact.server.pausing`.
         paused_ns: How long it was paused before (ns), by the server's clock.
-        children: The goals that its body has sent and that have not ended, with what pauses them.
+        children: The active goals that its body has sent; each with an object that can pause it.
         waiters: How many callers wait for its result. The table keeps the goal while there are any.
         parent: The goal whose body sent this one, if any.
         sender: The client that sent it.

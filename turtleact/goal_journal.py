@@ -54,7 +54,7 @@ class GoalRecord(msgspec.Struct, kw_only=True):
         sender: The gid of the client that sent it, if that is in another process.
         number: Its place in the order of acceptance; the journal counts.
         crashes: How often its server has crashed since its newest feedback.
-        is_stopped: Whether its server has stopped in order since its last start.
+        is_stopped: Whether its server has shut down properly since its last start.
         is_paused: Whether it is paused.
         feedback: The newest feedback; empty if there is none.
         feedback_count: How many feedback messages there have been.
@@ -96,7 +96,7 @@ class GoalChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         status: Its new state.
         feedback: Its newest feedback.
         partial_result: Its partial result.
-        is_stopped: Whether its server stops in order.
+        is_stopped: Whether its server shuts down properly.
         is_paused: Whether it is paused.
         crashes: How often its server has crashed since its newest feedback.
         result: Its result, when it ends.

@@ -27,7 +27,7 @@ class GoalOrder(msgspec.Struct, frozen=True):
     Attributes:
         request: The goal message.
         sender: The client. Used to find its goals when it goes away; the server tells it nothing.
-        cancel_timeout: How long a cancelled caller waits for the goal to end (s, wall clock).
+        cancel_timeout: How long a cancelled caller waits for the goal to end (s, event loop time).
         goal_id: The 16 bytes that the user chose; None to let the server or client choose.
         on_feedback: The user's callback for feedback.
         reattach: How long to wait for a server that has gone to return (s, event loop time).

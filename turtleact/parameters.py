@@ -311,7 +311,7 @@ def out_of_range(descriptor: ParameterDescriptor, value: ParameterValue) -> str:
 
 def _is_within(number: float, bounds: IntegerRange | FloatingPointRange) -> bool:
     first, last, step = bounds.from_value, bounds.to_value, bounds.step
-    if _is_same(number, first) or _is_same(number, last):  # the ends count, even between steps
+    if _is_same(number, first) or _is_same(number, last):  # allowed even if they are off the steps
         return True
     if not first <= number <= last:
         return False

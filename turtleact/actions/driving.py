@@ -148,7 +148,7 @@ class Drive:
             self._publish(STILL)
 
     def release(self) -> None:
-        """Let the turtle go on; without limited accelerations at the speeds that it had."""
+        """Let the turtle go on: at its earlier speeds, or from rest if they cannot jump."""
         if self._held is None:
             return
         self._held.set()

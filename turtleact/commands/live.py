@@ -165,7 +165,7 @@ class GoalPicture:
 
     Attributes:
         shown: The goal.
-        has_ended: Whether it has ended, so that its progress needs no more words.
+        has_ended: Whether the goal has ended; its progress is then no longer put into words.
     """
 
     def __init__(self, shown: Followed) -> None:

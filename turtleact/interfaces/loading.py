@@ -490,7 +490,7 @@ def as_path(source: str | Path) -> Path | None:
 
 
 def files_in(root: Path, *layouts: str) -> list[Path]:
-    """Return the interface files under a folder, with packages where these patterns say."""
+    """Return the interface files under a folder; the patterns say where its packages are."""
     patterns = [f"{packages}/{kind}/*.{kind}" for packages in layouts for kind in KINDS]
     return [path for pattern in patterns for path in sorted(root.glob(pattern))]
 

@@ -71,7 +71,7 @@ QoSEventHandler = EventHandler
 
 
 class Watch:
-    """What is known of an endpoint that events depend on."""
+    """The facts about an endpoint that its events depend on."""
 
     def counted(self, deliver: Callable[[bytes], None]) -> Callable[[bytes], None]:
         """Return a function that counts messages and passes them on."""
@@ -93,7 +93,7 @@ class _EventCallbacks:
         raise NotImplementedError
 
     def watch(self, *_: object) -> Watch:
-        """Return what is known of an endpoint."""
+        """Return the facts about an endpoint."""
         return Watch()
 
     def create_event_handlers(

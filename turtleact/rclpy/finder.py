@@ -192,7 +192,7 @@ class _Interfaces(Loader):
 
 
 class _Missing(MetaPathFinder):
-    """Comes last: says where the interfaces of a package were looked for that nobody has.
+    """Comes last: if a package has no interfaces anywhere, says where they were looked for.
 
     Args:
         places: The folders.

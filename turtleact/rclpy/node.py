@@ -84,7 +84,7 @@ class Node(NodeParameters, NodeGraph):
         namespace: The prefix of relative names.
         use_global_arguments: Whether the program's arguments count.
         enable_rosout: Whether its log is published on ``/rosout``.
-        rosout_qos_profile: The quality of service of that.
+        rosout_qos_profile: The quality of service of ``/rosout``.
         start_parameter_services: Whether others may see and set its parameters.
         parameter_overrides: Initial values of parameters.
         allow_undeclared_parameters: Whether parameters need no declaration.

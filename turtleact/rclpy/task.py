@@ -180,7 +180,7 @@ class Task(Future):
         executor: Runs the task, and its done callbacks.
 
     Attributes:
-        awaited: The future that the last step ended at; None if it ended elsewhere.
+        awaited: The future that the last step awaits; None if it awaits something else.
         origin: The entity and the node that it belongs to, if any.
     """
 

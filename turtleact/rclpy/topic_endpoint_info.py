@@ -1,4 +1,4 @@
-"""What is known of a publisher or subscription on the graph."""
+"""The facts about a publisher or subscription on the graph."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class TopicEndpointInfo:
         node_namespace: The namespace of its node.
         topic_type: The type of its messages.
         topic_type_hash: The hash of that type.
-        endpoint_type: Which of the two it is.
+        endpoint_type: Whether it is a publisher or a subscription.
         endpoint_gid: The bytes that identify it.
         qos_profile: Its quality of service.
     """
@@ -93,7 +93,7 @@ class TopicEndpointInfo:
 
 
 def info_of(endpoint: Endpoint) -> TopicEndpointInfo:
-    """Return what is known of an endpoint of the graph."""
+    """Return the facts about an endpoint of the graph."""
     namespace, _, name = endpoint.node.rpartition("/")
     is_publisher = endpoint.kind == "publisher"
     kind = TopicEndpointTypeEnum.PUBLISHER if is_publisher else TopicEndpointTypeEnum.SUBSCRIPTION

@@ -154,7 +154,7 @@ class DurableGoals:
         self._journal.end(self._id(goal), change, announce)
 
     async def stop(self, goals: list[Goal]) -> None:
-        """Record that the server stops in order before these goals have ended."""
+        """Record that the server shuts down properly before these goals have ended."""
         for goal in goals:
             self._journal.progress(self._id(goal), GoalChange(is_stopped=True))
         with anyio.CancelScope(shield=True):

@@ -281,7 +281,7 @@ class _Turn:
         return self.result
 
     def tick(self, theta: float) -> float | None:
-        """Return the turn rate, and publish what remains; None if the turtle is there."""
+        """Return the turn rate, and publish what remains; None if the heading is reached."""
         omega = self._rotation.tick(theta)
         self._handle.publish_feedback(RotateAbsolute.Feedback(self._rotation.remaining))
         if omega is None:
@@ -318,7 +318,8 @@ class Rotation:
 
         Exactly opposite turns right.
 
-        Returns: The turn rate (rad/s), or None if the turtle is there and must stand still.
+        Returns: The turn rate (rad/s), or None if the heading is reached and the turtle must stand
+            still.
         """
         now, turned = array("f", (theta, self._start - theta))
         remaining = wrap(self._target - now, _HALF)

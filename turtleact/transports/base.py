@@ -203,7 +203,7 @@ class Serving(AsyncCloseable, Protocol):
 
 
 class Owner(Protocol):
-    """Closes everything open on it together with itself; what a node is to its parts."""
+    """Owns what is opened on it, as a node does; closing it closes everything."""
 
     def add(self, thing: AsyncCloseable, opened: Closeable) -> Closeable:
         """Track something until the user closes it, or the owner does.
@@ -439,8 +439,8 @@ class Transport(Protocol):
         """Open the receiving end of a topic; ``deliver`` gets each message.
 
         With ``in_any_thread``, it is called in the thread that brings the message, without a detour
-        through the event loop: it must be quick and safe in any thread. A topic whose near
-        subscriptions all do so may be published to from any thread, one at a time.
+        through the event loop: it must be quick and safe in any thread. If all subscriptions in
+        this process do so, any thread may publish to the topic, one at a time.
         """
 
     def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:

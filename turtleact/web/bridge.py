@@ -133,9 +133,9 @@ class Bridge:
         seconds to take them. Clients that wait for a goal or a call are told that they will not
         hear of it.
         """
-        # First the clients hear that they will hear no more of their goals, then their connections
-        # are closed, and only when all have gone what they shared: a connection that is still there
-        # may use it.
+        # First the clients are told that they will hear no more of their goals. Then their
+        # connections are closed. What they share is closed last, because an open connection may use
+        # it.
         self.is_open = False
         self._shared.goals.leave()
         for connection in self._connections:

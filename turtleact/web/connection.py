@@ -176,8 +176,8 @@ class Connection:
 
     async def _send(self, frame: Frame) -> None:
         """Send a frame; end if the client is gone, or takes nothing."""
-        # Servers take a frame before the one before it has left the machine. So what is waited for
-        # here is mostly the frame before, and its size says how long that may take.
+        # Servers take a frame before the one before it has left the machine. So the wait here is
+        # mostly for the frame before, and the size of that frame tells how long the wait may be.
         with anyio.move_on_after(PATIENCE + self._last_size / SLOWEST) as scope:
             try:
                 if isinstance(frame, str):

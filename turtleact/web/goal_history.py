@@ -56,7 +56,7 @@ class Series:
 
 
 class GoalRecord:
-    """What is known of a goal.
+    """The record of one goal.
 
     Attributes:
         id: Its id in hexadecimal; a rejected goal has one, too.
@@ -97,7 +97,7 @@ class GoalRecord:
             self._series.setdefault(path, Series()).add(now - self.accepted, value)
 
     def shorten(self) -> None:
-        """Keep no message, as it may be large."""
+        """Drop the message itself, because it may be large."""
         if isinstance(self._feedback, Message):
             self._feedback = excerpt(self._feedback)
 

@@ -134,8 +134,8 @@ class Mailbox:
 
     def take(self) -> Frame | None:
         """The next frame, in the order of arrival; None if there is none."""
-        # Every frame has a number in the order of coming, whichever line it stands in. So a client
-        # never sees a result before feedback that came earlier.
+        # Frames are numbered in the order of their arrival, whichever queue they wait in. So a
+        # client never sees a result before feedback that came earlier.
         source = self._oldest() if self._droppable else None
         if source is not None and not (
             self._kept and self._kept[0][0] < self._droppable[source][0][0]

@@ -86,7 +86,7 @@ class PenTrails:
         line.pen = pen
 
     def lift(self, name: str) -> None:
-        """Note that a turtle is gone: one that comes back under its name begins elsewhere."""
+        """Record that a turtle is gone: a new turtle of the same name starts a new line."""
         if name in self._lines:
             self._lines[name].lift()
 

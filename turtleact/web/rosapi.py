@@ -444,8 +444,8 @@ def _as_parameter(value: object, declared: int) -> ParameterValue:
     ]
     if not fitting:
         raise InvalidMessage("args.value", PROBLEM)
-    # JSON has one kind of number, and an empty list is of no kind: what the node has declared
-    # decides.
+    # JSON has one kind of number, and an empty list has no kind, so the kind that the node has
+    # declared decides.
     kind = declared if declared in fitting else fitting[0]
     return from_dict(ParameterValue, {"type": kind, FIELDS[kind]: value}, root="args")
 

@@ -305,7 +305,7 @@ class Goals:
         cancel_on_disconnect: Whether a client's goals are canceled when it disconnects.
 
     Attributes:
-        watch: Is told what was sent, if somebody watches.
+        watch: Called with each goal that was sent, if a page watches.
     """
 
     def __init__(self, node: Node, *, cancel_on_disconnect: bool = False) -> None:

@@ -148,7 +148,7 @@ class Watch:
     # called by other parts of the bridge
 
     def note_request(self, goal_id: bytes, request: Message) -> None:
-        """Note a goal that a web client has sent: servers elsewhere do not tell what was asked."""
+        """Record a goal that a web client has sent, as remote servers do not tell its message."""
         if not self.is_watching:
             return
         record = self.history.find(goal_id.hex())
@@ -260,8 +260,8 @@ class Watch:
 
     def _published_poses(self) -> dict[str, str]:
         """The topics on which turtles publish their poses, with their types."""
-        # Not all topics of poses: those of turtles that are gone stay as long as they are read,
-        # and the bridge reads them.
+        # Topics of turtles that are gone are left out: they stay on the graph as long as somebody
+        # reads them, and the bridge does.
         return {
             each.name: each.type_name
             for each in self._node.transport.endpoints()

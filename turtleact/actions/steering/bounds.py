@@ -225,7 +225,7 @@ def _turns(stops: Sequence[complex], theta: float, limits: Limits) -> Iterator[f
 
 
 class _Tour:
-    """What unit vectors along its legs prove of a tour on which the turtle turns as it drives."""
+    """What unit vectors along the legs of a tour prove, if the turtle turns as it drives."""
 
     def __init__(
         self, pose: Pose, centres: Sequence[complex], steering: Steering, theta: float | None
@@ -560,7 +560,7 @@ def _pass(
 
 
 def _best(cells: Sequence[Cell], half: float) -> list[Cell]:
-    """The cells by cost, without those that a turn on the spot from another reaches as fast."""
+    """The cells by cost, without those that another cell reaches as fast by a turn on the spot."""
     best: list[Cell] = []
     for cell in sorted(cells, key=_cost):
         for other in best:

@@ -310,7 +310,7 @@ class Steering(msgspec.Struct, frozen=True):
 
 
 class Course(NamedTuple):
-    """What the law is asked about, besides the pose and the speeds."""
+    """What the law needs, besides the pose and the speeds."""
 
     target: Point
     next_target: Point | None

@@ -226,7 +226,9 @@ def late(limits: Limits) -> float:
 
 
 def sway(aside: float, limits: Limits) -> float:
-    """How far late commands may shift a point along the heading (m): nearer, both gears are equal.
+    """How far late commands may shift a point along the heading (m).
+
+    For nearer points, both gears are equally good.
 
     A turtle that backs away from a point beside it turns and drives; both shift the point.
 

@@ -22,7 +22,7 @@ NOTHING = object()
 class Handle:
     """Whether something may still be used; a context manager that raises if not.
 
-    It stays usable while a block is inside, and is closed when the last one has left.
+    It stays usable while any block is entered, and is closed when the last block is left.
 
     Args:
         close: Called once, when it is destroyed.
@@ -127,7 +127,7 @@ class Entity:
         return None
 
     def take(self) -> Anything:
-        """Take what the callback gets; `NOTHING` if somebody else has."""
+        """Take what the callback gets; `NOTHING` if somebody else has taken it."""
         raise NotImplementedError
 
     async def run(self, taken: Anything) -> None:

@@ -82,7 +82,7 @@ class Process:
 
     @contextmanager
     def ending(self) -> Iterator[None]:
-        """While the calling thread is inside, it shuts a context down; see `shut_down`."""
+        """A block in which the calling thread shuts a context down; see `shut_down`."""
         with self._lock:
             self._ending.append(threading.get_ident())
         try:
