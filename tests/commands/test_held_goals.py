@@ -71,6 +71,7 @@ def test_goals_may_be_listed_as_json(on_graph, graphs):
         "action": "/fail",
         "type": FIBONACCI,
         "state": "ABORTED",
+        "is_paused": False,
         "stamp": {"sec": EPOCH // 10**9 + 4, "nanosec": 0},
         "age": 91.0,
         "clients": ["/aide"],
@@ -557,7 +558,7 @@ async def test_the_states_of_a_goal_that_is_watched_are_heard(graphs):
         open_node("viewer", transport=transport) as viewer,
     ):
         goal = HeldGoal(STRANGER, "/far", FIBONACCI, GoalStatus.EXECUTING, 0)
-        watched = verbs.WatchedGoal(goal)
+        watched = verbs.WatchedGoal(viewer, goal)
         statuses = viewer.subscription(GoalStatusArray, "/states")
         publisher = viewer.publisher(GoalStatusArray, "/states")
         others = GoalStatusMessage(GoalInfo(UUID(bytes(16))), 6)

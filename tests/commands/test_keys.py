@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from turtleact.commands.teleop import Keys
+from turtleact.commands.keys import Keys
 
 
 @pytest.mark.parametrize(

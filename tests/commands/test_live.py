@@ -50,6 +50,7 @@ class Handle:
     goal_id = bytes(16)
     status = GoalStatus.EXECUTING
     last_feedback: Message | None = None
+    is_paused = False
 
 
 @pytest.fixture
@@ -148,6 +149,15 @@ async def test_all_turtles_are_on_the_map():
 async def test_a_goal_that_drives_a_turtle_has_a_map(goal, name, has_map):
     async with displayed(goal, name) as (picture, _, _):
         assert ("┌" in shown(picture)) is has_map
+
+
+async def test_a_paused_goal_is_shown_as_such():
+    async with displayed(Drive()) as (picture, handle, _):
+        assert "EXECUTING 0.0 s" in shown(picture)
+        handle.is_paused = True
+        assert "EXECUTING (paused) 0.0 s" in shown(picture)
+        picture.has_ended = True
+        assert "(paused)" not in shown(picture)
 
 
 async def test_a_map_needs_a_turtle():

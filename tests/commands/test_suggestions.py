@@ -42,6 +42,7 @@ COMPLETE = {
 ELSEWHERE = {
     "serve --listen tls/0.0.0.0:7447 --config serve.toml": "test_locks.py: it needs certificates",
     "cancel 71a9 0d4f": "test_page.py: it needs goals with these ids",
+    "pause 71a9": "test_pausing.py: it needs such a goal",
 }
 """Who runs the others."""
 

@@ -26,6 +26,8 @@ VERBS: Final = {
     "send-goal": "Send a goal, follow it to its end and print the result.",
     "goals": "List the goals that the servers hold.",
     "cancel": "Cancel goals, no matter which client sent them.",
+    "pause": "Pause goals: their bodies stand still until they are resumed.",
+    "resume": "Let paused goals go on.",
     "watch": "Print the feedback of a goal, then its result.",
     "result": "Wait for the result of a goal and print it.",
     "journal": "Delete old goals from a journal: prune.",

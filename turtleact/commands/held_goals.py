@@ -26,6 +26,7 @@ from turtleact.clock import within
 from turtleact.commands.graph import interface_class
 from turtleact.commands.message_text import yaml_lines
 from turtleact.commands.output import note, say, say_names
+from turtleact.commands.pause_requests import follow_paused, paused_goals, set_paused
 from turtleact.commands.topic_reading import note_absence
 from turtleact.commands.transcript import Followed
 from turtleact.errors import (
@@ -95,6 +96,7 @@ class HeldGoal(NamedTuple):
         type_name: The type of the action.
         status: The state of the goal.
         stamp: When it was accepted (ns since the epoch, by the server's clock).
+        is_paused: Whether it is paused, if somebody has asked.
     """
 
     goal_id: bytes
@@ -102,6 +104,7 @@ class HeldGoal(NamedTuple):
     type_name: str
     status: GoalStatus
     stamp: int
+    is_paused: bool = False
 
 
 def served_actions(node: Node, name: str | None) -> dict[str, str]:
@@ -265,6 +268,8 @@ async def print_goals(node: Node, name: str | None, *, as_json: bool) -> int:
     """
     goals, silent = await held_goals(node, served_actions(node, name))
     now = node.clock.now()
+    paused = await paused_goals(node, {each.action for each in goals if each.status.is_active})
+    goals = [goal._replace(is_paused=goal.goal_id in paused) for goal in goals]
     if as_json:
         say("".join(f"{_as_json(node, goal, now)}\n" for goal in goals))
     elif goals:
@@ -281,7 +286,8 @@ def _row(node: Node, goal: HeldGoal, now: int) -> tuple[str, ...]:
     clients = _clients(node, goal.action)
     client = clients[0] if len(clients) == 1 else f"one of {len(clients)}" if clients else "gone"
     age = duration((now - goal.stamp) / SECOND)
-    return goal.goal_id.hex(), goal.action, goal.status.name, age, client
+    state = f"{goal.status.name}{' (paused)' * goal.is_paused}"
+    return goal.goal_id.hex(), goal.action, state, age, client
 
 
 def _as_json(node: Node, goal: HeldGoal, now: int) -> str:
@@ -292,6 +298,7 @@ def _as_json(node: Node, goal: HeldGoal, now: int) -> str:
             "action": goal.action,
             "type": goal.type_name,
             "state": goal.status.name,
+            "is_paused": goal.is_paused,
             "stamp": {"sec": sec, "nanosec": nanosec},
             "age": (now - goal.stamp) / SECOND,
             "clients": _clients(node, goal.action),
@@ -442,11 +449,13 @@ async def follow(node: Node, wanted: str, transcript: Transcript, *, hears_feedb
     action_type = interface_class(Action, goal.type_name, f"action '{goal.action}'")
     kinds, names = implied(action_type), action_names(goal.action)
     client: Any = node.service_client(kinds.get_result, names.get_result)
-    watched = WatchedGoal(goal)
+    watched = WatchedGoal(node, goal)
     age = (node.clock.now() - goal.stamp) / SECOND
     transcript.follows(Followed(node, goal.action, action_type.Goal, None, watched, age))
     async with anyio.create_task_group() as beside:
         beside.start_soon(transcript.animate)
+        if hears_feedback:
+            beside.start_soon(watched.hear_pauses)
         async with anyio.create_task_group() as telling:
             heard: list[Subscription[Any]] = []
             if hears_feedback:
@@ -477,10 +486,14 @@ class WatchedGoal:
         goal_id: The 16 bytes of its id.
         status: Its last known state.
         last_feedback: The newest feedback; None before the first.
+        is_paused: Whether it is paused, as far as its server says.
     """
 
-    def __init__(self, goal: HeldGoal) -> None:
+    def __init__(self, node: Node, goal: HeldGoal) -> None:
         self.goal_id = goal.goal_id
+        self.is_paused = False
+        self._node = node
+        self._action = goal.action
         self.status = goal.status
         self.last_feedback: Message | None = None
 
@@ -499,6 +512,19 @@ class WatchedGoal:
             for each in goals_in(message, goal.action, goal.type_name):
                 if each.goal_id == self.goal_id:
                     self.status = each.status
+
+    async def hear_pauses(self) -> None:
+        """Record whether it is paused."""
+        async for paused in follow_paused(self._node, self._action):
+            self.is_paused = self.goal_id in paused
+
+    async def pause(self) -> None:
+        """Pause it; raises as `set_paused`."""
+        await set_paused(self._node, self._action, self.goal_id, is_paused=True)
+
+    async def resume(self) -> None:
+        """Let it go on; raises as `set_paused`."""
+        await set_paused(self._node, self._action, self.goal_id, is_paused=False)
 
 
 async def _call(client: Any, action: str, request: Message, timeout: float | None = None) -> Any:  # noqa: ANN401  # of whatever type

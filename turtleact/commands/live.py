@@ -15,13 +15,14 @@ import io
 import sys
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stderr, suppress
+from contextlib import aclosing, contextmanager, redirect_stderr, suppress
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, TextIO, TypeAlias
 
 import anyio
 
 from turtleact import render
+from turtleact.commands.keys import typed_keys
 from turtleact.commands.output import note
 from turtleact.commands.terminal import LogLines, Region, animate, keep_drawing, print_last
 from turtleact.commands.trails import (
@@ -36,6 +37,7 @@ from turtleact.commands.trails import (
     sends_a_turtle,
 )
 from turtleact.commands.transcript import PlainTranscript, result_text
+from turtleact.errors import TurtleactError
 from turtleact.interfaces import to_dict
 from turtleact.interfaces.standard import TurtlePose
 from turtleact.sim.kinematics import SIDE
@@ -58,6 +60,9 @@ __all__ = ["Dashboard", "GoalPicture", "LiveTranscript"]
 MOST_LINES = 40
 """How many lines of a goal are printed at most."""
 
+PAUSE = "p"
+"""The key that pauses the goal, and resumes it."""
+
 LEFT_FREE = 2
 """Lines below the result: for the reason of an abort, and for the shell's prompt."""
 
@@ -74,7 +79,8 @@ class LiveTranscript:
 
     def __init__(self, stream: TextIO, *, wants_feedback: bool) -> None:
         self.wants_feedback = wants_feedback
-        self._region = Region(stream)
+        self._has_keys = sys.stdin is not None and sys.stdin.isatty()
+        self._region = Region(stream, sys.stdin if self._has_keys else None)
         self._plain = PlainTranscript(
             wants_feedback=wants_feedback, say=self._region.say, most_lines=MOST_LINES
         )
@@ -97,9 +103,23 @@ class LiveTranscript:
         self._picture = GoalPicture(goal)
 
     async def animate(self) -> None:
-        """Draw frames until the goal ends."""
+        """Draw frames until the goal ends, and obey keys."""
         with redirect_stderr(_Above(self._region, sys.stderr)):
-            await animate(self._region, self._picture.compose)
+            async with anyio.create_task_group() as beside:
+                if self._has_keys:
+                    beside.start_soon(self._obey_keys)
+                await animate(self._region, self._picture.compose)
+
+    async def _obey_keys(self) -> None:
+        """Pause and resume the goal when the user presses P."""
+        goal = self._picture.shown.handle
+        async with aclosing(typed_keys(self._region)) as keys:
+            async for key in keys:
+                if key == PAUSE:
+                    try:
+                        await (goal.resume() if goal.is_paused else goal.pause())
+                    except TurtleactError as error:
+                        self.note(str(error))
 
     def feedback(self, feedback: Message) -> None:
         """A feedback message came."""
@@ -213,6 +233,7 @@ class GoalPicture:
             feedback=self._feedback,
             fraction=fraction,
             progress=progress,
+            is_paused=handle.is_paused and not self.has_ended,
             motion=self._trails.motion.told() if is_moving and self._trails is not None else "",
         )
         return render.frame(goal, world, width=width, height=height)

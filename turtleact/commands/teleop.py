@@ -9,16 +9,15 @@ Source: turtlesim 1.8.2, ``tutorials/teleop_turtle_key.cpp``, for the keys, spee
 from __future__ import annotations
 
 import math
-import re
 import sys
 from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack, asynccontextmanager, nullcontext
+from contextlib import AsyncExitStack, aclosing, asynccontextmanager, nullcontext
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import anyio
 
 from turtleact.commands import graph, runner
-from turtleact.commands.console import console
+from turtleact.commands.keys import typed_keys
 from turtleact.commands.output import note, say
 from turtleact.commands.send_goal import embedded_world
 from turtleact.commands.terminal import LogLines, Region, can_move, keep_drawing
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.settings import Reach
 
-__all__ = ["Keys", "Order", "run"]
+__all__ = ["Order", "run"]
 
 HELP: Final = """Reading from keyboard
 ---------------------------
@@ -70,9 +69,6 @@ SHOWN: Final = (
 """The legend of the live display."""
 
 COMMANDS, ROTATION = "cmd_vel", "rotate_absolute"
-
-BACKGROUND: Final = 0.2
-"""How often a process in the background checks whether it is in the foreground again (s)."""
 
 OK: Final = 0
 """The exit status if the user quits."""
@@ -247,20 +243,12 @@ class _Driving:
     # keys
 
     async def _read(self) -> None:
-        """Read keys and obey them, until one quits."""
-        keys = Keys()
-        while True:
-            await console().wait_for_key(sys.stdin)
-            if not self._region.is_in_foreground():  # the keys are for another process
-                await anyio.sleep(BACKGROUND)
-                continue
-            data = console().typed(sys.stdin)
-            for key in keys.read(data):
+        """Obey keys until one quits."""
+        async with aclosing(typed_keys(self._region)) as keys:
+            async for key in keys:
                 self._press(key)
                 if key == QUIT:
                     return
-            if not data:  # the terminal is gone
-                return
 
     def _press(self, key: str) -> None:
         if key in DRIVES:
@@ -329,36 +317,3 @@ class _Driving:
 
 def _place(pose: render.Turtle) -> str:
     return f"x {pose.x:.2f}  y {pose.y:.2f}  {math.degrees(pose.theta):.0f}°"
-
-
-ARROWS: Final = {b"A": "up", b"B": "down", b"C": "right", b"D": "left"}
-
-TOKEN: Final = re.compile(
-    rb"\x1b\[[0-?]*[ -/]*(?P<csi>[@-~])|\x1bO(?P<ss3>[@-~])"
-    rb"|(?P<begun>\x1b(?:\[[0-?]*[ -/]*|O)?\Z)|(?P<key>[^\x1b])|\x1b"
-)
-"""A control sequence, the beginning of one at the very end, or a key; else an ESC on its own."""
-
-
-class Keys:
-    """Reads keys; a control sequence may come in parts."""
-
-    def __init__(self) -> None:
-        self._begun = b""
-
-    def read(self, data: bytes) -> list[str]:
-        r"""The keys: ``up``, ``down``, ``left``, ``right``, or a small letter; no others.
-
-        >>> Keys().read(b"G\x1b[Aq")
-        ['g', 'up', 'q']
-        """
-        data, self._begun = self._begun + data, b""
-        keys = []
-        for token in TOKEN.finditer(data):
-            self._begun = token["begun"] or b""
-            arrow = ARROWS.get(token["csi"] or token["ss3"] or b"")
-            if arrow is not None:
-                keys.append(arrow)
-            elif token["key"] is not None and token["key"].isalpha():
-                keys.append(token["key"].decode().lower())
-        return keys

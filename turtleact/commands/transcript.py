@@ -96,6 +96,16 @@ class Held(Protocol):
     def last_feedback(self) -> Message | None:
         """The newest feedback, if there is any."""
 
+    @property
+    def is_paused(self) -> bool:
+        """Whether it is paused."""
+
+    async def pause(self) -> None:
+        """Pause it; raises `PauseRefused` if it cannot be paused."""
+
+    async def resume(self) -> None:
+        """Let it go on."""
+
 
 class Followed(NamedTuple):
     """A goal that is followed.

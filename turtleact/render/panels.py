@@ -61,6 +61,7 @@ class GoalView(NamedTuple):
         fraction: The progress, 0 to 1, if it is known.
         progress: The progress in words.
         motion: How its turtle moves, if that is worth a word, such as ``reversing``.
+        is_paused: Whether it is paused.
     """
 
     name: str
@@ -72,6 +73,7 @@ class GoalView(NamedTuple):
     fraction: float | None = None
     progress: str = ""
     motion: str = ""
+    is_paused: bool = False
 
 
 def goal_panel(view: GoalView) -> Group:
@@ -83,7 +85,12 @@ def goal_panel(view: GoalView) -> Group:
     head.add_column(no_wrap=True, justify="right", style="dim", ratio=1, overflow="crop")
     head.add_row(
         Text.assemble(("● ", style), (view.name, "bold")),
-        Text.assemble((view.status.name, style), f" {view.age:.1f} s", _motion(view.motion)),
+        Text.assemble(
+            (view.status.name, style),
+            " (paused)" if view.is_paused else "",
+            f" {view.age:.1f} s",
+            _motion(view.motion),
+        ),
         view.goal_id[:8],
     )
     sent = "sent by somebody else" if view.goal is None else inline(to_dict(view.goal))

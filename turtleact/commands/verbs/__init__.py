@@ -88,14 +88,18 @@ _ELSEWHERE: Final = {
 BROKEN_PIPE: Final = 141
 
 HOMES: Final = {
-    **dict.fromkeys(("send-goal", "cancel", "watch", "result", "action"), "goals"),
+    **dict.fromkeys(
+        ("send-goal", "cancel", "pause", "resume", "watch", "result", "action"), "goals"
+    ),
     **dict.fromkeys(("param", "service"), "node"),
     **dict.fromkeys(("teleop", "snapshot"), "turtlesim"),
 }
 """Where to find the verbs that have no module of their own name."""
 
 PANELS: Final = {
-    **dict.fromkeys(("send-goal", "goals", "cancel", "watch", "result"), "Goals"),
+    **dict.fromkeys(
+        ("send-goal", "goals", "cancel", "pause", "resume", "watch", "result"), "Goals"
+    ),
     **dict.fromkeys(("serve", "run", "teleop", "snapshot"), "Turtles"),
     **dict.fromkeys(GROUPS, "Verbs of ros2"),
     "journal": "Goals",

@@ -165,6 +165,18 @@ Since: TypeAlias = Annotated[
 All: TypeAlias = Annotated[
     bool, typer.Option("--all", help="Cancel all goals of the action, or of all actions.")
 ]
+AllPaused: TypeAlias = Annotated[
+    bool, typer.Option("--all", help="All goals of the action, or of all actions.")
+]
+Standing: TypeAlias = Annotated[
+    float,
+    typer.Option(
+        "--timeout",
+        metavar="SECONDS",
+        parser=seconds,
+        help="If a body does not stand still within this time, its goal goes on.",
+    ),
+]
 Before: TypeAlias = Annotated[
     str | None,
     typer.Option(
@@ -190,6 +202,13 @@ _CANCELING = """\
   turtleact cancel 71a9 0d4f
   turtleact cancel --all /patrol
   turtleact cancel --before 2026-11-21T20:15:00Z
+"""
+
+_PAUSING = """\
+[bold]Examples[/]
+  turtleact pause 71a9
+  turtleact pause --all /patrol
+  turtleact resume --all
 """
 
 app = typer.Typer(**SETTINGS)
@@ -313,6 +332,54 @@ def cancel(
         return await held_goals.cancel(node, ids)
 
     return on_graph(reach(connect, domain, config), look)
+
+
+@app.command(cls=Verb, help=VERBS["pause"], epilog=_PAUSING)
+def pause(
+    what: Ids = None,
+    *,
+    all_: AllPaused = False,
+    timeout: Standing = 5.0,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """``pause``."""
+    look = _switch(what or [], is_all=all_, is_paused=True, timeout=timeout)
+    return on_graph(reach(connect, domain, config), look)
+
+
+@app.command(cls=Verb, help=VERBS["resume"])
+def resume(
+    what: Ids = None,
+    *,
+    all_: AllPaused = False,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """``resume``."""
+    look = _switch(what or [], is_all=all_, is_paused=False, timeout=0.0)
+    return on_graph(reach(connect, domain, config), look)
+
+
+def _switch(given: list[str], *, is_all: bool, is_paused: bool, timeout: float) -> Look:
+    """What pauses or resumes goals, by the beginnings of their ids or all of an action."""
+    if is_all and len(given) > 1:
+        raise UsageError("--all takes one action; without one, it means all actions")
+    if not is_all and not given:
+        raise UsageError("give the ids of goals, or --all; 'turtleact goals' lists them")
+    ids = [] if is_all else [_goal_id(text) for text in given]
+
+    async def look(node: Node) -> int:
+        from turtleact.commands import pausing
+
+        if is_all:
+            name = given[0] if given else None
+            return await pausing.switch_all(node, name, is_paused=is_paused, timeout=timeout)
+        return await pausing.switch(node, ids, is_paused=is_paused, timeout=timeout)
+
+    return look
 
 
 @app.command(cls=Verb, help=VERBS["watch"])

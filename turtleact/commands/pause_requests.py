@@ -1,0 +1,97 @@
+"""What a command asks and hears about pauses of goals that somebody else may have sent.
+
+ROS 2 has no pauses. Servers of turtleact offer a service and a topic for them, as soon as somebody
+asks; see `turtleact.goal_pausing`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Iterable
+from typing import TYPE_CHECKING, Final
+
+import anyio
+
+from turtleact.clock import within
+from turtleact.errors import PauseRefused, ServiceTimeout
+from turtleact.goal_pausing import PausedGoals, SetPaused, paused_topic, set_paused_service
+from turtleact.interfaces.standard import UUID
+from turtleact.transports import QoS
+
+if TYPE_CHECKING:
+    from turtleact.node import Node
+
+__all__ = ["TIMEOUT", "follow_paused", "paused_goals", "set_paused"]
+
+TIMEOUT: Final = 5.0
+"""How long a body may take to stand still, unless the user says (s, event loop time)."""
+
+ANSWER: Final = 10.0
+"""How much longer its server may take to answer (s, by the clock of the graph)."""
+
+OFFERED_WITHIN: Final = 2.0
+"""How long a server may take to offer the service (s, by the clock of the graph)."""
+
+TOLD_WITHIN: Final = 0.2
+"""How long to wait for the topic, besides the round trips (s, by the clock of the graph). Servers
+of ROS 2 have none."""
+
+ROUND_TRIPS: Final = 5
+"""To ask for the topic, to find its publisher, and to get its latched message."""
+
+LATCHED: Final = QoS(depth=1, durability="transient_local")
+
+
+async def paused_goals(node: Node, actions: Iterable[str]) -> frozenset[bytes]:
+    """The ids of all goals of these actions that are paused."""
+    found = set[bytes]()
+
+    async def listen(action: str) -> None:
+        async for paused in follow_paused(node, action):
+            found.update(paused)
+            break
+
+    patience = TOLD_WITHIN + ROUND_TRIPS * node.transport.round_trip
+    async with within(patience, node.clock), anyio.create_task_group() as listening:
+        for action in actions:
+            listening.start_soon(listen, action)
+    return frozenset(found)
+
+
+async def follow_paused(node: Node, action: str) -> AsyncGenerator[frozenset[bytes], None]:
+    """Give the ids of the goals of an action that are paused, now and at each change."""
+    subscription = node.subscription(PausedGoals, paused_topic(action), LATCHED)
+    try:
+        async for message in subscription:
+            yield frozenset(bytes(each.uuid) for each in message.goal_ids)
+    finally:
+        await subscription.aclose()
+
+
+async def set_paused(
+    node: Node, action: str, goal_id: bytes, *, is_paused: bool, timeout: float = TIMEOUT
+) -> None:
+    """Pause or resume a goal, and wait until its server has done so.
+
+    Args:
+        node: A node on the graph.
+        action: The fully qualified name of the action.
+        goal_id: The goal.
+        is_paused: Whether to pause it.
+        timeout: How long its body may take to stand still (s).
+
+    Raises:
+        PauseRefused: if the server refuses, cannot do that, or does not answer.
+        ServerUnavailable: if it goes away.
+    """
+    client = node.service_client(SetPaused, set_paused_service(action))
+    try:
+        if not await client.wait_for_service(OFFERED_WITHIN):
+            raise PauseRefused("its server does not offer that; is it a server of turtleact?")
+        request = SetPaused.Request(UUID(goal_id), is_paused, timeout)
+        response = await client.call(request, timeout + ANSWER)
+    except ServiceTimeout:
+        raise PauseRefused("the server does not answer") from None
+    finally:
+        await client.aclose()
+    if not response.success:
+        raise PauseRefused(response.message)
