@@ -50,7 +50,7 @@ async def connected(devtools: str, url: str) -> AsyncIterator[Tab]:
 
 @in_a_browser
 @on_asyncio
-async def test_the_page_drives_patrols_and_cancels(devtools):
+async def test_the_page_drives_patrols_pauses_and_cancels(devtools):
     async with (
         open_world() as node,
         open_web(node, port=0) as web,
@@ -96,6 +96,14 @@ async def test_the_page_drives_patrols_and_cancels(devtools):
         assert await page.run("document.activeElement.value") == "turtle1"
         await page.until("document.querySelector('#ended .pill')?.textContent === 'rejected'")
         await page.click("#tab-goals")
+
+        # it is paused and resumed
+        pill = "document.querySelector('#active .pill').textContent"
+        await page.click("#active .foot button + button")
+        await page.until(f"{pill} === 'executing (paused)'")
+        assert await page.text("#active .foot button + button") == "Resume"
+        await page.click("#active .foot button + button")
+        await page.until(f"{pill} === 'executing'")
 
         # it is canceled, and stays in the history
         await page.click("#active .foot button")

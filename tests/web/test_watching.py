@@ -68,6 +68,57 @@ async def test_a_goal_of_anybody_is_watched_to_its_end():
         assert ended["duration"] >= 0.0
 
 
+async def test_a_page_pauses_and_resumes_goals():
+    async def act(goal: Count.Goal, handle: Any) -> Count.Result:
+        while True:
+            await handle.checkpoint()
+
+    async with bridged() as (node, bridge), line(bridge) as client:
+        node.action_server(Count, "count", act, pausable=True)
+        await watch(client)
+        async with node.action_client(Count, "count").send_goal(goal()) as handle:
+            name, seen = "/turtleact/web/set_paused", []
+            for is_paused in (True, False, True):
+                args = {"id": handle.goal_id.hex(), "is_paused": is_paused}
+                seen.append((await goals(client))[0]["is_paused"])
+                assert (await client.call(name, args=args))["result"]
+                assert handle.is_paused is is_paused
+            assert seen == [False, True, False]
+            await handle.resume()  # somebody else
+            assert not (await goals(client))[0]["is_paused"]
+            await handle.pause()
+            await handle.cancel()
+            await handle.outcome()
+            assert not (await goals(client))[0]["is_paused"]
+            answer = await client.call(name, args=args)
+            assert (answer["result"], "nobody follows" in str(answer["values"])) == (False, True)
+
+
+async def test_a_page_is_told_why_a_goal_cannot_be_paused():
+    async with bridged() as (node, bridge), line(bridge) as client:
+        node.action_server(Count, "count", Gate().wait)
+        await watch(client)
+        async with node.action_client(Count, "count").send_goal(goal()) as handle:
+            await goals(client)
+            answer = await client.call(
+                "/turtleact/web/set_paused", args={"id": handle.goal_id.hex()}
+            )
+            assert not answer["result"]
+            assert "declare it with pausable=True" in answer["values"]
+
+
+@pytest.mark.parametrize("type", [{}, {"type": "std_srvs/srv/Trigger"}])
+async def test_rosbridge_clients_pause_goals_as_users_of_ros_do(type):
+    async with (
+        bridged() as (node, bridge),
+        line(bridge) as client,
+    ):
+        node.action_server(Count, "count", count)
+        answer = await client.call("/count/pause", args={}, **type)
+        values = {"success": True, "message": "0 goals paused"}
+        assert (answer["result"], answer["values"]) == (True, values)
+
+
 async def test_a_goal_that_ended_before_the_first_page_is_shown_while_its_server_holds_it():
     async with bridged() as (node, bridge), line(bridge) as client:
         node.action_server(Count, "count", count)

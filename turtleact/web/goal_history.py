@@ -71,6 +71,7 @@ class GoalRecord:
         duration: How long it took; None while it runs, or if its end was not seen.
         revision: When it last changed.
         has_ended: Whether it has ended.
+        is_paused: Whether it is paused.
     """
 
     def __init__(self, id: str, action: str, type: str, *, accepted: float, at: float) -> None:
@@ -86,6 +87,7 @@ class GoalRecord:
         self.duration: float | None = None
         self.revision = 0
         self.has_ended = False
+        self.is_paused = False
         self._series: dict[str, Series] = {}
         self._feedback: Message | Plain = None  # shortened when it is told, or at the end
         self._told = (-1, msgspec.Raw())
@@ -122,6 +124,7 @@ class GoalRecord:
             "at": self.at,
             "status": self.status,
             "has_ended": self.has_ended,
+            "is_paused": self.is_paused,
             "request": self.request,
             "feedback": self._feedback,
             "result": self.result,
@@ -188,6 +191,7 @@ class GoalHistory:
         """
         record.status = status
         record.has_ended = True
+        record.is_paused = False
         record.shorten()
         if now is not None:
             record.duration = round(now - record.accepted, 3)

@@ -10,6 +10,7 @@ A page asks by calling services that only web clients can call, like those of ro
   slow page therefore asks less often, and nothing piles up for it.
 - ``/turtleact/web/form`` describes an action's type.
 - ``/turtleact/web/clear_trails`` wipes the trails off.
+- ``/turtleact/web/set_paused`` pauses or resumes a goal.
 
 Each goal is followed as any other client would follow it: it is attached to when it appears on its
 action's status topic.
@@ -26,10 +27,18 @@ from typing import Any, Final, Protocol, TypeAlias
 
 import anyio
 
-from turtleact.client import ActionClient, FeedbackReceived, ResultReceived, StatusChanged
+from turtleact.client import (
+    ActionClient,
+    ClientGoalHandle,
+    Event,
+    FeedbackReceived,
+    ResultReceived,
+    StatusChanged,
+)
 from turtleact.errors import InvalidMessage, TurtleactError, UnknownGoal, UnknownInterface
 from turtleact.goal import GoalStatus, status_of
 from turtleact.goal_id import new_goal_id
+from turtleact.goal_pausing import PausedGoals, paused_topic
 from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.standard import GoalStatusArray
 from turtleact.node import Node
@@ -82,6 +91,7 @@ STATUS_QOS: Final = QoS(depth=1, durability="transient_local")
 
 Values: TypeAlias = dict[str, Any]
 Client: TypeAlias = ActionClient[Message, Message, Message]
+AnyEvent: TypeAlias = Event[Message, Message]
 
 
 class OpenClient(Protocol):
@@ -118,11 +128,13 @@ class Watch:
         self._actions: dict[tuple[str, str], _Action] = {}
         self._poses: dict[str, Subscription[Any]] = {}
         self._following: dict[str, Background] = {}
+        self._handles: dict[str, ClientGoalHandle[Message, Message]] = {}
         self._requests: dict[str, Plain] = {}
         self._services: dict[str, Callable[[Values], Awaitable[Values]]] = {
             "watch": self._watch,
             "form": _form,
             "clear_trails": self._clear_trails,
+            "set_paused": self._set_paused,
         }
 
     @property
@@ -228,6 +240,14 @@ class Watch:
         self.trails.clear()
         return {}
 
+    async def _set_paused(self, args: Values) -> Values:
+        """Pause or resume the goal ``id``, as ``is_paused`` says."""
+        handle = self._handles.get(str(args.get("id")))
+        if handle is None:
+            raise TurtleactError("nobody follows such a goal")
+        await (handle.pause() if args.get("is_paused", True) else handle.resume())
+        return {}
+
     # looking around
 
     def _look(self) -> None:
@@ -256,7 +276,9 @@ class Watch:
             self._lose(action.known, "its server has gone")
         for key in served.items():
             if key not in self._actions and len(self._actions) < MOST_ACTIONS:
-                self._actions[key] = _Action(self._node, key, self._take_statuses)
+                self._actions[key] = _Action(
+                    self._node, key, self._take_statuses, self._take_paused
+                )
 
     def _published_poses(self) -> dict[str, str]:
         """The topics on which turtles publish their poses, with their types."""
@@ -325,6 +347,14 @@ class Watch:
         self._lose(known - told, FORGOTTEN)
         return told
 
+    def _take_paused(self, known: set[str], paused: frozenset[str]) -> None:
+        """Take which of the known goals of an action are paused."""
+        for id in known | paused:
+            record = self.history.find(id)
+            if record is not None and not record.has_ended and record.is_paused != (id in paused):
+                record.is_paused = id in paused
+                self.history.change(record)
+
     def _lose(self, ids: set[str], reason: str) -> None:
         """Note that nothing more will be heard of goals, except for those that are followed."""
         for id in ids - self._following.keys():
@@ -382,18 +412,25 @@ class Watch:
             if record.request is None and handle.request is not None:
                 record.request = excerpt(handle.request)
             self.history.change(record)
-            async for event in handle.events():
-                match event:
-                    case FeedbackReceived(feedback=feedback):
-                        record.take(feedback, self._now())
-                        self.history.change(record)
-                    case StatusChanged(status=status) if not status.is_terminal:
-                        record.status = status.name
-                        self.history.change(record)
-                    case ResultReceived(outcome=outcome):
-                        record.result, record.reason = excerpt(outcome.result), outcome.reason
-                        now = None if is_late else self._now()
-                        self.history.end(record, outcome.status.name, now)
+            self._handles[record.id] = handle
+            try:
+                async for event in handle.events():
+                    self._take_event(record, event, is_late=is_late)
+            finally:
+                del self._handles[record.id]
+
+    def _take_event(self, record: GoalRecord, event: AnyEvent, *, is_late: bool) -> None:
+        match event:
+            case FeedbackReceived(feedback=feedback):
+                record.take(feedback, self._now())
+                self.history.change(record)
+            case StatusChanged(status=status) if not status.is_terminal:
+                record.status = status.name
+                self.history.change(record)
+            case ResultReceived(outcome=outcome):
+                record.result, record.reason = excerpt(outcome.result), outcome.reason
+                now = None if is_late else self._now()
+                self.history.end(record, outcome.status.name, now)
 
     def _revise(self) -> int:
         self._revision += 1
@@ -411,6 +448,7 @@ class _Action:
         node: Subscribes to its status.
         key: Its name and type.
         take: Called with each message about its goals and the ids of the last one; returns the ids.
+        take_paused: Called with the ids that are known, and those of the paused goals.
 
     Attributes:
         known: The ids of the last message.
@@ -421,10 +459,15 @@ class _Action:
         node: Node,
         key: tuple[str, str],
         take: Callable[[tuple[str, str], GoalStatusArray, set[str]], set[str]],
+        take_paused: Callable[[set[str], frozenset[str]], None],
     ) -> None:
         self.known: set[str] = set()
         self._key = key
         self._take = take
+        self._take_paused = take_paused
+        self._told_paused: frozenset[str] = frozenset()
+        self._paused = node.subscription(PausedGoals, paused_topic(key[0]), STATUS_QOS)
+        self._paused.taker = self._hear_paused
         topic = f"{key[0]}/_action/status"
         self._statuses = node.subscription(GoalStatusArray, topic, STATUS_QOS)
         self._reading = Background(self._read(), f"the watch of {key[0]}")
@@ -432,16 +475,23 @@ class _Action:
     def leave(self) -> None:
         """Stop watching soon."""
         self._statuses.close()
+        self._paused.close()
 
     async def aclose(self) -> None:
         """Stop watching."""
-        self._statuses.close()
+        self.leave()
         await self._reading.aclose()
+
+    def _hear_paused(self, message: PausedGoals) -> bool:
+        self._told_paused = frozenset(bytes(each.uuid).hex() for each in message.goal_ids)
+        self._take_paused(self.known, self._told_paused)
+        return True
 
     async def _read(self) -> None:
         # Only the newest message is kept, as each has all goals: under load, some are skipped.
         async for message in self._statuses:
             self.known = self._take(self._key, message, self.known)
+            self._take_paused(self.known, self._told_paused)
 
 
 async def _form(args: Values) -> Values:

@@ -71,6 +71,10 @@ export class Goals {
       ({return_code}) => say(return_code === 1 ? `${goal.action} does not cancel the goal` : ""),
       error => say(error.message));
   }
+
+  setPaused(goal, isPaused) {
+    this.watch.connection.call("/turtleact/web/set_paused", {id: goal.id, is_paused: isPaused}).then(() => say(""), error => say(error.message));
+  }
 }
 
 const tail = goal => (goal.duration === null ? "" : ` after ${seconds(goal.duration)}`);
@@ -82,8 +86,8 @@ function heading(goal) {
   return {pill, clock, title, element: make("div", {class: "head"}, title, pill, clock)};
 }
 
-function setPill(pill, status) {
-  setText(pill, status.toLowerCase());
+function setPill(pill, status, isPaused) {
+  setText(pill, status.toLowerCase() + (isPaused ? " (paused)" : ""));
   pill.className = `pill ${kindOf(status)}`;
 }
 
@@ -100,14 +104,18 @@ class Card {
     this.steps = make("ol", {class: "steps", "aria-label": "Targets", hidden: true});
     this.fields = new FieldList();
     this.cancel = make("button", {"aria-label": `Cancel ${goal.action}`, onclick: () => goals.cancel(this.goal)}, "Cancel");
+    this.pause = make("button", {onclick: () => goals.setPaused(this.goal, !this.goal.is_paused)});
     this.element = make("article", {class: "goal", "aria-label": goal.action}, this.head.element, this.track,
-      this.steps, this.fields.element, make("div", {class: "foot"}, this.cancel,
+      this.steps, this.fields.element, make("div", {class: "foot"}, this.cancel, this.pause,
         make("span", {class: "dim", title: goal.id}, `${goal.id.slice(0, 8)} · since ${timeOfDay(goal.at)}`)));
   }
 
   show(goal) {
     this.goal = goal;
-    setPill(this.head.pill, goal.status);
+    setPill(this.head.pill, goal.status, goal.is_paused);
+    const switchTo = goal.is_paused ? "Resume" : "Pause";
+    setText(this.pause, switchTo);
+    this.pause.setAttribute("aria-label", `${switchTo} ${goal.action}`);
     const progress = progressOf(goal), facts = {}, turtle = turtleOf(goal, this.goals.names());
     if (turtle) facts.turtle = turtle;
     if (progress?.of) facts.reached = `${progress.done} of ${progress.of}`;
@@ -119,7 +127,8 @@ class Card {
   }
 
   tick(goal) {
-    this.cancel.disabled = !this.goals.watch.connection.isUp || !["ACCEPTED", "EXECUTING"].includes(goal.status);
+    this.cancel.disabled = this.pause.disabled =
+      !this.goals.watch.connection.isUp || !["ACCEPTED", "EXECUTING"].includes(goal.status);
     setText(this.head.clock, seconds(Math.max(0, this.goals.watch.time() - goal.accepted)));
   }
 
