@@ -78,8 +78,8 @@ OPENINGS: dict[str, Callable[[turtleact.Node, str], Any]] = {
     "service": lambda node, name: node.service(Double, name, double),
     "service_client": lambda node, name: node.service_client(Double, name),
 }
-OPENED = len(OPENINGS) + 8
-"""So many endpoints they make: an action's server has five, and four for pausing."""
+OPENED = len(OPENINGS) + 4
+"""So many endpoints they make: an action's server has five."""
 
 EACH_OPENING = pytest.mark.parametrize("open_it", OPENINGS.values(), ids=OPENINGS)
 

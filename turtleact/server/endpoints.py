@@ -95,8 +95,8 @@ class ActionEndpoints:
         self._cancel_goal = _CancelGoal(server, names, transport, tasks)
         self._get_result = _GetResult(server, names, tasks)
         self._send_goal = _SendGoal(server, names, tasks, self._get_result)
-        on_demand: MakeEndpoint = partial(_on_demand, endpoint)
-        self._pausing = PauseEndpoints(server, transport, on_demand, tasks)
+        unlisted: MakeEndpoint = partial(_unlisted, endpoint)
+        self._pausing = PauseEndpoints(server, transport, unlisted, tasks)
         self._services: list[Closeable] = []
         self._topics: list[FeedbackTopic | StatusTopic] = []
 
@@ -384,10 +384,12 @@ class _GetResult(_ActionService):
         return Reply(message, OURS)
 
 
-def _on_demand(
+def _unlisted(
     endpoint: MakeEndpoint, kind: EndpointKind, name: str, type_name: str, qos: QoS | None = None
 ) -> Endpoint:
-    return msgspec.structs.replace(endpoint(kind, name, type_name, qos), on_demand=True)
+    """Describe an endpoint that ROS 2's actions do not have, so that lists show those alone."""
+    described = endpoint(kind, name, type_name, qos)
+    return msgspec.structs.replace(described, on_demand=True, is_unlisted=True)
 
 
 def _joined(answers: list[CancelGoal.Response]) -> CancelGoal.Response:

@@ -141,6 +141,7 @@ class Endpoint(msgspec.Struct, frozen=True, gc=False):
         gid: The 16 bytes that identify it to other processes, if any.
         on_demand: Whether other processes see it only once one of them has an endpoint with this
             name. Useful for thousands of endpoints, few of which are ever used.
+        is_unlisted: Whether lists of all endpoints leave it out, in its own process too.
     """
 
     kind: EndpointKind
@@ -151,6 +152,7 @@ class Endpoint(msgspec.Struct, frozen=True, gc=False):
     type_hash: str = ""
     gid: bytes = b""
     on_demand: bool = False
+    is_unlisted: bool = False
     times: TimePolicies = TimePolicies()
 
 

@@ -160,9 +160,13 @@ class MemoryTransport:
         return _Opened(partial(self._depart, number))
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints on the graph, or those with a name, in the order they were opened."""
-        found = self._by_name.get(name, {}) if name else self._endpoints
-        return tuple(found.values())
+        """All endpoints on the graph, or those with a name, in the order they were opened.
+
+        A list of all leaves out those that are unlisted.
+        """
+        if name:
+            return tuple(self._by_name.get(name, {}).values())
+        return tuple(each for each in self._endpoints.values() if not each.is_unlisted)
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """The same as `endpoints`, because all of them are in this process."""
