@@ -10,6 +10,7 @@ import pytest
 from turtleact.errors import InvalidMessage, UnknownInterface
 from turtleact.interfaces import encode as encode_ours
 from turtleact.interfaces import get_message, load_interface
+from turtleact.rclpy import rosidl_runtime
 from turtleact.rclpy.messages.classes import interface_class, is_interface
 from turtleact.rclpy.messages.codec import decode, encode, hash_of
 
@@ -224,3 +225,52 @@ def test_bytes_that_are_no_message_are_refused(data):
 
 def test_the_hash_is_that_of_the_interface():
     assert hash_of("std_msgs/msg/String").startswith("RIHS01_df668c")
+
+
+# --- rosidl_runtime_py --------------------------------------------------------------------------
+
+
+def test_a_message_becomes_plain_values_and_back():
+    pose = Pose(position=Point(x=1.5))
+    plain = rosidl_runtime.message_to_ordereddict(pose)
+    assert plain["position"] == {"x": 1.5, "y": 0.0, "z": 0.0}
+    made = Pose()
+    rosidl_runtime.set_message_fields(made, plain)
+    assert made == pose
+    assert rosidl_runtime.message_to_yaml(pose).startswith("position:\n  x: 1.5")
+    path = interface_class("nav_msgs/msg/Path")()
+    rosidl_runtime.set_message_fields(path, {"poses": [{"header": {"frame_id": "map"}}]})
+    assert path.poses[0].header.frame_id == "map"
+    assert rosidl_runtime.message_to_ordereddict(path)["poses"][0]["header"]["frame_id"] == "map"
+    rosidl_runtime.set_message_fields(path, {"poses": path.poses})
+    with pytest.raises(AttributeError, match="no field 'speed'"):
+        rosidl_runtime.set_message_fields(pose, {"speed": 1})
+
+
+def test_a_class_is_found_by_its_name():
+    assert rosidl_runtime.get_message("geometry_msgs/Point") is Point
+    assert rosidl_runtime.get_service("example_interfaces/srv/AddTwoInts") is AddTwoInts
+    assert rosidl_runtime.get_action("example_interfaces/action/Fibonacci") is Fibonacci
+
+
+@pytest.mark.parametrize(
+    ("fields", "problem"),
+    [
+        ({"raw": b"ab"}, "'bytes', one byte"),
+        ({"flag": 1}, "'bool'"),
+        ({"letter": "a"}, "'int'"),
+        ({"letter": 300}, r"an integer in \[0, 255\]"),
+        ({"ratio": 1e39}, "single precision"),
+        ({"name": "too long"}, "at most 4 characters"),
+        ({"few": [1, 2, 3, 4]}, "at most 3 elements"),
+        ({"names": "text"}, "a set or sequence"),
+        ({"names": [1]}, "'str'"),
+        ({"path": [1]}, "sub message"),
+    ],
+)
+def test_each_kind_of_field_is_checked_if_asked_for(mixed, fields, problem):
+    with pytest.raises(AssertionError, match=problem):
+        mixed(**fields, check_fields=True)
+    checked = mixed(check_fields=True, raw=b"a", flag=True, few=[1], names=["a"], path=[Point()])
+    with pytest.raises(AssertionError):
+        checked.ratio = "x"

@@ -17,6 +17,7 @@ import os
 import sys
 import threading
 import time
+import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -431,11 +432,9 @@ class MultiThreadedExecutor(Executor):
         if num_threads is None:
             num_threads = max(2, _cores())
         if num_threads == 1:
-            from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
-
-            RcutilsLogger("rclpy").warning(
-                "MultiThreadedExecutor is used with a single thread.\n"
-                "Use the SingleThreadedExecutor instead."
+            warnings.warn(
+                "a MultiThreadedExecutor with one thread: use a SingleThreadedExecutor instead",
+                stacklevel=2,
             )
         self._executor = ThreadPoolExecutor(num_threads, thread_name_prefix="rclpy")
         self._failed: deque[Task] = deque()  # those whose exceptions were not raised yet

@@ -185,7 +185,8 @@ class _Borrowed:
     def __init__(self, node: Node, executor: Executor) -> None:
         self._node = node
         self._executor = executor
-        self._before = node.executor
+        before = node.executor
+        self._before = before if before is not None and node in before.get_nodes() else None
 
     def __enter__(self) -> Executor:
         self._executor.add_node(self._node)

@@ -1,0 +1,391 @@
+"""What a node sees of the graph, its log, its qualities of service, and smaller parts of rclpy."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from turtleact.rclpy import action, logging, serialization
+from turtleact.rclpy import toplevel as rclpy
+from turtleact.rclpy.clock import ROSClock
+from turtleact.rclpy.duration import Duration
+from turtleact.rclpy.exceptions import NoTypeSupportImportedException
+from turtleact.rclpy.executors import SingleThreadedExecutor
+from turtleact.rclpy.impl.implementation_singleton import rclpy_implementation
+from turtleact.rclpy.impl.logging_severity import LoggingSeverity
+from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.parameter import Parameter
+from turtleact.rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    InvalidQoSProfileException,
+    LivelinessPolicy,
+    QoSPolicyKind,
+    QoSPresetProfiles,
+    QoSProfile,
+    ReliabilityPolicy,
+    profile_of,
+    qos_check_compatible,
+    qos_policy_name_from_kind,
+)
+from turtleact.rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
+from turtleact.rclpy.time import Time
+from turtleact.rclpy.topic_endpoint_info import TopicEndpointInfo
+from turtleact.rclpy.type_hash import TypeHash
+from turtleact.rclpy.type_support import (
+    check_for_type_support,
+    check_is_valid_action_type,
+    check_is_valid_msg_type,
+    check_is_valid_srv_type,
+)
+from turtleact.rclpy.wait_for_message import wait_for_message
+
+String = interface_class("std_msgs/msg/String")
+AddTwoInts = interface_class("example_interfaces/srv/AddTwoInts")
+Fibonacci = interface_class("example_interfaces/action/Fibonacci")
+Log = interface_class("rcl_interfaces/msg/Log")
+
+
+@pytest.fixture(autouse=True)
+def _levels():
+    yield
+    logging.clear_config()
+
+
+# --- the graph ----------------------------------------------------------------------------------
+
+
+def test_a_node_sees_nodes_topics_and_services(context, node):
+    rclpy.create_node("arm", context=context, namespace="/hall")
+    node.create_publisher(String, "chatter", 10)
+    node.create_subscription(String, "chatter", print, 10)
+    node.create_service(AddTwoInts, "add", print)
+    node.create_client(AddTwoInts, "add")
+    assert sorted(node.get_node_names_and_namespaces()) == [("arm", "/hall"), ("lab", "/")]
+    assert sorted(node.get_node_names()) == ["arm", "lab"]
+    assert "/hall/arm" in node.get_fully_qualified_node_names()
+    assert ("lab", "/", "/") in node.get_node_names_and_namespaces_with_enclaves()
+    assert ("/chatter", ["std_msgs/msg/String"]) in node.get_topic_names_and_types()
+    assert ("/add", ["example_interfaces/srv/AddTwoInts"]) in node.get_service_names_and_types()
+    for method, name in (
+        ("get_publisher_names_and_types_by_node", "/chatter"),
+        ("get_subscriber_names_and_types_by_node", "/chatter"),
+        ("get_service_names_and_types_by_node", "/add"),
+        ("get_client_names_and_types_by_node", "/add"),
+    ):
+        assert name in dict(getattr(node, method)("lab", "/"))
+        with pytest.raises(rclpy_implementation.NodeNameNonExistentError):
+            getattr(node, method)("nobody", "/")
+    counted = [node.count_publishers("chatter"), node.count_subscribers("/chatter")]
+    assert [*counted, node.count_services("add"), node.count_clients("add")] == [1, 1, 1, 1]
+    for method in ("count_publishers", "count_services", "get_publishers_info_by_topic"):
+        with pytest.raises(ValueError, match="is invalid"):
+            getattr(node, method)("42")
+
+
+def test_endpoints_are_shown_with_their_quality(node):
+    qos = QoSProfile(
+        depth=3,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+        reliability=ReliabilityPolicy.BEST_EFFORT,
+        deadline=Duration(seconds=1),
+        liveliness=LivelinessPolicy.MANUAL_BY_TOPIC,
+    )
+    node.create_publisher(String, "map", qos)
+    node.create_subscription(String, "map", print, 10)
+    (publisher,) = node.get_publishers_info_by_topic("map")
+    (subscription,) = node.get_subscriptions_info_by_topic("/map", no_mangle=True)
+    assert (publisher.node_name, publisher.node_namespace) == ("lab", "/")
+    assert publisher.qos_profile.deadline == Duration(seconds=1)
+    assert subscription.endpoint_type.name == "SUBSCRIPTION"
+    assert "History (Depth): KEEP_LAST (3)" in str(publisher)
+    assert "INVALID" in str(TopicEndpointInfo())
+    assert TopicEndpointInfo() == TopicEndpointInfo()
+
+
+def test_actions_are_shown_as_one_name(node):
+    action.ActionServer(node, Fibonacci, "fibonacci", print)
+    action.ActionClient(node, Fibonacci, "fibonacci")
+    shown = [("/fibonacci", ["example_interfaces/action/Fibonacci"])]
+    assert action.get_action_names_and_types(node) == shown
+    assert action.get_action_server_names_and_types_by_node(node, "lab", "/") == shown
+    assert action.get_action_client_names_and_types_by_node(node, "lab", "/") == shown
+    with pytest.raises(RuntimeError, match="unknown node"):
+        action.get_action_server_names_and_types_by_node(node, "nobody", "/")
+
+
+def test_a_node_may_wait_for_another(node):
+    assert node.wait_for_node("lab", 0)
+    assert not node.wait_for_node("nobody", 0)
+
+
+def test_a_node_is_a_context_manager_and_closes_what_it_has(context):
+    with rclpy.create_node("hall", context=context) as node:
+        publisher = node.create_publisher(String, "chatter", 10)
+        subscription = node.create_subscription(String, "chatter", print, 10)
+        service = node.create_service(AddTwoInts, "add", print)
+        client = node.create_client(AddTwoInts, "add")
+        guard = node.create_guard_condition(print)
+        assert publisher.get_subscription_count() == subscription.get_publisher_count() == 1
+        assert publisher.wait_for_all_acked()
+        assert (publisher.topic_name, subscription.topic_name) == ("/chatter", "/chatter")
+        assert (service.service_name, client.service_name) == ("/add", "/add")
+        assert (publisher.logger_name, client.logger_name) == ("chatter", "add")
+        publisher.assert_liveliness()
+        for kind, thing in (
+            ("subscription", subscription),
+            ("service", service),
+            ("client", client),
+            ("guard_condition", guard),
+        ):
+            assert getattr(node, f"destroy_{kind}")(thing)
+            assert not getattr(node, f"destroy_{kind}")(thing)
+    node.destroy_node()
+    assert list(node.publishers) == []
+    assert context.ok()
+
+
+def test_a_subscription_may_get_bytes_or_more_about_a_message(node, executor):
+    raws: list[bytes] = []
+    infos: list[Any] = []
+    node.create_subscription(String, "chatter", raws.append, 10, raw=True)
+    node.create_subscription(String, "chatter", lambda _, info: infos.append(info), 10)
+    message = String(data="hi")
+    node.create_publisher(String, "chatter", 10).publish(serialization.serialize_message(message))
+    for _ in range(2):
+        executor.spin_once(timeout_sec=1)
+    assert serialization.deserialize_message(raws[0], String) == message
+    assert infos[0]["received_timestamp"] > 0
+    with pytest.raises(RuntimeError, match="one argument"):
+        node.create_subscription(String, "chatter", lambda: None, 10)
+
+
+def test_one_message_can_be_waited_for(node):
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    node.create_publisher(String, "map", latched).publish(String(data="lab"))
+    assert wait_for_message(String, node, "map", qos_profile=latched, time_to_wait=1) == (
+        True,
+        String(data="lab"),
+    )
+    assert wait_for_message(String, node, "nothing", time_to_wait=0) == (False, None)
+
+
+@pytest.mark.parametrize(
+    ("check", "interface"),
+    [
+        (check_is_valid_msg_type, AddTwoInts),
+        (check_is_valid_srv_type, String),
+        (check_is_valid_action_type, AddTwoInts),
+    ],
+)
+def test_an_interface_of_another_kind_is_refused(check, interface):
+    with pytest.raises(RuntimeError, match="not valid"):
+        check(interface)
+
+
+def test_a_class_that_is_no_interface_is_refused():
+    with pytest.raises(AttributeError, match="ROS 1"):
+        check_for_type_support(str)
+    unready = type("Meta", (type,), {"_TYPE_SUPPORT": None})("Unready", (), {})
+    with pytest.raises(NoTypeSupportImportedException):
+        check_for_type_support(unready)
+
+
+def test_a_type_hash_is_shown_as_text():
+    text = f"RIHS01_{'0a' * 32}"
+    assert str(TypeHash.from_text(text)) == text
+    assert TypeHash.from_text("nonsense") == TypeHash()
+    assert str(TypeHash()) == "INVALID"
+    assert TypeHash() != 1
+    assert len({TypeHash(), TypeHash()}) == 1
+
+
+# --- the log ------------------------------------------------------------------------------------
+
+
+def test_a_log_line_has_severity_time_and_name(node, capsys):
+    assert node.get_logger().get_child("arm").warning("hot")
+    assert not node.get_logger().debug("unheard")
+    node.get_logger().error("late")
+    node.get_logger().fatal("lost")
+    node.get_logger().warn("low")
+    node.get_logger().info("done")
+    first, *others = capsys.readouterr().err.splitlines()
+    assert first.startswith("[WARN] [")
+    assert first.endswith("] [lab.arm]: hot")
+    assert [line[: line.index("]")] for line in others] == ["[ERROR", "[FATAL", "[WARN", "[INFO"]
+
+
+def test_a_line_is_published_too(node, executor):
+    heard: list[Any] = []
+    latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    node.create_subscription(Log, "/rosout", heard.append, latched)
+    node.get_logger().info("hello")
+    executor.spin_once(timeout_sec=1)
+    assert (heard[0].msg, heard[0].name, heard[0].level) == ("hello", "lab", 20)
+    assert heard[0].function == "test_a_line_is_published_too"
+
+
+def test_levels_are_inherited():
+    child = logging.get_logger("lab").get_child("arm")
+    assert child.get_effective_level() is LoggingSeverity.INFO
+    logging.set_logger_level("lab", LoggingSeverity.ERROR)
+    assert not child.is_enabled_for(LoggingSeverity.WARN)
+    child.set_level(LoggingSeverity.DEBUG)
+    assert logging.get_logger_effective_level("lab.arm") is LoggingSeverity.DEBUG
+    assert logging.get_logger_level("lab.hand") is LoggingSeverity.UNSET
+    logging.apply_levels([("", 40)])
+    assert logging.get_logger("hall").get_effective_level() is LoggingSeverity.ERROR
+    assert logging.get_logging_severity_from_string("warn") is LoggingSeverity.WARN
+    with pytest.raises(RuntimeError, match="does not exist"):
+        logging.get_logging_severity_from_string("loud")
+    with pytest.raises(ValueError, match="empty"):
+        logging.get_logger("")
+    with pytest.raises(ValueError, match="empty"):
+        child.get_child("")
+
+
+def test_a_place_in_the_code_may_log_seldom():
+    logger, clock = logging.get_logger("lab"), ROSClock()
+    clock.activate(is_told=True)
+    once, later, seldom = [], [], []
+    for second in range(5):
+        clock.set_ros_time_override(Time(seconds=second))
+        once.append(logger.info("x", once=True))
+        later.append(logger.info("x", skip_first=True))
+        seldom.append(logger.info("x", throttle_duration_sec=2, throttle_time_source_type=clock))
+    assert once == [True, False, False, False, False]
+    assert later == [False, True, True, True, True]
+    assert seldom == [False, False, True, False, True]
+
+
+def test_a_place_in_the_code_may_not_change_its_mind():
+    logger = logging.get_logger("lab")
+
+    def log(severity=20, name=None, **filters):
+        return logger.log("x", severity, name, **filters)
+
+    log(once=True)
+    with pytest.raises(ValueError, match="severity"):
+        log(30, once=True)
+    with pytest.raises(ValueError, match="name"):
+        log(name="other", once=True)
+    with pytest.raises(ValueError, match="filters"):
+        log(skip_first=True)
+    with pytest.raises(ValueError, match="parameters"):
+        log(once=2)
+    with pytest.raises(TypeError, match="recognized"):
+        logger.info("x", nonsense=True)
+    with pytest.raises(TypeError, match="required parameter"):
+        logger.info("x", throttle_time_source_type=ROSClock())
+    with pytest.raises(RuntimeError, match="severity"):
+        logger.log("x", 17)
+
+
+def test_the_folder_of_logs_follows_the_environment(monkeypatch):
+    for name in ("ROS_LOG_DIR", "ROS_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    assert logging.get_logging_directory() == Path(os.path.expanduser("~")) / ".ros" / "log"  # noqa: PTH111
+    monkeypatch.setenv("ROS_HOME", "/ros")
+    assert logging.get_logging_directory() == Path("/ros/log")
+    monkeypatch.setenv("ROS_LOG_DIR", "/logs")
+    assert logging.get_logging_directory() == Path("/logs")
+    logging.initialize()
+    logging.shutdown()
+
+
+def test_others_see_and_set_log_levels(context):
+    node = rclpy.create_node("arm", context=context, enable_logger_service=True)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    levels = interface_class("rcl_interfaces/msg/LoggerLevel")
+    results = []
+    for kind, fields in (
+        ("Set", {"levels": [levels(name="arm", level=40), levels(name="arm", level=17)]}),
+        ("Get", {"names": ["arm"]}),
+    ):
+        service = interface_class(f"rcl_interfaces/srv/{kind}LoggerLevels")
+        client = node.create_client(service, f"/arm/{kind.lower()}_logger_levels")
+        future = client.call_async(service.Request(**fields))
+        executor.spin_until_future_complete(future, timeout_sec=2)
+        results.append(future.result())
+    assert [each.successful for each in results[0].results] == [True, False]
+    assert results[1].levels[0].level == 40
+
+
+# --- quality of service -------------------------------------------------------------------------
+
+
+def test_a_profile_has_defaults_and_checks_its_policies():
+    qos = QoSProfile(depth=5)
+    assert (qos.history, qos.reliability) == (HistoryPolicy.KEEP_LAST, ReliabilityPolicy.RELIABLE)
+    assert qos == QoSProfile(**qos.to_dict())
+    assert qos != 5
+    assert "depth=5" in str(qos)
+    assert not qos.avoid_ros_namespace_conventions
+    assert qos.lifespan == Duration()
+    for wrong in ({}, {"history": HistoryPolicy.KEEP_LAST}):
+        with pytest.raises(InvalidQoSProfileException):
+            QoSProfile(**wrong)
+    for field, value, error in (
+        ("depth", "5", AssertionError),
+        ("depth", -1, ValueError),
+        ("deadline", 1, AssertionError),
+        ("history", "all", AssertionError),
+        ("nonsense", 1, AssertionError),
+    ):
+        with pytest.raises(error):
+            QoSProfile(**{"depth": 1, field: value})
+    with pytest.warns(UserWarning, match="zero depth"):
+        assert QoSProfile(depth=0).kept == 10
+    assert QoSProfile(history=HistoryPolicy.KEEP_ALL).kept is None
+
+
+def test_a_number_is_a_depth():
+    assert profile_of(3).depth == 3
+    with pytest.raises(ValueError, match="greater than or equal"):
+        profile_of(-1)
+    for wrong in ("3", True, None):
+        with pytest.raises(TypeError, match="Expected QoSProfile or int"):
+            profile_of(wrong)  # type: ignore[arg-type]  # that is the point
+
+
+def test_policies_and_presets_have_short_names():
+    assert "best_effort" in ReliabilityPolicy.short_keys()
+    assert ReliabilityPolicy.get_from_short_key("BEST_effort") == ReliabilityPolicy.BEST_EFFORT
+    assert ReliabilityPolicy.BEST_EFFORT.short_key == "best_effort"
+    assert QoSPresetProfiles.get_from_short_key("sensor_data").depth == 5
+    assert "sensor_data" in QoSPresetProfiles.short_keys()
+    assert qos_policy_name_from_kind(QoSPolicyKind.DEPTH) == "DEPTH"
+    assert qos_check_compatible(QoSProfile(depth=1), QoSProfile(depth=1))[0].name == "OK"
+    assert rclpy_implementation.rmw_qos_profile_t.predefined("qos_profile_default").depth == 10
+
+
+def test_parameters_may_override_a_quality(context):
+    node = rclpy.create_node(
+        "lab",
+        context=context,
+        parameter_overrides=[
+            Parameter("qos_overrides./chatter.publisher.depth", value=77),
+            Parameter("qos_overrides./chatter.subscription_in.reliability", value="best_effort"),
+            Parameter("qos_overrides./chatter.publisher.lifespan", value=5),
+        ],
+    )
+    kinds = (QoSPolicyKind.DEPTH, QoSPolicyKind.LIFESPAN, QoSPolicyKind.RELIABILITY)
+    options = QoSOverridingOptions(kinds)
+    for _ in range(2):  # the second one finds the parameters declared
+        publisher = node.create_publisher(String, "chatter", 1, qos_overriding_options=options)
+        assert publisher.qos_profile.depth == 77
+        assert publisher.qos_profile.lifespan == Duration(nanoseconds=5)
+    named = QoSOverridingOptions(kinds, entity_id="in")
+    heard = node.create_subscription(String, "chatter", print, 1, qos_overriding_options=named)
+    assert heard.qos_profile.reliability is ReliabilityPolicy.BEST_EFFORT
+    result = interface_class("rcl_interfaces/msg/SetParametersResult")
+    strict = QoSOverridingOptions.with_default_policies(
+        callback=lambda _: result(reason="too deep")
+    )
+    with pytest.raises(InvalidQosOverridesError, match="too deep"):
+        node.create_publisher(String, "other", 1, qos_overriding_options=strict)
