@@ -226,6 +226,18 @@ class Goal(msgspec.Struct, eq=False):
         """The id in hexadecimal, as ROS prints it, or "(no id)"."""
         return self.id.hex() if self.id else "(no id)"
 
+    def enter_parent(self, parent: Goal, pauses: object) -> None:
+        """Become a child of the goal whose body sent this one; ``pauses`` can pause this one."""
+        if parent.children is None:
+            parent.children = {}
+        parent.children[self] = pauses
+
+    def leave_parent(self) -> None:
+        """Stop being a child, so that a chain of goals can be freed."""
+        if self.parent is not None and self.parent.children is not None:
+            self.parent.children.pop(self, None)
+        self.parent = None
+
     def apply(self, event: GoalEvent) -> None:
         """Change the state and tell the listener.
 

@@ -412,6 +412,24 @@ async def test_a_built_in_makes_way_and_its_running_goals_finish(caplog):
     assert said == "/count is served by /user now: the built-in action withdraws"
 
 
+async def test_a_built_in_does_not_wait_for_a_goal_that_was_canceled_in_the_queue():
+    transport, gate = MemoryTransport(), Gate()
+    shared: Any = {"slot": "arm", "policy": "queue"}
+    async with (
+        turtleact.open_node("turtle_actions", transport=transport) as home,
+        turtleact.open_node("user", transport=transport) as user,
+    ):
+        home.action_server(Count, "busy", gate.wait, **shared)
+        home.action_server(Count, "count", seven, on_conflict="withdraw", **shared)
+        async with user.action_client(Count, "busy").send_goal(goal()):
+            async with user.action_client(Count, "count").send_goal(goal()) as waiting:
+                user.action_server(Count, "count", seven)
+                await settle()
+                await waiting.cancel()
+            await settle()
+            assert [each.node for each in transport.endpoints("/count/_action/status")] == ["/user"]
+
+
 async def test_a_built_in_serves_again_when_the_other_server_has_gone(caplog):
     transport = MemoryTransport()
     said = []

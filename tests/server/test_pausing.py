@@ -308,6 +308,55 @@ async def test_a_child_that_refuses_refuses_for_its_parent():
             assert not await walker.stands_still()
 
 
+async def test_a_child_may_end_while_another_one_is_resumed():
+    walker = Walker()
+    nodes = list[turtleact.Node]()
+
+    async def parent(request: Count.Goal, handle: Handle) -> AsyncIterator[Any]:
+        nodes.append(handle.node)
+        async with (
+            handle.node.action_client(Count, "first").send_goal(goal(MANY)) as first,
+            handle.node.action_client(Count, "second").send_goal(goal(MANY)),
+        ):
+            yield await first.result()
+
+    async def cancel_the_second(handle: Handle) -> None:
+        await nodes[0].action_client(Count, "second").cancel_all()
+        await take_turns()
+
+    async with lab(parent) as served:
+        server = served.node.action_server
+        server(Count, "first", walker.generator, on_resume=cancel_the_second)
+        server(Count, "second", Walker().generator)
+        async with served.client.send_goal(goal()) as handle:
+            await take_turns()
+            await handle.pause()
+            assert await walker.stands_still()
+            await handle.resume()
+            assert not await walker.stands_still()
+
+
+async def test_a_rejected_child_is_not_paused():
+    walker = Walker()
+
+    async def parent(request: Count.Goal, handle: Handle) -> AsyncIterator[Any]:
+        client = handle.node.action_client(Count, "child")
+        with pytest.raises(turtleact.GoalRejected):
+            await client.send_goal(goal())
+        async for each in walker.generator(request):
+            yield each
+
+    async with lab(parent) as served:
+        served.node.action_server(Count, "child", Walker().blind, policy="reject")
+        async with (
+            served.node.action_client(Count, "child").send_goal(goal()),
+            served.client.send_goal(goal(MANY)) as handle,
+        ):
+            await take_turns()
+            await handle.pause()
+            assert await walker.stands_still()
+
+
 async def test_the_time_of_pauses_is_counted():
     clock = HandClock()
     times = list[float]()

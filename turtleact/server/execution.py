@@ -337,6 +337,7 @@ class Execution:
         if goal.status is GoalStatus.ACCEPTED:
             self.move(goal, GoalEvent.EXECUTE)
         self._end_canceled(goal)
+        self._ended.fire()  # no body ends here, which would fire it
 
     def end_unstarted(self, goal: Goal) -> None:
         """End a goal that was cancelled before its body took the first step."""
@@ -373,6 +374,7 @@ class Execution:
         """Tell whoever waits for a goal that its server has stopped before its end."""
         goal.is_decided = True
         goal.error, goal.status = error, GoalStatus.UNKNOWN
+        goal.leave_parent()
         self._table.end(goal, self._now())
         if goal.listener is not None:
             goal.listener.fire()
@@ -383,9 +385,8 @@ class Execution:
         if goal.ended:  # the server was stopped before the journal had written the end
             return
         goal.reason = reason
-        if goal.parent is not None and goal.parent.children is not None:
-            goal.parent.children.pop(goal, None)
-        goal.parent = goal.on_feedback = None  # so that a chain of goals can be freed
+        goal.leave_parent()
+        goal.on_feedback = None
         before = goal.status
         goal.apply(event)
         self._table.end(goal, self._now())

@@ -338,7 +338,7 @@ class LocalActionServer:
         if not self._table.add(goal):
             raise GoalRejected(f"the server still holds a goal with the id {goal.hex}")
         if goal.parent is not None:
-            goal.parent.children = {**(goal.parent.children or {}), goal: self.pauses}
+            goal.enter_parent(goal.parent, self.pauses)
         if self.slot is None:
             if self.observers.are_any:
                 self._show_accepted(goal)
@@ -364,6 +364,7 @@ class LocalActionServer:
         entry = slot.enter(request)
         if entry.admission is Admission.REJECT:
             self._table.forget(goal)
+            goal.leave_parent()
             raise GoalRejected(entry.reason)
         if self.observers.are_any:
             self.observers.goal_changed(goal, GoalStatus.UNKNOWN, _ACCEPTED)

@@ -131,7 +131,7 @@ class Pauses:
             if goal.is_paused:  # it may have been canceled meanwhile
                 self._set(goal, is_paused=False)
                 self.let_go(goal)
-        for child, pauses in (goal.children or {}).items():
+        for child, pauses in _children(goal):
             await pauses.resume(child)
 
     async def stand(self, goal: Goal) -> None:
@@ -193,7 +193,7 @@ class Pauses:
             return
         paused = list[tuple[Goal, Pauses]]()
         try:
-            for child, pauses in (goal.children or {}).items():
+            for child, pauses in _children(goal):
                 if not child.is_paused:
                     await pauses.pause(child, timeout)
                 paused.append((child, pauses))
@@ -249,6 +249,11 @@ class Pauses:
         return _Switch(self._switching, goal)
 
 
+def _children(goal: Goal) -> list[tuple[Goal, Pauses]]:
+    """The children of a goal as they are now: some may end while the caller waits for another."""
+    return list((goal.children or {}).items())
+
+
 class _Switch:
     """A lock for each goal, kept while somebody uses it."""
 
@@ -258,9 +263,16 @@ class _Switch:
         self._lock = locks.setdefault(goal, anyio.Lock())
 
     async def __aenter__(self) -> None:
-        await self._lock.acquire()
+        try:
+            await self._lock.acquire()
+        finally:
+            self._drop_if_unused()
 
     async def __aexit__(self, *_: object) -> None:
         self._lock.release()
-        if not self._lock.statistics().tasks_waiting and not self._lock.locked():
+        self._drop_if_unused()
+
+    def _drop_if_unused(self) -> None:
+        # A released lock belongs to its next waiter at once, so an unlocked one has none.
+        if not self._lock.locked():
             self._locks.pop(self._goal, None)

@@ -16,8 +16,8 @@ errors at both ends:
 
 A leg may lose more than this shows. Measured in another direction, the distance also takes a
 certain time, and for a short leg both times are similar. Short legs are therefore measured in
-several directions, and for each pair of headings the direction that proves most counts. A leg that
-is left out of the length still takes at least the time of its turn.
+several directions. For each pair of headings, the direction with the strongest bound is used. A leg
+that is left out of the length still takes at least the time of its turn.
 
 The heading at the end of a leg is the heading at the start of the next. All headings are tried in
 cells. Each cell counts as its best heading would, so the result is a bound however coarse the cells
@@ -199,7 +199,7 @@ def _unit(leg: complex) -> complex:
 def _proven_length(
     start: complex, centres: Sequence[complex], units: Sequence[complex], tolerance: float
 ) -> float:
-    """The least sum of unit * leg; a point weighs by how much the units at its sides differ.
+    """The least sum of unit * leg; a point's weight is the difference of the units at its sides.
 
     It is negative where units lead back: what turning takes is counted from there, not from zero.
     """

@@ -27,7 +27,7 @@ class Closable(Protocol):
     """What this module knows of a context."""
 
     def try_shutdown(self) -> None:
-        """Shut down, unless that has been done."""
+        """Shut down unless it is shut down already."""
 
 
 class Process:
