@@ -90,20 +90,6 @@ def test_an_action_that_nobody_serves_is_an_error_that_names_the_nearest(on_grap
     assert ran.err == "turtleact: action '/cuont': nobody serves it, did you mean '/count'?\n"
 
 
-@pytest.mark.parametrize(
-    ("seconds", "text"),
-    [
-        (0.04, "0.0 s"),
-        (59.9, "59.9 s"),
-        (60, "1 min 0 s"),
-        (3599, "59 min 59 s"),
-        (7260, "2 h 1 min"),
-    ],
-)
-def test_an_age_is_told_in_two_units(seconds, text):
-    assert verbs.duration(seconds) == text
-
-
 # --- peers that do things their own way -----------------------------------------------------
 
 STRANGER = bytes(range(16))

@@ -268,7 +268,10 @@ def test_a_journal_that_cannot_be_read_is_one_clear_line(
         ("goals --since 1h", "--since needs --journal"),
         ("goals --journal x.db --since soon", "--since takes a length of time such as 1h, or"),
         ("journal prune x.db --keep 7", "'7' is not a time such as 90s"),
-        ("serve --on-restart resume", "--on-restart and --abort-goals need --journal"),
+        (
+            "serve --on-restart resume",
+            "--on-restart, --max-starts and --abort-goals need --journal",
+        ),
         ("serve --journal x.db --abort-goals", "--abort-goals needs --on-restart resume"),
         ("send-goal patrol --reattach 5 --embedded", "not for an embedded world"),
     ],

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from turtleact.commands.output import note, printable
+from turtleact.commands.output import duration, note, printable
 
 
 @pytest.mark.parametrize(
@@ -75,3 +75,17 @@ def test_no_argument_commands_the_terminal(turtleact, arguments):
 def test_a_note_without_end_is_cut_in_its_middle(capsys):
     note("a" * 3000 + "b" * 3000)
     assert capsys.readouterr().err == f"turtleact: {'a' * 2000}… 2000 characters …{'b' * 2000}\n"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0.04, "0.0 s"),
+        (59.9, "59.9 s"),
+        (60, "1 min 0 s"),
+        (3599, "59 min 59 s"),
+        (7260, "2 h 1 min"),
+    ],
+)
+def test_an_age_is_told_in_two_units(seconds, text):
+    assert duration(seconds) == text

@@ -91,9 +91,9 @@ class ActionClient(Generic[G, R, F]):
             feedback_callback: A plain function, called with each feedback message while the server
                 publishes it. If it raises, the exception is logged and nothing else happens.
             reattach: If the server goes away, wait so long (s, event loop time) for it to return,
-                and go on with the goal. Useful for servers with a journal, which still have the
-                goal after a restart. The handle of a goal of a server in this process ends with
-                the server.
+                and go on with the goal. If nobody serves the action yet, wait as long. Useful for
+                servers with a journal, which still have the goal after a restart. The handle of a
+                goal of a server in this process ends with the server.
 
         Raises:
             InvalidOption: if the ``feedback_callback`` is a coroutine function, or ``reattach`` is
@@ -168,8 +168,10 @@ class ActionClient(Generic[G, R, F]):
 
     # the server
 
-    async def _find_server(self) -> GoalServer:
+    async def _find_server(self, patience: float = 0.0) -> GoalServer:
         """Return the action's server, waiting for discovery if the graph is new.
+
+        If nobody serves the action, wait ``patience`` seconds longer (event loop time).
 
         Raises:
             ServerUnavailable: if nobody serves it.
@@ -181,6 +183,10 @@ class ActionClient(Generic[G, R, F]):
             return server
         if self.is_open:
             server = await find_server(self._endpoints.transport, self._find)
+        if server is None and patience:
+            with anyio.move_on_after(patience):
+                await wait_until_served(self._endpoints.transport, self._find, None)
+            server = self._find()
         if not self.is_open:  # before this, or meanwhile
             raise TurtleactError(f"the client of action '{self.name}' is closed: open another")
         if server is None:
@@ -204,7 +210,7 @@ class ActionClient(Generic[G, R, F]):
 
     async def _run(self, order: GoalOrder) -> R:
         """Send a goal and wait for its result."""
-        server = await self._find_server()
+        server = await self._find_server(order.reattach)
         goal = await server.run_goal(order)
         while order.reattach and isinstance(goal.error, ServerUnavailable):
             server, goal = await self._reattach(order, goal.error)
@@ -226,9 +232,7 @@ class ActionClient(Generic[G, R, F]):
         """
         if self._server is self._remote:
             raise error
-        with anyio.move_on_after(order.reattach):
-            await wait_until_served(self._endpoints.transport, self._find, None)
-        server = await self._find_server()
+        server = await self._find_server(order.reattach)
         goal = await server.attach(goal_id_bytes(order.goal_id or b""))
         if goal is None:
             raise UnknownGoal(f"the server of '{self.name}' is back, but does not hold the goal")
@@ -237,7 +241,7 @@ class ActionClient(Generic[G, R, F]):
 
     async def _enter(self, order: GoalOrder) -> GoalReader:
         """Send a goal and wait until it is accepted."""
-        server = await self._find_server()
+        server = await self._find_server(order.reattach)
         return GoalReader(server, await server.send_goal(order), self._home, is_sender=True)
 
     async def _attach(self, goal_id: bytes) -> GoalReader:

@@ -25,7 +25,7 @@ from turtleact.client import Outcome
 from turtleact.clock import within
 from turtleact.commands.graph import interface_class
 from turtleact.commands.message_text import yaml_lines
-from turtleact.commands.output import note, say, say_names
+from turtleact.commands.output import duration, note, say, say_names
 from turtleact.commands.pause_requests import follow_paused, paused_goals, set_paused
 from turtleact.commands.topic_reading import note_absence
 from turtleact.commands.transcript import Followed
@@ -62,7 +62,6 @@ __all__ = [
     "WatchedGoal",
     "cancel",
     "cancel_many",
-    "duration",
     "echo",
     "find_goal",
     "find_goals",
@@ -316,17 +315,6 @@ def _clients(node: Node, action: str) -> list[str]:
             if each.kind == "client" and each.name == service
         }
     )
-
-
-def duration(seconds: float) -> str:
-    """A duration in its two largest units."""
-    if seconds < 60:
-        return f"{seconds:.1f} s"
-    minutes, rest = divmod(int(seconds), 60)
-    if minutes < 60:
-        return f"{minutes} min {rest} s"
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes} min"
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:

@@ -12,15 +12,10 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from turtleact.client import Outcome
-from turtleact.commands.graph import interface_class
-from turtleact.commands.held_goals import ABORTED, CANCELED, DONE, duration
-from turtleact.commands.output import note, say, say_names
-from turtleact.commands.transcript import result_text
+from turtleact.commands.output import duration, note, say, say_names
 from turtleact.errors import InvalidMessage, TurtleactError, UsageError
 from turtleact.goal import GoalStatus
-from turtleact.interfaces import SECOND, Action, WireFormat, type_hash
-from turtleact.journal import find_goals, prune, read_goals
+from turtleact.journal.database import find_goals, prune, read_goals
 from turtleact.names import resolve_name
 
 if TYPE_CHECKING:
@@ -28,6 +23,12 @@ if TYPE_CHECKING:
     from turtleact.interfaces import Message
 
 __all__ = ["print_goals", "print_result", "prune_goals"]
+
+DONE, ABORTED, CANCELED = 0, 4, 5
+"""Exit statuses."""
+
+SECOND = 10**9
+"""A second (ns)."""
 
 HEADINGS = ("id", "action", "state", "age", "took", "reason")
 
@@ -65,12 +66,13 @@ def print_goals(path: Path, name: str | None, since: int, *, as_json: bool) -> i
     return DONE
 
 
-def print_result(path: Path, wanted: str) -> int:
+def print_result(path: Path, wanted: str, interfaces: str | None) -> int:
     """Print the result of a goal, and return the exit status.
 
     Args:
         path: The journal.
         wanted: The beginning of the goal's id (hexadecimal).
+        interfaces: A folder with more interfaces.
 
     Raises:
         JournalError: if it cannot be read.
@@ -83,12 +85,17 @@ def print_result(path: Path, wanted: str) -> int:
         raise UsageError(f"'{wanted}' is the beginning of several goals: {shown}")
     if not goals:
         raise TurtleactError(f"journal '{path}' has no goal {wanted}")
+    from turtleact.client import Outcome
+    from turtleact.commands.interfaces import make_known
+    from turtleact.commands.transcript import result_text
+
     (goal,) = goals
     if not goal.ended:
         raise TurtleactError(
             f"goal {goal.id.hex()} of {goal.action} has not ended: the journal says "
             f"{goal.status.name}, with {goal.feedback_count} feedback messages"
         )
+    make_known(interfaces)
     say(result_text(Outcome(goal.status, _result(goal))))
     if goal.reason:
         note(f"the goal was aborted: {goal.reason}")
@@ -107,6 +114,9 @@ def prune_goals(path: Path, keep: int) -> int:
 
 
 def _result(goal: GoalRecord) -> Message:
+    from turtleact.commands.graph import interface_class
+    from turtleact.interfaces import Action, WireFormat, type_hash
+
     action_type = interface_class(Action, goal.type_name, f"action '{goal.action}'")
     if not goal.result and goal.type_hash != type_hash(action_type):
         return action_type.Result()  # the goal was ended because its type had changed

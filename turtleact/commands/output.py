@@ -10,7 +10,7 @@ import os
 import sys
 from typing import TextIO
 
-__all__ = ["ELSEWHERE", "abandon", "note", "printable", "say", "say_names", "tell_exit"]
+__all__ = ["ELSEWHERE", "abandon", "duration", "note", "printable", "say", "say_names", "tell_exit"]
 
 ELSEWHERE = (
     "source the ROS workspace that has it, give --interfaces DIR, or change to the folder of its "
@@ -30,6 +30,17 @@ def say(text: str) -> None:
 def say_names(text: str) -> None:
     """Print names of the graph, made printable."""
     say(printable(text))
+
+
+def duration(seconds: float) -> str:
+    """A duration in its two largest units."""
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(int(seconds), 60)
+    if minutes < 60:
+        return f"{minutes} min {rest} s"
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min"
 
 
 def note(text: str) -> None:

@@ -191,9 +191,11 @@ async def _open_journal(keeping: Keeping | None) -> AsyncIterator[Kept]:
         return
     from turtleact.journal import open_journal
 
-    path, on_restart, abort_goals = keeping
-    async with open_journal(path, abort_at_close=abort_goals) as journal:
-        yield {"journal": journal, "on_restart": on_restart}
+    opening = open_journal(
+        keeping.path, max_starts=keeping.max_starts, abort_at_close=keeping.abort_goals
+    )
+    async with opening as journal:
+        yield {"journal": journal, "on_restart": keeping.on_restart}
 
 
 async def _begin(service: Service, found: Found, reloader: Reloader, options: Kept) -> None:

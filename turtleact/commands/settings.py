@@ -120,11 +120,13 @@ class Keeping(NamedTuple):
         path: The file.
         on_restart: What becomes of goals that an earlier process has left unfinished.
         abort_goals: Whether a clean stop ends goals that would go on after a crash.
+        max_starts: After so many crashes without feedback, a goal is aborted; None for no limit.
     """
 
     path: str
     on_restart: OnRestart = "abort"
     abort_goals: bool = False
+    max_starts: int | None = 3
 
     @property
     def resumes(self) -> bool:

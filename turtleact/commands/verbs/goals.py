@@ -410,7 +410,7 @@ def result(
     """``result``."""
     if journal is not None:
         wanted = _goal_id(goal_id)
-        return _read(lambda goals: goals.print_result(journal, wanted), interfaces)
+        return _read(lambda goals: goals.print_result(journal, wanted, folder(interfaces)))
     plan = _follow(goal_id, "plain", hears_feedback=False)
     return on_known_graph(reach(connect, domain, config), interfaces, plan)
 
@@ -550,14 +550,12 @@ def _since(text: str) -> int:
         raise UsageError(f"--since {problem}, not {quoted(text)}") from None
 
 
-def _read(look: Callable[[ModuleType], int], interfaces: Path | None = None) -> Job:
+def _read(look: Callable[[ModuleType], int]) -> Job:
     """A job that reads a journal."""
 
     def job(_: Interrupts) -> int:
         from turtleact.commands import journaled_goals
-        from turtleact.commands.interfaces import make_known
 
-        make_known(folder(interfaces))
         return look(journaled_goals)
 
     return job

@@ -136,6 +136,17 @@ AbortGoals: TypeAlias = Annotated[
         rich_help_panel=GOALS,
     ),
 ]
+MaxStarts: TypeAlias = Annotated[
+    int | None,
+    typer.Option(
+        "--max-starts",
+        metavar="N",
+        parser=whole,
+        help="With --on-restart resume: abort a goal that has crashed the server so often without "
+        "feedback in between; 0 for no limit. By default, 3.",
+        rich_help_panel=GOALS,
+    ),
+]
 NoSim: TypeAlias = Annotated[
     bool,
     typer.Option(
@@ -208,6 +219,7 @@ def serve(
     journal: Annotated[Path | None, journal_in(GOALS, "Keep the goals in this file.")] = None,
     on_restart: OnRestart = None,
     abort_goals: AbortGoals = False,
+    max_starts: MaxStarts = None,
     speed: Speed = 1.0,
     turtles: Turtles = 1,
     placing: HowPlaced = "random",
@@ -229,7 +241,7 @@ def serve(
     fleet = Fleet(speed, turtles, placing, seed, collide=collide, paused=paused)
     _check_world(fleet, node_name, no_sim=no_sim)
     _check_reload(targets, reload=reload)
-    keeping = _keeping(journal, on_restart, abort_goals=abort_goals)
+    keeping = _keeping(journal, on_restart, max_starts, abort_goals=abort_goals)
     page, where = _page(web, token, allow_host, allow_origin), reach(connect, domain, config)
 
     def job(interrupts: Interrupts) -> int:
@@ -259,15 +271,21 @@ def serve(
 
 
 def _keeping(
-    journal: Path | None, on_restart: Literal["abort", "resume"] | None, *, abort_goals: bool
+    journal: Path | None,
+    on_restart: Literal["abort", "resume"] | None,
+    max_starts: int | None,
+    *,
+    abort_goals: bool,
 ) -> Keeping | None:
     if journal is None:
-        if on_restart is not None or abort_goals:
-            raise UsageError("--on-restart and --abort-goals need --journal")
+        if on_restart is not None or max_starts is not None or abort_goals:
+            raise UsageError("--on-restart, --max-starts and --abort-goals need --journal")
         return None
-    if abort_goals and on_restart != "resume":
-        raise UsageError("--abort-goals needs --on-restart resume: other goals are ended anyway")
-    return Keeping(str(journal), on_restart or "abort", abort_goals)
+    if on_restart != "resume" and (abort_goals or max_starts is not None):
+        option = "--abort-goals" if abort_goals else "--max-starts"
+        raise UsageError(f"{option} needs --on-restart resume: without it, no goal goes on")
+    limit = 3 if max_starts is None else max_starts or None
+    return Keeping(str(journal), on_restart or "abort", abort_goals, limit)
 
 
 def _page(web: str | None, token: str | None, host: str | None, origin: str | None) -> Page | None:

@@ -1,0 +1,261 @@
+"""Does every goal end exactly once if its server is killed again and again?
+
+``turtleact serve --journal`` is killed with SIGKILL at random moments, also while it starts, and is
+started again at once. Meanwhile three clients send patrols of 20 targets and reattach. Run it as
+``python -m benchmarks.bench_chaos [KILLS] [SEED]``. It ends with 1 and names its seed if
+
+- a goal ends in any other way than SUCCEEDED with all 20 targets, or its end changes afterwards,
+- a client sees feedback out of order, or a target reached twice,
+- the journal lacks a goal that a client was told is accepted.
+
+A process that has imported everything forks each server, because importing takes most of a start.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import platform
+import random
+import signal
+import sqlite3
+import statistics
+import sys
+import tempfile
+import time
+from contextlib import suppress
+from importlib.metadata import version
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import NamedTuple
+
+import anyio
+import anyio.to_thread
+
+import turtleact
+from turtleact.actions.patrol import Patrol
+from turtleact.goal import GoalStatus
+from turtleact.interfaces.standard import Point
+from turtleact.journal import read_goals
+
+KILLS = 1_000
+SEED = 1
+CLIENTS = 3
+TARGETS = 20
+SPEED = 20
+ADDRESS = "tcp/127.0.0.1:17447"
+REATTACH = 3600.0
+"""How long a client waits for a server that lives for more than a second (s)."""
+
+PATIENCE = 60.0
+"""How long the first server may take to come, and the last goals to end (s)."""
+
+LONGEST = 1.6
+"""A server lives at most so long (s), counted from its fork."""
+
+
+class Sent(NamedTuple):
+    """What a client knows of a goal that has ended.
+
+    Attributes:
+        goal_id: Its id.
+        seen: How many feedback messages came.
+    """
+
+    goal_id: bytes
+    seen: int
+
+
+class Broken(Exception):
+    """An invariant does not hold."""
+
+
+# --- the server -----------------------------------------------------------------------------------
+
+
+def fork_servers(orders: Connection, path: str) -> None:
+    """Start and kill servers, each time for so long (s) as an order says, until one says 0."""
+    from turtleact import app, cli, journal  # imported here and not in each server
+    from turtleact.commands import serve
+    from turtleact.commands.verbs import serve as verb
+
+    _ = app, journal, serve, verb
+    os.setsid()  # so that the servers can be ended together with this process
+    command = f"serve --plain --listen {ADDRESS} --turtles {CLIENTS} --speed {SPEED}"
+    keeping = ["--journal", path, "--on-restart", "resume", "--max-starts", "0"]
+    while True:
+        lifetime = orders.recv()
+        child = os.fork()
+        if not child:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, 1)
+            sys.argv[1:] = [*command.split(), *keeping]
+            os._exit(cli.main())
+        if not lifetime:
+            orders.recv()
+            os.kill(child, signal.SIGTERM)
+            orders.send(os.waitpid(child, 0)[1])
+            return
+        time.sleep(lifetime)
+        os.kill(child, signal.SIGKILL)
+        status = os.waitpid(child, 0)[1]
+        orders.send(None if os.WIFSIGNALED(status) else os.waitstatus_to_exitcode(status))
+
+
+# --- the clients ----------------------------------------------------------------------------------
+
+
+async def patrol_on(turtle: str, seed: str, sent: list[Sent], is_over: anyio.Event) -> None:
+    """Send one patrol after the other until it is over; the last one still ends."""
+    chance = random.Random(seed)
+    retry = {"period_init_ms": 20, "period_max_ms": 20}
+    quick = {"connect/retry": retry, "connect/timeout_ms": -1}
+    async with (
+        turtleact.open_zenoh([ADDRESS], listen=[], config=quick) as transport,
+        turtleact.open_node(f"{turtle}_client", transport=transport) as node,
+    ):
+        client = node.action_client(Patrol, "/patrol")
+        await client.wait_for_server(PATIENCE)
+        while not is_over.is_set():
+            goal_id = chance.randbytes(16)
+            spots = [(chance.uniform(4, 7), chance.uniform(4, 7)) for _ in range(TARGETS)]
+            goal = Patrol.Goal(targets=[Point(x, y) for x, y in spots], turtle=turtle)
+            seen = list[Patrol.Feedback]()
+            sending = client.send_goal(goal, goal_id=goal_id, reattach=REATTACH)
+            async with sending as handle:
+                async for feedback in handle:
+                    seen.append(feedback)
+                outcome = await handle.outcome()
+            check_end(goal_id, outcome, seen)
+            sent.append(Sent(goal_id, len(seen)))
+
+
+def check_end(
+    goal_id: bytes, outcome: turtleact.Outcome[Patrol.Result], seen: list[Patrol.Feedback]
+) -> None:
+    """Check what a client has heard of a goal.
+
+    Raises:
+        Broken: if it is not what the goal should have done.
+    """
+    who, result = f"goal {goal_id.hex()}", outcome.result
+    if outcome.status is not GoalStatus.SUCCEEDED:
+        raise Broken(f"{who} ended {outcome.status.name}: {outcome.reason}")
+    if result.reached != TARGETS or result.missed:
+        raise Broken(f"{who} reached {result.reached} targets and missed {result.missed}")
+    reached = [feedback.index for feedback in seen if feedback.is_reached]
+    if reached != sorted(set(reached)):
+        raise Broken(f"{who} reached its targets in this order: {reached}")
+    counts = [feedback.reached for feedback in seen]
+    if counts != sorted(counts):
+        raise Broken(f"feedback of {who} came out of order: {counts}")
+
+
+# --- the run --------------------------------------------------------------------------------------
+
+
+def check_journal(path: Path, sent: list[Sent], ends: dict[bytes, int]) -> None:
+    """Check that the journal has the goals that were sent, and that no end has changed.
+
+    Args:
+        path: The journal.
+        sent: The goals that have ended.
+        ends: When each goal ended, as far as it was known before; is brought up to date.
+
+    Raises:
+        Broken: if it does not.
+    """
+    records = {record.id: record for record in read_goals(path)}
+    for each in sent:
+        record = records.get(each.goal_id)
+        if record is None:
+            raise Broken(f"the journal lacks goal {each.goal_id.hex()}")
+        if record.status is not GoalStatus.SUCCEEDED:
+            raise Broken(f"the journal says that goal {each.goal_id.hex()} is {record.status.name}")
+    for record in records.values():
+        if record.id in ends and record.ended != ends[record.id]:
+            raise Broken(f"goal {record.id.hex()} ended twice")
+        if record.ended:
+            ends[record.id] = record.ended
+    if len(set(records)) != len(records):
+        raise Broken("the journal has an id twice")
+
+
+async def run(kills: int, seed: int, path: Path) -> tuple[list[Sent], dict[bytes, int]]:
+    """Kill servers while clients send goals; return the goals and when they ended.
+
+    Raises:
+        Broken: if an invariant does not hold.
+    """
+    chance, sent, is_over = random.Random(seed), list[Sent](), anyio.Event()
+    ends: dict[bytes, int] = {}
+    mine, its = multiprocessing.Pipe()
+    forking = multiprocessing.get_context("spawn").Process(
+        target=fork_servers, args=(its, str(path))
+    )
+    forking.start()
+    its.close()
+    try:
+        async with anyio.create_task_group() as clients:
+            for number in range(1, CLIENTS + 1):
+                turtle = f"turtle{number}"
+                clients.start_soon(patrol_on, turtle, f"{seed} {turtle}", sent, is_over)
+            for count in range(kills):
+                mine.send(chance.uniform(0.0, LONGEST))
+                status = await anyio.to_thread.run_sync(mine.recv, abandon_on_cancel=True)
+                if status is not None:
+                    raise Broken(f"server {count} ended by itself with status {status}")
+                if count % 20 == 19:
+                    check_journal(path, list(sent), ends)
+                    print(f"{count + 1} kills, {len(sent)} goals", end="\r", file=sys.stderr)
+            mine.send(0)
+            is_over.set()
+            clients.cancel_scope.deadline = anyio.current_time() + PATIENCE
+        if clients.cancel_scope.cancelled_caught:
+            raise Broken(f"goals have not ended {PATIENCE:g} s after the last kill")
+        mine.send(0)
+        if await anyio.to_thread.run_sync(mine.recv):
+            raise Broken("the last server did not end cleanly")
+        check_journal(path, sent, ends)
+        left = [record.id.hex() for record in read_goals(path) if not record.ended]
+        if left:
+            raise Broken(f"goals have not ended: {', '.join(left)}")
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(forking.pid or 0, signal.SIGKILL)
+        forking.join()
+    return sent, ends
+
+
+def main() -> int:
+    kills = int(sys.argv[1]) if len(sys.argv) > 1 else KILLS
+    seed = int(sys.argv[2]) if len(sys.argv) > 2 else SEED
+    print(
+        f"Python {platform.python_version()}, SQLite {sqlite3.sqlite_version}, "
+        f"zenoh {version('eclipse-zenoh')}, {os.cpu_count()} cores, seed {seed}"
+    )
+    began = time.monotonic()
+    problems = list[str]()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "goals.db")
+        try:
+            sent, ends = anyio.run(run, kills, seed, path)
+        except* (Broken, turtleact.TurtleactError) as broken:
+            problems = [str(each) for each in broken.exceptions]
+        if problems:
+            print(f"BROKEN with seed {seed}: {problems}")
+            return 1
+        crashes = [record.crashes for record in read_goals(path)]
+    minutes = (time.monotonic() - began) / 60
+    seen = statistics.median(each.seen for each in sent)
+    print(
+        f"{kills} kills in {minutes:.1f} min: {len(ends)} patrols of {TARGETS} targets were "
+        f"accepted, each ended SUCCEEDED once with all targets reached once; the clients saw "
+        f"{seen:g} feedback messages of a patrol (median); most crashes without feedback: "
+        f"{max(crashes)}"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
