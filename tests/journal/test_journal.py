@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import anyio
 import pytest
@@ -108,6 +109,22 @@ def test_goals_are_read_by_time_and_id(path):
     database.close()
     assert [each.accepted - NOW for each in read_goals(path, since=NOW + 1)] == [1, 2]
     assert [each.accepted - NOW for each in find_goals(path, record(2).id.hex())] == [2]
+
+
+def test_a_journal_on_a_read_only_disk_is_read(path, monkeypatch):
+    Database(path).close()
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    opened = list[str]()
+    connect = sqlite3.connect
+
+    def note(where: str, **options: Any) -> sqlite3.Connection:
+        opened.append(where)
+        connection: sqlite3.Connection = connect(where, **options)
+        return connection
+
+    monkeypatch.setattr(sqlite3, "connect", note)
+    assert list(read_goals(path)) == []
+    assert opened == [f"{path.as_uri()}?mode=ro&immutable=1"]
 
 
 def test_pruning_deletes_what_has_ended_and_expired(path):
