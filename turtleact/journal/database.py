@@ -329,8 +329,8 @@ def prune(path: Path, before: int) -> int:
 def _reading(path: Path, mode: str = "ro") -> Iterator[sqlite3.Connection]:
     if not path.is_file():
         raise JournalError(path, "there is no such file")
-    # To read a file in WAL mode, SQLite makes two more beside it. On a read-only disk it cannot, and
-    # need not: nobody writes there, and a file without a log is complete.
+    # To read a file in WAL mode, SQLite makes two more beside it. On a read-only disk it cannot,
+    # and need not: nobody writes there, and a file without a log is complete.
     is_still = not os.access(path.parent, os.W_OK) and not Path(f"{path}-wal").exists()
     still = "&immutable=1" if mode == "ro" and is_still else ""
     connection = None
