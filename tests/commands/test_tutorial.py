@@ -1,4 +1,4 @@
-"""What docs/tutorial.md shows in several terminals is typed here, in the same order.
+"""What docs/ shows in several terminals is typed here, in the same order.
 
 The line above a block says what it is:
 
@@ -8,7 +8,8 @@ The line above a block says what it is:
 - ``<!-- terminal N, until Ctrl-C -->``: a server. It runs until the end of its section.
 - ``<!-- terminal N, meanwhile -->``: a program that ends while the next block is typed.
 
-Each section with such blocks has a folder and a graph of its own.
+Each section with such blocks has a folder and a graph of its own. A section of
+docs/rclpy.md also has the files that were saved in earlier ones.
 """
 
 from __future__ import annotations
@@ -28,14 +29,25 @@ import pytest
 
 from turtleact.interfaces.types import REGISTRY
 
-PAGE = Path(__file__).parents[2] / "docs" / "tutorial.md"
+DOCS = Path(__file__).parents[2] / "docs"
 BLOCK = re.compile(r"^<!-- (save|terminal) (.*?) -->\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+SECTION = re.compile(r"^## (.*?)\n(.*?)(?=^## |\Z)", re.MULTILINE | re.DOTALL)
+
+
+def sections_of(page, *, keeps_files):
+    """The sections with such blocks."""
+    saved: list[tuple[str, ...]] = []
+    for title, text in SECTION.findall((DOCS / page).read_text("utf-8")):
+        blocks = BLOCK.findall(text)
+        if blocks:
+            yield pytest.param([*saved, *blocks], id=title)
+        if keeps_files:
+            saved += [block for block in blocks if block[0] == "save"]
+
+
 SECTIONS = [
-    pytest.param(BLOCK.findall(text), id=title)
-    for title, text in re.findall(
-        r"^## (.*?)\n(.*?)(?=^## |\Z)", PAGE.read_text("utf-8"), re.MULTILINE | re.DOTALL
-    )
-    if BLOCK.search(text)
+    *sections_of("tutorial.md", keeps_files=False),
+    *sections_of("rclpy.md", keeps_files=True),
 ]
 PATIENCE = 30.0
 """Seconds after which a program is taken to hang."""
@@ -90,12 +102,13 @@ class Terminals:
             command, *arguments = shlex.split(line)
             if where.endswith("until Ctrl-C"):
                 shown = shown.replace("tcp/127.0.0.1:7447", self.address)
-                program = ["-m", "turtleact", *arguments, "--listen", self.address]
-                self.serving.append(self.start(program, shown))
+                self.serving.append(self.start(self.program(*arguments), shown))
             elif where.endswith("meanwhile"):
                 self.running.append(self.start(arguments, shown))
             elif command == "python":
                 self.start(arguments, shown).check()
+            elif arguments[0] == "run":
+                self.start(self.program(*arguments), shown).check()
             elif command == "cat":
                 check((self.folder / arguments[0]).read_text("utf-8"), shown)
             else:
@@ -107,6 +120,12 @@ class Terminals:
         if not where.endswith("meanwhile"):
             while self.running:
                 self.running.pop().check()
+
+    def program(self, verb, *arguments):
+        """A command that is a process of its own: a server, or a program with rclpy."""
+        if verb == "run" and arguments[0].endswith(".py"):
+            return ["-m", "turtleact", "run", "--connect", self.address, *arguments]
+        return ["-m", "turtleact", verb, *arguments, "--listen", self.address]
 
     def start(self, program, shown):
         process = subprocess.Popen(
