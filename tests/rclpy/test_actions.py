@@ -1,11 +1,15 @@
 """Action servers and clients of rclpy, with each other."""
 
+import threading
+import time
+
 import pytest
 
 from turtleact.goal import GoalStatus
 from turtleact.rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from turtleact.rclpy.action.server import ServerGoalHandle
 from turtleact.rclpy.exceptions import RCLError
+from turtleact.rclpy.executors import MultiThreadedExecutor
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.task import Future
 
@@ -191,3 +195,58 @@ def test_wrong_types_are_refused(node, client):
         client.cancel_goal_async("handle")
     with pytest.raises(TypeError, match="not callable"):
         ActionServer(node, Fibonacci, "fibonacci", "execute")
+
+
+def test_a_thread_may_block_until_the_result(node, context):
+    from turtleact.rclpy.callback_groups import ReentrantCallbackGroup
+
+    group = ReentrantCallbackGroup()
+    ActionServer(node, Fibonacci, "fibonacci", succeed, callback_group=group)
+    client = ActionClient(node, Fibonacci, "fibonacci", callback_group=group)
+    executor = MultiThreadedExecutor(2, context=context)
+    executor.add_node(node)
+    spinning = threading.Thread(target=executor.spin, daemon=True)
+    spinning.start()
+    assert client.wait_for_server(timeout_sec=5)
+    response = client.send_goal(Fibonacci.Goal(order=4))
+    assert list(response.result.sequence) == [4]
+    sent = client.send_goal_async(Fibonacci.Goal(order=1))
+    while not sent.done():
+        time.sleep(0.001)
+    handle = sent.result()
+    assert handle.get_result().status == GoalStatus.SUCCEEDED
+    assert handle.cancel_goal().return_code == 3
+    assert handle == handle
+    assert handle.stamp.sec > 0
+    assert "accepted=True" in repr(handle)
+    assert len({handle, handle}) == 1
+    context.shutdown()
+    spinning.join(5)
+
+
+def test_a_client_waits_for_a_server_no_longer_than_asked(client):
+    assert not client.wait_for_server(timeout_sec=0.01)
+
+
+def test_a_server_and_a_client_are_destroyed_once(node):
+    server = ActionServer(node, Fibonacci, "fibonacci", succeed)
+    client = ActionClient(node, Fibonacci, "fibonacci")
+    for thing in (server, client):
+        thing.destroy()
+        thing.destroy()
+    assert list(node.waitables) == []
+
+
+def test_a_result_of_another_type_is_replaced(node, send, result_of, capsys):
+    def end(goal_handle):
+        goal_handle.succeed()
+        return "done"
+
+    server = ActionServer(node, Fibonacci, "fibonacci", end)
+    assert result_of(send()).status == GoalStatus.SUCCEEDED
+    assert "returned 'done', not a Result" in capsys.readouterr().err
+    server.register_execute_callback(lambda handle: handle.abort(Fibonacci.Result(sequence=[8])))
+    server.register_goal_callback(None)
+    server.register_cancel_callback(None)
+    server.register_handle_accepted_callback(None)
+    assert list(result_of(send()).result.sequence) == [8]
