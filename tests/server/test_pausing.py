@@ -357,6 +357,94 @@ async def test_a_rejected_child_is_not_paused():
             assert await walker.stands_still()
 
 
+async def test_children_may_end_while_they_are_paused_and_resumed():
+    walker = Walker()
+
+    async def parent(request: Count.Goal, handle: Handle) -> AsyncIterator[Any]:
+        clients = [handle.node.action_client(Count, name) for name in ("short", "long")]
+        async with clients[1].send_goal(goal(MANY)) as long, clients[0].send_goal(goal(3)):
+            yield await long.result()
+
+    async def slow(handle: Handle) -> None:
+        await take_turns()
+
+    async with lab(parent) as served:
+        short = Walker()
+        served.node.action_server(Count, "short", short.generator, on_resume=slow)
+        served.node.action_server(Count, "long", walker.generator, on_pause=slow, on_resume=slow)
+        async with served.client.send_goal(goal()) as handle:
+            for _ in range(3):
+                await take_turns()
+                await handle.pause()
+                assert await walker.stands_still()
+                await handle.resume()
+                assert not await walker.stands_still()
+
+
+async def test_a_parent_that_does_more_than_wait_for_its_children_stands_still_at_its_next_yield():
+    walker, steps = Walker(), list[int]()
+
+    async def parent(request: Count.Goal, handle: Handle) -> AsyncIterator[Any]:
+        async with handle.node.action_client(Count, "child").send_goal(goal(MANY)):
+            while True:
+                steps.append(1)
+                yield feedback()
+                await anyio.sleep(0)
+
+    async with lab(parent) as served:
+        served.node.action_server(Count, "child", walker.generator)
+        async with served.client.send_goal(goal()) as handle:
+            await take_turns()
+            await handle.pause()
+            await take_turns()
+            count = len(steps)
+            await take_turns()
+            assert len(steps) == count
+            await handle.resume()
+            await take_turns()
+            assert len(steps) > count
+
+
+async def test_a_goal_that_a_paused_body_sends_begins_paused_and_is_resumed_with_it():
+    walker = Walker()
+    go, sent = anyio.Event(), list[turtleact.ClientGoalHandle[Any, Any]]()
+
+    async def parent(request: Count.Goal, handle: Handle) -> Count.Result:
+        await go.wait()
+        async with handle.node.action_client(Count, "child").send_goal(goal(3)) as child:
+            sent.append(child)
+            return await child.result()
+
+    async with lab(parent, on_pause=walker.on_pause) as served:
+        served.node.action_server(Count, "child", walker.generator)
+        async with served.client.send_goal(goal()) as handle:
+            await handle.pause()
+            go.set()
+            await take_turns()
+            assert (sent[0].is_paused, walker.steps) == (True, 0)
+            await handle.resume()
+            assert await handle.result() == result(3)
+
+
+async def test_a_robot_whose_stop_is_cancelled_is_started_again():
+    walker = Walker()
+
+    async def brake(handle: Handle) -> None:
+        walker.log.append("braking")
+        await anyio.sleep_forever()
+
+    async with (
+        lab(walker.generator, on_pause=brake, on_resume=walker.on_resume) as served,
+        served.client.send_goal(goal(MANY)) as handle,
+    ):
+        async with running(handle.pause) as pausing:
+            pausing.scope.cancel()
+        assert walker.log[0] == "braking"
+        assert walker.log[1].startswith("resume")
+        assert not handle.is_paused
+        assert not await walker.stands_still()
+
+
 async def test_the_time_of_pauses_is_counted():
     clock = HandClock()
     times = list[float]()

@@ -339,6 +339,8 @@ class LocalActionServer:
             raise GoalRejected(f"the server still holds a goal with the id {goal.hex}")
         if goal.parent is not None:
             goal.enter_parent(goal.parent, self.pauses)
+            if goal.parent.is_paused:  # they are resumed together
+                self.pauses.hold(goal)
         if self.slot is None:
             if self.observers.are_any:
                 self._show_accepted(goal)
@@ -364,6 +366,7 @@ class LocalActionServer:
         entry = slot.enter(request)
         if entry.admission is Admission.REJECT:
             self._table.forget(goal)
+            self.pauses.end(goal)
             goal.leave_parent()
             raise GoalRejected(entry.reason)
         if self.observers.are_any:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from typing import Any, Protocol
 
 import anyio
@@ -30,6 +31,9 @@ __all__ = ["Hold", "Pauses"]
 logger = logging.getLogger("turtleact.server")
 
 Callback = Callable[[Any], Awaitable[object]]
+
+CLEANING = 5.0
+"""How long goals may take to go on after a pause that has failed (s, event loop time)."""
 
 
 class Hold:
@@ -194,24 +198,49 @@ class Pauses:
         paused = list[tuple[Goal, Pauses]]()
         try:
             for child, pauses in _children(goal):
-                if not child.is_paused:
-                    await pauses.pause(child, timeout)
-                paused.append((child, pauses))
-            # A body that waits for its paused children stands still with them.
-            if self._stands and not paused:
-                await self._wait_until_it_stands(goal, timeout)
-            await self._call(self._on_pause, goal, "on_pause")
-            if goal.is_decided or goal.status is not GoalStatus.EXECUTING:
+                if not child.is_paused and await pauses.pause_unless_ended(child, timeout):
+                    paused.append((child, pauses))
+            if self._stands:
+                goal.hold = Hold(self._tasks.signal())
+                if not goal.children:  # a body that waits for its paused children stands still
+                    await self._wait_until_it_stands(goal, timeout)
+            await self._bring_to_rest(goal)
+            if _is_ending(goal):
                 raise PauseRefused("it is being canceled or has ended")
         except BaseException:
-            with anyio.CancelScope(shield=True):
+            with anyio.move_on_after(CLEANING, shield=True):
                 for child, pauses in paused:
                     await pauses.resume(child)
             raise
         self._set(goal, is_paused=True)
 
+    async def pause_unless_ended(self, goal: Goal, timeout: float) -> bool:
+        """Pause a goal like `pause`; return False if it is ending, so that it need not be paused.
+
+        Raises:
+            PauseRefused: if it cannot be paused, or not in time, and goes on.
+        """
+        try:
+            await self.pause(goal, timeout)
+        except PauseRefused:
+            if _is_ending(goal):
+                return False
+            raise
+        return True
+
+    async def _bring_to_rest(self, goal: Goal) -> None:
+        """Call ``on_pause``. If that is cancelled, the robot may rest already: start it again."""
+        try:
+            await self._call(self._on_pause, goal, "on_pause")
+        except self._tasks.cancelled:
+            if not _is_ending(goal):
+                with suppress(PauseRefused), anyio.move_on_after(CLEANING, shield=True):
+                    await self._call(self._on_resume, goal, "on_resume")
+            raise
+
     async def _wait_until_it_stands(self, goal: Goal, timeout: float) -> None:
-        hold = goal.hold = Hold(self._tasks.signal())
+        hold = goal.hold
+        assert isinstance(hold, Hold)  # noqa: S101  # the caller has just set it
         with anyio.move_on_after(timeout):
             while goal.hold is hold and not hold.is_standing:
                 await hold.changed.wait()
@@ -252,6 +281,11 @@ class Pauses:
 def _children(goal: Goal) -> list[tuple[Goal, Pauses]]:
     """The children of a goal as they are now: some may end while the caller waits for another."""
     return list((goal.children or {}).items())
+
+
+def _is_ending(goal: Goal) -> bool:
+    """Whether a goal has ended, or is being canceled by a client or its server."""
+    return goal.is_decided or bool(goal.reason) or goal.status > GoalStatus.EXECUTING
 
 
 class _Switch:
