@@ -211,7 +211,7 @@ def _checked_bounds(bounds: Bounds, *, is_whole: bool) -> tuple[float, float, fl
         raise InvalidOption("range", f"expected two {kind}, and perhaps a step, not {bounds!r}")
     first, last, step = (*numbers, 0)[:3]
     if not (first <= last and 0 <= step < math.inf):
-        problem = f"the first number is at most the second, the step not negative, unlike {bounds}"
+        problem = f"expected the lower number first, and a step of 0 or more, not {bounds}"
         raise InvalidOption("range", problem)
     return first, last, step
 

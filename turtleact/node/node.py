@@ -158,7 +158,12 @@ class Node:
                 default; None keeps it for ever). ``on_client_lost`` is "keep", or "cancel" to
                 cancel a client's goals when the client closes. When the server closes, a cancelled
                 body has ``grace`` seconds to clean up (event loop time, 5 by default); then it is
-                given up.
+                given up. ``journal`` keeps the goals on disk (see `turtleact.open_journal`), and
+                ``on_restart`` says what to do with those that an earlier process left: "abort" or
+                "resume". ``pausable=True`` declares that a coroutine body awaits
+                ``handle.checkpoint()``, where it can be paused. ``on_pause(handle)`` and
+                ``on_resume(handle)`` are coroutine functions that bring a robot to rest and let it
+                go on.
 
         Raises:
             ActionConflict: if another node serves the name, or this node does with the same type.

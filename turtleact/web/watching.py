@@ -45,6 +45,7 @@ from turtleact.node import Node
 from turtleact.tasks import Background, current_tasks
 from turtleact.topics import Subscription
 from turtleact.transports import QoS
+from turtleact.transports.base import STATUS_QOS
 from turtleact.web.excerpts import Plain, excerpt
 from turtleact.web.forms import form
 from turtleact.web.goal_history import REJECTED, GoalHistory, GoalRecord
@@ -87,7 +88,6 @@ FORGOTTEN: Final = "its server has forgotten it"
 SERVICES: Final = "/turtleact/web/"
 POSE: Final = "/pose"
 POSE_TYPES: Final = frozenset({"turtlesim/msg/Pose", "turtlesim_msgs/msg/Pose"})
-STATUS_QOS: Final = QoS(depth=1, durability="transient_local")
 
 Values: TypeAlias = dict[str, Any]
 Client: TypeAlias = ActionClient[Message, Message, Message]
