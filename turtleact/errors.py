@@ -311,6 +311,7 @@ class ServerUnavailable(TurtleactError):
         problem: What is known about the server.
         kind: Whether ``name`` is an action or a service.
         otherwise: Another possible explanation, if one cannot be ruled out; else empty.
+        hint: What to look at next; may be empty.
     """
 
     def __init__(
@@ -320,16 +321,19 @@ class ServerUnavailable(TurtleactError):
         *,
         kind: Literal["action", "service"] = "action",
         otherwise: str = "",
+        hint: str = "",
     ) -> None:
         super().__init__(name, problem)
         self.name = name
         self.problem = problem
+        self.hint = hint
         self.kind = kind
         self.otherwise = otherwise
 
     def __str__(self) -> str:
         otherwise = f", or {self.otherwise}" if self.otherwise else ""
-        return f"{self.kind} '{self.name}': {self.problem}{otherwise}"
+        hint = f"; {self.hint}" if self.hint else ""
+        return f"{self.kind} '{self.name}': {self.problem}{otherwise}{hint}"
 
 
 class ServiceError(TurtleactError):

@@ -519,10 +519,32 @@ async def test_each_goal_has_an_id_of_its_own():
 async def test_without_a_server_a_goal_cannot_be_sent():
     async with turtleact.open_node("lab") as node:
         client = node.action_client(Count, "count")
-        with pytest.raises(ServerUnavailable, match=r"^action '/count': no server answers$"):
+        with pytest.raises(
+            ServerUnavailable, match=r"^action '/count': no server answers; this node"
+        ):
             await client.send_goal(goal())
         with pytest.raises(ServerUnavailable):
             await client.send_goal(goal()).__aenter__()
+
+
+async def test_a_similar_action_is_suggested():
+    async with turtleact.open_node("lab") as node:
+        node.action_server(Count, "count", count)
+        with pytest.raises(ServerUnavailable, match=r"answers; did you mean '/count'\?$"):
+            await node.action_client(Count, "counts").send_goal(goal())
+
+
+async def test_a_client_that_waits_for_a_server_says_so_once(caplog, monkeypatch):
+    monkeypatch.setattr("turtleact.client.action_client.SILENCE", 0.0)
+    async with turtleact.open_node("lab") as node:
+        client = node.action_client(Count, "count")
+        async with running(client.wait_for_server) as waiting:
+            await settle()
+            assert "still waiting for a server of action '/count'" in caplog.text
+            node.action_server(Count, "count", count)
+            await waiting.done.wait()
+        assert waiting.value
+    assert caplog.text.count("still waiting") == 1
 
 
 @pytest.mark.parametrize("ask", ["cancel_all", "cancel_before"])

@@ -325,6 +325,17 @@ def test_bytes_are_made_of_bytes_or_numbers(uuid):
         (Point, {"q": 1}, "message: unknown field 'q': the fields are x, y, z"),
         (Sample, {"at": {"q": 1}}, "message.at: unknown field 'q': the fields are x, y, z"),
         (Point, {1: 1}, "message: unknown field 1: the fields are x, y, z"),
+        (
+            Point,
+            {"x:2.0": None},
+            "message: unknown field 'x:2.0': a space is missing after the colon of 'x: 2.0'",
+        ),
+        (
+            Point,
+            "x:2.0",
+            "message: expected fields such as {x: 0.0, y: 0.0, z: 0.0}, got 'x:2.0': a space is "
+            "missing after the colon of 'x: 2.0'",
+        ),
         (Empty, {"x": 1}, "message: unknown field 'x': there are no fields"),
         (Empty, 5, "message: expected {}, because it has no fields, got 5"),
         (Sample, 5, 'message: expected fields such as {flag: false, name: "", at: {}}, got 5'),

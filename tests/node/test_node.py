@@ -206,6 +206,8 @@ async def test_a_function_that_is_not_declared_cannot_be_served():
             TypeError, match=r"^count is no action: declare it with @turtleact.action$"
         ):
             node.serve(count)  # type: ignore[arg-type]  # that is the test
+        with pytest.raises(TypeError, match="was called already: pass the function itself"):
+            node.serve(count(goal()))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -9,13 +9,15 @@ Source: rclpy ``action/client.py`` for names and behaviour.
 
 from __future__ import annotations
 
+import logging
 import sys
 import uuid
 import warnings
 from collections.abc import Callable, Coroutine, Generator
+from difflib import get_close_matches
 from inspect import CO_COROUTINE
 from types import CodeType, TracebackType
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar, cast
 
 import anyio
 import anyio.lowlevel
@@ -30,13 +32,20 @@ from turtleact.errors import InvalidOption, ServerUnavailable, TurtleactError, U
 from turtleact.goal import Goal, GoalStatus, OnFeedback, failure
 from turtleact.goal_id import goal_id_bytes, new_goal_id
 from turtleact.goal_server import GoalOrder, GoalServer, OffersGoals, cancel_and_wait
+from turtleact.graph import graph_of
 from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.standard import CancelGoal, Time
 from turtleact.observers import GoalObserver, Observers
 from turtleact.tasks import Home, Tasks
+from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Owner, find_server, wait_until_served
 
 __all__ = ["ActionClient", "Attach", "SendGoal"]
+
+logger = logging.getLogger("turtleact.client")
+
+SILENCE: Final = 5.0
+"""After waiting so long for a server, the client says so once (s, event loop time)."""
 
 G = TypeVar("G", bound=Message)
 R = TypeVar("R", bound=Message)
@@ -146,6 +155,10 @@ class ActionClient(Generic[G, R, F]):
             InvalidOption: if ``timeout`` is not a number.
         """
         self._home.check()
+        if timeout is None:
+            with anyio.move_on_after(SILENCE):
+                return await wait_until_served(self._endpoints.transport, self._find, None)
+            logger.warning("still waiting for a server of action '%s'; %s", self.name, self._hint())
         return await wait_until_served(self._endpoints.transport, self._find, timeout)
 
     async def cancel_all(self) -> CancelGoal.Response:
@@ -191,9 +204,23 @@ class ActionClient(Generic[G, R, F]):
             raise TurtleactError(f"the client of action '{self.name}' is closed: open another")
         if server is None:
             problem = self._endpoints.send_goal.why_not_served("_SendGoal")
-            raise ServerUnavailable(self.name, problem)
+            raise ServerUnavailable(self.name, problem, hint=self._hint())
         self._use(server)
         return server
+
+    def _hint(self) -> str:
+        """Say what the graph offers instead of the action."""
+        transport = self._endpoints.transport
+        actions = [action for action in graph_of(transport).actions if action != self.name]
+        near = get_close_matches(self.name, actions, 1)
+        if near:
+            return f"did you mean '{near[0]}'?"
+        if isinstance(transport, MemoryTransport):
+            return (
+                "this node sees only its own process, where nobody serves it; to reach others, open"
+                " the node with transport= and open_zenoh()"
+            )
+        return f"the graph has {', '.join(actions[:5])}" if actions else "the graph has no actions"
 
     def _find(self) -> GoalServer | None:
         found = self._endpoints.find_local()

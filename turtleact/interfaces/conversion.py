@@ -286,7 +286,8 @@ def filled(cls: type[M], value: object) -> M:
         copy: Callable[[Message], M] = compiled(cls, "")
         return copy(value)
     if not isinstance(value, Mapping):
-        raise InvalidMessage("", f"expected {example(cls)}, got {describe(value)}")
+        problem = f"expected {example(cls)}, got {describe(value)}"
+        raise InvalidMessage("", problem + (_missing_space(value) if value else ""))
     known = slots(cls)
     arguments: dict[str, object] = {}
     for name, item in value.items():
@@ -337,4 +338,14 @@ def instead(cls: type[Message], name: object) -> str:
     names = [field.name for field in fields(cls)]
     if not names:
         return ": there are no fields"
+    if missing := _missing_space(name):
+        return missing
     return did_you_mean(str(name), names) or f": the fields are {', '.join(names)}"
+
+
+def _missing_space(text: object) -> str:
+    """Say so if a text looks like a field and a value without the space that YAML needs."""
+    name, colon, value = str(text).partition(":")
+    if not (colon and value and name.isidentifier()) or value.startswith(" "):
+        return ""
+    return f": a space is missing after the colon of '{name}: {value}'"

@@ -7,6 +7,7 @@ Source: rclpy ``node.py`` for names and behaviour.
 
 from __future__ import annotations
 
+import inspect
 import logging
 import math
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
@@ -114,7 +115,11 @@ class Node:
             **overrides: Options that replace declared ones; see `action_server`.
         """
         if not isinstance(definition, ActionDeclaration):
-            raise TypeError(f"{_named(definition)} is no action: declare it with @turtleact.action")
+            if inspect.iscoroutine(definition) or inspect.isasyncgen(definition):
+                problem = "was called already: pass the function itself, without ()"
+            else:
+                problem = "is no action: declare it with @turtleact.action"
+            raise TypeError(f"{_named(definition)} {problem}")
         options = cast("ServerOptions", {**definition.options, **overrides})
         execute = cast("ActionBody[Message, Message, Message, object]", definition.execute)
         return self.action_server(

@@ -565,6 +565,8 @@ def _goal_id(text: str) -> str:
     digits = text.replace("-", "").lower()
     if not _GOAL_ID.fullmatch(digits):
         problem = "is not a goal id, which has 32 hexadecimal digits; the first 4 are enough"
+        if text.startswith("/"):
+            problem += ". To mean all goals of an action, add --all"
         raise UsageError(f"{quoted(text)} {problem}")
     return digits
 
