@@ -126,7 +126,7 @@ def test_a_description_has_the_range_of_its_kind():
         (0.5, (0,), "expected two numbers, and perhaps a step, not (0,)"),
         (0.5, 3, "expected two numbers, and perhaps a step, not 3"),
         (3, (9, 0), "expected the lower number first"),
-        (3, (0, 9, -1), "the step not negative"),
+        (3, (0, 9, -1), "a step of 0 or more"),
         (0.5, (0, math.nan), "expected the lower number first"),
         ("a", (0, 9), "parameter 'x' is of type string; only numbers have a range"),
         ([1], (0, 9), "is of type integer_array; only numbers have a range"),

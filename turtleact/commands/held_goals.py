@@ -74,6 +74,7 @@ __all__ = [
 ]
 
 STATUS_QOS = QoS(depth=100, durability="transient_local")
+"""Each server of an action keeps one message, so there may be many at once."""
 
 LATCHED_PATIENCE = 0.5
 """How long latched messages are waited for (s, by the clock of the graph)."""
