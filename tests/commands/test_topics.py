@@ -20,7 +20,14 @@ from turtleact.commands.message_text import GoalText, python_text
 from turtleact.commands.settings import Policies
 from turtleact.commands.topic_reading import Bandwidth, Rate
 from turtleact.interfaces import array, float64, get_interface, int32, load_interface, string
-from turtleact.interfaces.standard import UUID, GoalInfo, GoalStatusArray, GoalStatusMessage, Twist
+from turtleact.interfaces.standard import (
+    UUID,
+    Empty,
+    GoalInfo,
+    GoalStatusArray,
+    GoalStatusMessage,
+    Twist,
+)
 from turtleact.transports import open_zenoh
 
 GOLDEN = {
@@ -725,6 +732,24 @@ def test_a_service_that_is_not_there_is_waited_for(on_graph, graphs):
     ran = on_graph(nodes, "service", "call", "/clear", "std_srvs/srv/Empty")
     assert ran.status == 0
     assert ran.out.startswith("waiting for service to become available...\nrequester: making")
+
+
+def test_a_wait_for_a_typing_error_is_told(on_graph, graphs):
+    @asynccontextmanager
+    async def nodes(transport):
+        async with graphs.turtlesim(transport), open_node("o", transport=transport) as node:
+
+            async def appear():
+                await node.clock.sleep(3.0)
+                node.service(Empty, "/claer", lambda _: Empty.Response())
+
+            async with anyio.create_task_group() as beside:
+                beside.start_soon(appear)
+                yield
+                beside.cancel_scope.cancel()
+
+    ran = on_graph(nodes, "service", "call", "/claer", "std_srvs/srv/Empty")
+    assert (ran.status, ran.err) == (0, "turtleact: did you mean '/clear'?\n")
 
 
 def test_a_type_with_which_a_service_is_not_there_is_named_with_the_one_it_is(on_graph, graphs):

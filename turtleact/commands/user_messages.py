@@ -17,6 +17,7 @@ from turtleact.commands.output import note, say
 from turtleact.errors import ServerUnavailable, ServiceTimeout, TurtleactError
 from turtleact.graph import types_by_name
 from turtleact.interfaces import Message, Service, from_dict, from_text, stamp_of
+from turtleact.interfaces.definition import nearest
 from turtleact.interfaces.text import Document, tree_of
 from turtleact.interfaces.types import fields, nested_classes
 from turtleact.names import resolve_name
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from turtleact.node import Node
     from turtleact.services import ServiceType
     from turtleact.topics import Publisher
+    from turtleact.transports.base import EndpointKind
 
 __all__ = ["Order", "call", "publish", "take"]
 
@@ -108,11 +110,20 @@ async def _wait_for_subscriptions(
 
     if count() < least:
         say(f"Waiting for at least {least} matching subscription(s)...\n")
+        _suggest(node, "subscription", publisher.topic, type_name)
     while count() < least:
         await node.transport.wait_for_change()
     async with within(PATIENCE, node.clock):  # a known subscription is reached a little later
         while count() and not publisher.has_subscriptions:
             await node.transport.wait_for_change()
+
+
+def _suggest(node: Node, kind: EndpointKind, name: str, type_name: str) -> None:
+    """Say what has a similar name, because the wait may be for a typing error."""
+    endpoints = node.transport.endpoints()
+    known = {each.name for each in endpoints if (each.kind, each.type_name) == (kind, type_name)}
+    if near := nearest(name, known):
+        note(f"did you mean '{near}'?")
 
 
 def _timed(tree: object, message_type: type[Message], now: int) -> object:
@@ -164,6 +175,7 @@ async def call(
         raise ServerUnavailable(full_name, problem, kind="service")
     if not types:
         say("waiting for service to become available...\n")
+        _suggest(node, "service", full_name, service_type.type_name)
     await client.wait_for_service()
     while True:
         begun = node.clock.time()
