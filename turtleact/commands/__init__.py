@@ -33,6 +33,7 @@ VERBS: Final = {
     "journal": "Delete old goals from a journal: prune.",
     "serve": "Serve a world of turtles, and your own actions.",
     "run": "Run a program of a package, such as turtlesim turtlesim_node, or a file.",
+    "mcp": "Offer actions as tools to a language model.",
     "teleop": "Drive a turtle with the keyboard.",
     "snapshot": "Save a picture of the world as PNG or SVG.",
     **{

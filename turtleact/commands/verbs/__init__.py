@@ -100,7 +100,7 @@ PANELS: Final = {
     **dict.fromkeys(
         ("send-goal", "goals", "cancel", "pause", "resume", "watch", "result"), "Goals"
     ),
-    **dict.fromkeys(("serve", "run", "teleop", "snapshot"), "Turtles"),
+    **dict.fromkeys(("serve", "run", "mcp", "teleop", "snapshot"), "Turtles"),
     **dict.fromkeys(GROUPS, "Verbs of ros2"),
     "journal": "Goals",
 }

@@ -1,0 +1,157 @@
+"""``mcp``: offer a graph to language models, until the client leaves or a signal comes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import TYPE_CHECKING, NamedTuple
+
+import anyio
+
+from turtleact.commands import graph, runner
+from turtleact.commands.output import note, say
+from turtleact.commands.send_goal import embedded_world
+from turtleact.errors import InvalidOption, TurtleactError, UsageError
+from turtleact.names import resolve_name
+from turtleact.node import Node, open_node
+from turtleact.transports.base import find_server
+
+if TYPE_CHECKING:
+    from turtleact.commands.interrupts import Interrupts
+    from turtleact.commands.settings import Reach
+    from turtleact.mcp import McpServer
+
+__all__ = ["Order", "run"]
+
+PATIENCE = 10.0
+"""How long goals have to end after a signal (s, wall clock)."""
+
+
+class Order(NamedTuple):
+    """What the user wants.
+
+    Attributes:
+        reach: Which graph; None for an embedded world.
+        actions: The actions to offer; None for all.
+        services: The services to offer.
+        topics: The topics to offer; None for all.
+        address: The host and port of HTTP; None for stdin and stdout.
+        token: The token that clients of HTTP must send; None for the default.
+        hosts: Names of this machine that clients of HTTP may use.
+        read_only: Whether to offer only what changes nothing.
+        confirm: Whether to ask the user before each goal.
+    """
+
+    reach: Reach | None
+    actions: tuple[str, ...] | None
+    services: tuple[str, ...]
+    topics: tuple[str, ...] | None
+    address: tuple[str, int] | None
+    token: str | None
+    hosts: tuple[str, ...]
+    read_only: bool
+    confirm: bool
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether it names nothing to offer."""
+        names = self.actions, self.services, self.topics
+        return not self.read_only and all(each is not None and not each for each in names)
+
+
+def run(order: Order, interrupts: Interrupts) -> int:
+    """Serve, and return the exit status.
+
+    Raises:
+        UsageError: if the order names nothing to offer; the text lists the actions there are.
+        TurtleactError: if the extra is missing, or the graph is not there.
+    """
+    interrupts.patience = PATIENCE
+
+    async def serve(node: Node) -> int:
+        if order.is_empty:
+            raise UsageError(await _what_there_is(node))
+        return await _serve(order, node)
+
+    opened = _open_node(order.reach)
+    return runner.run(graph.until_interrupted(opened, serve, interrupts), interrupts)
+
+
+async def _serve(order: Order, node: Node) -> int:
+    try:
+        from turtleact.mcp import open_mcp
+    except ImportError as error:
+        if (error.name or "").partition(".")[0] != "mcp":
+            raise
+        problem = "turtleact mcp needs the extra: pip install 'turtleact[mcp]'"
+        raise TurtleactError(problem) from None
+    await _warn_of_missing(node, order.actions or ())
+    opened = open_mcp(
+        node,
+        actions="all" if order.actions is None else order.actions,
+        services=order.services,
+        topics="all" if order.topics is None else order.topics,
+        read_only=order.read_only,
+        confirm=order.confirm,
+    )
+    async with opened as server:
+        if order.address is not None:
+            await _serve_http(server, order.address, order.token, order.hosts)
+        else:
+            from turtleact.mcp.stdio import serve_stdio
+
+            await serve_stdio(server)
+    return 0
+
+
+async def _serve_http(
+    server: McpServer, address: tuple[str, int], token: str | None, hosts: tuple[str, ...]
+) -> None:
+    from turtleact.mcp.http import open_http
+
+    opened = open_http(server, *address, token=token, hosts=hosts)
+    async with AsyncExitStack() as stack:
+        try:
+            at = await stack.enter_async_context(opened)
+        except InvalidOption as error:
+            if error.name == "token":
+                raise UsageError(f"--token: {error.problem}") from None
+            raise TurtleactError(f"--http: {error.problem}") from None
+        say(f"ready at {at.url}\n")
+        if at.token and token is None:
+            say(f"clients must send 'Authorization: Bearer {at.token}'\n")
+        await anyio.sleep_forever()
+
+
+async def _what_there_is(node: Node) -> str:
+    """Why nothing is offered, and what could be."""
+    await find_server(node.transport, lambda: node.graph().actions or None)
+    seen = ", ".join(node.graph().actions) or "none"
+    return f"name what to offer: --actions NAME,… or --all; the actions here are: {seen}"
+
+
+async def _warn_of_missing(node: Node, actions: tuple[str, ...]) -> None:
+    """Name the actions that are not there yet; their tools come when they are served."""
+    names = {resolve_name(each) for each in actions}
+    await find_server(node.transport, lambda: names <= node.graph().actions.keys() or None)
+    missing = sorted(names - node.graph().actions.keys())
+    if missing:
+        note(f"nobody serves {', '.join(missing)} yet: the tool comes with the server")
+
+
+@asynccontextmanager
+async def _open_node(reach: Reach | None) -> AsyncIterator[Node]:
+    """A node on the graph in reach, or in an embedded world if there is none."""
+    async with AsyncExitStack() as stack:
+        there = None
+        if reach is not None:
+            opened = graph.open_transport(reach)
+            there = await graph.enter_if_there(stack, reach, opened)
+        if there is not None:
+            name = f"turtleact_mcp_{os.getpid()}"
+            yield await stack.enter_async_context(open_node(name, transport=there))
+            return
+        node = await stack.enter_async_context(embedded_world(1.0, 0))
+        note("started an embedded world in this process")
+        yield node

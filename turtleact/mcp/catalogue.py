@@ -1,0 +1,242 @@
+"""The tools of a server: one for each offered action and service, and a few that are always there.
+
+The list follows the graph: an action's tool goes with the action's server, and comes back with it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from mcp.types import Tool, ToolAnnotations
+
+from turtleact.errors import InvalidInterface, UnknownInterface
+from turtleact.graph import graph_of
+from turtleact.interfaces import Action, Service, get_interface
+from turtleact.interfaces.comments import introduction
+from turtleact.mcp.offer import Offer, tool_name
+from turtleact.mcp.replies import goal_schema
+from turtleact.mcp.schema import Schema, input_schema, output_schema
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from turtleact.node import Node
+
+__all__ = ["FIXED", "Catalogue", "Entry"]
+
+READS: Final = ToolAnnotations(read_only_hint=True, open_world_hint=True)
+STOPS: Final = ToolAnnotations(read_only_hint=False, destructive_hint=False, idempotent_hint=True)
+ACTS: Final = ToolAnnotations(read_only_hint=False, destructive_hint=True, open_world_hint=True)
+
+
+class Entry(NamedTuple):
+    """A tool, and what it stands for.
+
+    Attributes:
+        tool: The tool as clients see it.
+        name: The name of the action or service; empty for a tool that is always there.
+        interface: The class of the action or service; None likewise.
+    """
+
+    tool: Tool
+    name: str = ""
+    interface: type[Action] | type[Service] | None = None
+
+
+def _object(**properties: Schema) -> Schema:
+    return {
+        "type": "object",
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+    }
+
+
+GOAL_ID: Final[Schema] = {
+    "type": "string",
+    "description": "The id of a goal, 32 hexadecimal digits, as list_goals gives it.",
+    "pattern": "^[0-9a-f]{32}$",
+}
+TOPIC: Final[Schema] = {
+    "type": "string",
+    "description": "The name of a topic, such as /turtle1/pose.",
+}
+STATUS: Final[Schema] = _object(goal_id={"type": "string"}, status={"type": "string"})
+GOALS: Final[Schema] = _object(
+    goals={
+        "type": "array",
+        "items": _object(
+            goal_id={"type": "string"},
+            action={"type": "string"},
+            status={"type": "string"},
+            accepted={"type": "string", "description": "When it was accepted, as in ISO 8601."},
+        ),
+    }
+)
+
+
+def _fixed(
+    name: str, description: str, takes: Schema, gives: Schema | None, hints: ToolAnnotations
+) -> Tool:
+    return Tool(
+        name=name,
+        description=description,
+        input_schema=takes,
+        output_schema=gives,
+        annotations=hints,
+    )
+
+
+FIXED: Final = (
+    _fixed("list_goals", "List the goals that servers hold.", _object(), GOALS, READS),
+    _fixed(
+        "read_topic",
+        "Read the newest message of a topic. Waits a few seconds for one if there is none yet.",
+        _object(topic=TOPIC),
+        None,
+        READS,
+    ),
+    _fixed(
+        "take_picture",
+        "Take a picture of the world of turtles, with their trails, as PNG. It is 11.1 m wide and "
+        "high; x is to the right, y is up, and the origin is the lower left corner.",
+        _object(),
+        None,
+        READS,
+    ),
+    _fixed(
+        "cancel_goal",
+        "Cancel a goal, whoever has sent it, and wait for its end.",
+        _object(goal_id=GOAL_ID),
+        STATUS,
+        STOPS,
+    ),
+    _fixed(
+        "cancel_all_goals",
+        "Cancel all goals of all offered actions, whoever has sent them, and wait for their ends.",
+        _object(),
+        GOALS,
+        STOPS,
+    ),
+    _fixed(
+        "pause_goal",
+        "Pause a goal, and wait until it stands still. Not every goal can be paused.",
+        _object(goal_id=GOAL_ID),
+        STATUS,
+        STOPS,
+    ),
+    _fixed("resume_goal", "Let a paused goal go on.", _object(goal_id=GOAL_ID), STATUS, ACTS),
+)
+"""The tools that are there whatever the graph has, if the offer has a use for them."""
+
+
+class Catalogue:
+    """The tools for a graph and an offer.
+
+    Args:
+        node: Sees the graph.
+        offer: What of it is offered.
+    """
+
+    def __init__(self, node: Node, offer: Offer) -> None:
+        self._node = node
+        self._offer = offer
+        self._changes = -1
+        self._entries: dict[str, Entry] = {}
+        self._made: dict[tuple[str, str], Entry] = {}
+
+    def actions(self) -> dict[str, type[Action]]:
+        """The offered actions that are served now, by name."""
+        served = graph_of(self._node.transport).actions
+        return _known(served, Action, {name for name in served if self._offer.allows_action(name)})
+
+    def entries(self) -> Mapping[str, Entry]:
+        """All tools by name, as the graph is now."""
+        changes = self._node.transport.changes
+        if changes != self._changes:
+            self._changes = changes
+            self._entries = self._list()
+        return self._entries
+
+    def _list(self) -> dict[str, Entry]:
+        found = {tool.name: Entry(tool) for tool in FIXED if self._has_use_for(tool)}
+        if self._offer.is_read_only:
+            return found
+        for name, action_type in self.actions().items():
+            self._add(found, self._entry(name, action_type), "action")
+        served = graph_of(self._node.transport).services
+        for name, service_type in _known(served, Service, self._offer.services).items():
+            self._add(found, self._entry(name, service_type), "service")
+        return found
+
+    def _has_use_for(self, tool: Tool) -> bool:
+        if tool.name == "read_topic":
+            return self._offer.topics is None or bool(self._offer.topics)
+        return tool.annotations is READS or not self._offer.is_read_only
+
+    @staticmethod
+    def _add(found: dict[str, Entry], entry: Entry, kind: str) -> None:
+        """Add a tool; a second one of its name gets its kind behind it."""
+        name = entry.tool.name
+        if name in found:
+            name = f"{name}.{kind}"
+            entry = entry._replace(tool=entry.tool.model_copy(update={"name": name}))
+        found[name] = entry
+
+    def _entry(self, name: str, interface: type[Action] | type[Service]) -> Entry:
+        """The tool of an action or service; made once, as its schemas do not change."""
+        key = name, interface.type_name
+        if key not in self._made:
+            if issubclass(interface, Action):
+                tool = _action_tool(name, interface)
+            else:
+                tool = _service_tool(name, interface)
+            self._made[key] = Entry(tool, name, interface)
+        return self._made[key]
+
+
+def _known(
+    served: Mapping[str, tuple[str, ...]], kind: type[Any], names: set[str] | frozenset[str]
+) -> dict[str, Any]:
+    """The classes of those names; of a name with several types, the first that is known here."""
+    found: dict[str, Any] = {}
+    for name in sorted(names):
+        for type_name in served.get(name, ()):
+            try:
+                interface = get_interface(type_name)
+            except (UnknownInterface, InvalidInterface):
+                continue
+            if issubclass(interface, kind):
+                found[name] = interface
+                break
+    return found
+
+
+def _action_tool(name: str, action_type: type[Action]) -> Tool:
+    about = f"Send a goal to the action {name} ({action_type.type_name}) and wait for its end."
+    return Tool(
+        name=tool_name(name),
+        title=name,
+        description=" ".join(filter(None, (_said(action_type), about))),
+        input_schema=input_schema(action_type.Goal),
+        output_schema=goal_schema(action_type),
+        annotations=ACTS,
+    )
+
+
+def _service_tool(name: str, service_type: type[Service]) -> Tool:
+    about = f"Call the service {name} ({service_type.type_name})."
+    return Tool(
+        name=tool_name(name),
+        title=name,
+        description=" ".join(filter(None, (_said(service_type), about))),
+        input_schema=input_schema(service_type.Request),
+        output_schema=output_schema(service_type.Response),
+        annotations=ACTS,
+    )
+
+
+def _said(interface: type[Action] | type[Service]) -> str:
+    """What the author says about an interface; generated classes only repeat their name."""
+    text = introduction(interface)
+    return "" if interface.type_name in text else text.replace("``", "`")

@@ -1,0 +1,93 @@
+"""Asking the user before something moves: elicitation, as old and new clients have it.
+
+Up to version 2025-11-25 of the protocol, the server sends the question as a request of its own.
+From 2026-07-28 on, it answers the call with the question, and the client repeats the call with the
+user's answer. Between the two the client holds a token. The token is good once, and for the same
+tool with the same arguments.
+
+Source: MCP 2026-07-28, "Elicitation" and "Multi Round-Trip Requests".
+"""
+
+from __future__ import annotations
+
+import secrets
+from typing import TYPE_CHECKING, Final
+
+from mcp.types import (
+    ElicitRequest,
+    ElicitRequestFormParams,
+    ElicitResult,
+    InputRequiredResult,
+)
+
+from turtleact.errors import TurtleactError
+
+if TYPE_CHECKING:
+    from mcp.types import CallToolRequestParams
+
+    from turtleact.mcp.request import Request
+
+__all__ = ["Confirmation"]
+
+QUESTION: Final = "confirm"
+FIRST_VERSION: Final = "2026-07-28"
+"""The first version of the protocol in which the server answers with the question."""
+
+MOST_ASKED: Final = 256
+"""How many questions may be open; of more, the oldest are forgotten."""
+
+FORM: Final = {"type": "object", "properties": {}}
+"""The form that the user fills in: it has no fields, only yes and no."""
+
+
+class Confirmation:
+    """Asks the user, and remembers which questions are open."""
+
+    def __init__(self) -> None:
+        self._asked: dict[str, tuple[str, object]] = {}
+
+    async def ask(
+        self, ctx: Request, params: CallToolRequestParams, question: str
+    ) -> InputRequiredResult | None:
+        """Ask the user; returns None if the user agrees, or the reply that asks.
+
+        Raises:
+            TurtleactError: if the user does not agree, or cannot be asked.
+        """
+        capabilities = ctx.session.client_capabilities
+        if capabilities is None or capabilities.elicitation is None:
+            raise TurtleactError(
+                "this needs the user's confirmation, but the client cannot ask its user: use a "
+                "client with elicitation, or a server without --confirm"
+            )
+        if ctx.protocol_version < FIRST_VERSION:
+            reply = await ctx.session.elicit_form(question, FORM, ctx.request_id)
+        elif params.request_state is None:
+            return self._begin(params, question)
+        else:
+            reply = self._take(params)
+        if reply.action != "accept":
+            raise TurtleactError(
+                f"the user did not confirm this ({reply.action}): do not try again"
+            )
+        return None
+
+    def _begin(self, params: CallToolRequestParams, question: str) -> InputRequiredResult:
+        token = secrets.token_urlsafe(16)
+        self._asked[token] = params.name, params.arguments
+        for oldest in list(self._asked)[: max(0, len(self._asked) - MOST_ASKED)]:
+            del self._asked[oldest]
+        asked = ElicitRequest(
+            params=ElicitRequestFormParams(message=question, requested_schema=FORM)
+        )
+        return InputRequiredResult(input_requests={QUESTION: asked}, request_state=token)
+
+    def _take(self, params: CallToolRequestParams) -> ElicitResult:
+        """The user's answer to a question about exactly this call."""
+        asked = self._asked.pop(params.request_state or "", None)
+        reply = (params.input_responses or {}).get(QUESTION)
+        if asked != (params.name, params.arguments) or not isinstance(reply, ElicitResult):
+            raise TurtleactError(
+                "the confirmation does not belong to this call, or was used before: call again"
+            )
+        return reply

@@ -1,0 +1,174 @@
+"""The goals that models send: one call of a tool is one goal, from its arguments to its answer.
+
+A call that is cancelled cancels its goal and waits for the goal's end, because the client's block
+does (`turtleact.client.action_client.SendGoal`). A client that goes away cancels its calls, too.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
+
+import anyio
+
+from turtleact.errors import TurtleactError
+from turtleact.mcp.replies import data_of, failure, one_line
+
+if TYPE_CHECKING:
+    from mcp.types import CallToolResult
+
+    from turtleact.body import ActionType
+    from turtleact.client import ActionClient
+    from turtleact.interfaces import Action, Message
+    from turtleact.mcp.offer import Limits
+    from turtleact.node import Node
+
+__all__ = ["Goals", "Report"]
+
+Report: TypeAlias = Callable[[float, float | None, str | None], Awaitable[None]]
+"""Sends a progress message: a number that grows, a total, and a text."""
+
+KEPT: Final = 64
+"""How many feedback messages wait to be reported; of more, the oldest are skipped."""
+
+BURST: Final = 20
+"""How many progress messages may come at once, before their rate is limited."""
+
+FAREWELL: Final = 1.0
+"""How long the last progress messages may take after the goal's end (s, event loop time)."""
+
+AnyClient: TypeAlias = "ActionClient[Message, Message, Message]"
+
+
+class Goals:
+    """Sends goals, and limits how many are under way.
+
+    Args:
+        node: Sends the goals.
+        limits: How many there may be.
+
+    Attributes:
+        active: How many goals and calls are under way.
+    """
+
+    def __init__(self, node: Node, limits: Limits) -> None:
+        self.active = 0
+        self.limits = limits
+        self._node = node
+        self._clients: dict[tuple[str, str], AnyClient] = {}
+
+    def client(self, name: str, action_type: type[Action]) -> AnyClient:
+        """The client of an action; opened once, and closed with the node."""
+        key = name, action_type.type_name
+        client = self._clients.get(key)
+        if client is None:
+            known = cast("ActionType[Message, Message, Message]", action_type)
+            client = self._clients[key] = self._node.action_client(known, name)
+        return client
+
+    @contextmanager
+    def place(self) -> Iterator[None]:
+        """A block in which something is under way.
+
+        Raises:
+            TurtleactError: if too much is under way.
+        """
+        if self.active >= self.limits.goals:
+            raise TurtleactError(
+                f"{self.active} goals and calls are under way, which is the limit: wait until one "
+                "has ended, or cancel one"
+            )
+        self.active += 1
+        try:
+            yield
+        finally:
+            self.active -= 1
+
+    async def run(self, client: AnyClient, goal: Message, report: Report) -> CallToolResult:
+        """Send a goal, report its feedback, and wait for its end.
+
+        Cancelling: the goal is canceled, and its end is waited for.
+        """
+        with self.place():
+            reporter = _Reporter(report, self.limits.progress_rate)
+            async with anyio.create_task_group() as beside:
+                beside.start_soon(reporter.run)
+                reply = await _follow(client, goal, reporter)
+                reporter.end()
+                with anyio.move_on_after(FAREWELL):
+                    await reporter.ended.wait()
+                beside.cancel_scope.cancel()
+            return reply
+
+
+async def _follow(client: AnyClient, goal: Message, reporter: _Reporter) -> CallToolResult:
+    try:
+        sending = client.send_goal(goal, feedback_callback=reporter.take)
+        async with sending as handle:
+            outcome = await handle.outcome()
+            return data_of(handle.goal_id, outcome, reporter.latest)
+    except TurtleactError as error:  # rejected, not served, or the server has gone
+        return failure(error)
+
+
+class _Reporter:
+    """Passes feedback on as progress, and never holds up the body of the goal.
+
+    Feedback comes by a plain call and waits in a short queue. A client that reads slowly, or a body
+    that publishes faster than the rate, skips the oldest messages.
+
+    Attributes:
+        latest: The newest feedback.
+        ended: Set when the last message has been passed on.
+    """
+
+    def __init__(self, report: Report, rate: float) -> None:
+        self.latest: Message | None = None
+        self.ended = anyio.Event()
+        self._report = report
+        self._rate = rate
+        self._count = 0
+        self._waiting: deque[tuple[int, Message]] = deque(maxlen=KEPT)
+        self._changed = anyio.Event()
+        self._over = anyio.Event()
+
+    def take(self, feedback: Any) -> None:  # noqa: ANN401  # of the action's class
+        """Take a feedback message."""
+        self.latest = feedback
+        self._count += 1
+        self._waiting.append((self._count, feedback))
+        self._changed.set()
+
+    def end(self) -> None:
+        """Pass on what waits, and end."""
+        self._over.set()
+        self._changed.set()
+
+    async def run(self) -> None:
+        """Pass feedback on until `end`."""
+        credit, since = float(BURST), anyio.current_time()
+        while True:
+            while self._waiting:
+                now = anyio.current_time()
+                credit, since = min(BURST, credit + (now - since) * self._rate), now
+                if credit < 1 and not self._over.is_set():
+                    with anyio.move_on_after((1 - credit) / self._rate):
+                        await self._over.wait()
+                    self._skip()
+                    continue
+                credit -= 1
+                count, feedback = self._waiting.popleft()
+                await self._report(count, None, one_line(feedback))
+            if self._over.is_set():
+                break
+            self._changed = anyio.Event()
+            await self._changed.wait()
+        self.ended.set()
+
+    def _skip(self) -> None:
+        """Keep only the newest message: after a pause for the rate, the others are old news."""
+        newest = self._waiting.pop()
+        self._waiting.clear()
+        self._waiting.append(newest)

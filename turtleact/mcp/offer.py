@@ -1,0 +1,118 @@
+"""What a model is offered: which actions, services and topics, and how much of them. Pure.
+
+Nothing is offered that the program or the command line does not name.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Collection
+from typing import Final, Literal, TypeAlias
+
+import msgspec
+
+from turtleact.errors import InvalidOption
+from turtleact.names import resolve_name
+
+__all__ = ["ALL", "Limits", "Names", "Offer", "tool_name"]
+
+ALL: Final = "all"
+
+Names: TypeAlias = Collection[str] | Literal["all"]
+"""Names of the graph, or every name that there is."""
+
+LONGEST_NAME: Final = 128
+DIGEST: Final = 8
+"""Hexadecimal digits that tell long tool names apart."""
+
+not_allowed = re.compile(r"[^A-Za-z0-9_.-]")
+
+
+class Limits(msgspec.Struct, frozen=True):
+    """How much all clients together may ask for.
+
+    Attributes:
+        goals: The maximum number of goals and service calls under way.
+        progress_rate: Progress messages per second and goal; between them, feedback is skipped.
+        kept_tasks: How many tasks are remembered after their goals have ended.
+    """
+
+    goals: int = 128
+    progress_rate: float = 10.0
+    kept_tasks: int = 1000
+
+    def __post_init__(self) -> None:
+        for name in self.__struct_fields__:
+            if not getattr(self, name) > 0:
+                raise InvalidOption(name, f"must be above zero, not {getattr(self, name)!r}")
+
+
+class Offer(msgspec.Struct, frozen=True):
+    """What a server offers.
+
+    Attributes:
+        actions: The actions that may be used; None for every action.
+        services: The services that may be called.
+        topics: The topics that may be read; None for every topic.
+        is_read_only: Whether only what changes nothing is offered.
+        asks: Whether the user is asked before each goal and each service call.
+        limits: How much clients may ask for.
+    """
+
+    actions: frozenset[str] | None
+    services: frozenset[str]
+    topics: frozenset[str] | None
+    is_read_only: bool
+    asks: bool
+    limits: Limits
+
+    @classmethod
+    def of(
+        cls,
+        actions: Names,
+        services: Collection[str],
+        topics: Names,
+        limits: Limits,
+        *,
+        is_read_only: bool,
+        asks: bool,
+    ) -> Offer:
+        """Check and complete the names.
+
+        Raises:
+            InvalidName: if a name breaks ROS 2's rules.
+        """
+        return cls(
+            _resolved(actions),
+            _resolved(services) or frozenset(),
+            _resolved(topics),
+            is_read_only,
+            asks,
+            limits,
+        )
+
+    def allows_action(self, name: str) -> bool:
+        """Whether goals of an action may be seen and, unless read only, sent."""
+        return self.actions is None or name in self.actions
+
+    def allows_topic(self, name: str) -> bool:
+        """Whether a topic may be read."""
+        return self.topics is None or name in self.topics
+
+
+def tool_name(name: str) -> str:
+    """The name of a tool for a name of the graph.
+
+    >>> tool_name("/turtle1/rotate_absolute")
+    'turtle1.rotate_absolute'
+    """
+    whole = not_allowed.sub("_", name.strip("/").replace("/", "."))
+    if len(whole) <= LONGEST_NAME:
+        return whole
+    digest = hashlib.sha256(name.encode()).hexdigest()[:DIGEST]
+    return f"{whole[: LONGEST_NAME - DIGEST - 1]}-{digest}"
+
+
+def _resolved(names: Names) -> frozenset[str] | None:
+    return None if names == ALL else frozenset(resolve_name(each) for each in names)

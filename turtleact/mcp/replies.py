@@ -1,0 +1,108 @@
+"""What tools answer: text for the model, and the same as data for programs. Pure."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any, Final
+
+from mcp.types import CallToolResult, TextContent
+
+from turtleact.errors import GoalAborted, GoalCanceled
+from turtleact.goal import GoalStatus
+from turtleact.interfaces import to_dict
+from turtleact.interfaces.text import flow
+from turtleact.mcp.schema import Schema, output_schema, plain
+
+if TYPE_CHECKING:
+    from turtleact.client import Outcome
+    from turtleact.interfaces import Action, Message
+
+__all__ = ["LONGEST_TEXT", "answer", "data_of", "failure", "goal_schema", "one_line"]
+
+LONGEST_TEXT: Final = 100_000
+"""How many characters of JSON a model gets as text; a program gets everything as data."""
+
+LONGEST_LINE: Final = 500
+"""The maximum length of a message that tells progress (characters)."""
+
+DECIMALS: Final = 3
+MOST_SHOWN: Final = 100
+"""How many items of a list are looked at for such a message; it is cut after fewer."""
+
+ENDS: Final = [GoalStatus.SUCCEEDED.name, GoalStatus.CANCELED.name, GoalStatus.ABORTED.name]
+
+
+def goal_schema(action_type: type[Action]) -> Schema:
+    """The schema of what the tool of an action answers."""
+    properties: Schema = {
+        "goal_id": {"type": "string", "description": "The id of the goal, 32 hexadecimal digits."},
+        "status": {"type": "string", "enum": ENDS, "description": "How the goal ended."},
+        "reason": {"type": "string", "description": "Why it was aborted; empty otherwise."},
+        "result": output_schema(action_type.Result),
+        "feedback": output_schema(action_type.Feedback)
+        | {"description": "The last feedback, if there was any."},
+    }
+    required = ["goal_id", "status", "reason", "result"]
+    return {
+        "type": "object",
+        "properties": properties,
+        "required": required,
+        "additionalProperties": False,
+    }
+
+
+def data_of(goal_id: bytes, outcome: Outcome[Any], feedback: Message | None) -> CallToolResult:
+    """What the tool of an action answers at the end of its goal.
+
+    A goal that did not succeed is an error of the tool. Its reason comes first, word for word.
+    """
+    data = {
+        "goal_id": goal_id.hex(),
+        "status": outcome.status.name,
+        "reason": outcome.reason,
+        "result": plain(outcome.result),
+    }
+    if feedback is not None:
+        data["feedback"] = plain(feedback)
+    if outcome.status is GoalStatus.SUCCEEDED:
+        return answer(data)
+    kind = GoalCanceled if outcome.status is GoalStatus.CANCELED else GoalAborted
+    return answer(data, error=str(kind(outcome.reason)))
+
+
+def answer(data: dict[str, Any], *, error: str = "") -> CallToolResult:
+    """A reply with data; an error if there is a text for one."""
+    text = json.dumps(data, ensure_ascii=False)
+    if len(text) > LONGEST_TEXT:
+        text = f"{text[:LONGEST_TEXT]}… {len(text) - LONGEST_TEXT} more characters"
+    texts = [error, text] if error else [text]
+    return CallToolResult(
+        content=[TextContent(text=each) for each in texts],
+        structured_content=data,
+        is_error=bool(error),
+    )
+
+
+def failure(problem: object) -> CallToolResult:
+    """An error that the model reads."""
+    return CallToolResult(content=[TextContent(text=str(problem))], is_error=True)
+
+
+def one_line(message: Message) -> str:
+    """A message in one readable line.
+
+    >>> from turtleact.interfaces.standard import Point
+    >>> one_line(Point(x=1.0, y=2.50001))
+    'x: 1.0, y: 2.5, z: 0.0'
+    """
+    text = flow(_rounded(to_dict(message)))[1:-1]
+    return text if len(text) <= LONGEST_LINE else f"{text[:LONGEST_LINE]}…"
+
+
+def _rounded(value: object) -> object:
+    """Plain values with numbers as short as a reader needs them."""
+    if isinstance(value, dict):
+        return {name: _rounded(item) for name, item in value.items()}
+    if isinstance(value, list):
+        return [_rounded(item) for item in value[:MOST_SHOWN]]
+    return round(value, DECIMALS) if isinstance(value, float) else value

@@ -1,0 +1,195 @@
+"""JSON Schema for the interfaces of ROS, and arguments that fit it. Pure.
+
+A model sees an interface only through its schema, so the schema holds all that is known: ranges of
+integers, lengths of lists and texts, defaults, constants, and the comments with their units.
+
+- A field of a goal is required if the interface gives it no default. A default of zero cannot be
+  told from no default. So if any field of the goal has another default, only lists and messages are
+  required; numbers, texts and bools then start at zero.
+- A field of a nested message is never required, as in ROS.
+- Constants become an ``enum`` if their names begin with the field's: ``STATUS_OK`` for ``status``.
+  If their values are single bits, they can be combined, and are only listed. In a result they are
+  only listed, too, because nothing keeps a server from sending another value.
+
+Source: JSON Schema 2020-12; the ROS 2 article "Interface definition".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any, Final, TypeAlias, TypeVar
+
+import msgspec
+
+from turtleact.errors import InvalidMessage
+from turtleact.interfaces import Message, fields, from_dict, from_text, to_dict
+from turtleact.interfaces.comments import comments
+from turtleact.interfaces.conversion import error_class
+from turtleact.interfaces.definition import (
+    INTEGER_RANGES,
+    ArrayForm,
+    Constant,
+    Field,
+    FieldType,
+    Primitive,
+    zero,
+)
+from turtleact.interfaces.text import sayable
+from turtleact.interfaces.types import constants, nested_classes
+
+__all__ = ["Schema", "input_schema", "message_from", "output_schema", "plain"]
+
+M = TypeVar("M", bound=Message)
+
+Schema: TypeAlias = dict[str, Any]
+
+LARGEST: Final = 2**20
+"""The largest arguments that are read (bytes of JSON)."""
+
+FLOATS: Final = frozenset({"float32", "float64"})
+FEWEST_FLAGS: Final = 3
+"""So many constants that are single bits, or zero, are taken for flags."""
+
+
+@cache
+def input_schema(cls: type[Message]) -> Schema:
+    """The schema of a goal or request.
+
+    >>> from turtleact.interfaces.standard import Fibonacci
+    >>> schema = input_schema(Fibonacci.Goal)
+    >>> schema["required"], schema["properties"]["order"]["maximum"]
+    (['order'], 2147483647)
+    """
+    schema = _object(cls, is_output=False)
+    needed = required(cls)
+    for name in needed:
+        schema["properties"][name].pop("default", None)
+    return schema | {"required": list(needed)} if needed else schema
+
+
+@cache
+def output_schema(cls: type[Message]) -> Schema:
+    """The schema of a result, feedback or response as `plain` gives it: all fields are there."""
+    return _object(cls, is_output=True)
+
+
+@cache
+def required(cls: type[Message]) -> tuple[str, ...]:
+    """The fields that the arguments for a goal or request must have."""
+    all_fields = fields(cls)
+    has_defaults = any(field.default is not None for field in all_fields)
+    return tuple(
+        field.name
+        for field in all_fields
+        if field.default is None
+        and (not has_defaults or field.type.is_sequence or field.type.is_nested)
+    )
+
+
+def message_from(cls: type[M], arguments: Mapping[str, object], *, root: str) -> M:
+    """Make a message from the arguments of a call.
+
+    Args:
+        cls: Its class.
+        arguments: Plain values, as JSON has them.
+        root: The first word of the path in errors: "goal" or "request".
+
+    Raises:
+        InvalidMessage: for the first value that does not fit, a missing field, or too much data.
+    """
+    data = msgspec.json.encode(arguments)
+    if len(data) > LARGEST:
+        problem = f"{len(data)} bytes are too many: at most {LARGEST}"
+        raise error_class(root)(root, problem)
+    try:
+        message = from_dict(cls, arguments, root=root)
+    except InvalidMessage:
+        # The parser for texts knows how JSON spells a value, and so describes it better.
+        message = from_text(cls, data.decode(), root=root, source=root)
+    for name in required(cls):
+        if name not in arguments:
+            problem = "it is missing, and has no default"
+            raise error_class(root)(f"{root}.{name}", problem)
+    return message
+
+
+def plain(message: Message) -> dict[str, Any]:
+    """A message as plain values that JSON can hold: bytes as lists, nan and infinity as None."""
+    return sayable(to_dict(message))  # type: ignore[return-value]  # a dict stays one
+
+
+def _object(cls: type[Message], *, is_output: bool) -> Schema:
+    notes = comments(cls)
+    properties = {
+        field.name: _field(cls, field, nested, notes.get(field.name, ""), is_output=is_output)
+        for field, nested in zip(fields(cls), nested_classes(cls), strict=True)
+    }
+    schema: Schema = {"type": "object", "properties": properties, "additionalProperties": False}
+    return schema | {"required": list(properties)} if is_output and properties else schema
+
+
+def _field(
+    cls: type[Message], field: Field, nested: type[Message] | None, note: str, *, is_output: bool
+) -> Schema:
+    element = _element(field.type.element, nested, is_output=is_output)
+    known = _constants_of(cls, field)
+    if known and not is_output and not _are_flags(known):
+        element["enum"] = [constant.value for constant in known]
+    schema = _sequence(field.type, element) if field.type.is_sequence else element
+    listed = ", ".join(f"{constant.name} = {constant.value}" for constant in known)
+    described = " ".join(filter(None, (note, listed and f"Constants: {listed}."))).replace(
+        "``", "`"
+    )
+    if described:
+        schema["description"] = described
+    if not is_output:
+        default = _default(field)
+        if default is not None:
+            schema["default"] = default
+    return schema
+
+
+def _default(field: Field) -> Primitive | list[Primitive] | None:
+    """The value that a field has if it is left out; None if that is a message or an empty list."""
+    value = zero(field.type) if field.default is None else field.default
+    return list(value) or None if isinstance(value, tuple) else value
+
+
+def _sequence(kind: FieldType, items: Schema) -> Schema:
+    schema: Schema = {"type": "array", "items": items}
+    if kind.form is not ArrayForm.UNBOUNDED:
+        schema["maxItems"] = kind.size
+    if kind.form is ArrayForm.FIXED:
+        schema["minItems"] = kind.size
+    return schema
+
+
+def _element(kind: FieldType, nested: type[Message] | None, *, is_output: bool) -> Schema:
+    if nested is not None:
+        return _object(nested, is_output=is_output)
+    if kind.name == "bool":
+        return {"type": "boolean"}
+    if kind.name in FLOATS:  # null stands for nan and infinity
+        return {"type": ["number", "null"]} if is_output else {"type": "number"}
+    if kind.is_string:
+        bound = {} if kind.string_bound is None else {"maxLength": kind.string_bound}
+        return {"type": "string", **bound}
+    least, most = INTEGER_RANGES[kind.name]
+    return {"type": "integer", "minimum": least, "maximum": most}
+
+
+def _constants_of(cls: type[Message], field: Field) -> list[Constant]:
+    """The constants that name the values of a field."""
+    prefix = f"{field.name.upper()}_"
+    return [
+        constant
+        for constant in constants(cls)
+        if constant.name.startswith(prefix) and constant.type.name == field.type.name
+    ]
+
+
+def _are_flags(known: list[Constant]) -> bool:
+    values = [constant.value for constant in known if isinstance(constant.value, int)]
+    are_bits = len(values) == len(known) and all(value & (value - 1) == 0 for value in values)
+    return are_bits and len(values) >= FEWEST_FLAGS and max(values) > FEWEST_FLAGS

@@ -1,0 +1,324 @@
+"""A node as a server of the Model Context Protocol: actions are tools of a language model.
+
+The official SDK speaks the protocol, in all its versions. This module answers its requests, and
+tells clients when the list of tools changes.
+
+Source: Model Context Protocol, versions 2024-11-05 to 2026-07-28.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import AsyncIterator, Collection
+from contextlib import asynccontextmanager
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any, Final, cast
+
+import anyio
+from mcp import MCPError
+from mcp.server.lowlevel import NotificationOptions, Server
+from mcp.server.subscriptions import InMemorySubscriptionBus, ListenHandler, ToolsListChanged
+from mcp.types import (
+    INVALID_PARAMS,
+    BlobResourceContents,
+    CallToolRequestParams,
+    CallToolResult,
+    InputRequiredResult,
+    ListResourcesResult,
+    ListResourceTemplatesResult,
+    ListToolsResult,
+    PaginatedRequestParams,
+    ReadResourceRequestParams,
+    ReadResourceResult,
+    Resource,
+    ResourceTemplate,
+    TextResourceContents,
+)
+
+from turtleact.errors import TurtleactError
+from turtleact.interfaces import Action, Message
+from turtleact.mcp.board import Board
+from turtleact.mcp.catalogue import Catalogue, Entry
+from turtleact.mcp.confirmation import Confirmation
+from turtleact.mcp.goals import Goals
+from turtleact.mcp.offer import Limits, Names, Offer
+from turtleact.mcp.replies import failure
+from turtleact.mcp.schema import message_from, plain
+from turtleact.mcp.tasks import Tasks, declares_tasks
+from turtleact.mcp.tools import Tools, picture, read_topic
+from turtleact.tasks import Background
+
+if TYPE_CHECKING:
+    from mcp.server.context import CallNext, HandlerResult
+    from mcp.server.models import InitializationOptions
+    from mcp.server.session import ServerSession
+
+    from turtleact.mcp.request import Request
+    from turtleact.node import Node
+
+__all__ = ["McpServer", "open_mcp"]
+
+INSTRUCTIONS: Final = (
+    "Each tool that bears the name of a ROS 2 action sends one goal to a robot, and answers when "
+    "the goal has ended. Cancel the call to stop the robot. Lengths are in metres, angles in "
+    "radians, times in seconds, unless a description says otherwise."
+)
+GOALS_URI: Final = "ros://goals"
+PICTURE_URI: Final = "ros://world.png"
+TOPIC_URI: Final = "ros://topic"
+
+MOST_SESSIONS: Final = 64
+"""How many sessions of the older protocol are told of changes; of more, the oldest are not."""
+
+TELLING: Final = 1.0
+"""How long a session may take to be told of a change (s, event loop time)."""
+
+SETTLED: Final = 0.05
+"""How long the graph must be still before clients are told that it changed (s, loop time)."""
+
+
+class McpServer:
+    """A running server; made by `open_mcp`.
+
+    Attributes:
+        sdk: The SDK's server. Connect a client to it in memory, or run it on a transport.
+    """
+
+    def __init__(self, node: Node, offer: Offer) -> None:
+        self._node = node
+        self._offer = offer
+        self._catalogue = Catalogue(node, offer)
+        self._goals = Goals(node, offer.limits)
+        self._board = Board(node, self._catalogue.actions)
+        self._tools = Tools(node, offer, self._catalogue, self._board, self._goals)
+        self._tasks = Tasks(self._goals, self._board, self._type_of)
+        self._confirmation = Confirmation()
+        self._bus = InMemorySubscriptionBus()
+        self._listening = ListenHandler(self._bus)
+        self._sessions: list[ServerSession] = []
+        self.sdk = self._new_server()
+
+    def _new_server(self) -> Server[Any]:
+        server: Server[Any] = _Server(
+            "turtleact",
+            version=version("turtleact"),
+            instructions=INSTRUCTIONS,
+            get_tool_input_schema=self._input_schema,
+            on_list_tools=self._list_tools,
+            on_call_tool=self._call_tool,
+            on_list_resources=self._list_resources,
+            on_list_resource_templates=self._list_templates,
+            on_read_resource=self._read_resource,
+            on_subscriptions_listen=self._listening,
+        )
+        server.middleware.append(self._note_session)
+        if not self._offer.is_read_only:
+            self._tasks.install(server)
+        return server
+
+    # tools
+
+    async def _list_tools(self, _: Request, __: PaginatedRequestParams | None) -> ListToolsResult:
+        return ListToolsResult(tools=[entry.tool for entry in self._catalogue.entries().values()])
+
+    async def _call_tool(
+        self, ctx: Request, params: CallToolRequestParams
+    ) -> CallToolResult | InputRequiredResult:
+        entry = self._catalogue.entries().get(params.name)
+        if entry is None:
+            return failure(self._why_not_there(params.name))
+        try:
+            reply = await self._run(ctx, params, entry)
+        except TurtleactError as error:
+            return failure(error)
+        return cast("CallToolResult | InputRequiredResult", reply)  # a task is a dict
+
+    async def _run(
+        self, ctx: Request, params: CallToolRequestParams, entry: Entry
+    ) -> CallToolResult | InputRequiredResult | dict[str, Any]:
+        arguments = params.arguments or {}
+        interface = entry.interface
+        if interface is None:
+            return await self._tools.run(entry.tool, arguments)
+        message: Message
+        if issubclass(interface, Action):
+            what, message = (
+                "Send this goal to",
+                message_from(interface.Goal, arguments, root="goal"),
+            )
+        else:
+            request = message_from(interface.Request, arguments, root="request")
+            what, message = "Call the service", request
+        if self._offer.asks:
+            question = f"{what} {entry.name}?\n{json.dumps(arguments, ensure_ascii=False)}"
+            asking = await self._confirmation.ask(ctx, params, question)
+            if asking is not None:
+                return asking
+        if not issubclass(interface, Action):
+            return await self._tools.call(entry.name, interface, message)
+        client = self._goals.client(entry.name, interface)
+        if declares_tasks(ctx):
+            return await self._tasks.begin(client, message)
+        return await self._goals.run(client, message, ctx.session.report_progress)
+
+    def _why_not_there(self, name: str) -> str:
+        tools = ", ".join(self._catalogue.entries())
+        return (
+            f"there is no tool '{name}' now: the server of its action may have gone, or it is not "
+            f"offered. There are: {tools}"
+        )
+
+    def _type_of(self, action: str) -> type[Action] | None:
+        return self._catalogue.actions().get(action)
+
+    def _input_schema(self, name: str) -> dict[str, Any] | None:
+        entry = self._catalogue.entries().get(name)
+        return None if entry is None else entry.tool.input_schema
+
+    # resources
+
+    async def _list_resources(
+        self, _: Request, __: PaginatedRequestParams | None
+    ) -> ListResourcesResult:
+        goals = Resource(
+            uri=GOALS_URI,
+            name="goals",
+            description="The goals that servers hold.",
+            mime_type="application/json",
+        )
+        world = Resource(
+            uri=PICTURE_URI,
+            name="world",
+            description="A picture of the world of turtles.",
+            mime_type="image/png",
+        )
+        return ListResourcesResult(resources=[goals, world])
+
+    async def _list_templates(
+        self, _: Request, __: PaginatedRequestParams | None
+    ) -> ListResourceTemplatesResult:
+        newest = ResourceTemplate(
+            uri_template=f"{TOPIC_URI}/{{+name}}",
+            name="topic",
+            description="The newest message of a topic, such as ros://topic/turtle1/pose.",
+            mime_type="application/json",
+        )
+        return ListResourceTemplatesResult(resource_templates=[newest])
+
+    async def _read_resource(
+        self, _: Request, params: ReadResourceRequestParams
+    ) -> ReadResourceResult:
+        uri = str(params.uri)
+        try:
+            if uri == PICTURE_URI:
+                blob = base64.b64encode(await picture(self._node)).decode()
+                shown = BlobResourceContents(uri=uri, mime_type="image/png", blob=blob)
+                return ReadResourceResult(contents=[shown])
+            text = json.dumps(await self._data(uri), ensure_ascii=False)
+        except TurtleactError as error:
+            raise MCPError(INVALID_PARAMS, str(error)) from None
+        told = TextResourceContents(uri=uri, mime_type="application/json", text=text)
+        return ReadResourceResult(contents=[told])
+
+    async def _data(self, uri: str) -> Any:  # noqa: ANN401  # plain values
+        if uri == GOALS_URI:
+            return (await self._tools.list_goals()).structured_content
+        if uri.startswith(f"{TOPIC_URI}/"):
+            name = uri.removeprefix(TOPIC_URI)
+            return plain(await read_topic(self._node, self._offer, name))
+        raise TurtleactError(f"there is no resource {uri[:100]}")
+
+    # changes
+
+    async def _note_session(self, ctx: Request, call_next: CallNext) -> HandlerResult:
+        """Remember the sessions of the older protocol, which are told of changes one by one.
+
+        Newer clients listen for changes (``subscriptions/listen``).
+        """
+        reply = await call_next(ctx)
+        if ctx.method == "notifications/initialized":
+            self._sessions = [*self._sessions, ctx.session][-MOST_SESSIONS:]
+        return reply
+
+    async def watch(self) -> None:
+        """Tell clients whenever the list of tools changes."""
+        known = self._shown()
+        while True:
+            await self._node.transport.wait_for_change()
+            await anyio.sleep(SETTLED)  # a node that comes has many endpoints
+            shown = self._shown()
+            if shown != known:
+                known = shown
+                await self._tell()
+
+    def _shown(self) -> list[tuple[str, object]]:
+        return [(name, entry.interface) for name, entry in self._catalogue.entries().items()]
+
+    async def _tell(self) -> None:
+        await self._bus.publish(ToolsListChanged())
+        for session in list(self._sessions):
+            try:
+                with anyio.move_on_after(TELLING):
+                    await session.send_tool_list_changed()
+            except (MCPError, anyio.ClosedResourceError, anyio.BrokenResourceError):
+                self._sessions.remove(session)
+
+    async def aclose(self) -> None:
+        """End the streams of clients that listen for changes, and let go of tasks."""
+        self._listening.close()
+        await self._tasks.aclose()
+
+
+class _Server(Server[Any]):
+    """The SDK's server; tells clients of the older protocol that its tools may change."""
+
+    def create_initialization_options(
+        self,
+        notification_options: NotificationOptions | None = None,
+        experimental_capabilities: dict[str, dict[str, Any]] | None = None,
+        extensions: dict[str, dict[str, Any]] | None = None,
+    ) -> InitializationOptions:
+        options = notification_options or NotificationOptions(tools_changed=True)
+        return super().create_initialization_options(options, experimental_capabilities, extensions)
+
+
+@asynccontextmanager
+async def open_mcp(
+    node: Node,
+    *,
+    actions: Names = (),
+    services: Collection[str] = (),
+    topics: Names = (),
+    read_only: bool = False,
+    confirm: bool = False,
+    limits: Limits | None = None,
+) -> AsyncIterator[McpServer]:
+    """Offer a node's graph to language models for the length of a block.
+
+    At its end, calls under way are cancelled, and so are their goals. Goals that were sent as tasks
+    go on.
+
+    Args:
+        node: The node that sends the goals.
+        actions: The actions that may be used, or "all".
+        services: The services that may be called.
+        topics: The topics that may be read, or "all".
+        read_only: Whether to offer only what changes nothing.
+        confirm: Whether to ask the user before each goal and each service call. A client that
+            cannot ask its user may then send none.
+        limits: How much clients may ask for.
+
+    Raises:
+        InvalidName: if a name breaks ROS 2's rules.
+    """
+    offer = Offer.of(
+        actions, services, topics, limits or Limits(), is_read_only=read_only, asks=confirm
+    )
+    server = McpServer(node, offer)
+    watching = Background(server.watch(), "watching the graph for mcp")
+    try:
+        yield server
+    finally:
+        await watching.aclose()
+        await server.aclose()

@@ -1,0 +1,263 @@
+"""Goals as MCP Tasks: the call of a tool is answered at once, and the goal goes on by itself.
+
+This is the extension ``io.modelcontextprotocol/tasks``, for requests of clients that declare it.
+The id of a task is the id of its goal. So a task needs no storage of its own: after a restart of
+this server, the server of the action still knows the goal, and with a journal it does so after its
+own restart, too.
+
+====================== ==========================================================
+goal                   task
+====================== ==========================================================
+ACCEPTED to CANCELING  working; the last feedback is its status message
+SUCCEEDED              completed
+ABORTED                completed, with a tool error: ``failed`` is for JSON-RPC errors
+CANCELED               cancelled
+rejected               no task: the call is answered with the tool error
+====================== ==========================================================
+
+Source: the MCP extension "Tasks" of 2026-07-28.
+"""
+
+from __future__ import annotations
+
+import binascii
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any, Final
+
+import anyio
+from mcp import MCPError
+from mcp.types import (
+    INVALID_PARAMS,
+    METHOD_NOT_FOUND,
+    MISSING_REQUIRED_CLIENT_CAPABILITY,
+    CallToolResult,
+    RequestParams,
+)
+
+from turtleact.errors import TurtleactError
+from turtleact.goal import GoalStatus
+from turtleact.goal_id import new_goal_id
+from turtleact.mcp.replies import data_of, failure, one_line
+from turtleact.tasks import Background
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mcp.server.lowlevel import Server
+
+    from turtleact.client import ClientGoalHandle
+    from turtleact.interfaces import Action, Message
+    from turtleact.mcp.board import Board
+    from turtleact.mcp.goals import AnyClient, Goals
+    from turtleact.mcp.request import Request
+
+__all__ = ["EXTENSION", "Tasks", "declares_tasks"]
+
+EXTENSION: Final = "io.modelcontextprotocol/tasks"
+METHODS: Final = ("tasks/get", "tasks/update", "tasks/cancel")
+FIRST_VERSION: Final = "2026-07-28"
+"""The first version of the protocol that has the extension; versions are dates."""
+
+KEEP_MS: Final = 3_600_000
+"""How long the end of a task is kept at least, unless too many have ended since."""
+
+POLL_MS: Final = 500
+RETURN: Final = 600.0
+"""How long a goal's server may be away before its task fails (s, event loop time)."""
+
+
+class TaskParams(RequestParams):
+    """What the three requests about a task share."""
+
+    task_id: str
+
+
+class _Task:
+    """A goal as a task."""
+
+    def __init__(self, goal_id: bytes) -> None:
+        now = datetime.now(UTC)
+        self.goal_id = goal_id
+        self.created = now
+        self.updated = now
+        self.status = "working"
+        self.message = ""
+        self.reply: CallToolResult | None = None
+        self.latest: Message | None = None
+        self.handle: ClientGoalHandle[Any, Any] | None = None
+        self.known = anyio.Event()  # the goal was accepted, or never will be
+        self.over = anyio.Event()
+        self.following: Background | None = None
+
+    def take(self, feedback: Any) -> None:  # noqa: ANN401  # of the action's class
+        self.latest = feedback
+        self.updated = datetime.now(UTC)
+
+    def end(self, reply: CallToolResult, status: str) -> None:
+        self.reply, self.status = reply, status
+        self.updated = datetime.now(UTC)
+        self.over.set()
+
+    def told(self) -> dict[str, Any]:
+        """The task as the protocol has it."""
+        handle = self.handle
+        latest = self.latest or (handle.last_feedback if handle is not None else None)
+        told = {
+            "taskId": self.goal_id.hex(),
+            "status": self.status,
+            "createdAt": self.created.isoformat(),
+            "lastUpdatedAt": self.updated.isoformat(),
+            "ttlMs": KEEP_MS,
+            "pollIntervalMs": POLL_MS,
+        }
+        if self.status == "working" and latest is not None:
+            told["statusMessage"] = one_line(latest)
+        if self.status == "completed" and self.reply is not None:
+            told["result"] = self.reply.model_dump(by_alias=True, mode="json", exclude_none=True)
+        return told
+
+
+class Tasks:
+    """The tasks that this server knows; it finds others on the graph.
+
+    Args:
+        goals: Sends the goals.
+        board: Finds goals that somebody else has sent, or this server before its restart.
+        action_type: Returns the type of an offered action.
+    """
+
+    def __init__(
+        self,
+        goals: Goals,
+        board: Board,
+        action_type: Callable[[str], type[Action] | None],
+    ) -> None:
+        self._goals = goals
+        self._board = board
+        self._action_type = action_type
+        self._tasks: dict[bytes, _Task] = {}
+
+    def install(self, server: Server[Any]) -> None:
+        """Serve the requests about tasks, and say so."""
+        server.extensions[EXTENSION] = {}
+        for method, handler in zip(METHODS, (self._get, self._update, self._cancel), strict=True):
+            server.add_request_handler(method, TaskParams, handler)
+
+    async def begin(self, client: AnyClient, goal: Message) -> dict[str, Any] | CallToolResult:
+        """Send a goal; returns its task once it is accepted.
+
+        Cancelling: the goal is canceled, as nobody would know its id.
+        """
+        task = _Task(new_goal_id())
+        task.following = Background(self._send(client, goal, task), f"task {task.goal_id.hex()}")
+        try:
+            await task.known.wait()
+        except anyio.get_cancelled_exc_class():
+            await task.following.aclose()
+            raise
+        if task.handle is None:
+            return task.reply or failure("the goal was not sent: the server is closing")
+        task.handle.detach()
+        self._remember(task)
+        return {"resultType": "task", **task.told()}
+
+    async def aclose(self) -> None:
+        """Follow no goal any more; the goals go on."""
+        for task in self._tasks.values():
+            if task.following is not None:
+                await task.following.aclose()
+
+    async def _send(self, client: AnyClient, goal: Message, task: _Task) -> None:
+        try:
+            with self._goals.place():
+                order = client.send_goal(
+                    goal, goal_id=task.goal_id, feedback_callback=task.take, reattach=RETURN
+                )
+                async with order as handle:
+                    await self._follow(task, handle)
+        except TurtleactError as error:
+            task.end(failure(error), "completed")
+        finally:
+            task.known.set()
+
+    async def _attach(self, client: AnyClient, task: _Task) -> None:
+        try:
+            async with client.attach(task.goal_id) as handle:
+                await self._follow(task, handle)
+        except TurtleactError as error:
+            task.end(failure(error), "completed")
+        finally:
+            task.known.set()
+
+    async def _follow(self, task: _Task, handle: ClientGoalHandle[Any, Any]) -> None:
+        task.handle = handle
+        task.known.set()
+        outcome = await handle.outcome()
+        is_canceled = outcome.status is GoalStatus.CANCELED
+        latest = task.latest or handle.last_feedback
+        reply = data_of(handle.goal_id, outcome, latest)
+        task.end(reply, "cancelled" if is_canceled else "completed")
+
+    def _remember(self, task: _Task) -> None:
+        self._tasks[task.goal_id] = task
+        ended = [each for each in self._tasks.values() if each.reply is not None]
+        for oldest in ended[: max(0, len(ended) - self._goals.limits.kept_tasks)]:
+            del self._tasks[oldest.goal_id]
+
+    async def _find(self, ctx: Request, text: str) -> _Task:
+        """The task of an id.
+
+        Raises:
+            MCPError: if there is none, or if the client does not know of tasks.
+        """
+        if ctx.protocol_version < FIRST_VERSION:
+            raise MCPError(METHOD_NOT_FOUND, "Method not found", ctx.method)
+        if not declares_tasks(ctx):
+            needed: dict[str, Any] = {"requiredCapabilities": {"extensions": {EXTENSION: {}}}}
+            problem = f"the client has not declared the extension {EXTENSION}"
+            raise MCPError(MISSING_REQUIRED_CLIENT_CAPABILITY, problem, needed)
+        try:
+            goal_id = binascii.unhexlify(text)
+        except ValueError:
+            goal_id = b""
+        task = self._tasks.get(goal_id) or await self._recover(goal_id)
+        if task is None:
+            raise MCPError(INVALID_PARAMS, f"there is no task {text[:64]}")
+        return task
+
+    async def _recover(self, goal_id: bytes) -> _Task | None:
+        """The task for a goal that an action's server holds."""
+        held = await self._board.find(goal_id)
+        action_type = None if held is None else self._action_type(held.action)
+        if held is None or action_type is None:
+            return None
+        task = _Task(goal_id)
+        client = self._goals.client(held.action, action_type)
+        task.following = Background(self._attach(client, task), f"task {goal_id.hex()}")
+        await task.known.wait()
+        if held.status.is_terminal:
+            await task.over.wait()  # the result is on its way
+        self._remember(task)
+        return task
+
+    async def _get(self, ctx: Request, params: TaskParams) -> dict[str, Any]:
+        return (await self._find(ctx, params.task_id)).told()
+
+    async def _update(self, ctx: Request, params: TaskParams) -> dict[str, Any]:
+        """Take input for a task. No task ever asks for any, so the input is ignored."""
+        await self._find(ctx, params.task_id)
+        return {}
+
+    async def _cancel(self, ctx: Request, params: TaskParams) -> dict[str, Any]:
+        """Ask the server to cancel the goal; its task shows later if the server agreed."""
+        task = await self._find(ctx, params.task_id)
+        if task.handle is not None and not task.handle.done:
+            task.handle.cancel_nowait()
+        return {}
+
+
+def declares_tasks(ctx: Request) -> bool:
+    """Whether a request comes from a client that can take a task for an answer."""
+    capabilities = ctx.session.client_capabilities
+    declared = None if capabilities is None else capabilities.extensions
+    return ctx.protocol_version >= FIRST_VERSION and EXTENSION in (declared or {})
