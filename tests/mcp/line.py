@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from contextlib import asynccontextmanager
+from typing import Any
 
 import anyio
 from mcp import Client
@@ -65,16 +66,21 @@ def serve(node: Node, lab: Lab, name: str = "/count"):
     return node.action_server(Fibonacci, name, lab.count, goal_callback=accept)
 
 
+def client_of(server: Any, mode: str = "auto", **options: Any) -> Any:
+    """A client in memory; tests know what is in the replies to it."""
+    return Client(server.sdk, mode=mode, **options)
+
+
 @asynccontextmanager
 async def connect(mode="auto", *, client=None, **offer):
     """A lab, and a client of its server."""
     async with (
         open_lab(**offer) as (lab, _, server),
-        Client(server.sdk, mode=mode, **(client or {})) as connected,
+        client_of(server, mode, **(client or {})) as connected,
     ):
         yield lab, connected
 
 
 def text_of(reply) -> str:
     """The first text of a reply."""
-    return reply.content[0].text
+    return str(reply.content[0].text)

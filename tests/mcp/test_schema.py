@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jsonschema
 import pytest
@@ -39,21 +39,21 @@ class Lift(Message, type_name="mcp_tests/msg/Lift"):
     LAMP_GREEN: ClassVar[uint8] = 2
     LAMP_BLUE: ClassVar[uint8] = 4
 
-    height: float64
-    mode: uint8
-    lamp: uint8
-    label: bounded[string, 8]
-    steps: bounded[list[int8], 3]
-    corner: array[list[float64], 2]
-    serial: uint64
-    is_gentle: bool_
-    at: Point
+    height: float64 = 0.0
+    mode: uint8 = 0
+    lamp: uint8 = 0
+    label: bounded[string, 8] = ""
+    steps: bounded[list[int8], 3] = []
+    corner: array[list[float64], 2] = [0.0, 0.0]
+    serial: uint64 = 0
+    is_gentle: bool_ = False
+    at: Point = Point()
 
 
 class Turn(Message, type_name="mcp_tests/msg/Turn"):
     """Turn."""
 
-    angle: float64
+    angle: float64 = 0.0
     speed: float64 = 2.0
     stops: list[Point] = []
 
@@ -133,8 +133,9 @@ def test_comments_of_a_file_are_beside_a_field_or_above_it(tmp_path):
 @pytest.mark.parametrize(
     "message", [Lift(corner=[math.nan, 1.0]), Turn(stops=[Point(x=math.inf)]), Lift(mode=7)]
 )
-def test_what_plain_gives_fits_the_output_schema(message):
-    jsonschema.validate(plain(message), output_schema(type(message)))
+def test_what_plain_gives_fits_the_output_schema(message: Message):
+    cls: Any = type(message)
+    jsonschema.validate(plain(message), output_schema(cls))
 
 
 @pytest.mark.parametrize(

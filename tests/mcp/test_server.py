@@ -9,7 +9,7 @@ import json
 import anyio
 import jsonschema
 import pytest
-from mcp import Client, MCPError
+from mcp import MCPError
 from mcp.types import ElicitResult, ToolListChangedNotification
 
 from turtleact import QoS, open_world
@@ -18,7 +18,7 @@ from turtleact.interfaces.standard.example_interfaces.srv import AddTwoInts
 from turtleact.mcp import Limits, open_mcp
 from turtleact.sim.pictures import to_png
 
-from .line import FOREVER, MODES, connect, open_lab, serve, text_of
+from .line import FOREVER, MODES, client_of, connect, open_lab, serve, text_of
 
 SQUARE = [{"x": x, "y": y} for x, y in ((2, 2), (9, 2), (9, 9), (2, 9), (2, 2))]
 
@@ -151,7 +151,7 @@ async def test_a_flood_of_goals_meets_a_limit_that_says_what_to_do():
 
 async def test_a_server_that_goes_ends_its_calls_with_the_reason():
     replies = []
-    async with open_lab(actions=["/again"]) as (lab, node, server), Client(server.sdk) as client:
+    async with open_lab(actions=["/again"]) as (lab, node, server), client_of(server) as client:
         action = serve(node, lab, "/again")
 
         async def call():
@@ -177,7 +177,7 @@ async def test_an_older_client_is_told_when_the_tools_change():
 
     async with (
         open_lab(actions="all") as (lab, node, server),
-        Client(server.sdk, mode="legacy", message_handler=hear) as client,
+        client_of(server, mode="legacy", message_handler=hear) as client,
     ):
         await client.list_tools()
         serve(node, lab, "/again")
@@ -188,7 +188,7 @@ async def test_an_older_client_is_told_when_the_tools_change():
 async def test_a_newer_client_that_listens_is_told_when_the_tools_change():
     async with (
         open_lab(actions="all") as (lab, node, server),
-        Client(server.sdk) as client,
+        client_of(server) as client,
         client.listen(tools_list_changed=True) as events,
     ):
         serve(node, lab, "/again")
@@ -201,7 +201,7 @@ async def test_a_newer_client_that_listens_is_told_when_the_tools_change():
 async def test_a_goal_can_be_cancelled_by_its_id():
     async with (
         open_lab() as (lab, node, server),
-        Client(server.sdk) as client,
+        client_of(server) as client,
         sender(node).send_goal(zero()) as handle,
     ):
         await lab.started.wait()
@@ -219,7 +219,7 @@ async def test_a_goal_can_be_cancelled_by_its_id():
 async def test_all_goals_can_be_cancelled_at_once():
     async with (
         open_lab() as (lab, node, server),
-        Client(server.sdk) as client,
+        client_of(server) as client,
         sender(node).send_goal(zero()),
         sender(node).send_goal(zero()),
     ):
@@ -231,7 +231,7 @@ async def test_all_goals_can_be_cancelled_at_once():
 async def test_a_goal_can_be_paused_and_resumed():
     async with (
         open_lab() as (lab, node, server),
-        Client(server.sdk) as client,
+        client_of(server) as client,
         sender(node).send_goal(Fibonacci.Goal(FOREVER)) as handle,
     ):
         await lab.started.wait()
@@ -263,7 +263,7 @@ async def test_the_other_tools_say_what_is_wrong(tool, arguments, text):
 
 
 async def test_an_allowed_service_is_a_tool():
-    async with open_lab(services=["/add"]) as (_, node, server), Client(server.sdk) as client:
+    async with open_lab(services=["/add"]) as (_, node, server), client_of(server) as client:
         node.service(AddTwoInts, "/add", lambda r: AddTwoInts.Response(r.a + r.b))
         reply = await client.call_tool("add", {"a": 2, "b": 3})
         assert reply.structured_content == {"sum": 5}
@@ -271,7 +271,7 @@ async def test_an_allowed_service_is_a_tool():
 
 async def test_a_topic_can_be_read_but_no_tool_writes_one():
     offer = {"topics": ["/place"]}
-    async with open_lab(**offer) as (_, node, server), Client(server.sdk) as client:
+    async with open_lab(**offer) as (_, node, server), client_of(server) as client:
         place = node.publisher(Point, "/place", QoS(durability="transient_local"))
         place.publish(Point(x=4.0))
         reply = await client.call_tool("read_topic", {"topic": "/place"})
@@ -349,7 +349,7 @@ async def test_a_client_that_knows_only_the_schemas_drives_a_square_and_sees_it(
     async with (
         open_world(speed="max") as node,
         open_mcp(node, actions=["/patrol"]) as server,
-        Client(server.sdk) as client,
+        client_of(server) as client,
     ):
         [patrol] = [tool for tool in (await client.list_tools()).tools if tool.name == "patrol"]
         told = []
@@ -373,7 +373,7 @@ async def test_a_turtle_stands_still_within_half_a_second_of_a_cancel():
     async with (
         open_world() as node,
         open_mcp(node, actions=["/patrol"], topics=["/turtle1/pose"]) as server,
-        Client(server.sdk) as client,
+        client_of(server) as client,
     ):
         moving = anyio.Event()
 

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import anyio
 import pytest
-from mcp import Client, MCPError
+from mcp import MCPError
 from mcp.client.extension import ClientExtension, ResultClaim
 from mcp.types import CallToolResult, RequestParams, Result
 from mcp.types import Request as McpRequest
@@ -15,7 +15,7 @@ from turtleact.interfaces.standard import Fibonacci
 from turtleact.mcp import Limits, open_mcp
 from turtleact.mcp.tasks import EXTENSION
 
-from .line import FOREVER, connect, open_lab
+from .line import FOREVER, client_of, connect, open_lab
 
 NOBODY = "ab" * 16
 INVALID_PARAMS, MISSING_CAPABILITY, NO_METHOD = -32602, -32021, -32601
@@ -30,7 +30,7 @@ class Task(Result):
     status_message: str | None = None
     poll_interval_ms: int | None = None
     ttl_ms: int | None = None
-    result: dict[str, Any] | None = None
+    result: Any = None
 
 
 class AnyTask(Task):
@@ -66,20 +66,20 @@ class TakesTasks(ClientExtension):
         return CallToolResult(content=[], is_error=True)  # the SDK checks any other
 
 
-async def ask(client: Client, method: str, task_id: str) -> AnyTask:
+async def ask(client: Any, method: str, task_id: str) -> Any:
     """Send a request about a task."""
     request = TaskRequest(method=method, params=TaskParams(task_id=task_id))
     kind = AnyTask if method == "tasks/get" else Result
     return await client.session.send_request(request, kind)
 
 
-async def begin(client: Client, extension: TakesTasks, order: int) -> Task:
+async def begin(client: Any, extension: TakesTasks, order: int) -> Task:
     """Call the action, and return the task that comes back."""
     await client.call_tool("count", {"order": order})
     return extension.tasks[-1]
 
 
-async def ended(client: Client, task_id: str) -> AnyTask:
+async def ended(client: Any, task_id: str) -> AnyTask:
     """Poll a task to its end."""
     while True:
         task = await ask(client, "tasks/get", task_id)
@@ -133,15 +133,15 @@ async def test_a_rejected_goal_is_no_task():
 
 async def test_tasks_survive_a_restart_of_this_server():
     takes = TakesTasks()
-    options = {"extensions": [takes]}
+    options: Any = {"extensions": [takes]}
     async with open_lab() as (_, node, server):
-        async with Client(server.sdk, **options) as client:
+        async with client_of(server, **options) as client:
             begun = await begin(client, takes, FOREVER)
             short = await begin(client, takes, 3)
             await ended(client, short.task_id)
         async with (
             open_mcp(node, actions=["/count"]) as second,
-            Client(second.sdk, **options) as client,
+            client_of(second, **options) as client,
         ):
             task = await ask(client, "tasks/get", begun.task_id)
             assert task.status == "working"
@@ -184,8 +184,8 @@ async def test_tasks_that_have_ended_are_forgotten_if_there_are_too_many():
 
 
 async def test_a_goal_of_somebody_else_is_a_task_too():
-    options = {"extensions": [TakesTasks()]}
-    async with open_lab() as (_, node, server), Client(server.sdk, **options) as client:
+    options: Any = {"extensions": [TakesTasks()]}
+    async with open_lab() as (_, node, server), client_of(server, **options) as client:
         sender = node.action_client(Fibonacci, "/count")
         async with sender.send_goal(Fibonacci.Goal(0)) as handle:
             task = await ask(client, "tasks/get", handle.goal_id.hex())
