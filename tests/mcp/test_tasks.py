@@ -79,7 +79,7 @@ async def begin(client: Any, extension: TakesTasks, order: int) -> Task:
     return extension.tasks[-1]
 
 
-async def ended(client: Any, task_id: str) -> AnyTask:
+async def ended(client: Any, task_id: str) -> Any:
     """Poll a task to its end."""
     while True:
         task = await ask(client, "tasks/get", task_id)
