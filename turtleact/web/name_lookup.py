@@ -106,8 +106,8 @@ class Directory:
 
     def find(self, kinds: tuple[EndpointKind, ...], name: str = "") -> Iterator[Endpoint]:
         """The endpoints of these kinds; with a name, only those with that name."""
-        for endpoint in self._transport.endpoints():
-            if endpoint.kind in kinds and (not name or endpoint.name == name):
+        for endpoint in self._transport.endpoints(name):
+            if endpoint.kind in kinds:
                 yield endpoint
 
     def types(self, kinds: tuple[EndpointKind, ...], name: str) -> list[str]:
