@@ -203,6 +203,14 @@ class Task(Future):
         self._executing = False
         self._task_lock = threading.Lock()
 
+    def __del__(self) -> None:
+        # A task that waited for an executor that was shut down: Python would warn that nobody has
+        # awaited its coroutine. An object whose __init__ failed has no attributes.
+        if getattr(self, "_is_coroutine", False) and self._handler is not None:
+            with contextlib.suppress(RuntimeError):
+                self._handler.close()
+        super().__del__()
+
     def __call__(self) -> None:
         """Run it, or its next step. Does nothing if it is done, cancelled or running."""
         if not self._is_pending or self._executing or not self._task_lock.acquire(blocking=False):
