@@ -12,6 +12,7 @@ import random
 import sys
 import threading
 import time
+from typing import Any
 
 import pytest
 
@@ -63,11 +64,11 @@ class Stress:
         self.context = Context()
         self.context.init([])
         self.node = rclpy.create_node("stress", context=self.context)
-        self.group = {"callback_group": ReentrantCallbackGroup()}
+        self.group: dict[str, Any] = {"callback_group": ReentrantCallbackGroup()}
         self.node.create_service(AddTwoInts, "add", add, **self.group)
         self.node.create_subscription(String, "chatter", lambda _: None, 10, **self.group)
         self.publisher = self.node.create_publisher(String, "chatter", 10)
-        cancels = {"cancel_callback": lambda _: CancelResponse.ACCEPT}
+        cancels: dict[str, Any] = {"cancel_callback": lambda _: CancelResponse.ACCEPT}
         ActionServer(self.node, Fibonacci, "count", count, **cancels, **self.group)
         self.client = self.node.create_client(AddTwoInts, "add", **self.group)
         self.actions = ActionClient(self.node, Fibonacci, "count", **self.group)
