@@ -55,6 +55,19 @@ async def test_all_that_is_there_is_told_and_nobody_sees_who_asks(address):
         assert other.nodes() == ()
 
 
+async def test_a_graph_of_hundreds_of_endpoints_is_told(address):
+    async with (
+        open_zenoh([], listen=[address], domain=7) as here,
+        open_node("robot", transport=here) as node,
+    ):
+        for number in range(300):
+            node.publisher(Twist, f"/topic{number}")
+        await here.flush()
+        with anyio.fail_after(15):
+            graph = await anyio.to_thread.run_sync(census, [address], 7, abandon_on_cancel=True)
+        assert len(graph.endpoints()) == 300
+
+
 def test_a_graph_that_is_not_there_is_told(address):
     with pytest.raises(TurtleactError, match="no ROS 2 graph in reach: nobody at unixsock"):
         census([address], 0)

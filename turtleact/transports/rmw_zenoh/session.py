@@ -169,9 +169,22 @@ class Session:
         return list(dict.fromkeys([*asked, *tuple(found)]))
 
     def _ask(self, key: str) -> list[str]:
+        # Zenoh delivers tokens that it knows inside `get`. Its own channel holds 256 and then waits
+        # for a reader, which would be this thread: so collect them in a callback.
+        found: list[str] = []
+        ended = threading.Event()
+
+        def take(reply: zenoh.Reply) -> None:
+            sample = reply.ok
+            if sample is not None:
+                found.append(str(sample.key_expr))
+
         with _mapped(f"ask for {key}"):
-            replies = self._session.liveliness().get(key, timeout=ANSWER)
-            return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+            self._session.liveliness().get(
+                key, Callback(take, ended.set, indirect=False), timeout=ANSWER
+            )
+        ended.wait()
+        return found
 
     def _meet_peers(self, round_trip: float, found: Sized) -> None:
         """Wait until a new peer has connected to the peers announced by its router.
