@@ -200,6 +200,34 @@ async def test_what_is_printed_and_warned_of_is_in_the_log(monkeypatch):
     assert "·[2Jnasty" in lines
 
 
+async def test_only_what_the_last_reload_said_is_in_the_log():
+    async with served() as (board, _):
+        log = ServerLog(board)
+        with log.hearing_reloads():
+            for problem in ("lab.py:10: SyntaxError", "lab.py:12: SyntaxError"):
+                log.reload("reloading: lab.py changed")
+                logging.getLogger("turtleact.reload").error(problem)
+            assert shown(board)[-1].endswith(" lab.py:12: SyntaxError")
+            log.reload("reloading: lab.py changed")
+            log.reload("reloaded: /mine")
+        lines = shown(board)
+    assert lines[0] == READY
+    assert not [line for line in lines if "SyntaxError" in line or "reloading" in line]
+    assert re.fullmatch(r"\d\d:\d\d:\d\d reloaded: /mine", lines[-1])
+
+
+async def test_an_error_that_comes_again_is_the_newest_line_again():
+    async with served() as (board, _):
+        log = ServerLog(board)
+        with log.hearing_reloads(), board.listening():
+            for _ in range(2):
+                logging.getLogger("turtleact.reload").error("lab.py:10: SyntaxError")
+                print("between")
+            logging.getLogger("turtleact.reload").error("lab.py:10: SyntaxError")
+        lines = shown(board)
+    assert [line.endswith("SyntaxError") for line in lines[-2:]] == [False, True]
+
+
 def test_what_is_printed_before_there_is_a_dashboard_goes_to_stderr(capsys):
     board = Dashboard(io.StringIO())
     with board.listening():

@@ -44,6 +44,14 @@ def test_a_line_that_is_added_replaces_none():
     assert [line.short for line in log.lines()] == ["1", "2"]
 
 
+def test_a_line_is_told_again_in_place_of_the_last_one_about_its_subject():
+    log = LogLines()
+    log.retell("reload", "failed:\nline 3")
+    log.add("goal 1")
+    log.retell("reload", "failed again")
+    assert full(log) == ["goal 1", "failed again"]
+
+
 def test_the_newest_lines_are_kept():
     log = LogLines()
     for number in range(terminal.MOST + 1):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import linecache
 import os
 import sys
 from pathlib import Path
@@ -107,6 +108,14 @@ async def test_a_local_module_that_it_imports_counts_too(desk):
     desk.write(file="reloadhelper.py", text="NUMBER = 20\n")
     await desk.rest()
     assert await desk.answer() == [1, 20]
+
+
+async def test_a_warning_quotes_the_line_as_it_is_now(desk):
+    file = str(desk.folder / "reloadlab.py")
+    assert linecache.getlines(file)[-1].strip().endswith("[1, reloadhelper.NUMBER])")
+    desk.write(2)
+    await desk.rest()
+    assert linecache.getlines(file)[-1].strip().endswith("[2, reloadhelper.NUMBER])")
 
 
 async def test_nothing_happens_without_a_change(desk):
@@ -234,7 +243,7 @@ async def test_a_name_that_another_node_serves_by_now_is_waited_for(desk):
 # --- what fails -----------------------------------------------------------------------------
 
 FAILURES = [
-    ("def f(:", "module 'reloadlab' cannot be imported: SyntaxError: "),
+    ("def f(:", "reloadlab.py:7: module 'reloadlab' cannot be imported: SyntaxError: "),
     ("1 / 0", "ZeroDivisionError: division by zero"),
     ("raise SystemExit(3)", "SystemExit: 3"),
     ("raise KeyboardInterrupt", "KeyboardInterrupt"),

@@ -133,23 +133,30 @@ def test_what_means_no_action_is_refused(folder, target, problem):
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("x = 1\ny = 1 / 0\n", "ZeroDivisionError: division by zero ({file}, line 2)"),
+        ("x = 1\ny = 1 / 0\n", "2: {cannot}: ZeroDivisionError: division by zero"),
         (
             "import nowhere_at_all\n",
-            "ModuleNotFoundError: No module named 'nowhere_at_all' ({file}, line 1)",
+            "1: {cannot}: ModuleNotFoundError: No module named 'nowhere_at_all'",
         ),
-        ("def f(:\n", "({file}, line 1)"),
-        ("raise BaseException('by hand')\n", "BaseException: by hand ({file}, line 1)"),
-        ("import turtleact\n@turtleact.action\ndef f(): ...\n", "({file}, line 2)"),
+        ("def f(:\n", "1: {cannot}: SyntaxError: "),
+        ("raise BaseException('by hand')\n", "1: {cannot}: BaseException: by hand"),
+        ("import turtleact\n@turtleact.action\ndef f(): ...\n", "2: {cannot}: TypeError: "),
     ],
 )
 def test_a_module_that_fails_is_told_with_its_line(folder, text, problem):
-    file = folder / "broken.py"
-    file.write_text(text)
+    (folder / "broken.py").write_text(text)
     with pytest.raises(TurtleactError) as caught:
         find_actions("broken")
-    assert str(caught.value).startswith("module 'broken' cannot be imported: ")
-    assert str(caught.value).endswith(problem.format(file=file))
+    cannot = "module 'broken' cannot be imported"
+    assert str(caught.value).startswith(f"broken.py:{problem.format(cannot=cannot)}")
+
+
+def test_a_file_outside_the_working_directory_is_told_with_its_whole_path(folder, monkeypatch):
+    (folder / "broken.py").write_text("1 / 0\n")
+    monkeypatch.chdir(folder / "inner")
+    with pytest.raises(TurtleactError) as caught:
+        find_actions("../broken.py")
+    assert str(caught.value).startswith(f"{folder / 'broken.py'}:1: module 'broken' cannot be")
 
 
 def test_a_lookup_that_fails_is_told_with_its_line(folder):
@@ -158,7 +165,7 @@ def test_a_lookup_that_fails_is_told_with_its_line(folder):
     with pytest.raises(TurtleactError) as caught:
         find_actions("failing:drive")
     assert str(caught.value) == (
-        f"'failing:drive' cannot be looked up: ValueError: by hand ({file}, line 2)"
+        "failing.py:2: 'failing:drive' cannot be looked up: ValueError: by hand"
     )
 
 
@@ -176,7 +183,7 @@ def test_a_declaration_that_is_wrong_is_told_with_its_line(folder, declared, pro
     file.write_text(f"{imports}@turtleact.action({declared})\ndef f(goal): ...\n")
     with pytest.raises(TurtleactError) as caught:
         find_actions("wrong")
-    assert str(caught.value) == f"{file}, line 3: {problem}"
+    assert str(caught.value) == f"wrong.py:3: {problem}"
 
 
 def test_a_message_that_is_derived_from_another_is_told_with_its_line(folder):
@@ -185,7 +192,7 @@ def test_a_message_that_is_derived_from_another_is_told_with_its_line(folder):
     file.write_text(f"{imports}\nclass Mine(Fibonacci.Feedback): pass\n")
     with pytest.raises(TurtleactError) as caught:
         find_actions("derived")
-    assert str(caught.value) == f"{file}, line 3: Mine: derive a message only from Message"
+    assert str(caught.value) == "derived.py:3: Mine: derive a message only from Message"
 
 
 def test_the_parameters_of_all_modules_of_the_user_are_found_once(folder):
@@ -241,8 +248,8 @@ def test_a_program_in_a_file_with_actions_is_skipped_with_a_warning(folder, capl
     assert names("program.py") == ["aside"]
     assert (asyncio.run, anyio.run) == runs
     assert caplog.messages == [
-        f"{folder / 'program.py'}, line 13: the program is skipped, because serve runs the actions "
-        "itself; put it below 'if __name__ == \"__main__\":'"
+        "program.py:13: the program is skipped, because serve runs the actions itself; "
+        "put it below 'if __name__ == \"__main__\":'"
     ]
 
 

@@ -60,6 +60,23 @@ def test_the_newest_lines_of_the_log_fill_what_is_left():
     assert len(lines) == 20
 
 
+def test_a_long_line_of_the_log_is_wrapped_between_words():
+    log = ["first", "lab.py:10: SyntaxError: invalid syntax; nothing is served"]
+    lines = shown(render.Board(["ready"], log=log), 30)
+    assert lines[-4:] == [
+        "first",
+        "lab.py:10: SyntaxError:",
+        "  invalid syntax; nothing is",
+        "  served",
+    ]
+
+
+def test_the_beginning_of_the_newest_line_is_shown_if_there_is_no_room_for_all_of_it():
+    log = ["older", "lab.py:10: SyntaxError: invalid syntax; nothing is served until then"]
+    lines = shown(render.Board(["ready"], log=log), 24, 3)
+    assert lines == ["ready", "lab.py:10: SyntaxError:", "  invalid syntax; nothi…"]
+
+
 def test_without_a_world_the_table_stands_in_its_place():
     assert shown(render.Board(["ready"], None, [RUNS], log=["log"]), width=72)[1:] == [
         "● /patrol               EXECUTING    12.3 s  abababab  1 of 2 places",

@@ -312,6 +312,10 @@ class Dashboard:
         self._heading.append(line)
         self._has_said.set()
 
+    def retell(self, subject: str, text: str) -> None:
+        """Add a text to the log in place of the last one about the same subject."""
+        self._log.retell(subject, text)
+
     def tell(self, goal: Handle, new: GoalStatus, line: str, time: str) -> None:
         """Record a change of a goal.
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import asyncio
 import logging
 import sys
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import AsyncExitStack, aclosing, asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import AsyncExitStack, aclosing, asynccontextmanager, contextmanager
 from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
@@ -149,6 +149,7 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
         async with AsyncExitStack() as stack:
             if log.board is not None:
                 stack.enter_context(log.board.listening())
+                stack.enter_context(log.hearing_reloads())
                 drawing = Background(log.board.run(), "the dashboard")
                 await stack.enter_async_context(aclosing(drawing))
             graph = partial(_open_graph, service, opened)
@@ -158,7 +159,7 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
                 node = await stack.enter_async_context(opening)
             if interrupts.received:
                 return 0
-            reloader = Reloader(node, work.modules, work.watch, interrupts, log.say)
+            reloader = Reloader(node, work.modules, work.watch, interrupts, log.reload)
             await _until_signal(interrupts, _begin(service, work.found, reloader, options))
             if interrupts.received:
                 return 0
@@ -383,6 +384,18 @@ class _Escaping(logging.Formatter):
         return printable(super().format(record))
 
 
+class _Told(logging.Handler):
+    """Passes the text of each record to a function."""
+
+    def __init__(self, tell: Callable[[str], object]) -> None:
+        super().__init__()
+        self._tell = tell
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Pass it."""
+        self._tell(printable(record.getMessage()))
+
+
 class ServerLog:
     """Tells the user what happens: by lines on stdout, or on a dashboard."""
 
@@ -415,3 +428,20 @@ class ServerLog:
             print(line, flush=True)
         except BrokenPipeError:
             abandon(sys.stdout)
+
+    def reload(self, line: str) -> None:
+        """Print a line about a reload. On a dashboard, it replaces what the last reload said."""
+        if self.board is None:
+            self.say(line)
+        else:
+            self.board.retell("reload", f"{datetime.now():%H:%M:%S} {line}")
+
+    @contextmanager
+    def hearing_reloads(self) -> Iterator[None]:
+        """A block in which errors of reloads are shown like `reload`: the newest one alone."""
+        logger, told = logging.getLogger("turtleact.reload"), _Told(self.reload)
+        logger.addHandler(told)
+        try:
+            yield
+        finally:
+            logger.removeHandler(told)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import importlib
+import linecache
 import logging
 import os
 import sys
@@ -186,6 +187,7 @@ class Modules:
         for name in before:
             del sys.modules[name]
         importlib.invalidate_caches()
+        linecache.checkcache()  # a warning shows the line of its source as the file is now
         try:
             return self.find()
         except BaseException:
@@ -256,7 +258,7 @@ def _actions_of(target: Target) -> list[ActionDeclaration[..., object]]:
         raise
     except Exception as error:  # a property or a ``__getattr__`` of the user's fails
         problem = f"'{target.text}' cannot be looked up: {summary(error)}"
-        raise TurtleactError(f"{problem} ({_place_of(error)})") from None
+        raise TurtleactError(f"{_place_of(error)}: {problem}") from None
     if not isinstance(found, ActionDeclaration):
         problem = f"is of type {type(found).__name__}, not an action; see turtleact.action"
         raise UsageError(f"'{target.text}' {problem}{_actions_there(module)}")
@@ -359,9 +361,9 @@ def _programs_skipped() -> Iterator[None]:
                 main.close()  # else Python warns that nobody has awaited it
             caller = traceback.extract_stack(limit=2)[0]
             logger.warning(
-                "%s, line %s: the program is skipped, because serve runs the actions itself; put "
+                "%s:%s: the program is skipped, because serve runs the actions itself; put "
                 "it below 'if __name__ == \"__main__\":'",
-                caller.filename,
+                _nearby(caller.filename),
                 caller.lineno,
             )
             return None
@@ -397,15 +399,21 @@ def _import_error(target: Target, error: BaseException) -> TurtleactError:
     if isinstance(error, TurtleactError):  # it says what is wrong
         return TurtleactError(f"{where}: {error}")
     what = f"SyntaxError: {error.msg}" if isinstance(error, SyntaxError) else summary(error)
-    return TurtleactError(f"module '{target.module}' cannot be imported: {what} ({where})")
+    return TurtleactError(f"{where}: module '{target.module}' cannot be imported: {what}")
 
 
 def _place_of(error: BaseException) -> str:
-    """Where in the user's own files an error was raised."""
+    """Where in the user's own files an error was raised, such as ``lab.py:10``."""
     if isinstance(error, SyntaxError):
-        return f"{error.filename}, line {error.lineno}"
+        return f"{_nearby(error.filename)}:{error.lineno}"
     frames = traceback.extract_tb(error.__traceback__)
     outside = [each for each in frames if "importlib" not in each.filename]
     own = [each for each in outside if not Path(each.filename).is_relative_to(OURS)]
     last = (own or frames)[-1]
-    return f"{last.filename}, line {last.lineno}"
+    return f"{_nearby(last.filename)}:{last.lineno}"
+
+
+def _nearby(file: str | None) -> str:
+    """A file, relative to the working directory if it is below that."""
+    path = Path(str(file))
+    return str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)

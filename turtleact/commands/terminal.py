@@ -364,10 +364,17 @@ MOST: Final = 200
 
 
 class LogLine(NamedTuple):
-    """A line as the display shows it, and as it is printed in the end."""
+    """A line as the display shows it, and as it is printed in the end.
+
+    Attributes:
+        short: As the display shows it.
+        full: As it is printed in the end.
+        subject: What it is about, if a later line about the same is to replace it.
+    """
 
     short: str
     full: str
+    subject: str = ""
 
 
 class LogLines(io.TextIOBase):
@@ -381,6 +388,14 @@ class LogLines(io.TextIOBase):
     def add(self, line: str, short: str | None = None) -> None:
         """Add a line."""
         self._lines.append(LogLine(line if short is None else short, line))
+
+    def retell(self, subject: str, text: str) -> None:
+        """Add the lines of a text in place of all earlier lines about the same subject."""
+        for line in self.lines():
+            if line.subject == subject:
+                with suppress(ValueError):  # another thread has pushed it out by now
+                    self._lines.remove(line)
+        self._lines.extend(LogLine(line, line, subject) for line in text.split("\n"))
 
     def lines(self) -> list[LogLine]:
         """The lines, the newest last."""

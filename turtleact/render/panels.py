@@ -178,6 +178,9 @@ LONGEST_DURATION: Final = 8
 LEAST_LOG: Final = 3
 """How many lines a map leaves for the log below it."""
 
+INDENT: Final = "  "
+"""Stands before the further lines of a line of the log that was wrapped."""
+
 
 class GoalRow(NamedTuple):
     """A goal in a table.
@@ -249,8 +252,7 @@ def board(view: Board, *, width: int, height: int) -> Picture:
         beside.add_row(world_map(view.world, rows), Group(*table))
         middle = [beside]
         left -= rows + 2
-    log = view.log[-left:] if left > 0 else ()
-    return Group(*head, *middle, *(cut(printable(line), "dim") for line in log))
+    return Group(*head, *middle, *_log(view.log, width, left))
 
 
 def _heading(lines: Sequence[str], width: int, height: int) -> list[Picture]:
@@ -259,6 +261,26 @@ def _heading(lines: Sequence[str], width: int, height: int) -> list[Picture]:
     if len(wrapped) > max(height // 2, len(lines)):
         wrapped = [printable(line) for line in lines]
     return [cut(line, "bold") for line in wrapped[:height]]
+
+
+def _log(lines: Sequence[str], width: int, rows: int) -> list[Picture]:
+    """The newest lines of the log, wrapped between words, in at most ``rows`` lines.
+
+    An error says first what is wrong and where. So if there is no room for a whole line, its
+    beginning is shown.
+    """
+    shown: list[str] = []
+    for line in reversed(lines):
+        if (left := rows - len(shown)) <= 0:
+            break
+        parts = [printable(line)]
+        if cell_len(parts[0]) > width:
+            parts = wrap(parts[0], width, subsequent_indent=INDENT, break_on_hyphens=False)
+        if len(parts) > left:
+            rest = [part.strip() for part in parts[left:]]
+            parts[left - 1 :] = [" ".join([parts[left - 1], *rest])]  # cut at the window's edge
+        shown[:0] = parts
+    return [cut(part, "dim") for part in shown]
 
 
 def _table(view: Board, width: int, rows: int) -> list[Picture]:
