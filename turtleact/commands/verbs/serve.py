@@ -239,8 +239,7 @@ def serve(
     """``serve``."""
     at = endpoints("--listen", listen)
     fleet = Fleet(speed, turtles, placing, seed, collide=collide, paused=paused)
-    _check_world(fleet, node_name, no_sim=no_sim)
-    _check_reload(targets, reload=reload)
+    _check_use(targets, fleet, node_name, no_sim=no_sim, reload=reload)
     keeping = _keeping(journal, on_restart, max_starts, abort_goals=abort_goals)
     page, where = _page(web, token, allow_host, allow_origin), reach(connect, domain, config)
 
@@ -300,7 +299,11 @@ def _page(web: str | None, token: str | None, host: str | None, origin: str | No
     return None if web is None else Page(*_host_and_port(web), token, hosts, origins)
 
 
-def _check_world(fleet: Fleet, node_name: str | None, *, no_sim: bool) -> None:
+def _check_use(
+    targets: list[str] | None, fleet: Fleet, node_name: str | None, *, no_sim: bool, reload: bool
+) -> None:
+    if reload and not targets:
+        raise UsageError(NOTHING_TO_RELOAD)
     if not no_sim and node_name is not None:
         raise UsageError("--node-name needs --no-sim: beside a world, your actions are on its node")
     if not no_sim:
@@ -309,11 +312,6 @@ def _check_world(fleet: Fleet, node_name: str | None, *, no_sim: bool) -> None:
     options = ", ".join(f"--{name}" for name, value, unasked in said if value != unasked)
     if options:
         raise UsageError(f"{options} and --no-sim exclude each other: there is no world")
-
-
-def _check_reload(targets: list[str] | None, *, reload: bool) -> None:
-    if reload and not targets:
-        raise UsageError(NOTHING_TO_RELOAD)
 
 
 def _check_loopback(listen: tuple[str, ...]) -> None:
