@@ -120,9 +120,10 @@ class ActionClient(Generic[G, R, F]):
             raise InvalidOption("feedback_callback", problem)
         named = None if goal_id is None else goal_id_bytes(goal_id)
         on_feedback = cast("OnFeedback | None", feedback_callback)  # called with the action's class
-        check_timeout(reattach, "reattach", may_be_none=False)
-        if reattach and named is None:  # reattaching finds the goal by its id
-            named = new_goal_id()
+        if reattach != 0.0:  # a goal in this process is so quick that a check would be noticed
+            check_timeout(reattach, "reattach", may_be_none=False)
+            if named is None:  # reattaching finds the goal by its id
+                named = new_goal_id()
         order = GoalOrder(goal, self, self._cancel_timeout, named, on_feedback, reattach)
         caller = sys._getframe(1)
         return SendGoal(self, order, caller.f_code, caller.f_lasti)
@@ -237,9 +238,10 @@ class ActionClient(Generic[G, R, F]):
 
     async def _run(self, order: GoalOrder) -> R:
         """Send a goal and wait for its result."""
-        server = await self._find_server(order.reattach)
+        reattach = order.reattach
+        server = await self._find_server(reattach)
         goal = await server.run_goal(order)
-        while order.reattach and isinstance(goal.error, ServerUnavailable):
+        while reattach and isinstance(goal.error, ServerUnavailable):
             server, goal = await self._reattach(order, goal.error)
             try:
                 await server.wait_for_end(goal)
