@@ -78,7 +78,7 @@ GONE: Final = 2.0
 
 
 class Order(NamedTuple):
-    """What the user wants.
+    """What to drive, and how: the options of the command.
 
     Attributes:
         turtle: Which turtle; None for turtle1, or the only one.

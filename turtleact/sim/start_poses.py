@@ -9,7 +9,7 @@ Turtles that a world begins with are put in one of `PLACINGS`:
   it.
 
 All keep a metre from the walls. Numbers that come from messages are rounded to float32, as
-turtlesim has them. Knows no ROS and no clock; chance is a seed.
+turtlesim has them. Knows no ROS and no clock; all randomness comes from a seed.
 
 Source: turtlesim 1.8.2, ``TurtleFrame::spawnTurtle`` and ``Turtle::update``.
 """

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 import typer
 
 from turtleact.commands import VERBS, completion
-from turtleact.commands.settings import Fleet, Keeping, Page, Placing, endpoints, quoted
+from turtleact.commands.settings import Fleet, Keeping, Page, Placing, Reach, endpoints, quoted
 from turtleact.commands.verbs import SETTINGS, Job, Verb
 from turtleact.commands.verbs.options import (
     Config,
@@ -248,16 +248,14 @@ def serve(
         from turtleact.commands.serve import Service, run
 
         make_known(folder(interfaces))
-        locks = where.locks()
-        if not (insecure or locks.keeps_strangers_out):
-            _check_loopback(at)
+        access = _access(where, at, insecure=insecure)
         service = Service(
             tuple(targets or ()),
             at,
             where,
             None if no_sim else fleet,
             page,
-            locks.settings(),
+            access,
             is_live=not (headless or plain),
             wait=wait,
             reload=reload,
@@ -267,6 +265,19 @@ def serve(
         return run(service, interrupts)
 
     return job
+
+
+def _access(where: Reach, listen: tuple[str, ...], *, insecure: bool) -> dict[str, object]:
+    """Zenoh's settings for who may connect.
+
+    Raises:
+        UsageError: if the file for access control is at fault, or if there is none and everybody
+            who can reach this machine could connect.
+    """
+    locks = where.locks()
+    if not (insecure or locks.keeps_strangers_out):
+        _check_loopback(listen)
+    return locks.settings()
 
 
 def _keeping(
