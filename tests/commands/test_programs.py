@@ -157,3 +157,36 @@ def test_python_is_told_by_ending_or_first_line(tmp_path, name, first, expected)
     file: Path = tmp_path / name
     file.write_text(first)
     assert programs.is_python(file) is expected
+
+
+LAB = """
+import turtleact
+from turtleact.interfaces.standard import Fibonacci
+
+@turtleact.action(Fibonacci, "mine")
+async def mine(goal):
+    yield Fibonacci.Result(sequence=[goal.order])
+"""
+
+
+@pytest.mark.parametrize("more", ["", "NUMBER = 3\n", "if NUMBER := 3:\n    import sys\n"])
+def test_a_file_that_only_declares_actions_is_told_how_to_serve_them(run, tmp_path, capsys, more):
+    assert run(f"{LAB}{more}") == 0
+    file = tmp_path / "go.py"
+    assert capsys.readouterr().err == (
+        f"turtleact: {file} declares action mine, but runs nothing: use 'turtleact serve {file}'\n"
+    )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"{LAB}print(mine)\n",
+        f"{LAB}if __name__ == '__main__':\n    print(mine)\n",
+        "from turtleact.actions.fibonacci import fibonacci\n",
+        "NUMBER = 3\n",
+    ],
+)
+def test_another_program_is_told_nothing(run, capsys, text):
+    assert run(text) == 0
+    assert capsys.readouterr().err == ""

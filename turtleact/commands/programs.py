@@ -6,6 +6,7 @@ it is handed a file, or a module and a function, and runs it as Python itself wo
 
 from __future__ import annotations
 
+import ast
 import importlib
 import os
 import runpy
@@ -13,10 +14,12 @@ import subprocess
 import sys
 import sysconfig
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
+from turtleact.body import ActionDeclaration
+from turtleact.commands.output import note
 from turtleact.errors import TurtleactError, UsageError
 
 if TYPE_CHECKING:
@@ -29,6 +32,19 @@ OURS = str(Path(__file__))
 PACKAGE = str(Path(__file__).parents[1]) + os.sep
 
 FAILED, INTERRUPTED = 1, 130
+
+DECLARING = (
+    ast.Import,
+    ast.ImportFrom,
+    ast.FunctionDef,
+    ast.AsyncFunctionDef,
+    ast.ClassDef,
+    ast.Assign,
+    ast.AnnAssign,
+    ast.AugAssign,
+    ast.Pass,
+)
+"""Statements of a file with actions that runs no program."""
 
 SHEBANG = 200
 """How many bytes at the beginning of a file are searched for ``python``."""
@@ -94,7 +110,8 @@ def run_program(
     try:
         if program.file is not None:
             sys.path.insert(0, str(program.file.absolute().parent))
-            runpy.run_path(str(program.file), run_name="__main__")
+            names = runpy.run_path(str(program.file), run_name="__main__")
+            _tell_how_to_serve(program.file, names)
             return 0
         return _status(_function(program)())
     except SystemExit as end:
@@ -123,6 +140,29 @@ def is_python(file: Path) -> bool:
     except OSError:
         return False
     return first.startswith(b"#!") and b"python" in first
+
+
+def _tell_how_to_serve(file: Path, names: Mapping[str, object]) -> None:
+    """Say how to serve the actions of a file that declares some and does nothing else.
+
+    Args:
+        file: The file, which has run to its end.
+        names: Its global names.
+    """
+    declared = [each for each in names.values() if isinstance(each, ActionDeclaration)]
+    own = [each.name for each in declared if each.execute.__module__ == "__main__"]
+    if own and all(map(_only_declares, ast.parse(file.read_bytes()).body)):
+        actions = f"action {own[0]}" if len(own) == 1 else f"actions {', '.join(own)}"
+        note(f"{file} declares {actions}, but runs nothing: use 'turtleact serve {file}'")
+
+
+def _only_declares(statement: ast.stmt) -> bool:
+    """Whether a statement at the top of a file is none that could be meant to run a program."""
+    if isinstance(statement, ast.Expr):
+        return isinstance(statement.value, ast.Constant)
+    if isinstance(statement, ast.If):
+        return all(map(_only_declares, [*statement.body, *statement.orelse]))
+    return isinstance(statement, DECLARING)
 
 
 def _function(program: Program) -> Callable[[], object]:
