@@ -197,6 +197,12 @@ def test_a_missing_folder_is_named(tmp_path):
         Database(tmp_path / "none" / "goals.db")
 
 
+def test_a_lock_that_cannot_be_made_is_told(tmp_path):
+    (tmp_path / "goals.db-lock").mkdir()
+    with pytest.raises(JournalError, match="it cannot be written"):
+        Database(tmp_path / "goals.db")
+
+
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write everywhere")
 def test_a_read_only_folder_is_named(tmp_path):
     tmp_path.chmod(0o500)

@@ -378,9 +378,12 @@ def _lock(path: Path) -> sqlite3.Connection:
     """
     if not path.parent.is_dir():
         raise JournalError(path, f"there is no folder '{path.parent}'")
-    connection = sqlite3.connect(
-        f"{path}-lock", timeout=0.0, isolation_level=None, check_same_thread=False
-    )
+    try:
+        connection = sqlite3.connect(
+            f"{path}-lock", timeout=0.0, isolation_level=None, check_same_thread=False
+        )
+    except sqlite3.Error as error:  # for example a file system that takes no new files
+        raise JournalError(path, explain(error)) from error
     try:
         connection.execute("BEGIN EXCLUSIVE")
     except sqlite3.Error as error:
