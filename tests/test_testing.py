@@ -14,6 +14,7 @@ import time
 import weakref
 from contextlib import asynccontextmanager, closing
 from functools import partial
+from pathlib import Path
 
 import anyio
 import anyio.from_thread
@@ -29,7 +30,7 @@ from turtleact.app import open_world
 from turtleact.clock import EPOCH, ScaledClock, WallClock
 from turtleact.errors import SimError
 from turtleact.interfaces import WireFormat
-from turtleact.interfaces.standard import Point, Twist, Vector3
+from turtleact.interfaces.standard import Fibonacci, Point, Twist, Vector3
 from turtleact.testing import FaultyTransport, run_goal, virtual_backend, wait_until_idle
 from turtleact.testing.plugin import anyio_backend  # noqa: F401  # all of this module is virtual
 from turtleact.transports import MemoryTransport, QoS
@@ -499,6 +500,19 @@ async def test_canceling_the_run_cancels_the_goal():
     with anyio.move_on_after(5) as scope:
         await run_goal(wait, goal())
     assert (scope.cancelled_caught, ended) == (True, [5])
+
+
+async def test_a_body_that_sleeps_with_asyncio_fails_on_trio_as_the_page_says(anyio_backend_name):
+    @turtleact.action(Fibonacci, "fibonacci")
+    async def fibonacci(goal):
+        await asyncio.sleep(1)
+        yield Fibonacci.Result(sequence=[goal.order])
+
+    _, outcome = await run_goal(fibonacci, Fibonacci.Goal(order=1))
+    if anyio_backend_name == "trio":
+        page = Path(__file__).parents[1].joinpath("docs", "testing.md").read_text("utf-8")
+        assert f"`{outcome.reason}`" in page
+    assert outcome.status.name == {"trio": "ABORTED"}.get(anyio_backend_name, "SUCCEEDED")
 
 
 # --- a bad link -----------------------------------------------------------------------------
