@@ -216,6 +216,15 @@ async def test_only_what_the_last_reload_said_is_in_the_log():
     assert re.fullmatch(r"\d\d:\d\d:\d\d reloaded: /mine", lines[-1])
 
 
+async def test_an_error_at_the_start_is_in_the_log_until_a_reload():
+    async with served() as (board, _):
+        log = ServerLog(board)
+        log.complain("lab.py:10: SyntaxError")
+        assert shown(board)[-1].endswith(" lab.py:10: SyntaxError")
+        log.reload("reloaded: /mine")
+        assert not [line for line in shown(board) if "SyntaxError" in line]
+
+
 async def test_an_error_that_comes_again_is_the_newest_line_again():
     async with served() as (board, _):
         log = ServerLog(board)

@@ -98,24 +98,31 @@ def run(service: Service, interrupts: Interrupts) -> int:
         logging.lastResort.setFormatter(_Escaping())
     modules = Modules(service.targets)
     work = Work(modules, Watch(modules), Found([], []))
+    log = ServerLog(_dashboard(service))
     with interrupts.beginning(0):  # a module of the user's may take any time
-        work = work._replace(found=_find(modules, service))
+        work = work._replace(found=_find(modules, service, log))
     if interrupts.received:
         return 0
     work.watch.follow()
+    if log.board is None:
+        return runner.run(_serve(service, work, log, interrupts), interrupts)
+    interrupts.restore = log.board.close
+    try:
+        return runner.run(_serve(service, work, log, interrupts), interrupts)
+    finally:
+        log.board.close()
+
+
+def _dashboard(service: Service) -> Dashboard | None:
+    """The dashboard, if the user wants one and the terminal can show it."""
     if not (service.is_live and can_move(sys.stdout)):
-        return runner.run(_serve(service, work, ServerLog(None), interrupts), interrupts)
+        return None
     from turtleact.commands.live import Dashboard
 
-    board = Dashboard(sys.stdout)
-    interrupts.restore = board.close
-    try:
-        return runner.run(_serve(service, work, ServerLog(board), interrupts), interrupts)
-    finally:
-        board.close()
+    return Dashboard(sys.stdout)
 
 
-def _find(modules: Modules, service: Service) -> Found:
+def _find(modules: Modules, service: Service, log: ServerLog) -> Found:
     """Import the modules; with ``--reload``, a module that fails is waited for."""
     if not service.reload:
         return modules.find()
@@ -125,7 +132,7 @@ def _find(modules: Modules, service: Service) -> Found:
     except UsageError:
         raise
     except TurtleactError as error:
-        note(f"{error}; nothing of it is served until the next change")
+        log.complain(f"{error}; nothing of it is served until the next change")
         return Found([], [])
 
 
@@ -435,6 +442,13 @@ class ServerLog:
             self.say(line)
         else:
             self.board.retell("reload", f"{datetime.now():%H:%M:%S} {line}")
+
+    def complain(self, problem: str) -> None:
+        """Tell of modules that cannot be served yet. On a dashboard, a reload replaces it."""
+        if self.board is None:
+            note(problem)
+        else:
+            self.reload(printable(problem))
 
     @contextmanager
     def hearing_reloads(self) -> Iterator[None]:
