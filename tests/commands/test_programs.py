@@ -93,7 +93,7 @@ def test_an_error_of_turtleact_is_left_to_the_command_line_with_its_line(run, tm
     text = "import turtleact\n\nturtleact.get_action('lab/action/Gone')\n"
     with pytest.raises(TurtleactError) as raised:
         run(text)
-    assert str(raised.value).startswith(f"{tmp_path}/go.py, line 3: unknown interface 'lab/action")
+    assert str(raised.value).startswith(f"{tmp_path}/go.py:3: unknown interface 'lab/action")
     assert isinstance(raised.value.__cause__, UnknownInterface)
 
 

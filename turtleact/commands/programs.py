@@ -223,7 +223,7 @@ def _place_of(error: BaseException) -> str:
     own = [
         each for each in frames if not _is_ours(each.filename) and not _is_library(each.filename)
     ]
-    return f"{own[-1].filename}, line {own[-1].lineno}" if own else ""
+    return f"{own[-1].filename}:{own[-1].lineno}" if own else ""
 
 
 def _is_ours(file: str) -> bool:
