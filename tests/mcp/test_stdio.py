@@ -6,6 +6,7 @@ import json
 import os
 import sys
 from contextlib import contextmanager
+from pathlib import Path
 
 import anyio
 import pytest
@@ -22,7 +23,7 @@ class Pipes:
     def __init__(self) -> None:
         reads, self._ours = os.pipe()
         self._answers, writes = os.pipe()
-        self.inner = os.fdopen(reads), os.fdopen(writes, "w")
+        self.inner = self._ends = os.fdopen(reads), os.fdopen(writes, "w")
         self._held = b""
 
     @contextmanager
@@ -58,7 +59,7 @@ class Pipes:
         if self._ours >= 0:
             os.close(self._ours)
         os.close(self._answers)
-        for end in self.inner:
+        for end in self._ends:
             end.close()
 
 
@@ -106,6 +107,13 @@ async def test_a_signal_ends_a_server_whose_client_says_nothing(pipes):
         with anyio.move_on_after(0.05) as scope:
             await serve(pipes, server)
     assert scope.cancelled_caught
+
+
+async def test_an_empty_file_for_stdin_ends_the_server(pipes):
+    async with open_lab() as (_, _, server):
+        with Path(os.devnull).open() as nothing:
+            pipes.inner = nothing, pipes.inner[1]
+            await serve(pipes, server)
 
 
 @pytest.mark.parametrize("line", [b"{", b"x" * 5000], ids=["malformed", "too long"])

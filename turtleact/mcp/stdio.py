@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import stat
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -45,24 +46,23 @@ async def serve_stdio(server: McpServer) -> None:
 @asynccontextmanager
 async def _stdin() -> AsyncIterator[AsyncIterator[str] | None]:
     """The lines of stdin; None if the event loop cannot read it."""
-    if os.name != "posix":
+    if os.name != "posix" or not _can_be_waited_for(sys.stdin.fileno()):
         yield None
         return
     reader = asyncio.StreamReader()
     loop = asyncio.get_running_loop()
     own = os.fdopen(os.dup(sys.stdin.fileno()), "rb", buffering=0)
-    try:
-        transport, _ = await loop.connect_read_pipe(
-            lambda: asyncio.StreamReaderProtocol(reader), own
-        )
-    except ValueError:  # a file
-        own.close()
-        yield None
-        return
+    transport, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), own)
     try:
         yield _lines(reader)
     finally:
         transport.close()
+
+
+def _can_be_waited_for(file: int) -> bool:
+    """Whether the system can wait for a file; it cannot for a regular file or ``/dev/null``."""
+    mode = os.fstat(file).st_mode
+    return stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or os.isatty(file)
 
 
 async def _lines(reader: asyncio.StreamReader) -> AsyncIterator[str]:
