@@ -37,6 +37,7 @@ from turtleact.errors import (
     GoalAborted,
     GoalCanceled,
     GoalRejected,
+    PauseRefused,
     ServerUnavailable,
     TurtleactError,
     UnknownGoal,
@@ -149,7 +150,20 @@ class CloseServer(NamedTuple):
     server: int
 
 
-Operation: TypeAlias = Send | CancelGoal | Leave | Attach | CloseClient | CloseServer
+class Pause(NamedTuple):
+    """Pauses a goal; it is chosen among those that send no others."""
+
+    target: int
+    timeout: float
+
+
+class Resume(NamedTuple):
+    target: int
+
+
+Operation: TypeAlias = (
+    Send | CancelGoal | Leave | Attach | CloseClient | CloseServer | Pause | Resume
+)
 
 
 class Plan(NamedTuple):
@@ -238,7 +252,9 @@ def plans(draw) -> Plan:
     cancels = st.builds(CancelGoal, target, by)
     leaves = st.builds(Leave, target)
     others = [st.builds(Attach, target), st.builds(CloseClient, at, st.integers(0, 1))]
+    pauses = st.builds(Pause, target, st.sampled_from([1.0, 5.0])), st.builds(Resume, target)
     weighted = [*[sends] * 6, *[cancels] * 4, leaves, leaves, *others, st.builds(CloseServer, at)]
+    weighted += [*pauses] * 3
     mixed = st.sampled_from(weighted).flatmap(lambda kind: kind)
     after = st.sampled_from([0.0, 0.0, 0.0, 0.5, 2.0])
     first = draw(st.lists(st.tuples(after, sends), min_size=1, max_size=3))
@@ -355,6 +371,15 @@ class Process:
         self._model.schedule(self, wait)
 
 
+class ModelHold:
+    """A request that a body stands still."""
+
+    def __init__(self) -> None:
+        self.stands = Moment()
+        self.is_over = Moment()
+        self.is_standing = False
+
+
 class ModelGoal:
     def __init__(self, script: Script, server: ModelServer, parent: ModelGoal | None) -> None:
         self.script = script
@@ -373,6 +398,8 @@ class ModelGoal:
         self.kept_from = 0
         self.asked = 0
         self.is_asked_for = False
+        self.is_paused = False
+        self.hold: ModelHold | None = None
         self.process: Process | None = None
         self.end = Moment()
 
@@ -579,6 +606,7 @@ class Model:
             relatives = self.relatives(goal)
             if any(each.is_about_to_stop or each.ended == self.now for each in relatives):
                 raise OpenError  # which of the two will have been first?
+            self.unpause(goal)
             goal.reason = reason
             self.stop(goal)
 
@@ -592,8 +620,15 @@ class Model:
             return False
         if goal.status != "CANCELING":
             goal.enter("CANCELING")
+            self.unpause(goal)
             self.stop(goal)
         return True
+
+    def unpause(self, goal: ModelGoal) -> None:
+        """Withdraw the request that a body stands still. If it stands, a cancel is to follow."""
+        hold, goal.hold, goal.is_paused = goal.hold, None, False
+        if hold is not None:
+            self.come(hold.stands)
 
     def stop(self, goal: ModelGoal) -> None:
         """Cancel a body; one that has not begun never begins."""
@@ -609,6 +644,7 @@ class Model:
     ) -> None:
         if not goal.is_active:
             return
+        self.unpause(goal)
         goal.ended = self.now
         goal.enter(status)
         goal.result = goal.result if result is None else result
@@ -648,13 +684,20 @@ class Model:
         verdict: Verdict
         if not goal.is_active:
             return
+        try:
+            yield from self.stand(goal)
+        except StopError:
+            self.finish(goal, "out")
+            return
         self.log.append((self.now, "begun", goal.number))
         try:
             for index, step in enumerate(script.steps):
                 if isinstance(step, Sleep):
                     yield Wait(self.now + span(step.seconds, goal.number, index))
                 elif isinstance(step, Say):
-                    goal.feedback += step.messages
+                    for _ in range(step.messages):
+                        goal.feedback += 1
+                        yield from self.stand(goal)
                 elif isinstance(step, Partial):
                     goal.result = (-1, goal.number)
                 else:
@@ -672,6 +715,14 @@ class Model:
                 verdict = "out"
         self.log.append((self.now, "over", goal.number))
         self.finish(goal, verdict)
+
+    def stand(self, goal: ModelGoal) -> Steps[None]:
+        """A body stands still here while its goal is paused."""
+        hold = goal.hold
+        if hold is not None:
+            hold.is_standing = True
+            self.come(hold.stands)
+            yield Wait(moment=hold.is_over)
 
     def recover(self, goal: ModelGoal) -> Steps[Verdict]:
         recovery = goal.script.recovery
@@ -760,6 +811,9 @@ class Model:
         is_canceled = how == "enter" and send is not None and send.is_canceled_at_once
         if is_canceled and self.is_about_to_start(goal):
             raise OpenError  # does it start before it is canceled?
+        says = any(isinstance(step, Say) for step in script.steps)
+        if is_canceled and says and not server.plan.is_generator:
+            raise OpenError  # at which of its checkpoints does that reach it?
         try:
             if how == "await":
                 goal.kept_from = -1
@@ -868,6 +922,34 @@ class Model:
         seen = list(range(named.kept_from, named.feedback))
         self.answers[step] = (list(named.history), seen, named.outcome)
 
+    def pause(self, step: int, goal: ModelGoal, timeout: float) -> Steps[None]:
+        """Somebody pauses a goal."""
+        if goal.hold is not None and not goal.is_paused:
+            raise OpenError  # somebody else is about to pause it
+        if not goal.is_paused:
+            if not goal.is_active or goal.status == "CANCELING" or goal.reason:
+                self.answers[step] = ("refused",)
+                return
+            hold = goal.hold = ModelHold()
+            if goal.status == "EXECUTING":
+                yield Wait(self.now + timeout, hold.stands)
+                if goal.hold is not hold or not hold.is_standing:
+                    if goal.hold is hold:
+                        self.unpause(goal)
+                    self.answers[step] = ("refused",)
+                    return
+            goal.is_paused = True
+        self.answers[step] = ("paused",)
+
+    def resume(self, step: int, goal: ModelGoal) -> None:
+        """Somebody resumes a goal."""
+        if goal.hold is not None and not goal.is_paused:
+            raise OpenError  # likewise
+        if goal.is_paused and goal.hold is not None:
+            self.come(goal.hold.is_over)
+            self.unpause(goal)
+        self.answers[step] = ("resumed",)
+
     def lose(self, server: ModelServer, client: int) -> None:
         """A client is closed."""
         if server.is_open and client not in server.lost:
@@ -895,6 +977,7 @@ class Picture(NamedTuple):
     """What can be seen at one moment."""
 
     statuses: dict[int, str]
+    paused: set[int]
     outcomes: dict[int, tuple[object, ...]]
     answers: dict[int, tuple[object, ...]]
     log: list[tuple[float, str, int]]
@@ -908,6 +991,11 @@ class Act(NamedTuple):
     goal: int
     before: Picture
     after: Picture
+
+
+def is_alone(goal: ModelGoal) -> bool:
+    """Whether a goal sends no others."""
+    return not any(isinstance(step, Nest) for step in goal.script.steps)
 
 
 class Play:
@@ -942,8 +1030,14 @@ class Play:
                 begun = [number for _, what, number in model.log if what == "begun"]
                 active = [goal.number for goal in model.goals.values() if goal.is_active]
                 numbers = active if active and target < 8 else [*begun, *active]
+            case Pause():
+                numbers = [n for n, goal in model.goals.items() if is_alone(goal)]
+            case Resume():
+                alone = [n for n, goal in model.goals.items() if is_alone(goal)]
+                numbers = [n for n in alone if model.goals[n].is_paused] or alone
             case _:
                 return 0
+        target = operation.target
         return numbers[target % len(numbers)] if numbers else 0
 
     def _do(self, step: int, operation: Operation | None, number: int) -> None:
@@ -959,6 +1053,10 @@ class Play:
                 model.start(model.request(step, goal, by))
             case Attach() if goal is not None:
                 model.start(model.observe(step, goal))
+            case Pause(_, timeout) if goal is not None:
+                model.start(model.pause(step, goal, self._span(timeout, step)))
+            case Resume() if goal is not None:
+                model.resume(step, goal)
             case Leave() if number:
                 model.clients[number].cancel()
             case CloseClient(at, client):
@@ -968,10 +1066,15 @@ class Play:
             case None:
                 model.start(model.close(*model.servers))
 
+    def _span(self, timeout: float, step: int) -> float:
+        """The timeout of a pause; it does not pass where the loop's own time stands still."""
+        return math.inf if self.model.limits.grace == math.inf else span(timeout, "pause", step)
+
     def _picture(self) -> Picture:
         model = self.model
         return Picture(
             {goal.number: goal.status for goal in model.goals.values()},
+            {goal.number for goal in model.goals.values() if goal.is_paused},
             dict(model.outcomes),
             dict(model.answers),
             list(model.log),
@@ -1036,7 +1139,7 @@ class World:
         assert tasks_of_the_loop() <= before
 
     def _serve(self, number: int, plan: ServerPlan) -> turtleact.ActionServer[Any, Any, Any]:
-        options = dict(plan.rules)
+        options = {"pausable": True, **dict(plan.rules)}
         if plan.shares:
             options["slot"] = "shared"
         if plan.asked_for_goals != "never":
@@ -1132,6 +1235,8 @@ class World:
                 if isinstance(step, Say):
                     for _ in range(step.messages):
                         yield feedback(next(count))
+                        if not self._yields(number):
+                            await handle.checkpoint()
                 elif isinstance(step, Partial):
                     handle.set_partial_result(result(-1, number))
                 elif isinstance(step, Sleep):
@@ -1161,6 +1266,9 @@ class World:
             raise Abort("given up", result(-2, number) if "with" in verdict else None)
         elif verdict == "error":
             raise ValueError("broken")
+
+    def _yields(self, number: int) -> bool:
+        return self._plan.servers[self._server_number(number)].is_generator
 
     def _note(self, what: str, number: int) -> None:
         self._log.append((self._node.clock.time() - self._start, what, number))
@@ -1234,6 +1342,11 @@ class World:
             case CancelGoal(_, "nowait") if server is not None and goal is not None:
                 if goal.status.is_active:
                     self._locals[server].cancel_goal_nowait(goal)
+            case Pause(_, timeout) if server is not None and goal is not None:
+                limit = math.inf if self._hand is not None else span(timeout, "pause", step)
+                start(self._pause, step, server, goal, limit)
+            case Resume() if server is not None and goal is not None:
+                start(self._resume, step, server, goal)
             case CancelGoal(_, by) if server is not None and goal is not None:
                 start(self._cancel, step, server, goal, by)
             case Attach() if server is not None and goal is not None:
@@ -1270,6 +1383,26 @@ class World:
         ]
         self._answers[step] = (response.return_code, canceling)
 
+    async def _pause(
+        self,
+        step: int,
+        server: turtleact.ActionServer[Any, Any, Any],
+        goal: Goal,
+        timeout: float,
+    ) -> None:
+        try:
+            await self._locals[server].pause(goal, timeout)
+        except PauseRefused:
+            self._answers[step] = ("refused",)
+        else:
+            self._answers[step] = ("paused",)
+
+    async def _resume(
+        self, step: int, server: turtleact.ActionServer[Any, Any, Any], goal: Goal
+    ) -> None:
+        await self._locals[server].resume(goal)
+        self._answers[step] = ("resumed",)
+
     async def _observe(self, step: int, at: int, goal_id: bytes) -> None:
         kinds, statuses, seen = [], [], []
         try:
@@ -1296,6 +1429,7 @@ class World:
     def _compare(self, expected: Picture) -> None:
         plain = self._plain
         assert {n: goal.status.name for n, goal in self._goals.items()} == expected.statuses
+        assert {n for n, goal in self._goals.items() if goal.is_paused} == expected.paused
         assert plain(self._outcomes) == expected.outcomes
         assert plain(self._answers) == expected.answers
         assert rounded(self._log) == rounded(expected.log)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterator
+from contextlib import aclosing
 from typing import Any
 
 import anyio
@@ -47,7 +48,7 @@ class Walker:
         self.steps = 0
         self.log: list[str] = []
 
-    async def generator(self, request: Count.Goal) -> AsyncIterator[Count.Feedback | Count.Result]:
+    async def generator(self, request: Count.Goal) -> AsyncGenerator[Any, None]:
         while self.steps < request.upto:
             self.steps += 1
             yield feedback(self.steps)
@@ -271,6 +272,23 @@ async def test_a_waiting_goal_begins_paused():
         assert await second.result() == result(3)
 
 
+async def test_a_goal_that_began_paused_and_is_canceled_never_runs_its_body():
+    gate = Gate()
+    async with (
+        lab(gate.wait, policy="queue", pausable=True) as served,
+        served.client.send_goal(goal()) as first,
+        served.client.send_goal(goal()) as second,
+    ):
+        await second.pause()
+        gate.opened.set()
+        await first.result()
+        await take_turns()
+        await second.cancel()
+        with pytest.raises(GoalCanceled):
+            await second.result()
+    assert gate.log == ["begun", "over"]
+
+
 async def test_a_parent_pauses_and_resumes_its_children():
     walker = Walker()
 
@@ -343,8 +361,9 @@ async def test_a_rejected_child_is_not_paused():
         client = handle.node.action_client(Count, "child")
         with pytest.raises(turtleact.GoalRejected):
             await client.send_goal(goal())
-        async for each in walker.generator(request):
-            yield each
+        async with aclosing(walker.generator(request)) as steps:
+            async for each in steps:
+                yield each
 
     async with lab(parent) as served:
         served.node.action_server(Count, "child", Walker().blind, policy="reject")
@@ -476,8 +495,9 @@ async def test_the_server_pauses_its_own_goals():
 
     async def act(request: Count.Goal, handle: Handle) -> AsyncIterator[Any]:
         handles.append(handle)
-        async for each in walker.generator(request):
-            yield each
+        async with aclosing(walker.generator(request)) as steps:
+            async for each in steps:
+                yield each
 
     async with lab(act) as served, served.client.send_goal(goal(MANY)) as handle:
         await take_turns()

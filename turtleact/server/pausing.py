@@ -139,7 +139,10 @@ class Pauses:
             await pauses.resume(child)
 
     async def stand(self, goal: Goal) -> None:
-        """Stand still here if the goal is to be paused. Cancelling: safe."""
+        """Stand still here if the goal is to be paused. Cancelling: safe.
+
+        If the goal is canceled meanwhile, this raises the cancellation.
+        """
         hold = goal.hold
         if not isinstance(hold, Hold):
             return
@@ -150,6 +153,11 @@ class Pauses:
                 await hold.changed.wait()
         finally:
             hold.is_standing = False
+        # A cancel lets the body go and then cancels its task, both in one step. asyncio raises that
+        # in the `wait` above. trio has already ended the `wait` and would raise it only at the next
+        # checkpoint, so a body that had not begun would begin.
+        if _is_ending(goal):
+            await self._tasks.checkpoint()
 
     async def checkpoint(self, goal: Goal) -> None:
         """Let other tasks run, and stand still while the goal is paused."""
