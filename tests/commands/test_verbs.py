@@ -338,7 +338,7 @@ def imports_of_verbs():
 @pytest.mark.parametrize("verb", list(VERBS))
 def test_only_the_verb_that_is_asked_for_is_imported(imports_of_verbs, verb):
     home = verbs.HOMES.get(verb, verb)
-    expected = {home} | {"action": {"goals"}, "pkg": {"run"}}.get(verb, set())
+    expected = {home} | {"action": {"goals"}}.get(verb, set())
     # Its help lists the packages that can be run.
     search = {"commands.packages", "commands.programs", "workspace"} if verb == "run" else ()
     assert imports_of_verbs[verb] == {

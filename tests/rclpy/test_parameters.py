@@ -392,8 +392,6 @@ def test_changes_are_published_and_handled(node, executor):
     with pytest.raises(RuntimeError, match="doesn't exist"):
         handler.remove_parameter_event_callback(every)
     assert handler.get_parameter_from_event(events[0], "speed", "/hall") is None
-    assert handler._resolve_path() == "/lab"
-    assert handler._resolve_path("/hall") == "/hall"
     handler.destroy()
 
 

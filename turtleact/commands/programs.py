@@ -18,7 +18,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
-from turtleact.body import ActionDeclaration
 from turtleact.commands.output import note
 from turtleact.errors import TurtleactError, UsageError
 
@@ -149,6 +148,8 @@ def _tell_how_to_serve(file: Path, names: Mapping[str, object]) -> None:
         file: The file, which has run to its end.
         names: Its global names.
     """
+    from turtleact.body import ActionDeclaration  # help does without it
+
     declared = [each for each in names.values() if isinstance(each, ActionDeclaration)]
     own = [each.name for each in declared if each.execute.__module__ == "__main__"]
     if own and all(map(_only_declares, ast.parse(file.read_bytes()).body)):

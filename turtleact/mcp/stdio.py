@@ -18,7 +18,6 @@ from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Final, cast
 
 import anyio
-from mcp.server.stdio import stdio_server
 
 if TYPE_CHECKING:
     from turtleact.mcp.server import McpServer
@@ -36,6 +35,8 @@ async def serve_stdio(server: McpServer) -> None:
 
     Nothing else may write to stdout meanwhile. The SDK leads prints of user code to stderr.
     """
+    from mcp.server.stdio import stdio_server  # needs modules of the system's own
+
     sdk = server.sdk
     async with _stdin() as lines:
         stdin = cast("anyio.AsyncFile[str] | None", lines)  # it is only iterated over
