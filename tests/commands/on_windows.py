@@ -25,6 +25,10 @@ FUNCTIONS = (
 def hide() -> None:
     """Hide what Windows lacks."""
     import asyncio  # noqa: F401  # is made for the system that it runs on
+    from contextlib import suppress
+
+    with suppress(ImportError):  # the same, where it is installed
+        import mcp.server.stdio  # noqa: F401
 
     for name in MODULES:
         sys.modules[name] = None  # type: ignore[assignment]  # makes an import fail
@@ -42,7 +46,7 @@ def import_all() -> None:
     import turtleact
 
     for module in pkgutil.walk_packages(turtleact.__path__, "turtleact."):
-        if module.name != "turtleact.__main__":  # it would run
+        if not module.name.endswith(".__main__"):  # it would run
             importlib.import_module(module.name)
             print(module.name)
 
