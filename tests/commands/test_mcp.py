@@ -48,7 +48,7 @@ def test_a_missing_extra_is_named_with_the_command_that_installs_it(on_graph, gr
     monkeypatch.setitem(sys.modules, "mcp", None)
     ran = on_graph(graphs.fibonacci, "mcp", "--all")
     assert (ran.status, ran.out) == (1, "")
-    assert ran.err == "turtleact: turtleact mcp needs the extra: pip install 'turtleact[mcp]'\n"
+    assert ran.err == "turtleact: turtleact mcp needs one more package: pip install 'mcp>=2.3,<3'\n"
 
 
 @pytest.mark.parametrize(

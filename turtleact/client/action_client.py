@@ -205,7 +205,8 @@ class ActionClient(Generic[G, R, F]):
             raise TurtleactError(f"the client of action '{self.name}' is closed: open another")
         if server is None:
             problem = self._endpoints.send_goal.why_not_served("_SendGoal")
-            raise ServerUnavailable(self.name, problem, hint=self._hint())
+            hint = self._hint() if problem == "no server answers" else ""
+            raise ServerUnavailable(self.name, problem, hint=hint)
         self._use(server)
         return server
 

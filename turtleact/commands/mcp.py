@@ -84,7 +84,7 @@ async def _serve(order: Order, node: Node) -> int:
     except ImportError as error:
         if (error.name or "").partition(".")[0] != "mcp":
             raise
-        problem = "turtleact mcp needs the extra: pip install 'turtleact[mcp]'"
+        problem = "turtleact mcp needs one more package: pip install 'mcp>=2.3,<3'"
         raise TurtleactError(problem) from None
     await _warn_of_missing(node, order.actions or ())
     opened = open_mcp(
