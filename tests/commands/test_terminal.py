@@ -276,7 +276,7 @@ def test_a_full_terminal_that_cannot_be_opened_again_is_not_written_to(tty, monk
 
     monkeypatch.setattr(os, "open", refuse)
     with (region := Region(stream)).held():
-        assert not region.is_ready()
+        filled(region)  # the system may have made a little room meanwhile
         region.draw(["one"])
         while not region.is_ready():
             unread(main)
