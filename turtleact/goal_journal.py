@@ -116,6 +116,11 @@ class GoalChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     ended: int | None = None
     expires: int | None = None
 
+    def columns(self) -> dict[str, object]:
+        """Return what has changed, by the names of `GoalRecord`."""
+        values = ((name, getattr(self, name)) for name in self.__struct_fields__)
+        return {name: value for name, value in values if value is not None}
+
 
 class GoalJournal(Protocol):
     """Keeps goals on disk. What is written in order is on disk in that order.

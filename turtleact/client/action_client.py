@@ -14,7 +14,6 @@ import sys
 import uuid
 import warnings
 from collections.abc import Callable, Coroutine, Generator
-from difflib import get_close_matches
 from inspect import CO_COROUTINE
 from types import CodeType, TracebackType
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar, cast
@@ -34,6 +33,7 @@ from turtleact.goal_id import goal_id_bytes, new_goal_id
 from turtleact.goal_server import GoalOrder, GoalServer, OffersGoals, cancel_and_wait
 from turtleact.graph import graph_of
 from turtleact.interfaces import Message, nanoseconds
+from turtleact.interfaces.definition import nearest
 from turtleact.interfaces.standard import CancelGoal, Time
 from turtleact.observers import GoalObserver, Observers
 from turtleact.tasks import Home, Tasks
@@ -214,9 +214,8 @@ class ActionClient(Generic[G, R, F]):
         """Say what the graph offers instead of the action."""
         transport = self._endpoints.transport
         actions = [action for action in graph_of(transport).actions if action != self.name]
-        near = get_close_matches(self.name, actions, 1)
-        if near:
-            return f"did you mean '{near[0]}'?"
+        if near := nearest(self.name, actions):
+            return f"did you mean '{near}'?"
         if isinstance(transport, MemoryTransport):
             return (
                 "this node sees only its own process, where nobody serves it; to reach others, open"

@@ -363,10 +363,7 @@ def _select(
 
 def _add(columns: dict[str, object], change: GoalChange) -> None:
     """Add a change to those of the same goal that are written with it."""
-    for name in change.__struct_fields__:
-        value = getattr(change, name)
-        if value is not None:
-            columns[name] = value
+    columns |= change.columns()
     if change.feedback is not None:
         columns["feedback_count"] = int(str(columns.get("feedback_count", 0))) + 1
 

@@ -204,10 +204,8 @@ class Journal:
         record = self._held.get(goal_id)
         if record is None:
             return
-        for name in change.__struct_fields__:
-            value = getattr(change, name)
-            if value is not None:
-                setattr(record, name, value)
+        for name, value in change.columns().items():
+            setattr(record, name, value)
         if change.feedback is not None:
             record.feedback_count += 1
 

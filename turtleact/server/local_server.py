@@ -254,6 +254,7 @@ class LocalActionServer:
             held = self._find_known(known, durable)
             return self._join(held, goal.request, is_streamed=is_streamed)
         try:
+            self._check_open()  # the server may have been closed while the disk was waited for
             return self._admit(goal)
         except GoalRejected:
             await durable.withdraw(goal)
@@ -303,6 +304,10 @@ class LocalActionServer:
                 del self._preparing[sender]
                 self._lost.discard(sender)
 
+    def _check_open(self) -> None:
+        if not self.is_open:
+            raise GoalRejected(f"the server of '{self.name}' is shutting down")
+
     def _new_goal(self, order: GoalOrder, request: object, *, is_streamed: bool = False) -> Goal:
         """Make a goal that starts at once, or whose state is set back when it must wait.
 
@@ -310,8 +315,7 @@ class LocalActionServer:
             InvalidGoal: if the request does not fit the action.
             GoalRejected: if the server is closed.
         """
-        if not self.is_open:
-            raise GoalRejected(f"the server of '{self.name}' is shutting down")
+        self._check_open()
         on_feedback = order.on_feedback
         if on_feedback is not None:  # runs in the sender's context, not the body's
             on_feedback = partial(copy_context().run, on_feedback)  # type: ignore[call-arg]
@@ -333,8 +337,6 @@ class LocalActionServer:
         Raises:
             GoalRejected: if it is rejected.
         """
-        if not self.is_open:
-            raise GoalRejected(f"the server of '{self.name}' is shutting down")
         if not self._table.add(goal):
             raise GoalRejected(f"the server still holds a goal with the id {goal.hex}")
         if goal.parent is not None:
