@@ -2,7 +2,9 @@
 
 ``turtleact serve --journal`` is killed with SIGKILL at random moments, also while it starts, and is
 started again at once. Meanwhile three clients send patrols of 20 targets and reattach. Run it as
-``python -m benchmarks.bench_chaos [KILLS] [SEED]``. It ends with 1 and names its seed if
+``python -m benchmarks.bench_chaos [KILLS] [SEED]``. The kills come in rounds of 100, each with a
+new journal and the next seed, so a run can be stopped and continued. It ends with 1 and names the
+round's seed if
 
 - a goal ends in any other way than SUCCEEDED with all 20 targets, or its end changes afterwards,
 - a client sees feedback out of order, or a target reached twice,
@@ -39,13 +41,14 @@ from turtleact.interfaces.standard import Point
 from turtleact.journal import read_goals
 
 KILLS = 1_000
+ROUND = 100
 SEED = 1
 CLIENTS = 3
 TARGETS = 20
 SPEED = 20
 ADDRESS = "tcp/127.0.0.1:17447"
-REATTACH = 3600.0
-"""How long a client waits for a server that lives for more than a second (s)."""
+REATTACH = 60.0
+"""How long a client waits for a server that it hears nothing from (s)."""
 
 PATIENCE = 60.0
 """How long the first server may take to come, and the last goals to end (s)."""
@@ -68,6 +71,20 @@ class Sent(NamedTuple):
 
 class Broken(Exception):
     """An invariant does not hold."""
+
+
+class Round(NamedTuple):
+    """What 100 kills have led to.
+
+    Attributes:
+        ended: How many goals were accepted, all of which have ended as they should.
+        seen: How many feedback messages the clients have seen of each goal.
+        crashes: The most crashes without feedback of any goal.
+    """
+
+    ended: int
+    seen: list[int]
+    crashes: int
 
 
 # --- the server -----------------------------------------------------------------------------------
@@ -227,32 +244,45 @@ async def run(kills: int, seed: int, path: Path) -> tuple[list[Sent], dict[bytes
     return sent, ends
 
 
-def main() -> int:
-    kills = int(sys.argv[1]) if len(sys.argv) > 1 else KILLS
-    seed = int(sys.argv[2]) if len(sys.argv) > 2 else SEED
-    print(
-        f"Python {platform.python_version()}, SQLite {sqlite3.sqlite_version}, "
-        f"zenoh {version('eclipse-zenoh')}, {os.cpu_count()} cores, seed {seed}"
-    )
-    began = time.monotonic()
-    problems = list[str]()
+def run_round(kills: int, seed: int) -> Round:
+    """Run one round with a journal of its own.
+
+    Raises:
+        ExceptionGroup: with `Broken` if an invariant does not hold.
+    """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "goals.db")
+        sent, ends = anyio.run(run, kills, seed, path)
+        crashes = max(record.crashes for record in read_goals(path))
+    return Round(len(ends), [each.seen for each in sent], crashes)
+
+
+def main() -> int:
+    kills = int(sys.argv[1]) if len(sys.argv) > 1 else KILLS
+    first = int(sys.argv[2]) if len(sys.argv) > 2 else SEED
+    print(
+        f"Python {platform.python_version()}, SQLite {sqlite3.sqlite_version}, "
+        f"zenoh {version('eclipse-zenoh')}, {os.cpu_count()} cores"
+    )
+    began = time.monotonic()
+    rounds = list[Round]()
+    for seed, done in enumerate(range(0, kills, ROUND), first):
+        problems = list[str]()
         try:
-            sent, ends = anyio.run(run, kills, seed, path)
+            rounds.append(run_round(min(ROUND, kills - done), seed))
         except* (Broken, turtleact.TurtleactError) as broken:
             problems = [str(each) for each in broken.exceptions]
         if problems:
             print(f"BROKEN with seed {seed}: {problems}")
             return 1
-        crashes = [record.crashes for record in read_goals(path)]
+        print(f"seed {seed}: {rounds[-1].ended} patrols", flush=True)
     minutes = (time.monotonic() - began) / 60
-    seen = statistics.median(each.seen for each in sent)
+    seen = statistics.median(count for each in rounds for count in each.seen)
     print(
-        f"{kills} kills in {minutes:.1f} min: {len(ends)} patrols of {TARGETS} targets were "
-        f"accepted, each ended SUCCEEDED once with all targets reached once; the clients saw "
-        f"{seen:g} feedback messages of a patrol (median); most crashes without feedback: "
-        f"{max(crashes)}"
+        f"{kills} kills in {minutes:.1f} min: {sum(each.ended for each in rounds)} patrols of "
+        f"{TARGETS} targets were accepted, each ended SUCCEEDED once with all targets reached "
+        f"once; the clients saw {seen:g} feedback messages of a patrol (median); most crashes "
+        f"without feedback: {max(each.crashes for each in rounds)}"
     )
     return 0
 

@@ -190,6 +190,37 @@ async def test_a_server_that_returns_without_the_goal_is_told(tmp_path, see, mon
     assert len(errors) == 1
 
 
+@pytest.mark.parametrize("is_heard", [True, False], ids=["with feedback", "without"])
+async def test_feedback_ends_the_absence_of_a_server_that_is_killed_again_and_again(
+    tmp_path, monkeypatch, is_heard
+):
+    later, now = [0.0], anyio.current_time
+    monkeypatch.setattr(anyio, "current_time", lambda: now() + later[0])
+    monkeypatch.setattr(remote_goals, "SETTLED", 1e9)  # no server lives that long
+    gate, transport = Gate(), MemoryTransport()
+    restarted = Restarted(transport, tmp_path / "goals.db", gate.stream if is_heard else gate.wait)
+    near: Any = Apart(transport)
+    async with turtleact.open_node("near", transport=near) as node:
+        client = node.action_client(Count, "count")
+        heard = list[object]()
+        sending = client.send_goal(goal(), reattach=30.0, feedback_callback=heard.append)
+        async with running(lambda: sending) as sent:
+            for times in range(1, 5):
+                async with restarted.serving():
+                    while gate.log.count("begun") < times or len(heard) < times * is_heard:
+                        if sent.done.is_set():
+                            break
+                        await settle()
+                    if times == 4:
+                        gate.opened.set()
+                        await sent.done.wait()
+                later[0] += 20.0
+    if is_heard:
+        assert (sent.error, sent.value) == (None, result(3))
+    else:
+        assert isinstance(sent.error, ServerUnavailable)
+
+
 async def test_reattach_is_a_number():
     async with turtleact.open_node("near") as node:
         client = node.action_client(Count, "count")

@@ -60,7 +60,7 @@ ATTEMPTS: Final = 3
 """How often to ask for a goal's result if the server seems to have returned."""
 
 SETTLED: Final = 1.0
-"""A server that has left a request open for so long has returned (s, event loop time)."""
+"""A server that leaves a request open for so long is back (s, event loop time)."""
 
 PAUSE: Final = 0.1
 """The pause between two attempts to reattach to a server that can be seen but does not answer."""
@@ -340,7 +340,7 @@ class RemoteGoals:
             GoalRejected: if the server rejects it.
             ServerUnavailable: if nobody serves the action, or the server goes away.
         """
-        patience = _Patience(self._endpoints, remote.reattach)
+        patience = _Patience(self._endpoints, remote)
         while True:
             sent, remote.sent = remote.sent, None
             try:
@@ -365,7 +365,7 @@ class RemoteGoals:
             UnknownGoal: if the server does not hold it.
             ServerUnavailable: if the server goes away and does not return in time.
         """
-        patience = _Patience(self._endpoints, remote.reattach)
+        patience = _Patience(self._endpoints, remote)
         while True:
             asked, remote.asked = remote.asked, None
             try:
@@ -561,24 +561,26 @@ class _Patience:
     """Decides whether a request is sent again after its server has gone.
 
     Without ``reattach``, the server may have been unreachable only for a moment. It is waited for
-    once, and asked `ATTEMPTS` times. With it, each absence may last ``reattach`` seconds.
+    once, and asked `ATTEMPTS` times. With it, each absence may last ``reattach`` seconds. It
+    ends when feedback arrives, or when a request has been open for `SETTLED` seconds. A server
+    that is killed again and again may never live that long.
 
     Args:
         endpoints: The client's endpoints.
-        reattach: How long to wait for the server to return (s, event loop time); 0 for a moment.
+        remote: The goal.
+
+    Attributes:
+        has_lost: Whether the server has gone since the request was sent.
     """
 
-    def __init__(self, endpoints: ClientEndpoints, reattach: float) -> None:
+    def __init__(self, endpoints: ClientEndpoints, remote: RemoteGoal) -> None:
+        self.has_lost = False
         self._endpoints = endpoints
-        self._reattach = reattach
+        self._remote = remote
+        self._received = 0
         self._lost: list[ServerUnavailable] = []
         self._asked = anyio.current_time()
         self._until = 0.0
-
-    @property
-    def has_lost(self) -> bool:
-        """Whether the server has gone since the goal was sent."""
-        return bool(self._lost)
 
     async def wait_for_return(self, error: ServerUnavailable) -> None:
         """Wait until the request can be sent again.
@@ -586,17 +588,23 @@ class _Patience:
         Raises:
             ServerUnavailable: the first error of this absence, if the server stays away.
         """
-        now, lost = anyio.current_time(), self._lost
-        if self._reattach and now - self._asked > SETTLED:
+        now, lost, reattach = anyio.current_time(), self._lost, self._remote.reattach
+        if reattach and self._was_back(now):
             lost.clear()
+        self._received = self._remote.received
         if not lost:
-            self._until = now + (self._reattach or BACK_WITHIN)
+            self._until = now + (reattach or BACK_WITHIN)
         lost.append(error)
-        is_last = now >= self._until if self._reattach else len(lost) == ATTEMPTS
+        self.has_lost = True
+        is_last = now >= self._until if reattach else len(lost) == ATTEMPTS
         with anyio.move_on_after(self._until - now):
-            if self._reattach and len(lost) > 1:
+            if reattach and len(lost) > 1:
                 await anyio.sleep(PAUSE)
             await self._endpoints.wait_until_served()
         if is_last or not self._endpoints.send_goal.is_served:
             raise lost[0] from None
         self._asked = anyio.current_time()
+
+    def _was_back(self, now: float) -> bool:
+        """Whether the server had returned since it was last missed."""
+        return now - self._asked > SETTLED or self._remote.received > self._received
