@@ -41,12 +41,13 @@ class Observers:
         want_feedback: Whether any observer overrides `feedback_published`.
     """
 
-    __slots__ = ("_action", "_observers", "_untold", "are_any", "want_feedback")
+    __slots__ = ("_action", "_is_telling", "_observers", "_untold", "are_any", "want_feedback")
 
     def __init__(self, action: str) -> None:
         self._action = action
         self._observers: tuple[GoalObserver, ...] = ()
         self._untold: deque[tuple[Goal, GoalStatus, GoalStatus] | tuple[Goal, object]] = deque()
+        self._is_telling = False
         self.are_any = False
         self.want_feedback = False
 
@@ -60,15 +61,11 @@ class Observers:
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
         """Tell all observers of a goal's new state."""
-        self._untold.append((goal, before, after))
-        if len(self._untold) == 1:
-            self._tell()
+        self._tell((goal, before, after))
 
     def feedback_published(self, goal: Goal, feedback: object) -> None:
         """Tell all observers of a feedback message."""
-        self._untold.append((goal, feedback))
-        if len(self._untold) == 1:
-            self._tell()
+        self._tell((goal, feedback))
 
     def _set(self, observers: tuple[GoalObserver, ...]) -> None:
         self._observers = observers
@@ -78,22 +75,28 @@ class Observers:
             for each in observers
         )
 
-    def _tell(self) -> None:
-        """Tell the oldest news, then whatever the observers cause meanwhile."""
-        # An observer may cause a change, which appends more news while this loop runs. The methods
-        # above do not call `_tell` then; the loop gets there after the current news.
-        while self._untold:
-            news = self._untold[0]
-            for observer in self._observers:
-                try:
-                    if len(news) == 3:
-                        observer.goal_changed(*news)
-                    else:
-                        observer.feedback_published(*news)
-                except STOPS:
-                    self._untold.clear()
-                    raise
-                except BaseException as error:  # also a stray cancellation
-                    problem = "an observer of the goals of %s failed"
-                    logger.error(problem, self._action, exc_info=loggable(error))
-            self._untold.popleft()
+    def _tell(self, news: tuple[Goal, GoalStatus, GoalStatus] | tuple[Goal, object]) -> None:
+        """Tell all observers one piece of news, then whatever they cause meanwhile."""
+        if self._is_telling:  # an observer has caused this; the call below tells it next
+            self._untold.append(news)
+            return
+        self._is_telling = True
+        try:
+            while True:
+                for observer in self._observers:
+                    try:
+                        if len(news) == 3:
+                            observer.goal_changed(*news)
+                        else:
+                            observer.feedback_published(*news)
+                    except STOPS:
+                        raise
+                    except BaseException as error:  # also a stray cancellation
+                        problem = "an observer of the goals of %s failed"
+                        logger.error(problem, self._action, exc_info=loggable(error))
+                if not self._untold:
+                    return
+                news = self._untold.popleft()
+        finally:
+            self._untold.clear()  # not empty only if the program ends
+            self._is_telling = False

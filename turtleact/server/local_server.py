@@ -48,7 +48,9 @@ _EXECUTING = GoalStatus.EXECUTING
 _AT_ONCE = ((_EXECUTING, 0),)  # the history of a goal that starts without being seen ACCEPTED
 
 IN_A_ROW = 64
-"""After this many goals in a row, other tasks get a turn."""
+"""After this many goals in a row from this process, other tasks get a turn.
+
+The transport gives them turns between goals from other processes."""
 
 SHUTDOWN = "shutdown"
 """The reason for goals that end because their server closes, unless it gives another."""
@@ -205,7 +207,10 @@ class LocalActionServer:
         """Accept a goal after asking the callback if needed; ``is_streamed`` keeps its feedback."""
         if self.durable is not None:
             return await self._take_durably(order, self.durable, is_streamed=is_streamed)
-        goal = self.take_nowait(order, is_streamed=is_streamed)
+        self._until_turn -= 1
+        goal = None
+        if self._until_turn > 0:
+            goal = self.take_nowait(order, is_streamed=is_streamed)
         if goal is None:
             request = await self._prepare(order)
             goal = self._admit(self._new_goal(order, request, is_streamed=is_streamed))
@@ -214,10 +219,9 @@ class LocalActionServer:
     def take_nowait(self, order: GoalOrder, *, is_streamed: bool) -> Goal | None:
         """Accept a goal without waiting, or do nothing and return None if that needs waiting.
 
-        It does if there is a ``goal_callback`` or a journal, and after `IN_A_ROW` goals in a row.
+        It does if there is a ``goal_callback`` or a journal.
         """
-        self._until_turn -= 1
-        if self._until_turn <= 0 or self._callbacks.ask_about_goals or self.durable is not None:
+        if self._callbacks.ask_about_goals or self.durable is not None:
             return None
         return self._admit(self._new_goal(order, order.request, is_streamed=is_streamed))
 
