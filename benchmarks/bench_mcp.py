@@ -3,6 +3,8 @@
 The peer is the SDK's own server with a tool that does nothing. Both are called in turn, in memory,
 by the SDK's client, with the newest and the older version of the protocol. Everything in memory is
 measured in processor time, which is the time that it takes on a machine that does nothing else.
+A start is measured in both times, because the two programs are started one after the other. It
+needs Linux.
 
 Run: ``python -m benchmarks.bench_mcp``
 """
@@ -15,7 +17,8 @@ import statistics
 import subprocess
 import sys
 import time
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import anyio
 from mcp import Client
@@ -40,6 +43,25 @@ HELLO = {
         "clientInfo": {"name": "bench", "version": "1"},
     },
 }
+INITIALIZED = {"jsonrpc": "2.0", "method": "notifications/initialized"}
+LIST = {"jsonrpc": "2.0", "id": 1, "method": "tools/list"}
+BARE = """
+import anyio
+from mcp.server.lowlevel import Server
+from mcp.server.stdio import stdio_server
+from mcp.types import ListToolsResult
+
+async def listed(ctx, params):
+    return ListToolsResult(tools=[])
+
+async def main():
+    server = Server("empty", on_list_tools=listed)
+    async with stdio_server() as (read, write):
+        await server.run(read, write, server.create_initialization_options())
+
+anyio.run(main)
+"""
+"""The least server on stdin and stdout that the SDK can make."""
 
 
 def empty_server() -> Server[Any]:
@@ -96,27 +118,59 @@ async def in_memory(mode: str) -> None:
     print(f"| {mode} | {action:.2f} | {empty:.2f} | {action - empty:+.2f} | {listed:.1f} |")
 
 
-def start_time(*code: str) -> float:
-    """Until a server that was started has answered ``initialize`` (s), or a program has ended."""
+class Start(NamedTuple):
+    """When a server that was started had answered a request, and what that had cost.
+
+    Attributes:
+        greeted: The time until it had answered ``initialize`` (s).
+        greeted_cpu: The processor time (user and system) until then (s).
+        listed: The time until it had answered ``tools/list`` (s).
+        listed_cpu: The processor time until then (s).
+    """
+
+    greeted: float
+    greeted_cpu: float
+    listed: float
+    listed_cpu: float
+
+
+def cpu_of(process: int) -> float:
+    """The processor time of a process (s), as Linux tells it."""
+    stat = Path(f"/proc/{process}/stat").read_text()
+    times = stat.rpartition(")")[2].split()
+    return (int(times[11]) + int(times[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def start(*arguments: str) -> Start:
+    """Start a server as a client does."""
     begun = time.perf_counter()
     with subprocess.Popen(
-        [sys.executable, *code],
+        [sys.executable, *arguments],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        text=True,
     ) as program:
-        assert program.stdin is not None
-        assert program.stdout is not None
-        if "-m" in code:
-            program.stdin.write(json.dumps(HELLO) + "\n")
-            program.stdin.flush()
-            assert "result" in program.stdout.readline()
-        else:
-            program.wait()
-        taken = time.perf_counter() - begun
-        program.stdin.close()
-    return taken
+        ask(program, HELLO)
+        greeted, greeted_cpu = time.perf_counter() - begun, cpu_of(program.pid)
+        ask(program, INITIALIZED, LIST)
+        measured = Start(greeted, greeted_cpu, time.perf_counter() - begun, cpu_of(program.pid))
+        program.communicate()
+    return measured
+
+
+def ask(program: subprocess.Popen[bytes], *messages: object) -> None:
+    """Send messages to a server, and wait for an answer."""
+    assert program.stdin is not None
+    assert program.stdout is not None
+    program.stdin.write(b"".join(json.dumps(each).encode() + b"\n" for each in messages))
+    program.stdin.flush()
+    assert b'"result"' in program.stdout.readline()
+
+
+def best(*arguments: str) -> Start:
+    """The best of each figure."""
+    starts = [start(*arguments) for _ in range(STARTS)]
+    return Start(*map(min, zip(*starts, strict=True)))
 
 
 def main() -> None:
@@ -126,9 +180,12 @@ def main() -> None:
     print("|---|---|---|---|---|")
     for mode in ("auto", "legacy"):
         anyio.run(in_memory, mode)
-    served = min(start_time("-m", "turtleact", "mcp", "--embedded", "--all") for _ in range(STARTS))
-    sdk = min(start_time("-c", "import mcp.server.stdio") for _ in range(STARTS))
-    print(f"\nready after {served:.2f} s; the SDK alone takes {sdk:.2f} s (best of {STARTS})")
+    print(f"\n| best of {STARTS} | initialize (s) | CPU (s) | tools/list (s) | CPU (s) |")
+    print("|---|---|---|---|---|")
+    ours = best("-m", "turtleact", "mcp", "--embedded", "--all")
+    print("| turtleact mcp |", " | ".join(f"{each:.2f}" for each in ours), "|")
+    bare = best("-c", BARE)
+    print("| the SDK alone |", " | ".join(f"{each:.2f}" for each in bare), "|")
 
 
 if __name__ == "__main__":

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack, asynccontextmanager
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, NamedTuple
 
 import anyio
+import anyio.to_thread
 
 from turtleact.commands import graph, runner
 from turtleact.commands.output import note, say
@@ -15,17 +17,23 @@ from turtleact.commands.send_goal import embedded_world
 from turtleact.errors import InvalidOption, TurtleactError, UsageError
 from turtleact.names import resolve_name
 from turtleact.node import Node, open_node
+from turtleact.tasks import Background
 from turtleact.transports.base import find_server
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.settings import Reach
     from turtleact.mcp import McpServer
+    from turtleact.mcp.stdio import Wire
 
 __all__ = ["Order", "run"]
 
 PATIENCE = 10.0
 """How long goals have to end after a signal (s, wall clock)."""
+
+FIRST_LINE = 0.02
+"""How long the client's first message may take, if it is to be answered before the graph is opened,
+which holds up the event loop (s)."""
 
 
 class Order(NamedTuple):
@@ -68,25 +76,53 @@ def run(order: Order, interrupts: Interrupts) -> int:
         TurtleactError: if the extra is missing, or the graph is not there.
     """
     interrupts.patience = PATIENCE
+    if not order.is_empty:
+        _check_sdk()
 
-    async def serve(node: Node) -> int:
+    async def serve(opened: tuple[Node, Wire | None]) -> int:
+        node, wire = opened
         if order.is_empty:
             raise UsageError(await _what_there_is(node))
-        return await _serve(order, node)
+        return await _serve(order, node, wire)
 
-    opened = _open_node(order.reach)
-    return runner.run(graph.until_interrupted(opened, serve, interrupts), interrupts)
+    return runner.run(graph.until_interrupted(_open(order), serve, interrupts), interrupts)
 
 
-async def _serve(order: Order, node: Node) -> int:
-    try:
-        from turtleact.mcp import open_mcp
-    except ImportError as error:
-        if (error.name or "").partition(".")[0] != "mcp":
-            raise
+def _check_sdk() -> None:
+    """Raise an error if the extra is missing; does not import it."""
+    if find_spec("mcp") is None:
         problem = "turtleact mcp needs one more package: pip install 'mcp>=2.3,<3'"
-        raise TurtleactError(problem) from None
-    await _warn_of_missing(node, order.actions or ())
+        raise TurtleactError(problem)
+
+
+@asynccontextmanager
+async def _open(order: Order) -> AsyncIterator[tuple[Node, Wire | None]]:
+    """Open stdin and then the graph; the client is greeted, and the SDK imported, meanwhile."""
+    async with AsyncExitStack() as stack:
+        wire: Wire | None = None
+        if not order.is_empty:
+            from turtleact.mcp.stdio import import_sdk, open_wire
+
+            if order.address is None:
+                wire = await stack.enter_async_context(open_wire())
+                with anyio.move_on_after(FIRST_LINE):
+                    await wire.greeted.wait()
+            # In a thread, the import goes on while the graph is waited for. If it fails, the same
+            # import in `_serve` fails too, and that error is reported.
+            importing = Background(_quietly(import_sdk), "importing the SDK")
+            stack.push_async_callback(importing.aclose)
+        yield await stack.enter_async_context(_open_node(order.reach)), wire
+
+
+async def _quietly(act: Callable[[], None]) -> None:
+    """Run something in a thread, and ignore its failure."""
+    with suppress(Exception):
+        await anyio.to_thread.run_sync(act)
+
+
+async def _serve(order: Order, node: Node, wire: Wire | None) -> int:
+    from turtleact.mcp import open_mcp
+
     opened = open_mcp(
         node,
         actions="all" if order.actions is None else order.actions,
@@ -95,13 +131,16 @@ async def _serve(order: Order, node: Node) -> int:
         read_only=order.read_only,
         confirm=order.confirm,
     )
-    async with opened as server:
+    async with AsyncExitStack() as stack:
+        server = await stack.enter_async_context(opened)
+        warning = Background(_warn_of_missing(node, order.actions or ()), "looking for actions")
+        stack.push_async_callback(warning.aclose)
         if order.address is not None:
             await _serve_http(server, order.address, order.token, order.hosts)
-        else:
+        elif wire is not None:
             from turtleact.mcp.stdio import serve_stdio
 
-            await serve_stdio(server)
+            await serve_stdio(server, wire)
     return 0
 
 

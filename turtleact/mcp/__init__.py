@@ -1,26 +1,34 @@
 """Actions as tools for language models: a node as a server of the Model Context Protocol.
 
 This package needs the extra ``mcp``. It serves an ordinary `turtleact.Node` and knows nothing below
-that. The rest of turtleact imports it only when it is used.
+that. The rest of turtleact imports it only when it is used, and the package imports the SDK only
+when one of its names is: `turtleact.mcp.greeting` can answer a client before.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from turtleact.mcp.offer import Limits
-from turtleact.mcp.server import McpServer, open_mcp
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from turtleact.mcp.http import Address, open_app, open_http
+    from turtleact.mcp.offer import Limits
+    from turtleact.mcp.server import McpServer, open_mcp
 
 __all__ = ["Address", "Limits", "McpServer", "open_app", "open_http", "open_mcp"]
 
+MODULES: Final = {
+    "Address": "http",
+    "Limits": "offer",
+    "McpServer": "server",
+    "open_app": "http",
+    "open_http": "http",
+    "open_mcp": "server",
+}
+
 
 def __getattr__(name: str) -> object:
-    """Import what serves HTTP when it is first used."""
-    if name in ("Address", "open_app", "open_http"):
-        from turtleact.mcp import http
-
-        return getattr(http, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    """Import a public name when it is first used."""
+    if name not in MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{MODULES[name]}"), name)

@@ -42,6 +42,7 @@ from turtleact.mcp.board import Board
 from turtleact.mcp.catalogue import Catalogue, Entry
 from turtleact.mcp.confirmation import Confirmation
 from turtleact.mcp.goals import Goals
+from turtleact.mcp.greeting import INSTRUCTIONS, NAME
 from turtleact.mcp.offer import Limits, Names, Offer
 from turtleact.mcp.replies import failure
 from turtleact.mcp.schema import message_from, plain
@@ -59,11 +60,6 @@ if TYPE_CHECKING:
 
 __all__ = ["McpServer", "open_mcp"]
 
-INSTRUCTIONS: Final = (
-    "Each tool that bears the name of a ROS 2 action sends one goal to a robot, and answers when "
-    "the goal has ended. Cancel the call to stop the robot. Lengths are in metres, angles in "
-    "radians, times in seconds, unless a description says otherwise."
-)
 GOALS_URI: Final = "ros://goals"
 PICTURE_URI: Final = "ros://world.png"
 TOPIC_URI: Final = "ros://topic"
@@ -101,7 +97,7 @@ class McpServer:
 
     def _new_server(self) -> Server[Any]:
         server: Server[Any] = _Server(
-            "turtleact",
+            NAME,
             version=version("turtleact"),
             instructions=INSTRUCTIONS,
             get_tool_input_schema=self._input_schema,

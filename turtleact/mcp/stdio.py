@@ -4,6 +4,9 @@ The SDK reads stdin in a thread, which cannot be interrupted: a signal would not
 before the client's next message. So stdin is read by the event loop where it can be, that is, if it
 is a pipe, a socket or a terminal of a POSIX system.
 
+A client waits for the answer to its first message while the SDK is still being imported.
+`open_wire` answers it at once (`turtleact.mcp.greeting`).
+
 Source: MCP 2026-07-28, "Transports", for the framing: one JSON message a line.
 """
 
@@ -15,14 +18,20 @@ import stat
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING, Final, cast
+from importlib.metadata import version
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, TextIO, cast
 
 import anyio
 
+from turtleact.mcp.greeting import greet
+from turtleact.tasks import Background
+
 if TYPE_CHECKING:
+    from turtleact.mcp.greeting import Greeting
     from turtleact.mcp.server import McpServer
 
-__all__ = ["serve_stdio"]
+__all__ = ["Wire", "import_sdk", "open_wire", "serve_stdio"]
 
 CHUNK: Final = 2**16
 
@@ -30,7 +39,69 @@ LONGEST: Final = 2**24
 """The longest message that is read (bytes)."""
 
 
-async def serve_stdio(server: McpServer) -> None:
+def import_sdk() -> None:
+    """Import what `serve_stdio` needs of the SDK; this takes long, and may run in a thread."""
+    import mcp.server.stdio  # noqa: F401  # needs modules of the system's own
+
+
+class Wire:
+    """The lines that come from stdin; made by `open_wire`.
+
+    Args:
+        reader: Reads stdin; None if the event loop cannot.
+
+    Attributes:
+        greeting: The answer that the first line has got; None if the SDK has to answer it.
+        greeted: Set when that is known.
+    """
+
+    def __init__(self, reader: asyncio.StreamReader | None) -> None:
+        self.greeting: Greeting | None = None
+        self.greeted = anyio.Event()
+        self.lines = None if reader is None else _lines(reader)
+        self._first: str | None = None
+
+    async def greet(self) -> None:
+        """Read the first line, and answer it if it asks for nothing but a greeting."""
+        if self.lines is not None:
+            self._first = await anext(self.lines, None)
+        if self._first is not None:
+            self.greeting = greet(self._first, version("turtleact"))
+        if self.greeting is not None:
+            sys.stdout.buffer.write(self.greeting.line)
+            sys.stdout.buffer.flush()
+        self.greeted.set()
+
+    async def __aiter__(self) -> AsyncIterator[str]:
+        """All lines, also the first."""
+        await self.greeted.wait()
+        if self._first is not None and self.lines is not None:
+            yield self._first
+            async for line in self.lines:
+                yield line
+
+
+@asynccontextmanager
+async def open_wire() -> AsyncIterator[Wire]:
+    """Read stdin for the length of a block, and greet a client that says hello."""
+    file = _file_of(sys.stdin)
+    if file is None or not _can_be_waited_for(file):
+        yield Wire(None)
+        return
+    reader = asyncio.StreamReader()
+    loop = asyncio.get_running_loop()
+    own = os.fdopen(os.dup(file), "rb", buffering=0)
+    transport, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), own)
+    wire = Wire(reader)
+    greeting = Background(wire.greet(), "greeting the client")
+    try:
+        yield wire
+    finally:
+        await greeting.aclose()
+        transport.close()
+
+
+async def serve_stdio(server: McpServer, wire: Wire) -> None:
     """Serve one client until it closes stdin; its calls are cancelled then.
 
     Nothing else may write to stdout meanwhile. The SDK leads prints of user code to stderr.
@@ -38,30 +109,60 @@ async def serve_stdio(server: McpServer) -> None:
     from mcp.server.stdio import stdio_server  # needs modules of the system's own
 
     sdk = server.sdk
-    async with _stdin() as lines:
-        stdin = cast("anyio.AsyncFile[str] | None", lines)  # it is only iterated over
-        async with stdio_server(stdin) as (read, write):
-            await sdk.run(read, write, sdk.create_initialization_options())
+    stdin = None if wire.lines is None else cast("anyio.AsyncFile[str]", wire)  # is only iterated
+    async with stdio_server(stdin) as (read, write):
+        out = write if stdin is None else _WithoutGreeting(write, wire)
+        await sdk.run(read, out, sdk.create_initialization_options())
 
 
-@asynccontextmanager
-async def _stdin() -> AsyncIterator[AsyncIterator[str] | None]:
-    """The lines of stdin; None if the event loop cannot read it."""
-    if os.name != "posix" or not _can_be_waited_for(sys.stdin.fileno()):
-        yield None
-        return
-    reader = asyncio.StreamReader()
-    loop = asyncio.get_running_loop()
-    own = os.fdopen(os.dup(sys.stdin.fileno()), "rb", buffering=0)
-    transport, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), own)
+class _WithoutGreeting:
+    """The SDK's way out, without the answer that the client already has."""
+
+    def __init__(self, inner: Any, wire: Wire) -> None:  # noqa: ANN401  # the SDK's stream
+        self._inner = inner
+        self._wire = wire
+
+    async def send(self, item: Any, /) -> None:  # noqa: ANN401  # the SDK's message
+        """Send a message, except for the answer to the request that was greeted.
+
+        That answer is the first message: the SDK finishes this request before it reads another.
+        """
+        if self._wire.greeting is not None:
+            self._wire.greeting = None
+            return
+        await self._inner.send(item)
+
+    async def aclose(self) -> None:
+        """Close the way out."""
+        await self._inner.aclose()
+
+    async def __aenter__(self) -> _WithoutGreeting:
+        """Enter."""
+        await self._inner.__aenter__()
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> bool | None:
+        """Close the way out."""
+        return cast("bool | None", await self._inner.__aexit__(kind, error, trace))
+
+
+def _file_of(stream: TextIO) -> int | None:
+    """The descriptor of a stream; None if it has none, as in a notebook."""
     try:
-        yield _lines(reader)
-    finally:
-        transport.close()
+        return stream.fileno()
+    except OSError:
+        return None
 
 
 def _can_be_waited_for(file: int) -> bool:
-    """Whether the system can wait for a file; it cannot for a regular file or ``/dev/null``."""
+    """Whether the event loop can wait for a file; not for a regular file or ``/dev/null``."""
+    if os.name != "posix":
+        return False
     mode = os.fstat(file).st_mode
     return stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or os.isatty(file)
 
