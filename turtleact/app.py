@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, aclosing, asynccontextmanager
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from turtleact.actions import serve_built_ins
 from turtleact.clock import Clock, make_clock
@@ -19,6 +19,9 @@ from turtleact.sim.turtlesim import Turtlesim
 from turtleact.sim.world import World
 from turtleact.tasks import Background
 from turtleact.transports import MemoryTransport, Transport
+
+if TYPE_CHECKING:
+    from turtleact.introspection import Introspection
 
 __all__ = ["OpenGraph", "WorldNode", "open_world"]
 
@@ -83,6 +86,7 @@ async def open_world(
     on_start: Callable[[Turtlesim], object] | None = None,
     journal: GoalJournal | None = None,
     on_restart: OnRestart = "abort",
+    introspection: Introspection = "off",
 ) -> AsyncIterator[WorldNode]:
     """Open a world of turtles with the built-in actions, and a node to use them from.
 
@@ -106,6 +110,7 @@ async def open_world(
         journal: Where the goals of the built-in actions are kept; see `turtleact.open_journal`. The
             turtles themselves start afresh.
         on_restart: As for `Node.action_server`.
+        introspection: The introspection of all nodes of the world; see `Node`.
 
     Raises:
         SimError: if the speed or the number of turtles is out of range, or the placing is unknown.
@@ -117,9 +122,11 @@ async def open_world(
         opened = _within_process(clock) if graph is None else graph(clock)
         transport = await stack.enter_async_context(opened)
         home = await stack.enter_async_context(open_node("turtlesim", transport=transport))
+        home.introspection = introspection
         beside = None
         if not turtlesim_only:
             beside = await stack.enter_async_context(open_node("world", transport=transport))
+            beside.introspection = introspection
         sim = Turtlesim(home, world, beside=beside, is_paused=paused)
         await stack.enter_async_context(aclosing(sim))
         if on_start is not None:
@@ -129,11 +136,14 @@ async def open_world(
         if not turtlesim_only:
             opening = open_node("turtle_actions", transport=transport)
             actions = await stack.enter_async_context(opening)
+            actions.introspection = introspection
             if on_transition is not None:
                 actions.on_transition(on_transition)
             serve_built_ins(actions, side=SIDE, journal=journal, on_restart=on_restart)
         name = "_turtleact" if turtlesim_only else "turtleact"  # turtlesim shows one node
-        yield await stack.enter_async_context(aclosing(WorldNode(name, transport, sim)))
+        node = await stack.enter_async_context(aclosing(WorldNode(name, transport, sim)))
+        node.introspection = introspection
+        yield node
 
 
 @asynccontextmanager

@@ -24,6 +24,7 @@ from collections.abc import (
     Coroutine,
 )
 from typing import (
+    TYPE_CHECKING,
     Any,
     Generic,
     Literal,
@@ -44,6 +45,9 @@ from turtleact.goal_journal import GoalJournal, OnRestart
 from turtleact.interfaces import Message
 from turtleact.names import validate_name
 from turtleact.slot import Policy
+
+if TYPE_CHECKING:
+    from turtleact.introspection import Introspection
 
 __all__ = [
     "ActionBody",
@@ -129,6 +133,7 @@ class ServerOptions(TypedDict, total=False):
     pausable: bool
     on_pause: Callable[..., Awaitable[object]] | None
     on_resume: Callable[..., Awaitable[object]] | None
+    introspection: Introspection | None
 
 
 def check_options(options: ServerOptions) -> None:
@@ -150,6 +155,10 @@ def check_options(options: ServerOptions) -> None:
     if options.get("on_restart", "abort") not in get_args(OnRestart):
         problem = f"expected 'abort' or 'resume', not {options.get('on_restart')!r}"
         raise InvalidOption("on_restart", problem)
+    shown = options.get("introspection")
+    if shown not in (None, "off", "metadata", "contents"):
+        problem = f"expected 'off', 'metadata' or 'contents', not {shown!r}"
+        raise InvalidOption("introspection", problem)
     for name in ("on_pause", "on_resume"):
         callback = options.get(name)
         if callback is not None and not inspect.iscoroutinefunction(callback):

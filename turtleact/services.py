@@ -18,7 +18,16 @@ import logging
 from collections.abc import Awaitable, Callable
 from functools import partial
 from inspect import isasyncgenfunction, isawaitable, isgeneratorfunction, isroutine
-from typing import Any, Generic, Protocol, TypeAlias, TypeVar, cast, runtime_checkable
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Generic,
+    Protocol,
+    TypeAlias,
+    TypeVar,
+    cast,
+    runtime_checkable,
+)
 
 from turtleact.clock import check_timeout, within
 from turtleact.errors import (
@@ -35,15 +44,22 @@ from turtleact.summaries import STOPPED, loggable, summary
 from turtleact.tasks import GRACE, Signal, Tasks, is_cancellation, wait_while
 from turtleact.transports.base import (
     Caller,
+    CallObserver,
     Closeable,
+    Endpoint,
+    MakeEndpoint,
     Owner,
     Reply,
     Transport,
     find_server,
+    observer_of,
     wait_until_served,
 )
 
-__all__ = ["LocalServiceServer", "ServiceClient", "ServiceServer", "ServiceType"]
+if TYPE_CHECKING:
+    from turtleact.introspection import Introspection
+
+__all__ = ["LocalServiceServer", "ServiceClient", "ServiceServer", "ServiceType", "service_events"]
 
 logger = logging.getLogger("turtleact.services")
 
@@ -113,6 +129,8 @@ class ServiceServer(Generic[Req, Res]):
         self._local.is_open = False
         self._membership.close()
         await self._local.aclose()
+        if self._local.observer is not None:
+            self._local.observer.close()
 
 
 class LocalServiceServer(Generic[Req, Res]):
@@ -127,6 +145,7 @@ class LocalServiceServer(Generic[Req, Res]):
         name: The fully qualified name of the service.
         service_type: The service.
         is_open: Whether it accepts requests.
+        observer: Watches the calls; None for no observer.
     """
 
     def __init__(
@@ -140,6 +159,7 @@ class LocalServiceServer(Generic[Req, Res]):
         self.name = name
         self.service_type = service_type
         self.is_open = True
+        self.observer: CallObserver | None = None
         self._handler = _checked_handler(handler)
         self._check_request = _checker(service_type.Request, "request")
         self._check_response = _checker(service_type.Response, "response")
@@ -316,6 +336,8 @@ class ServiceClient(Generic[Req, Res]):
     async def aclose(self) -> None:
         """Leave the graph as soon as all calls under way have ended; they are not cancelled."""
         self._membership.close()
+        if self._caller.observer is not None:
+            self._caller.observer.close()
 
     async def _answer(self, request: object) -> object:
         """Ask a server in this process, or else one in another process."""
@@ -328,11 +350,39 @@ class ServiceClient(Generic[Req, Res]):
         return (await self._caller.call(self._check_request(request))).message
 
     def _find_local(self) -> LocalService | None:
+        """Return the server in this process, unless requests to it must travel to be observed."""
         found = self._transport.local(self.name, self.service_type.type_name)
-        return found if isinstance(found, LocalService) else None
+        is_observed = self._caller.observer is not None or observer_of(found) is not None
+        return found if isinstance(found, LocalService) and not is_observed else None
 
     def _find(self) -> object | None:
         return self._find_local() or (self._caller if self._caller.is_served else None)
+
+
+def service_events(
+    transport: Transport,
+    endpoint: MakeEndpoint,
+    service: Endpoint,
+    find_type: Callable[[], object],
+    mode: Introspection,
+) -> CallObserver | None:
+    """Return the observer that publishes the events of a service, or None if the mode is "off".
+
+    Args:
+        transport: The transport to publish on.
+        endpoint: Makes the description of the topic.
+        service: The endpoint whose calls are published.
+        find_type: Returns the class of the service.
+        mode: The introspection.
+
+    Raises:
+        InvalidOption: if the mode does not exist.
+    """
+    if mode == "off":
+        return None
+    from turtleact.introspection import ServiceEvents  # few programs need it
+
+    return ServiceEvents(transport, endpoint, service, find_type, mode)
 
 
 class _Call:

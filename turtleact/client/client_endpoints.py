@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import Any, Final, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar, cast
 
 import anyio
 
@@ -33,8 +33,8 @@ from turtleact.interfaces import (
 )
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
+from turtleact.services import service_events
 from turtleact.transports.base import (
-    EVERY_SERVER,
     STATUS_QOS,
     Caller,
     Closeable,
@@ -47,6 +47,10 @@ from turtleact.transports.base import (
     Transport,
     wait_until_served,
 )
+
+if TYPE_CHECKING:
+    from turtleact.interfaces import Service
+    from turtleact.introspection import Introspection
 
 __all__ = ["ClientEndpoints", "RequestLimiter"]
 
@@ -124,6 +128,7 @@ class ClientEndpoints:
         endpoint: Makes their descriptions.
         names: Their names.
         action_type: The action.
+        introspection: Which events of the three services are published.
 
     Attributes:
         transport: As given.
@@ -146,6 +151,7 @@ class ClientEndpoints:
         endpoint: MakeEndpoint,
         names: ActionNames,
         action_type: ActionType[Any, Any, Any],
+        introspection: Introspection = "off",
     ) -> None:
         self.transport = transport
         self.name = names.name
@@ -155,12 +161,18 @@ class ClientEndpoints:
         self.takes_both = True
         self._endpoint = endpoint
         self._names = names
+        self._introspection = introspection
         self._opened: list[Closeable] = []
         self._watches_status = self._watches_paused = False
         self._goals, self._cancels = RequestLimiter(), RequestLimiter()
         self._servers: list[Endpoint] = []  # the servers that existed when `is_ours` was learned
         self._seen = 0  # the graph's change count when `_servers` was last compared
-        self.send_goal = self._join(names.send_goal, "SendGoal", Target("one"))
+        self.send_goal = self._join(
+            names.send_goal,
+            f"{action_type.type_name}_SendGoal",
+            lambda: self.implied.send_goal,
+            Target("one"),
+        )
         self._set_paused: Caller | None = None
 
     @cached_property
@@ -169,7 +181,9 @@ class ClientEndpoints:
         return implied(cast("type[Action]", self.action_type))
 
     def find_local(self) -> object | None:
-        """Return the object that serves the action in this process, or None."""
+        """Return the object that serves the action in this process, if it can be used directly."""
+        if self._introspection != "off":  # the requests are published, so they must be sent
+            return None
         return self.transport.local(self._names.send_goal, f"{self.action_type.type_name}_SendGoal")
 
     async def wait_until_served(self) -> None:
@@ -267,14 +281,17 @@ class ClientEndpoints:
         # Results and cancels are requested from every server of the name. A server that does not
         # know the goal says so, perhaps before the right server answers; that reply does not count.
         self.get_result = self._join(
-            names.get_result, "GetResult", Target(counts=lambda reply: reply[4:5] != _UNKNOWN)
+            names.get_result,
+            f"{action}_GetResult",
+            lambda: self.implied.get_result,
+            Target(counts=lambda reply: reply[4:5] != _UNKNOWN),
         )
-        self._cancel_goal = self.transport.join(
-            self._endpoint("client", names.cancel_goal, CancelGoal.type_name),
-            WireFormat(CancelGoal, asks=True),
+        self._cancel_goal = self._join(
+            names.cancel_goal,
+            CancelGoal.type_name,
+            lambda: CancelGoal,
             Target(counts=lambda reply: reply[4:5] != _UNKNOWN_GOAL_ID),
         )
-        self._opened.append(self._cancel_goal)
 
     def watch_status(self, take_states: Callable[[dict[bytes, State]], None]) -> None:
         """Open the status topic. A second call does nothing."""
@@ -315,11 +332,16 @@ class ClientEndpoints:
         endpoints = self.transport.endpoints(self._names.send_goal)
         return [each for each in endpoints if each.kind == "service"]
 
-    def _join(self, name: str, kind: str, target: Target = EVERY_SERVER) -> Caller:
-        service = {"SendGoal": "send_goal", "GetResult": "get_result"}[kind]
-        format = WireFormat(lambda: getattr(self.implied, service), asks=True)
-        endpoint = self._endpoint("client", name, f"{self.action_type.type_name}_{kind}")
-        caller = self.transport.join(endpoint, format, target)
+    def _join(
+        self, name: str, type_name: str, find_type: Callable[[], type[Service]], target: Target
+    ) -> Caller:
+        endpoint = self._endpoint("client", name, type_name)
+        mode, maker = self._introspection, self._endpoint
+        events = service_events(self.transport, maker, endpoint, find_type, mode)
+        if events is not None:
+            self._opened.append(events)  # first, so that it is closed after the client
+        caller = self.transport.join(endpoint, WireFormat(find_type, asks=True), target)
+        caller.observer = events
         self._opened.append(caller)
         return caller
 

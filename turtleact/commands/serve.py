@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.live import Dashboard
     from turtleact.commands.settings import Fleet, Keeping, Page, Reach
+    from turtleact.introspection import Introspection
     from turtleact.node import ActionServer, ServerGoalHandle
     from turtleact.node.conflicts import OnConflict
     from turtleact.transports import Transport, ZenohTransport
@@ -71,6 +72,7 @@ class Service(NamedTuple):
         reload: Whether to reload the user's actions when their files change.
         node_name: The name of the node that serves the actions, if there is no world.
         keeping: The journal of the goals; None for no journal.
+        introspection: The introspection of all actions and services of the process.
     """
 
     targets: tuple[str, ...]
@@ -85,6 +87,7 @@ class Service(NamedTuple):
     reload: bool = False
     node_name: str = "turtleact"
     keeping: Keeping | None = None
+    introspection: Introspection = "off"
 
 
 def run(service: Service, interrupts: Interrupts) -> int:
@@ -321,6 +324,7 @@ async def _open_node(
                 graph=graph,
                 on_transition=log.tell,
                 on_start=None if log.board is None else log.board.begin,
+                introspection=service.introspection,
                 **options,
             )
             node: Node = await stack.enter_async_context(world)
@@ -330,6 +334,7 @@ async def _open_node(
             transport = await stack.enter_async_context(graph(WallClock()))
             opening = open_node(service.node_name, transport=transport)
             node = await stack.enter_async_context(opening)
+            node.introspection = service.introspection
         node.on_transition(log.tell)
         yield node
 

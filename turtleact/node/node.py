@@ -7,13 +7,12 @@ Source: rclpy ``node.py`` for names and behaviour.
 
 from __future__ import annotations
 
-import inspect
 import logging
 import math
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import AbstractContextManager, asynccontextmanager
 from functools import partial
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, Unpack, cast, get_args, overload
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, Unpack, cast, overload
 
 import anyio
 
@@ -21,29 +20,37 @@ from turtleact.body import ActionBody, ActionDeclaration, ActionType, Body, Serv
 from turtleact.client import ActionClient
 from turtleact.client.client_endpoints import ClientEndpoints
 from turtleact.clock import Clock, check_timeout
-from turtleact.errors import InvalidOption, TurtleactError
+from turtleact.errors import TurtleactError
 from turtleact.goal import Goal, GoalStatus
 from turtleact.graph import Graph, graph_of
 from turtleact.interfaces import Action, Message, Service, WireFormat
 from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
+from turtleact.node.arguments import check_declaration, check_server_options, expect
 from turtleact.node.conflicts import OnConflict, Rivals
+from turtleact.node.hooks import Hook
 from turtleact.node.resources import Resources
 from turtleact.node.timers import Timer
-from turtleact.observers import GoalObserver
 from turtleact.server.endpoints import ActionEndpoints
-from turtleact.server.execution import CURRENT_GOAL, Execution, Served
+from turtleact.server.execution import Execution, Served
 from turtleact.server.goal_handle import GoalHandle
 from turtleact.server.local_server import LocalActionServer, SlotRequest, restore_all
-from turtleact.services import LocalServiceServer, ServiceClient, ServiceServer, ServiceType
+from turtleact.services import (
+    LocalServiceServer,
+    ServiceClient,
+    ServiceServer,
+    ServiceType,
+    service_events,
+)
 from turtleact.slot import Rules, Slot, Slots
 from turtleact.tasks import Background, Home, current_tasks
 from turtleact.topics import Matching, Publisher, Subscription
 from turtleact.transports import MemoryTransport, QoS, Transport
-from turtleact.transports.base import Closeable, Endpoint, EndpointKind
+from turtleact.transports.base import CallObserver, Closeable, Endpoint, EndpointKind
 
 __all__ = ["ActionServer", "Node", "ServerGoalHandle", "Transition", "open_node"]
 
-if TYPE_CHECKING:  # few nodes have parameters, and these modules take long to import
+if TYPE_CHECKING:  # few nodes have parameters or introspection; the modules import slowly
+    from turtleact.introspection import Introspection
     from turtleact.node.parameters import NodeParameters, Parameter
     from turtleact.parameters import Bounds, ParameterDeclaration, Value
 
@@ -66,12 +73,20 @@ class Node:
     learn of an endpoint only once one of them has an endpoint of the same name. Use it if you open
     thousands of endpoints and few of them are ever used.
 
+    With ``introspection="contents"``, requests and responses are published on the topics
+    ``SERVICE/_service_event``, as in ROS 2; "metadata" leaves out what they contain. None stands
+    for the node's setting. Such goals and calls travel as messages even within a process, so they
+    take longer.
+
     Attributes:
         name: The node's name, without the namespace.
         namespace: The prefix of relative names.
         clock: The graph's time. Bodies should wait with it.
         transport: The connection to other nodes.
+        introspection: The introspection of what is opened on the node from now on.
     """
+
+    introspection: Introspection = "off"
 
     def __init__(self, name: str, namespace: str, transport: Transport) -> None:
         validate_node_name(name)
@@ -114,12 +129,7 @@ class Node:
             on_conflict: See `action_server`.
             **overrides: Options that replace declared ones; see `action_server`.
         """
-        if not isinstance(definition, ActionDeclaration):
-            if inspect.iscoroutine(definition) or inspect.isasyncgen(definition):
-                problem = "was called already: pass the function itself, without ()"
-            else:
-                problem = "is no action: declare it with @turtleact.action"
-            raise TypeError(f"{_named(definition)} {problem}")
+        check_declaration(definition)
         options = cast("ServerOptions", {**definition.options, **overrides})
         execute = cast("ActionBody[Message, Message, Message, object]", definition.execute)
         return self.action_server(
@@ -168,7 +178,7 @@ class Node:
                 "resume". ``pausable=True`` declares that a coroutine body awaits
                 ``handle.checkpoint()``, where it can be paused. ``on_pause(handle)`` and
                 ``on_resume(handle)`` are coroutine functions that bring a robot to rest and let it
-                go on.
+                go on. For ``introspection``, see `Node`.
 
         Raises:
             ActionConflict: if another node serves the name, or this node does with the same type.
@@ -178,12 +188,8 @@ class Node:
             TypeError: if an option does not exist.
         """
         self._home.check()
-        _expect(Action, action_type)
-        for unknown in options.keys() - ServerOptions.__annotations__.keys():
-            raise TypeError(f"an action server has no option '{unknown}'")
-        if on_conflict not in get_args(OnConflict):
-            words = ", ".join(get_args(OnConflict))
-            raise InvalidOption("on_conflict", f"expected one of {words}, not {on_conflict!r}")
+        expect(Action, action_type)
+        check_server_options(options, on_conflict)
         names = self._action_names(name)
         rivals = Rivals(self.transport, names.send_goal, self.fully_qualified_name)
         own_types = self._types_served(names.name)
@@ -202,7 +208,8 @@ class Node:
         if local.durable is not None:
             local.durable.is_built_in = on_conflict == "withdraw"
         endpoint = partial(self._endpoint, on_demand=on_demand)
-        endpoints = ActionEndpoints(local, names, self.transport, endpoint, self._tasks)
+        shown = options.get("introspection") or self.introspection
+        endpoints = ActionEndpoints(local, names, self.transport, endpoint, self._tasks, shown)
         server: ActionServer[G, R, F] = ActionServer(self, action_type, local, endpoints)
         for hook in self._hooks:
             server._watch(hook)
@@ -253,7 +260,12 @@ class Node:
             server._watch(hook)
 
     def action_client(
-        self, action_type: ActionType[G, R, F], name: str, *, cancel_timeout: float | None = 6.0
+        self,
+        action_type: ActionType[G, R, F],
+        name: str,
+        *,
+        cancel_timeout: float | None = 6.0,
+        introspection: Introspection | None = None,
     ) -> ActionClient[G, R, F]:
         """Open a client of an action. The action need not be served yet.
 
@@ -263,16 +275,18 @@ class Node:
             cancel_timeout: If a task is cancelled while it waits for a goal, or leaves the goal's
                 ``async with`` block, the goal is canceled too. The task then waits for the goal's
                 end, at most this long (s, event loop time; None for no limit).
+            introspection: See `Node`.
 
         Raises:
             InvalidName: if the name breaks ROS 2's rules.
-            InvalidOption: if ``cancel_timeout`` is not a number.
+            InvalidOption: if the value of an option is not allowed.
         """
-        _expect(Action, action_type)
+        expect(Action, action_type)
         check_timeout(cancel_timeout, "cancel_timeout")
         patience = math.inf if cancel_timeout is None else cancel_timeout
         names = self._action_names(name)
-        endpoints = ClientEndpoints(self.transport, self._endpoint, names, action_type)
+        shown = introspection or self.introspection
+        endpoints = ClientEndpoints(self.transport, self._endpoint, names, action_type, shown)
         return ActionClient(endpoints, self._tasks, self._home, self._resources, patience)
 
     def publisher(
@@ -297,7 +311,7 @@ class Node:
         Raises:
             InvalidName: if the topic's name breaks ROS 2's rules.
         """
-        _expect(Message, message_type)
+        expect(Message, message_type)
         name = resolve_name(topic, self.namespace, self.name)
         end = self._endpoint("publisher", name, message_type.type_name, qos, on_demand=on_demand)
         matching = None if on_matched is None else Matching(on_matched)
@@ -312,7 +326,7 @@ class Node:
         Raises:
             InvalidName: if the topic's name breaks ROS 2's rules.
         """
-        _expect(Message, message_type)
+        expect(Message, message_type)
         name = resolve_name(topic, self.namespace, self.name)
         end = self._endpoint("subscription", name, message_type.type_name, qos, on_demand=on_demand)
         signal = self._tasks.signal()
@@ -325,6 +339,7 @@ class Node:
         handler: Callable[[Req], Res | Awaitable[Res]],
         *,
         on_demand: bool = False,
+        introspection: Introspection | None = None,
     ) -> ServiceServer[Req, Res]:
         """Serve a service.
 
@@ -335,31 +350,39 @@ class Node:
                 Each request is handled in its own task, and several tasks run side by side. If the
                 handler raises, the caller gets `ServiceError`.
             on_demand: See `Node`.
+            introspection: See `Node`.
 
         Raises:
             InvalidName: if the name breaks ROS 2's rules.
         """
-        _expect(Service, service_type)
+        expect(Service, service_type)
         full_name = resolve_name(name, self.namespace, self.name)
         server = LocalServiceServer(service_type, full_name, handler, tasks=self._tasks)
         endpoint = self._endpoint("service", full_name, service_type.type_name, on_demand=on_demand)
         format = WireFormat(cast("type[Service]", service_type))
+        server.observer = self._observer(endpoint, service_type, introspection)
         registration = self.transport.serve(endpoint, format, server)
         return ServiceServer(server, self._resources, registration)
 
     def service_client(
-        self, service_type: ServiceType[Req, Res], name: str
+        self,
+        service_type: ServiceType[Req, Res],
+        name: str,
+        *,
+        introspection: Introspection | None = None,
     ) -> ServiceClient[Req, Res]:
-        """Open a client of a service. The service need not be served yet.
+        """Open a client of a service. The service need not be served yet; see `service`.
 
         Raises:
             InvalidName: if the name breaks ROS 2's rules.
         """
-        _expect(Service, service_type)
+        expect(Service, service_type)
         full_name = resolve_name(name, self.namespace, self.name)
         endpoint = self._endpoint("client", full_name, service_type.type_name)
         format = WireFormat(cast("type[Service]", service_type), asks=True)
+        observer = self._observer(endpoint, service_type, introspection)
         caller = self.transport.join(endpoint, format)
+        caller.observer = observer
         return ServiceClient(
             service_type, full_name, self.transport, caller, self._resources, self._tasks
         )
@@ -472,14 +495,17 @@ class Node:
 
     def _types_served(self, action: str) -> set[str]:
         """The types that this node serves under an action name."""
-        return {
-            server.action_type.type_name
-            for server in self._servers()
-            if server.name == action and server.is_open
-        }
+        servers = [each for each in self._servers() if each.name == action and each.is_open]
+        return {server.action_type.type_name for server in servers}
 
     def _action_names(self, name: str) -> ActionNames:
         return action_names(resolve_name(name, self.namespace, self.name))
+
+    def _observer(
+        self, endpoint: Endpoint, service_type: object, introspection: Introspection | None
+    ) -> CallObserver | None:
+        find_type, shown = (lambda: service_type), introspection or self.introspection
+        return service_events(self.transport, self._endpoint, endpoint, find_type, shown)
 
     def _endpoint(
         self,
@@ -491,8 +517,8 @@ class Node:
         on_demand: bool = False,
     ) -> Endpoint:
         self._check_open()
-        own, qos = self.fully_qualified_name, qos or QoS()
-        return Endpoint(kind, name, type_name, own, qos, on_demand=on_demand)
+        own = self.fully_qualified_name
+        return Endpoint(kind, name, type_name, own, qos or QoS(), on_demand=on_demand)
 
 
 class ServerGoalHandle(GoalHandle[G, R, F]):
@@ -581,7 +607,7 @@ class ActionServer(Generic[G, R, F]):
 
     def _watch(self, hook: Transition) -> None:
         """Call a hook at each change of a goal."""
-        self._local.observers.add(_Hook(hook, self._local.execution))
+        self._local.observers.add(Hook(hook, self._local.execution))
 
     def _keep(self, running: Coroutine[object, object, None], name: str) -> None:
         """Run a coroutine until the server is closed."""
@@ -647,32 +673,6 @@ class ActionServer(Generic[G, R, F]):
         if self._membership is not None:
             self._membership.close()
         again()
-
-
-class _Hook(GoalObserver):
-    """A user's hook on the transitions of goals."""
-
-    def __init__(self, hook: Transition, execution: Execution) -> None:
-        self._hook = hook
-        self._execution = execution
-
-    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
-        # Without a current goal, a goal that the hook sends does not become a child of this one.
-        token = CURRENT_GOAL.set(None)
-        try:
-            handle = cast("ServerGoalHandle[Any, Any, Any]", self._execution.make_handle(goal))
-            self._hook(handle, before, after)
-        finally:
-            CURRENT_GOAL.reset(token)
-
-
-def _expect(kind: type, given: object) -> None:
-    if not (isinstance(given, type) and issubclass(given, kind)):
-        raise TypeError(f"expected a subclass of turtleact.{kind.__name__}, not {_named(given)}")
-
-
-def _named(given: object) -> str:
-    return getattr(given, "__qualname__", "") or repr(given)
 
 
 @asynccontextmanager

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cached_property, partial
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 
@@ -42,11 +42,12 @@ from turtleact.names import ActionNames
 from turtleact.server.action_topics import FeedbackTopic, StatusTopic
 from turtleact.server.local_server import LocalActionServer
 from turtleact.server.pause_endpoints import PauseEndpoints
-from turtleact.services import LocalServiceServer
+from turtleact.services import LocalServiceServer, service_events
 from turtleact.summaries import STOPPED
 from turtleact.tasks import GRACE, Tasks, wait_while
 from turtleact.transports.base import (
     STATUS_QOS,
+    CallObserver,
     Closeable,
     Endpoint,
     EndpointKind,
@@ -56,6 +57,9 @@ from turtleact.transports.base import (
     Respond,
     Transport,
 )
+
+if TYPE_CHECKING:
+    from turtleact.introspection import Introspection
 
 __all__ = ["ActionEndpoints"]
 
@@ -78,6 +82,7 @@ class ActionEndpoints:
         transport: The transport to open them on.
         endpoint: Makes their descriptions.
         tasks: The task functions of the event loop.
+        introspection: Which events of the three services are published.
     """
 
     def __init__(
@@ -87,6 +92,7 @@ class ActionEndpoints:
         transport: Transport,
         endpoint: MakeEndpoint,
         tasks: Tasks,
+        introspection: Introspection = "off",
     ) -> None:
         self._server = server
         self._names = names
@@ -95,10 +101,13 @@ class ActionEndpoints:
         self._cancel_goal = _CancelGoal(server, names, transport, tasks)
         self._get_result = _GetResult(server, names, tasks)
         self._send_goal = _SendGoal(server, names, tasks, self._get_result)
+        self._introspection = introspection
+        if introspection == "off":
+            self._send_goal.goal_server = server
         unlisted: MakeEndpoint = partial(_unlisted, endpoint)
         self._pausing = PauseEndpoints(server, transport, unlisted, tasks)
         self._services: list[Closeable] = []
-        self._topics: list[FeedbackTopic | StatusTopic] = []
+        self._topics: list[Closeable] = []
 
     @property
     def is_asked(self) -> bool:
@@ -116,13 +125,22 @@ class ActionEndpoints:
             (self._send_goal, f"{action}_SendGoal"),  # last: clients that see it expect the others
         ):
             described = describe("service", service.name, type_name)
+            service.observer = self._observer(service, described)
             offered = self._transport.serve(described, WireFormat(service.find_type), service)
             self._services.append(offered)
         described = describe("publisher", names.feedback, f"{action}_FeedbackMessage")
         feedback = FeedbackTopic(self._server, self._transport, described)
         described = describe("publisher", names.status, GoalStatusArray.type_name, STATUS_QOS)
-        self._topics = [feedback, StatusTopic(self._server, self._transport, described)]
+        self._topics += feedback, StatusTopic(self._server, self._transport, described)
         self._send_goal.expect_readers = feedback.expect_readers
+
+    def _observer(self, service: _ActionService, endpoint: Endpoint) -> CallObserver | None:
+        """Return the observer that publishes the events of a service, if they are published."""
+        mode, find_type = self._introspection, service.find_type
+        events = service_events(self._transport, self._endpoint, endpoint, find_type, mode)
+        if events is not None:
+            self._topics.append(events)
+        return events
 
     def stop_taking_goals(self) -> None:
         """Stop accepting goals. Existing goals can still be cancelled and awaited."""
@@ -159,6 +177,7 @@ class _ActionService:
         name: The name of the service.
         is_open: Whether it accepts requests.
         answered: Fires whenever a request has been answered.
+        observer: Watches the calls; None for no observer.
         waiting: How many requests wait for their answer.
     """
 
@@ -167,6 +186,7 @@ class _ActionService:
         self.name = name
         self.is_open = True
         self.answered = tasks.signal()
+        self.observer: CallObserver | None = None
         self.waiting = 0
         self._tasks = tasks
         self._checked: LocalServiceServer[Any, Any] | None = None
@@ -234,16 +254,18 @@ class _SendGoal(_ActionService):
     """Accepts or rejects goals.
 
     Attributes:
-        goal_server: The server, for clients in the same process; see `turtleact.goal_server`.
+        goal_server: The server, for clients in the same process; see `turtleact.goal_server`. It is
+            missing if requests are observed: then those of such clients travel as messages, too.
         expect_readers: Called with the first goal from another process, whose client reads
             feedback.
     """
+
+    goal_server: LocalActionServer
 
     def __init__(
         self, server: LocalActionServer, names: ActionNames, tasks: Tasks, get_result: _GetResult
     ) -> None:
         super().__init__(server, names.send_goal, tasks)
-        self.goal_server = server
         self.expect_readers: Callable[[], None] | None = None
         self._get_result = get_result
 

@@ -38,6 +38,7 @@ __all__ = [
     "STATUS_QOS",
     "AsyncCloseable",
     "AsyncHandler",
+    "CallObserver",
     "Caller",
     "CallerAware",
     "Closeable",
@@ -61,6 +62,7 @@ __all__ = [
     "TimePolicies",
     "Transport",
     "find_server",
+    "observer_of",
     "wait_until_served",
     "why_not_served",
 ]
@@ -325,8 +327,33 @@ class PendingCall(Protocol):
         """Give up the reply. Does nothing after the reply was taken."""
 
 
+class CallObserver(Protocol):
+    """Watches the calls of one service, at the end of its client or of its server.
+
+    A call is identified by the gid of its client and by its sequence number. The methods must not
+    raise. They are called where the call is handled: in the event loop, unless the client or the
+    server works in other threads. The handler of a service names its observer in the attribute
+    ``observer``, before it is offered.
+    """
+
+    def requested(self, request: object, gid: bytes, sequence: int) -> None:
+        """Called when a request has been sent, or has been received."""
+
+    def responded(self, response: object, gid: bytes, sequence: int) -> None:
+        """Called when a response has been sent, or has been received. Errors are no responses."""
+
+    def close(self) -> None:
+        """Called when the client or server has been closed."""
+
+
 class Caller(Closeable, Protocol):
-    """The client end of a service."""
+    """The client end of a service.
+
+    Attributes:
+        observer: Watches the calls; None, as at first, for no observer.
+    """
+
+    observer: CallObserver | None
 
     @property
     def is_served(self) -> bool:
@@ -488,6 +515,12 @@ class Transport(Protocol):
         wait with a cancel scope or `asyncio.timeout`: `asyncio.wait_for` of Python 3.11 starts
         another task, and would miss a change before that task runs.
         """
+
+
+def observer_of(handler: object) -> CallObserver | None:
+    """Return the observer of a handler's calls, if it has one."""
+    observer: CallObserver | None = getattr(handler, "observer", None)
+    return observer
 
 
 async def wait_until_served(

@@ -22,6 +22,7 @@ from turtleact.transports.base import (
     AsyncHandler,
     Caller,
     CallerAware,
+    CallObserver,
     Closeable,
     Deliver,
     Endpoint,
@@ -32,6 +33,7 @@ from turtleact.transports.base import (
     Reply,
     Source,
     Target,
+    observer_of,
     why_not_served,
 )
 
@@ -375,6 +377,8 @@ class _Caller:
     def __init__(self, transport: MemoryTransport, endpoint: Endpoint, gid: bytes) -> None:
         self.endpoint = endpoint
         self.gid = gid
+        self.observer: CallObserver | None = None
+        self._sequence = 0
         self._transport = transport
         self._is_open = True
         self._is_served = False
@@ -394,11 +398,28 @@ class _Caller:
         if not isinstance(handler, AsyncHandler):
             raise ServerUnavailable(name, self.why_not_served(), kind="service")
         try:
-            return await handler.reply(request, self.gid)
+            theirs = observer_of(handler)
+            if self.observer is None and theirs is None:
+                return await handler.reply(request, self.gid)
+            return await self._call_observed(handler, request, theirs)
         except TurtleactError:
             raise
         except Exception as error:
             raise ServiceError(name, f"the handler failed: {summary(error)}") from error
+
+    async def _call_observed(
+        self, handler: AsyncHandler, request: object, theirs: CallObserver | None
+    ) -> Reply:
+        """Call a handler, and tell the observers of both ends."""
+        self._sequence += 1
+        sequence = self._sequence
+        observers = [each for each in (self.observer, theirs) if each is not None]
+        for each in observers:
+            each.requested(request, self.gid, sequence)
+        reply = await handler.reply(request, self.gid)
+        for each in reversed(observers):
+            each.responded(reply.message, self.gid, sequence)
+        return reply
 
     def ask(self, _request: object, on_end: Callable[[PendingCall], object] | None = None) -> None:
         """Return None: there are no servers in other processes."""

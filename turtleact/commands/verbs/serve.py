@@ -147,6 +147,15 @@ MaxStarts: TypeAlias = Annotated[
         rich_help_panel=GOALS,
     ),
 ]
+Introspect: TypeAlias = Annotated[
+    Literal["off", "metadata", "contents"],
+    typer.Option(
+        "--introspection",
+        help="Publish the requests and responses of all actions and services, for action echo, "
+        "service echo and bag record. With metadata, without their contents.",
+        rich_help_panel="Graph",
+    ),
+]
 NoSim: TypeAlias = Annotated[
     bool,
     typer.Option(
@@ -235,6 +244,7 @@ def serve(
     token: Token = None,
     allow_host: Hosts = None,
     allow_origin: Origins = None,
+    introspection: Introspect = "off",
 ) -> Job:
     """``serve``."""
     at = endpoints("--listen", listen)
@@ -261,6 +271,7 @@ def serve(
             reload=reload,
             node_name=node_name or "turtleact",
             keeping=keeping,
+            introspection=introspection,
         )
         return run(service, interrupts)
 

@@ -30,6 +30,7 @@ from turtleact.tasks import GRACE
 from turtleact.transports.base import (
     AsyncHandler,
     Caller,
+    CallObserver,
     Closeable,
     Endpoint,
     Format,
@@ -38,6 +39,7 @@ from turtleact.transports.base import (
     SyncHandler,
     Target,
     ThreadedHandler,
+    observer_of,
     why_not_served,
 )
 from turtleact.transports.rmw_zenoh.attachment import (
@@ -154,6 +156,8 @@ class WireService:
             self._fail(query, self._closed())
             return
         self._under_way[beside.gid, beside.sequence] = query
+        if offer.observer is not None:
+            offer.observer.requested(request, beside.gid, beside.sequence)
         if not self._answer_nowait(offer, beside, request):
             answering = self._answer(offer, beside, request)
             self._context.crew.run(answering, f"a request to {self._name}")
@@ -163,7 +167,8 @@ class WireService:
         if offer.sync is None:
             return False
         try:
-            return offer.sync.reply_nowait(request, beside.gid, partial(self._respond, beside))
+            respond = partial(self._respond, beside, offer)
+            return offer.sync.reply_nowait(request, beside.gid, respond)
         except Exception as error:
             self._refuse(beside, self._failure(error))
             return True
@@ -172,13 +177,13 @@ class WireService:
         """Answer a request; raises only cancellations."""
         try:
             assert offer.handler is not None  # noqa: S101  # otherwise it would not be chosen
-            self._respond(beside, await offer.handler.reply(request, beside.gid))
+            self._respond(beside, offer, await offer.handler.reply(request, beside.gid))
         except Exception as error:
             self._refuse(beside, self._failure(error))
         finally:
             self._refuse(beside, self._closed())  # does nothing if the request was answered
 
-    def _respond(self, beside: Attachment, reply: Reply | TurtleactError) -> None:
+    def _respond(self, beside: Attachment, offer: _Offer, reply: Reply | TurtleactError) -> None:
         """Answer a request that is under way; never raises."""
         if isinstance(reply, TurtleactError):
             self._refuse(beside, reply)
@@ -192,6 +197,8 @@ class WireService:
         if query is not None:  # None if the transport was closed meanwhile
             attachment = write_attachment(beside.sequence, time.time_ns(), beside.gid, reply.note)
             self._context.outbox.post(partial(query.reply, payload, attachment))
+            if offer.observer is not None:
+                offer.observer.responded(reply.message, beside.gid, beside.sequence)
 
     def _refuse(self, beside: Attachment, error: TurtleactError) -> None:
         """Answer a request that is still under way with an error."""
@@ -233,12 +240,13 @@ class WireService:
 class _Offer:
     """A handler of a service, and its registration inside the process."""
 
-    __slots__ = ("_near", "_service", "handler", "is_threaded", "sync")
+    __slots__ = ("_near", "_service", "handler", "is_threaded", "observer", "sync")
 
     def __init__(self, service: WireService, near: Closeable, handler: object) -> None:
         self.handler = handler if isinstance(handler, AsyncHandler) else None
         self.sync = handler if isinstance(handler, SyncHandler) else None
         self.is_threaded = isinstance(handler, ThreadedHandler)
+        self.observer = observer_of(handler)
         self._service = service
         self._near = near
 
@@ -262,6 +270,8 @@ class WireCaller:
         querier: The declared querier; None before it is declared and after it was undeclared.
         presence: The client as other processes see it.
     """
+
+    _observer: CallObserver | None = None
 
     def __init__(
         self,
@@ -289,6 +299,15 @@ class WireCaller:
         context.opened.add(self)
 
     @property
+    def observer(self) -> CallObserver | None:
+        """Watches the calls, whether the server is in this process or in another."""
+        return self._observer
+
+    @observer.setter
+    def observer(self, observer: CallObserver | None) -> None:
+        self._observer = self._near.observer = observer
+
+    @property
     def is_served(self) -> bool:
         """Whether a call would reach a server now."""
         return self._near.is_served or (self.is_matching and self._context.is_open)
@@ -302,7 +321,7 @@ class WireCaller:
             await self._wait_for_route()
         if not self.is_matching or not self._context.is_open:
             raise self._unavailable(self.why_not_served())
-        return await self._send(payload, is_cancelable=True).reply()
+        return await self._send(request, payload, is_cancelable=True).reply()
 
     def ask(
         self, request: object, on_end: Callable[[PendingCall], object] | None = None
@@ -311,7 +330,8 @@ class WireCaller:
         is_far = self.is_matching and self._context.is_open and not self._near.is_served
         if not is_far or not self._is_open:
             return None
-        return self._send(self._format.encode(request), is_cancelable=False, on_end=on_end)
+        payload = self._format.encode(request)
+        return self._send(request, payload, is_cancelable=False, on_end=on_end)
 
     def close(self) -> None:
         """Leave the graph when the calls under way are over. A second call does nothing.
@@ -345,6 +365,7 @@ class WireCaller:
 
     def _send(
         self,
+        request: object,
         payload: bytes,
         *,
         is_cancelable: bool,
@@ -357,6 +378,8 @@ class WireCaller:
             call.on_end.append(on_end)
         self._calls.add(call)
         self._context.outbox.post(call.send)
+        if self._observer is not None:
+            self._observer.requested(request, self._endpoint.gid, call.sequence)
         return call
 
     def forget(self, call: WireCall) -> None:
@@ -388,6 +411,9 @@ class WireCaller:
         except InvalidMessage as error:
             problem = f"its response cannot be read: {error}"
             raise ServiceError(self._endpoint.name, problem) from error
+        if self._observer is not None and not call.is_observed:
+            call.is_observed = True  # a reply may be taken twice
+            self._observer.responded(message, self._endpoint.gid, call.sequence)
         return Reply(message, note_in(attachment))
 
     # finding servers
@@ -462,6 +488,7 @@ class WireCall:
         answer: The payload and attachment of the reply.
         error: The text and the kind of an error.
         is_over: Whether a reply or error has arrived, or neither ever will.
+        is_observed: Whether an observer has been told of the response.
         on_end: The function to call in any thread when it is over, taken out before it is called:
             the last reply and the loss of the server may be noticed at the same moment.
     """
@@ -469,6 +496,7 @@ class WireCall:
     answer: tuple[bytes, bytes] | None = None
     error: tuple[str, str] | None = None
     is_over = False
+    is_observed = False
     _is_wanted = True
     _changed: Signal | None = None  # created when somebody waits
     _told: Callable[[], object] | None = None
@@ -489,6 +517,11 @@ class WireCall:
         self._caller = caller
         self._is_cancelable = is_cancelable
         self.on_end: list[Callable[[PendingCall], object]] = []
+
+    @property
+    def sequence(self) -> int:
+        """The sequence number of the request."""
+        return read_attachment(self._attachment).sequence
 
     def tell(self, told: Callable[[], object]) -> None:
         """Have a function called when it is over; see `turtleact.transports.base.PendingCall`."""
