@@ -14,7 +14,6 @@ from pathlib import Path
 import msgspec
 
 from turtleact.errors import InvalidMessage
-from turtleact.interfaces.text import Document, tree_of
 from turtleact.rclpy.exceptions import RCLError, UnknownROSArgsError
 
 __all__ = [
@@ -221,7 +220,7 @@ def parse_value(text: str) -> object:
         RCLError: if it is malformed.
     """
     try:
-        return _plain(tree_of(Document(text, "value", "value", allow_nonfinite=True)))
+        return _tree(text, "value", "value")
     except InvalidMessage as error:
         raise RCLError(f"Failed to parse ROS arguments: {error}") from error
 
@@ -248,13 +247,18 @@ def _trees(text: str, path: str) -> list[object]:
     A key may appear twice: ROS 2 reads the file from its beginning to its end, and so do we.
     """
     try:
-        return [_plain(tree_of(Document(text, "parameters", path, allow_nonfinite=True)))]
+        return [_tree(text, "parameters", path)]
     except InvalidMessage as error:
         if "appears twice" not in str(error):
             raise
     blocks = re.split(r"(?m)^(?=[^\s#])", text)
-    documents = (Document(block, "parameters", path, allow_nonfinite=True) for block in blocks)
-    return [_plain(tree_of(document)) for document in documents]
+    return [_tree(block, "parameters", path) for block in blocks]
+
+
+def _tree(text: str, what: str, path: str) -> object:
+    from turtleact.interfaces.text import Document, tree_of  # YAML is slow to import
+
+    return _plain(tree_of(Document(text, what, path, allow_nonfinite=True)))
 
 
 def _ros_words(args: Sequence[str]) -> Iterator[str]:

@@ -81,11 +81,11 @@ def sequence_of(field_type: FieldType) -> Callable[[Anything], object]:
     """Return the function that converts what is assigned to a field with several numbers."""
     code = TYPECODES[field_type.name]
     if is_numeric_array(field_type):
-        import numpy as np  # slow to import, and few messages need it
-
-        dtype = np.dtype(code)
 
         def convert_to_numpy(value: Anything) -> object:
+            import numpy as np  # slow to import, and many programs need it in no message
+
+            dtype = np.dtype(code)
             if isinstance(value, np.ndarray) and value.dtype == dtype:
                 return value
             return np.array(value, dtype=dtype)
