@@ -6,10 +6,11 @@ import time
 import pytest
 
 from turtleact.goal import GoalStatus
+from turtleact.rclpy import toplevel as rclpy
 from turtleact.rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from turtleact.rclpy.action.server import ServerGoalHandle
 from turtleact.rclpy.exceptions import RCLError
-from turtleact.rclpy.executors import MultiThreadedExecutor
+from turtleact.rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.task import Future
 
@@ -250,3 +251,29 @@ def test_a_result_of_another_type_is_replaced(node, send, result_of, capsys):
     server.register_cancel_callback(None)
     server.register_handle_accepted_callback(None)
     assert list(result_of(send()).result.sequence) == [8]
+
+
+@pytest.mark.parametrize(("is_awaited", "turns"), [(False, 1), (True, 3)])
+def test_feedback_beside_an_answer_comes_with_it_or_behind_its_callback(
+    node, executor, context, is_awaited, turns
+):
+    def report(goal_handle):
+        goal_handle.publish_feedback(Fibonacci.Feedback(sequence=[1]))
+        return succeed(goal_handle)
+
+    told: list[str] = []
+    other = rclpy.create_node("server", context=context)
+    ActionServer(other, Fibonacci, "fibonacci", report)
+    client = ActionClient(node, Fibonacci, "fibonacci")
+    sent = client.send_goal_async(Fibonacci.Goal(order=2), lambda _: told.append("feedback"))
+    if is_awaited:
+        sent.add_done_callback(lambda _: told.append("answer"))
+    serving = SingleThreadedExecutor(context=context)
+    serving.add_node(other)
+    for _ in range(5):
+        serving.spin_once(0)
+    for _ in range(turns):
+        assert len(told) < turns
+        executor.spin_once(0)
+    assert sent.done()
+    assert told == (["answer", "feedback"] if is_awaited else ["feedback"])

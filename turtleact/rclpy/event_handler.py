@@ -1,25 +1,47 @@
-"""Events of publishers and subscriptions: matched, missed deadlines, lost liveliness.
+"""Events of publishers and subscriptions: matched, incompatible, missed deadlines, liveliness.
 
-turtleact's transports enforce no policy in time, so these events are found here: matching by
-looking at the graph, deadlines by counting messages. Incompatible types and qualities of service
-do not keep endpoints apart, as in rmw_zenoh, so the other events never happen.
+Only endpoints with callbacks for events pay for them. Who is on the topic is read from the graph
+whenever it has changed. Deadlines and the liveliness of an own publisher are counted here, because
+transports enforce no policy in time. A mismatch of quality of service is told, but the messages
+still flow, as with rmw_zenoh. Lost messages are never noticed.
+
+Source: rmw ``events_statuses`` for the facts; DDS 1.4, section 2.2.3, for what is incompatible.
 """
 
 from __future__ import annotations
 
+import time
+from collections import Counter
 from collections.abc import Callable
 from enum import IntEnum
+from functools import partial
+from typing import Protocol, TypeAlias
+
+import msgspec
 
 from turtleact.rclpy.callback_groups import CallbackGroup
+from turtleact.rclpy.executors import await_or_execute
+from turtleact.rclpy.impl.connection import Connection
 from turtleact.rclpy.impl.typing import Anything
-from turtleact.rclpy.waitable import Waitable
+from turtleact.rclpy.qos import QoSPolicyKind
+from turtleact.rclpy.waitable import NumberOfEntities, Waitable
+from turtleact.transports.base import Endpoint
 
 __all__ = [
     "EventHandler",
+    "IncompatibleTypeInfo",
     "PublisherEventCallbacks",
-    "QoSEventHandler",
+    "QoSLivelinessChangedInfo",
+    "QoSLivelinessLostInfo",
+    "QoSMessageLostInfo",
+    "QoSOfferedDeadlineMissedInfo",
+    "QoSOfferedIncompatibleQoSInfo",
     "QoSPublisherEventType",
+    "QoSPublisherMatchedInfo",
+    "QoSRequestedDeadlineMissedInfo",
+    "QoSRequestedIncompatibleQoSInfo",
     "QoSSubscriptionEventType",
+    "QoSSubscriptionMatchedInfo",
     "SubscriptionEventCallbacks",
     "UnsupportedEventTypeError",
 ]
@@ -50,79 +72,365 @@ class QoSSubscriptionEventType(IntEnum):
     RCL_SUBSCRIPTION_MATCHED = 5
 
 
-class EventHandler(Waitable):
-    """Calls a callback for each event of one kind."""
+class _Counted(msgspec.Struct, frozen=True, kw_only=True):
+    """How often something has happened.
+
+    Attributes:
+        total_count: How often in all.
+        total_count_change: How often since the last callback.
+    """
+
+    total_count: int = 0
+    total_count_change: int = 0
+
+
+class QoSOfferedDeadlineMissedInfo(_Counted, frozen=True):
+    """The publisher did not publish in time."""
+
+
+class QoSRequestedDeadlineMissedInfo(_Counted, frozen=True):
+    """No message came in time."""
+
+
+class QoSLivelinessLostInfo(_Counted, frozen=True):
+    """The publisher did not assert in time that it is alive."""
+
+
+class QoSMessageLostInfo(_Counted, frozen=True):
+    """Messages were lost."""
+
+
+class IncompatibleTypeInfo(_Counted, frozen=True):
+    """Endpoints of the topic have another type."""
+
+
+class QoSRequestedIncompatibleQoSInfo(_Counted, frozen=True, kw_only=True):
+    """Endpoints of the topic have a quality of service that does not fit.
+
+    Attributes:
+        last_policy_kind: The policy of the last one that does not fit.
+    """
+
+    last_policy_kind: QoSPolicyKind = QoSPolicyKind.INVALID
+
+
+class QoSPublisherMatchedInfo(_Counted, frozen=True, kw_only=True):
+    """Endpoints have come or gone.
+
+    Attributes:
+        current_count: How many are there now.
+        current_count_change: How many more than at the last callback.
+    """
+
+    current_count: int = 0
+    current_count_change: int = 0
+
+
+class QoSLivelinessChangedInfo(msgspec.Struct, frozen=True, kw_only=True):
+    """Publishers have come or gone.
+
+    Attributes:
+        alive_count: How many are alive.
+        not_alive_count: Always 0: here a publisher is alive until it has gone.
+        alive_count_change: How many more are alive than at the last callback.
+        not_alive_count_change: Always 0.
+    """
+
+    alive_count: int = 0
+    not_alive_count: int = 0
+    alive_count_change: int = 0
+    not_alive_count_change: int = 0
+
+
+QoSOfferedIncompatibleQoSInfo = QoSRequestedIncompatibleQoSInfo
+QoSSubscriptionMatchedInfo = QoSPublisherMatchedInfo
+
+
+class Event(Protocol):
+    """Notices one kind of event. All methods but `noted` are called by one thread at a time."""
+
+    def poll(self) -> object | None:
+        """Return what has happened since the last call; None if nothing has."""
+
+    def due_in(self) -> float | None:
+        """How long until the next event by time alone (s); None if there is none."""
+
+    def noted(self, *, is_message: bool) -> None:
+        """Note a message, or that the publisher asserts that it is alive. Called in any thread."""
+
+
+class _Late(Event):
+    """Notices that no message was noted for some time, beginning with the first message.
+
+    Args:
+        limit: The time (ns); None never ends.
+        info: The class of the facts.
+        repeats: Whether each further period without a message counts too. If not, it also counts
+            as a message that the publisher asserts that it is alive.
+    """
+
+    def __init__(self, limit: int | None, info: type[_Counted], *, repeats: bool) -> None:
+        self._limit = limit
+        self._info = info
+        self._repeats = repeats
+        self._last: int | None = None
+        self._total = 0
+
+    def poll(self) -> object | None:
+        last, now = self._last, time.monotonic_ns()
+        if self._limit is None or last is None or now < last + self._limit:
+            return None
+        missed = (now - last) // self._limit if self._repeats else 1
+        self._last = last + missed * self._limit if self._repeats else None
+        self._total += missed
+        return self._info(total_count=self._total, total_count_change=missed)
+
+    def due_in(self) -> float | None:
+        last = self._last
+        if self._limit is None or last is None:
+            return None
+        return max(0.0, (last + self._limit - time.monotonic_ns()) / 1e9)
+
+    def noted(self, *, is_message: bool) -> None:
+        if is_message or not self._repeats:
+            self._last = time.monotonic_ns()
+
+
+Found: TypeAlias = "Counter[Endpoint]"
+"""Endpoints of the other kind on the topic. Two that differ in nothing count twice."""
+
+Tell: TypeAlias = "Callable[[Found, Found, Found], object | None]"
+"""Makes the facts from the endpoints that are there now, that have come and that have gone."""
+
+
+class _Seen(Event):
+    """Notices that endpoints of the other kind have come or gone.
+
+    Args:
+        connection: The graph.
+        own: The endpoint with the callbacks.
+        wanted: Whether another endpoint counts.
+        tell: Makes the facts; None if they are no event.
+    """
 
     def __init__(
-        self, callback_group: CallbackGroup, callback: Callable[[Anything], object]
+        self,
+        connection: Connection,
+        own: Endpoint,
+        wanted: Callable[[Endpoint], bool],
+        tell: Tell,
+    ) -> None:
+        self._connection = connection
+        self._own = own
+        self._wanted = wanted
+        self._tell = tell
+        self._there: Found = Counter()
+        self._seen = -1
+
+    def poll(self) -> object | None:
+        changes = self._connection.changes
+        if changes == self._seen:
+            return None
+        self._seen = changes
+        other = "subscription" if self._own.kind == "publisher" else "publisher"
+        ends = self._connection.endpoints(self._own.name)
+        now = Counter(each for each in ends if each.kind == other and self._wanted(each))
+        before, self._there = self._there, now
+        return None if now == before else self._tell(now, now - before, before - now)
+
+    def due_in(self) -> None:
+        """Nothing happens by time alone; a change of the graph wakes the executor."""
+
+    def noted(self, *, is_message: bool) -> None:
+        """Messages do not matter."""
+
+
+class _Totals:
+    """Makes the facts about endpoints that have come, with their number so far."""
+
+    def __init__(self) -> None:
+        self._total = 0
+
+    def _counted(self, come: Found) -> dict[str, int]:
+        self._total += come.total()
+        return {"total_count": self._total, "total_count_change": come.total()}
+
+    def matched(self, now: Found, come: Found, gone: Found) -> object:
+        change = come.total() - gone.total()
+        counts = {"current_count": now.total(), "current_count_change": change}
+        return QoSPublisherMatchedInfo(**self._counted(come), **counts)
+
+    def of_other_type(self, now: Found, come: Found, gone: Found) -> object | None:
+        del now, gone
+        return IncompatibleTypeInfo(**self._counted(come)) if come else None
+
+    def incompatible(self, own: Endpoint, now: Found, come: Found, gone: Found) -> object | None:
+        del now, gone
+        kinds = [kind for each in come.elements() if (kind := _mismatch(own, each)) is not None]
+        if not kinds:
+            return None
+        self._total += len(kinds)
+        return QoSRequestedIncompatibleQoSInfo(
+            total_count=self._total, total_count_change=len(kinds), last_policy_kind=kinds[-1]
+        )
+
+
+def _alive(now: Found, come: Found, gone: Found) -> object:
+    change = come.total() - gone.total()
+    return QoSLivelinessChangedInfo(alive_count=now.total(), alive_count_change=change)
+
+
+def _mismatch(one: Endpoint, other: Endpoint) -> QoSPolicyKind | None:
+    """Return the first policy in which a publisher offers less than a subscription requests."""
+    offered, requested = (one, other) if one.kind == "publisher" else (other, one)
+    if offered.qos.durability == "volatile" and requested.qos.durability == "transient_local":
+        return QoSPolicyKind.DURABILITY
+    if _is_longer(offered.times.deadline, requested.times.deadline):
+        return QoSPolicyKind.DEADLINE
+    manual = offered.times.liveliness, requested.times.liveliness
+    if manual == ("automatic", "manual_by_topic"):
+        return QoSPolicyKind.LIVELINESS
+    if _is_longer(offered.times.lease, requested.times.lease):
+        return QoSPolicyKind.LIVELINESS
+    if offered.qos.reliability == "best_effort" and requested.qos.reliability == "reliable":
+        return QoSPolicyKind.RELIABILITY
+    return None
+
+
+def _is_longer(offered: int | None, requested: int | None) -> bool:
+    return requested is not None and (offered is None or offered > requested)
+
+
+class EventHandler(Waitable):
+    """Calls a callback for each event of one kind.
+
+    Args:
+        callback_group: Decides when the callback may run.
+        callback: Takes the facts.
+        event: Notices the event.
+        connection: Wakes the executor when the graph has changed.
+    """
+
+    def __init__(
+        self,
+        callback_group: CallbackGroup,
+        callback: Anything,
+        event: Event,
+        connection: Connection,
     ) -> None:
         super().__init__(callback_group)
         self.callback = callback
+        self._event = event
+        self._info: object | None = None
+        self._connection = connection
+        connection.watch(self.wake)
+
+    def noted(self, *, is_message: bool = True) -> None:
+        """Note a message, or that the publisher asserts that it is alive."""
+        self._event.noted(is_message=is_message)
+        self.wake()  # the executor sleeps until the next event that was due
 
     def is_ready(self, wait_set: object) -> bool:  # noqa: ARG002  # there is none
-        """Whether an event waits."""
-        return False
+        """Whether an event has happened."""
+        if self._info is None:
+            self._info = self._event.poll()
+        return self._info is not None
 
-    def publisher_is_alive(self) -> None:
-        """Record that the publisher asserts that it is alive."""
+    def due_in(self) -> float | None:
+        """How long until an event happens by time alone (s)."""
+        return None if self._handle.is_destroyed else self._event.due_in()
 
+    def take_data(self) -> object | None:
+        """Take the facts about the event."""
+        taken, self._info = self._info, None
+        return taken
 
-QoSEventHandler = EventHandler
+    async def execute(self, taken_data: object) -> None:
+        """Call the callback."""
+        await await_or_execute(self.callback, taken_data)
 
+    def get_num_entities(self) -> NumberOfEntities:
+        """Return how many entities it stands for."""
+        return NumberOfEntities(num_events=1)
 
-class Watch:
-    """The facts about an endpoint that its events depend on."""
-
-    def counted(self, deliver: Callable[[bytes], None]) -> Callable[[bytes], None]:
-        """Return a function that counts messages and passes them on."""
-        return deliver
+    def destroy(self) -> None:
+        """Destroy it. A second call does nothing."""
+        self._connection.unwatch(self.wake)
+        super().destroy()
 
 
 class _EventCallbacks:
-    """The callbacks of the events of an endpoint."""
+    """The callbacks of the events of an endpoint.
 
-    def __init__(self, **callbacks: Anything) -> None:
-        self.use_default_callbacks: bool = callbacks.pop("use_default_callbacks", True)
-        for name in self._names():
-            setattr(self, name, callbacks.pop(name, None))
-        if callbacks:
-            raise TypeError(f"unexpected keyword arguments: {', '.join(callbacks)}")
+    Args:
+        use_default_callbacks: Ignored: there are none.
+        **callbacks: The callbacks by the names of the events.
 
-    @classmethod
-    def _names(cls) -> tuple[str, ...]:
-        raise NotImplementedError
+    Raises:
+        TypeError: if there is no such event.
+    """
 
-    def watch(self, *_: object) -> Watch:
-        """Return the facts about an endpoint."""
-        return Watch()
+    NAMES: tuple[str, ...]
+
+    def __init__(self, *, use_default_callbacks: bool = True, **callbacks: Anything) -> None:
+        self.use_default_callbacks = use_default_callbacks
+        if unknown := callbacks.keys() - set(self.NAMES):
+            raise TypeError(f"unexpected keyword arguments: {', '.join(sorted(unknown))}")
+        for name in self.NAMES:
+            setattr(self, name, callbacks.get(name))
 
     def create_event_handlers(
-        self, callback_group: CallbackGroup, watch: Watch, wake: Callable[[], object]
+        self, callback_group: CallbackGroup, connection: Connection, own: Endpoint
     ) -> list[EventHandler]:
-        """Make a waitable for each callback."""
-        del watch, wake
-        found = (getattr(self, name) for name in self._names())
-        return [EventHandler(callback_group, each) for each in found if each is not None]
+        """Make a waitable for each callback.
+
+        Args:
+            callback_group: Decides when the callbacks may run.
+            connection: The graph.
+            own: The endpoint.
+        """
+        given = ((name, getattr(self, name)) for name in self.NAMES)
+        return [
+            EventHandler(callback_group, callback, _event(name, connection, own), connection)
+            for name, callback in given
+            if callback is not None
+        ]
 
 
 class PublisherEventCallbacks(_EventCallbacks):
     """The callbacks of the events of a publisher, each with a keyword argument of its name."""
 
-    @classmethod
-    def _names(cls) -> tuple[str, ...]:
-        return ("deadline", "liveliness", "incompatible_qos", "incompatible_type", "matched")
+    NAMES = ("deadline", "liveliness", "incompatible_qos", "incompatible_type", "matched")
 
 
 class SubscriptionEventCallbacks(_EventCallbacks):
     """The callbacks of the events of a subscription, each with a keyword argument of its name."""
 
-    @classmethod
-    def _names(cls) -> tuple[str, ...]:
-        return (
-            "deadline",
-            "liveliness",
-            "incompatible_qos",
-            "message_lost",
-            "incompatible_type",
-            "matched",
-        )
+    NAMES = (*PublisherEventCallbacks.NAMES, "message_lost")
+
+
+def _event(name: str, connection: Connection, own: Endpoint) -> Event:
+    """Return what notices an event of an endpoint."""
+    is_publisher = own.kind == "publisher"
+    totals = _Totals()
+    if name == "deadline":
+        info = QoSOfferedDeadlineMissedInfo if is_publisher else QoSRequestedDeadlineMissedInfo
+        return _Late(own.times.deadline, info, repeats=True)
+    if name == "message_lost":
+        return _Late(None, QoSMessageLostInfo, repeats=True)
+    if name == "liveliness" and is_publisher:
+        is_manual = own.times.liveliness == "manual_by_topic"
+        limit = own.times.lease if is_manual else None
+        return _Late(limit, QoSLivelinessLostInfo, repeats=False)
+    if name == "incompatible_type":
+        return _Seen(connection, own, lambda each: not _fits(own, each), totals.of_other_type)
+    tells: dict[str, Tell] = {
+        "matched": totals.matched,
+        "liveliness": _alive,
+        "incompatible_qos": partial(totals.incompatible, own),
+    }
+    return _Seen(connection, own, lambda each: _fits(own, each), tells[name])
+
+
+def _fits(own: Endpoint, other: Endpoint) -> bool:
+    return own.type_name == other.type_name

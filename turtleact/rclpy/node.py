@@ -375,10 +375,9 @@ class Node(NodeParameters, NodeGraph):
         if qos_overriding_options is not None:
             qos = self._overridden(qos_overriding_options, qos, full, is_publisher=True)
         end = self.endpoint("publisher", full, type_name_of(msg_type), qos)
-        callbacks = event_callbacks or PublisherEventCallbacks()
-        watch = callbacks.watch(self.endpoint, self._connection, full, qos)
         sender = self._connection.advertise(end, hash_of(type_name_of(msg_type)))
-        handlers = callbacks.create_event_handlers(group, watch, self._wake_executor)
+        callbacks = event_callbacks or PublisherEventCallbacks()
+        handlers = callbacks.create_event_handlers(group, self._connection, end)
         publisher = publisher_class(
             sender,
             msg_type,
@@ -429,9 +428,9 @@ class Node(NodeParameters, NodeGraph):
         full = self._resolve(topic, is_service=False)
         if qos_overriding_options is not None:
             qos = self._overridden(qos_overriding_options, qos, full, is_publisher=False)
+        end = self.endpoint("subscription", full, type_name_of(msg_type), qos)
         callbacks = event_callbacks or SubscriptionEventCallbacks()
-        watch = callbacks.watch(self.endpoint, self._connection, full, qos)
-        handlers = callbacks.create_event_handlers(group, watch, self._wake_executor)
+        handlers = callbacks.create_event_handlers(group, self._connection, end)
         subscription = Subscription(
             msg_type,
             topic,
@@ -444,10 +443,8 @@ class Node(NodeParameters, NodeGraph):
             wake=self._wake_executor,
             count_publishers=partial(self._count, full, "publisher"),
         )
-        end = self.endpoint("subscription", full, type_name_of(msg_type), qos)
-        deliver = watch.counted(subscription.deliver)
-        opened = self._connection.subscribe(end, hash_of(type_name_of(msg_type)), deliver)
-        subscription.opened(opened)
+        type_hash = hash_of(type_name_of(msg_type))
+        subscription.opened(self._connection.subscribe(end, type_hash, subscription.deliver))
         self._subscriptions = [*self._subscriptions, subscription]
         for each in handlers:
             self.add_waitable(each)

@@ -83,6 +83,8 @@ class Publisher(Subscriptable):
         data = msg if isinstance(msg, bytes) else encode(msg, self.msg_type)
         self._handle.check()
         self._sender.publish(data)
+        for each in self.event_handlers:
+            each.noted()
 
     def get_subscription_count(self) -> int:
         """Return how many subscriptions the topic has."""
@@ -90,10 +92,10 @@ class Publisher(Subscriptable):
             return self._count_subscriptions()
 
     def assert_liveliness(self) -> None:
-        """Assert that the publisher is alive; only events in this process notice."""
+        """Assert that the publisher is alive; only its own events notice."""
         with self._handle:
             for each in self.event_handlers:
-                each.publisher_is_alive()
+                each.noted(is_message=False)
 
     def wait_for_all_acked(self, timeout: Duration | None = None) -> bool:  # noqa: ARG002  # as in rclpy
         """Return True: reliable messages are handed to the network before this returns."""

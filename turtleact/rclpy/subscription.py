@@ -100,6 +100,8 @@ class Subscription(Subscriptable, Entity):
     def deliver(self, data: bytes) -> None:
         """Receive a message; the transport calls this in any thread."""
         self._waiting.append((data, time.time_ns()))
+        for each in self.event_handlers:
+            each.noted()
         self.wake()
 
     def opened(self, opened: Closeable) -> None:

@@ -156,7 +156,6 @@ class ActionClient(Waitable):
         self._kind = ActionKind(node, action_type, action_name)
         self._goal_handles: WeakValueDictionary[bytes, ClientGoalHandle] = WeakValueDictionary()
         self._feedback_callbacks: dict[bytes, Callable[[Anything], object]] = {}
-        self._pending: set[Future] = set()
         self._events: deque[Event] = deque()
         self._status: bytes | None = None  # the newest states that were not looked at
         self._lock = threading.Lock()
@@ -265,8 +264,6 @@ class ActionClient(Waitable):
     def _call(self, service: str, data: bytes, handle: Callable[[Anything], Anything]) -> Future:
         """Send a request, and return the future of what ``handle(response)`` returns."""
         future = Future()
-        self._pending.add(future)
-        future.add_done_callback(self._pending.discard)
         response_class = self._kind.service(service).Response
 
         def answered(response: bytes, note: str) -> None:  # noqa: ARG001  # notes are for turtleact
@@ -308,10 +305,8 @@ class ActionClient(Waitable):
 
     def take_data(self) -> Anything:
         """Take the oldest thing that has come."""
-        try:
-            return self._events.popleft()
-        except IndexError:
-            return None
+        with self._lock:
+            return self._events.popleft() if self._events else None
 
     async def execute(self, taken_data: Event) -> None:
         """Handle it."""
@@ -333,7 +328,7 @@ class ActionClient(Waitable):
             opened.close()
         self._node.remove_waitable(self)
 
-    def _answered(
+    async def _answered(
         self,
         future: Future,
         response_class: Anything,
@@ -345,10 +340,20 @@ class ActionClient(Waitable):
         except InvalidMessage as error:
             self._node.get_logger().error(f"a response cannot be read: {error}")
             return
-        if not future.cancelled():
-            # From now on the executor runs the done callbacks.
-            future.set_executor(self._node.executor)
-            future.set_result(handle(response))
+        if future.cancelled():
+            return
+        # From now on the executor runs the done callbacks.
+        future.set_executor(self._node.executor)
+        is_awaited = future.is_awaited
+        future.set_result(handle(response))
+        if not is_awaited:
+            # As in rclpy, feedback that is here already belongs to the same turn. But where a
+            # callback or coroutine waits for the answer, it must be the first to know.
+            with self._lock:
+                is_next = self._events and self._events[0][0] == self._feedback
+                event = self._events.popleft() if is_next else None
+            if event is not None:
+                await self.execute(event)
 
     def _goal_answered(self, goal_id: Anything, response: Anything) -> ClientGoalHandle:
         handle = ClientGoalHandle(self, goal_id, response)

@@ -169,6 +169,8 @@ class Connection:
     def __init__(self, loop: EventLoop, open_transport: OpenTransport, domain: int) -> None:
         self.loop = loop
         self.domain = domain
+        self._watchers: dict[Callable[[], object], None] = {}
+        self._watching: asyncio.Task[None] | None = None
         self._opened = open_transport(domain)
         self._transport = loop.run(self._open())
 
@@ -176,6 +178,8 @@ class Connection:
         return await self._opened.__aenter__()
 
     async def _close(self) -> None:
+        if self._watching is not None:
+            self._watching.cancel()
         await self._opened.__aexit__(None, None, None)
 
     def close(self) -> None:
@@ -190,6 +194,25 @@ class Connection:
     def changes(self) -> int:
         """How often a node or endpoint has come or gone."""
         return self._transport.changes
+
+    def watch(self, changed: Callable[[], object]) -> None:
+        """Call ``changed()`` in the event loop whenever a node or endpoint has come or gone."""
+        self.loop.call(partial(self._start_watching, changed))
+
+    def unwatch(self, changed: Callable[[], object]) -> None:
+        """Undo `watch`."""
+        self.loop.post(partial(self._watchers.pop, changed, None))
+
+    def _start_watching(self, changed: Callable[[], object]) -> None:
+        self._watchers[changed] = None
+        if self._watching is None:
+            self._watching = asyncio.get_running_loop().create_task(self._watch())
+
+    async def _watch(self) -> None:
+        while True:
+            await self._transport.wait_for_change()
+            for changed in tuple(self._watchers):
+                changed()
 
     def enter(self, node: str) -> Closeable:
         """Show a node on the graph."""
