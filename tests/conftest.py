@@ -17,6 +17,7 @@ import os
 import signal
 import threading
 import time
+from collections import Counter
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -125,6 +126,13 @@ def is_on_uvloop_by_default(item: object) -> bool:
         return False
     on_uvloop = item.callspec.params.get("anyio_backend") == LOOPS["uvloop"]
     return on_uvloop and item.get_closest_marker("loops") is None
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Says why tests were skipped, once for each reason; pytest alone would show an ``s``."""
+    reasons = Counter(report.longrepr[2] for report in terminalreporter.stats.get("skipped", ()))
+    for reason, number in reasons.most_common():
+        terminalreporter.write_line(f"{number} skipped: {reason.removeprefix('Skipped: ')}")
 
 
 COLLECTED: dict[str, Any] = {}

@@ -12,6 +12,7 @@ import os
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -73,32 +74,63 @@ class Ros:
         return done.stdout
 
 
-def pytest_collection_finish(session: pytest.Session) -> None:
-    """Installs what is asked for before the first test, whose time is measured."""
-    config = session.config
-    wanted = any(item.path.is_relative_to(HERE) for item in session.items)
-    if not wanted or config.option.collectonly:
-        return
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Gives the first test the time of an installation, too."""
+    item.add_marker(pytest.mark.timeout(INSTALLING + RUNNING))
+
+
+def find(config: pytest.Config) -> None:
+    """Find the Python to compare with, or why there is none."""
     if not ASKED:
         FOUND["missing"] = "TURTLEACT_ROS names no Python that has rclpy; see CONTRIBUTING.md"
     elif ASKED != "wheels":
         FOUND["python"] = ASKED
     elif not config.pluginmanager.hasplugin("cacheprovider") or config.cache is None:
         FOUND["missing"] = "pytest has no cache to install rclpy's wheels in"
+    elif os.name != "posix":
+        FOUND["missing"] = "there are no wheels of rclpy for this system"
     else:
-        install(config.cache.mkdir("ros"))
+        installed_once(config.cache.mkdir("ros"))
+
+
+def installed_once(folder: Path) -> None:
+    """Install the wheels unless they are there; the other workers of this run wait for it.
+
+    A worker that waited does not repeat an installation that has failed.
+    """
+    import fcntl
+
+    run = os.environ.get("PYTEST_XDIST_TESTRUNUID", str(os.getpid()))
+    failed = folder.with_name("ros-failed.json")
+    with folder.with_name("ros.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if failed.exists():
+            before = json.loads(failed.read_text("utf-8"))
+            if before["run"] == run:
+                FOUND["missing"] = before["missing"]
+                return
+        install(folder)
+        if "missing" in FOUND:
+            failed.write_text(json.dumps({"run": run, "missing": FOUND["missing"]}), "utf-8")
 
 
 def install(folder: Path) -> None:
-    """Make an environment with the packages of ``requirements.txt``, unless it is there."""
+    """Make an environment with the packages of ``requirements.txt``, unless it is there.
+
+    The pip of this Python installs them, for an environment with a pip of its own takes longer.
+    """
     wanted = f"{sys.version}\n{REQUIREMENTS.read_text('utf-8')}"
     python, note = folder / "bin" / "python", folder / "installed.txt"
     if not note.exists() or note.read_text("utf-8") != wanted:
         end = time.monotonic() + INSTALLING
-        pip = [str(python), "-m", "pip", "install", "--quiet", "--prefer-binary", "--retries=1"]
+        if find_spec("pip"):
+            venv, pip = ["--without-pip"], [sys.executable, "-m", "pip", "--python", str(python)]
+        else:
+            venv, pip = [], [str(python), "-m", "pip"]
+        options = ["--quiet", "--prefer-binary", "--no-compile", "--retries=1"]
         try:
-            carry_out([sys.executable, "-m", "venv", "--clear", str(folder)], end)
-            carry_out([*pip, "--requirement", str(REQUIREMENTS)], end)
+            carry_out([sys.executable, "-m", "venv", "--clear", *venv, str(folder)], end)
+            carry_out([*pip, "install", *options, "--requirement", str(REQUIREMENTS)], end)
         except subprocess.TimeoutExpired:
             FOUND["missing"] = f"rclpy's wheels were not installed within {INSTALLING:g} s"
             return
@@ -116,14 +148,10 @@ def carry_out(command: list[str], end: float) -> None:
 
 
 @pytest.fixture(scope="session")
-def ros() -> Ros:
+def ros(pytestconfig: pytest.Config) -> Ros:
     """rclpy, in processes of its own."""
+    if not FOUND:
+        find(pytestconfig)
     if "missing" in FOUND:
         pytest.skip(FOUND["missing"])
     return Ros(FOUND["python"])
-
-
-def pytest_terminal_summary(terminalreporter: Any) -> None:
-    """Says why nothing was compared, in a line; pytest alone would show an ``s``."""
-    if "missing" in FOUND:
-        terminalreporter.write_line(f"not compared with ROS 2: {FOUND['missing']}")
