@@ -84,6 +84,22 @@ def after(seconds, act):
     return nodes
 
 
+def later(seconds, nodes):
+    """The nodes of a graph that come some seconds after its beginning."""
+
+    @asynccontextmanager
+    async def coming(transport):
+        async def run():
+            await anyio.sleep(seconds)
+            async with nodes(transport):
+                await anyio.sleep_forever()
+
+        async with aclosing(Background(run(), "who comes later")):
+            yield
+
+    return coming
+
+
 def interrupted(seconds):
     """Ctrl-C after some seconds."""
     return after(seconds, lambda: signal.raise_signal(signal.SIGINT))

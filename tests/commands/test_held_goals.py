@@ -87,7 +87,10 @@ def test_no_goals_are_noted(on_graph, graphs):
 def test_an_action_that_nobody_serves_is_an_error_that_names_the_nearest(on_graph, graphs):
     ran = on_graph(graphs.goals, "goals", "cuont")
     assert (ran.status, ran.out) == (1, "")
-    assert ran.err == "turtleact: action '/cuont': nobody serves it, did you mean '/count'?\n"
+    assert ran.err == (
+        "turtleact: action '/cuont': nobody serves it; is your server running, or did you mean "
+        "'/count'?\n"
+    )
 
 
 # --- peers that do things their own way -----------------------------------------------------
@@ -394,7 +397,8 @@ def test_the_feedback_and_the_states_of_all_goals_are_echoed(on_graph, graphs):
 def test_the_feedback_of_an_action_that_nobody_serves_is_an_error(on_graph, graphs):
     ran = on_graph(graphs.fibonacci, "action", "echo", "fibonaci")
     assert (
-        ran.err == "turtleact: action '/fibonaci': nobody serves it, did you mean '/fibonacci'?\n"
+        ran.err == "turtleact: action '/fibonaci': nobody serves it; is your server running, or "
+        "did you mean '/fibonacci'?\n"
     )
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, TypeAlias, TypeVar
 import anyio
 
 from turtleact.commands import runner
+from turtleact.commands.absence import note_empty
 from turtleact.commands.locks import mode_of
 from turtleact.commands.output import ELSEWHERE
 from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface, UsageError
@@ -108,10 +109,17 @@ async def enter_if_there(
 def run(reach: Reach, look: Look, interrupts: Interrupts) -> int:
     """Run a verb on a graph until it ends or a signal cancels it, and return the exit status.
 
+    If the domain has no nodes, a note says so first, because then most verbs print nothing.
+
     Raises:
         TurtleactError: if no graph is in reach; and whatever the verb raises.
     """
-    return runner.run(until_interrupted(open_graph(reach), look, interrupts), interrupts)
+
+    async def tell_and_look(node: Node) -> int:
+        await note_empty(node.transport, reach)
+        return await look(node)
+
+    return runner.run(until_interrupted(open_graph(reach), tell_and_look, interrupts), interrupts)
 
 
 async def until_interrupted(

@@ -23,6 +23,7 @@ import anyio
 
 from turtleact.client import Outcome
 from turtleact.clock import within
+from turtleact.commands.absence import not_served
 from turtleact.commands.graph import interface_class
 from turtleact.commands.message_text import yaml_lines
 from turtleact.commands.output import duration, note, say, say_names
@@ -36,7 +37,7 @@ from turtleact.errors import (
     UsageError,
 )
 from turtleact.goal import CancelCode, GoalStatus, status_of
-from turtleact.graph import names_like, types_by_name
+from turtleact.graph import types_by_name
 from turtleact.interfaces import (
     SECOND,
     Action,
@@ -120,8 +121,7 @@ def served_actions(node: Node, name: str | None) -> dict[str, str]:
         return served
     full_name = resolve_name(name)
     if full_name not in served:
-        hint = names_like(full_name, served)
-        raise ServerUnavailable(full_name, f"nobody serves it{hint}")
+        raise not_served(full_name, served)
     return {full_name: served[full_name]}
 
 

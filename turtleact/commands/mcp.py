@@ -12,6 +12,7 @@ import anyio
 import anyio.to_thread
 
 from turtleact.commands import graph, runner
+from turtleact.commands.absence import no_router, world_started
 from turtleact.commands.output import note, say
 from turtleact.commands.send_goal import embedded_world
 from turtleact.errors import InvalidOption, TurtleactError, UsageError
@@ -192,5 +193,5 @@ async def _open_node(reach: Reach | None) -> AsyncIterator[Node]:
             yield await stack.enter_async_context(open_node(name, transport=there))
             return
         node = await stack.enter_async_context(embedded_world(1.0, 0))
-        note("started an embedded world in this process")
+        note(world_started("" if reach is None else no_router(reach)))
         yield node

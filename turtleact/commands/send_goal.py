@@ -17,6 +17,13 @@ from typing import TYPE_CHECKING, NamedTuple, NoReturn, cast
 import anyio
 
 from turtleact.commands import graph, runner
+from turtleact.commands.absence import (
+    no_router,
+    none_in_domain,
+    not_in_world,
+    not_served,
+    world_started,
+)
 from turtleact.commands.interrupts import leave
 from turtleact.commands.output import say
 from turtleact.commands.transcript import (
@@ -27,9 +34,8 @@ from turtleact.commands.transcript import (
     Transcript,
     View,
 )
-from turtleact.errors import GoalRejected, ServerUnavailable
+from turtleact.errors import GoalRejected, ServerUnavailable, TurtleactError, UsageError
 from turtleact.goal import GoalStatus
-from turtleact.graph import names_like
 from turtleact.interfaces import Action, from_text
 from turtleact.names import resolve_name
 from turtleact.transports.base import find_server
@@ -41,7 +47,7 @@ if TYPE_CHECKING:
     from turtleact.client import Outcome
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.message_text import GoalText
-    from turtleact.commands.settings import Place
+    from turtleact.commands.settings import Place, Reach
     from turtleact.interfaces import Message
     from turtleact.node import Node
 
@@ -55,6 +61,9 @@ ENDED_WITH_WORLD = "the goal ended together with the embedded world"
 PATIENCE = 5.0
 """How long three waits last (s, wall clock): for a goal to end after its timeout, for a server that
 the graph shows to become reachable, and for a server to accept the goal before the user is told."""
+
+AGAIN = 0.25
+"""How often ``--reattach`` looks for a server that has not started yet (s, wall clock)."""
 
 CANCEL_TIMEOUT = 6.0
 """How long a signal waits for the goal's end, or for the answer to a goal request (s, wall clock).
@@ -74,7 +83,7 @@ class Order(NamedTuple):
         timeout: When to cancel the goal, or to give up if no server has accepted it (s, wall
             clock); 0 means to leave once it is accepted.
         view: How it is shown; ``auto`` is live on a terminal.
-        reattach: How long to wait for a server that has gone to return (s).
+        reattach: How long to wait for a server that has gone to return, or has not started yet (s).
     """
 
     name: str
@@ -176,27 +185,89 @@ class Sending:
                 if self._interrupts.received:
                     return self._interrupted()
                 await _is_served(node, self._name)
-                action_type = find_action(node, self._name, order.type_name)
+                action_type = self._find_action(node)
                 goal = self._goal or _read_goal(action_type, order.text)
                 return await self._send(node, action_type, goal)
 
     @asynccontextmanager
     async def _find_node(self) -> AsyncIterator[Node]:
-        """Open a node on the graph in reach, or in an embedded world if it has no actions."""
-        place, reach = self._order.place, self._order.place.reach
+        """Open a node on the graph in reach, or in an embedded world if it has no actions.
+
+        Raises:
+            TurtleactError: if an embedded world would be of no use: the goal waits for a server
+                that has not come, or is to outlive this command.
+        """
+        order, place, reach = self._order, self._order.place, self._order.place.reach
+        why = ""
         async with AsyncExitStack() as stack:
             if reach is not None:
-                opened = graph.open_graph(reach)
-                there = await graph.enter_if_there(stack, reach, opened)
+                there = await self._enter_graph(stack, reach)
+                why = no_router(reach)
                 if there is not None:
                     if reach.connect or await _is_served(there):
                         yield there
                         return
+                    why = await none_in_domain(there.transport, reach, "actions")
                     await stack.aclose()
+                if order.reattach:
+                    raise ServerUnavailable(
+                        self._name, f"no server after {order.reattach:g} s", hint=why
+                    )
+                if order.timeout == 0:
+                    raise ServerUnavailable(self._name, "no server is in reach", hint=why)
             self._is_embedded = True
             node = await stack.enter_async_context(embedded_world(place.speed, place.seed))
-            self._transcript.note("started an embedded world in this process")
+            self._transcript.note(world_started(why))
             yield node
+
+    async def _enter_graph(self, stack: AsyncExitStack, reach: Reach) -> Node | None:
+        """Enter the graph in reach; with ``--reattach``, wait for it and for the action.
+
+        A router that is off refuses at once, so this tries again until the time is over.
+        """
+        patience = self._order.reattach
+        due = anyio.current_time() + patience
+        there, has_told = None, False
+        while True:
+            is_late = anyio.current_time() >= due or bool(self._interrupts.received)
+            if there is None:
+                there = await self._try_graph(stack, reach, is_last=is_late)
+            if is_late or (there is not None and self._name in there.graph().actions):
+                return there
+            if not has_told:
+                waiting = f"waiting for a server for up to {patience:g} s"
+                self._transcript.note(f"nobody serves '{self._name}' yet: {waiting}")
+                has_told = True
+            with anyio.move_on_after(AGAIN):
+                await self._interrupts.wait(1)
+
+    async def _try_graph(
+        self, stack: AsyncExitStack, reach: Reach, *, is_last: bool
+    ) -> Node | None:
+        """Enter the graph; None if nobody lets this command in, unless it is the last attempt."""
+        try:
+            return await graph.enter_if_there(stack, reach, graph.open_graph(reach))
+        except UsageError:
+            raise
+        except TurtleactError:
+            if is_last:
+                raise
+            return None
+
+    def _find_action(self, node: Node) -> type[Action]:
+        """The class of the action.
+
+        Raises:
+            ServerUnavailable: if nobody serves it; the text says what is in reach.
+            TurtleactError: as `_find_class`.
+        """
+        actions = node.graph().actions
+        if self._name in actions:
+            return _find_class(node, self._name, self._order.type_name)
+        if self._order.place.reach is None:
+            raise not_in_world(self._name, actions)
+        where = "in the embedded world" if self._is_embedded else "in reach"
+        raise not_served(self._name, actions, where)
 
     async def _send(self, node: Node, action_type: type[Action], goal: Message) -> int:
         self._transcript.sending(goal)
@@ -363,7 +434,7 @@ async def _is_served(node: Node, name: str | None = None) -> bool:
     return await find_server(node.transport, found) is not None
 
 
-def find_action(node: Node, name: str, type_name: str | None) -> type[Action]:
+def _find_class(node: Node, name: str, type_name: str | None) -> type[Action]:
     """The class of an action that is served; the first one if it has several types.
 
     Raises:
@@ -371,10 +442,7 @@ def find_action(node: Node, name: str, type_name: str | None) -> type[Action]:
         UnknownInterface: if the type that the user typed is unknown.
         TurtleactError: if the type on the graph is unknown here.
     """
-    actions = node.graph().actions
-    types = actions.get(name, ())
-    if not types:
-        raise ServerUnavailable(name, f"nobody serves it{names_like(name, actions)}")
+    types = node.graph().actions[name]
     if type_name is None:
         return graph.interface_class(Action, types[0], f"action '{name}'")
     found = graph.interface_class(Action, type_name)

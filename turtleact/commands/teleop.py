@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import anyio
 
 from turtleact.commands import graph, runner
+from turtleact.commands.absence import no_router, none_in_domain, world_started
 from turtleact.commands.keys import typed_keys
 from turtleact.commands.output import note, say
 from turtleact.commands.send_goal import embedded_world
@@ -124,10 +125,12 @@ def run(order: Order, interrupts: Interrupts) -> int:
 @asynccontextmanager
 async def _find_node(order: Order) -> AsyncIterator[tuple[Node, str]]:
     """Open a node, on the graph in reach or in an embedded world; gives the turtle's name too."""
+    why = ""
     async with AsyncExitStack() as stack:
         if order.reach is not None:
             opened = graph.open_transport(order.reach)
             transport = await graph.enter_if_there(stack, order.reach, opened)
+            why = no_router(order.reach)
             if transport is not None:
                 node = await stack.enter_async_context(
                     open_node("teleop_turtle", transport=transport)
@@ -136,6 +139,7 @@ async def _find_node(order: Order) -> AsyncIterator[tuple[Node, str]]:
                 if turtle is not None:
                     yield node, turtle
                     return
+                why = await none_in_domain(transport, order.reach, "turtles")
                 await stack.aclose()
         if _wanted(order) not in ("", "turtle1"):
             raise TurtleactError(f"no turtle '{_wanted(order)}' is in reach, nor any other")
@@ -143,7 +147,7 @@ async def _find_node(order: Order) -> AsyncIterator[tuple[Node, str]]:
         node = await stack.enter_async_context(
             open_node("teleop_turtle", transport=world.transport)
         )
-        note("started an embedded world in this process")
+        note(world_started(why))
         yield node, "turtle1"
 
 

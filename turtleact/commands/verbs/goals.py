@@ -79,7 +79,8 @@ Timeout: TypeAlias = Annotated[
         "-t",
         metavar="SECONDS",
         parser=seconds,
-        help="Cancel the goal if it takes longer. With 0, exit as soon as it is accepted.",
+        help="Cancel the goal if it takes longer. With 0, exit as soon as a server has accepted "
+        "it: the goal goes on.",
     ),
 ]
 Reattach: TypeAlias = Annotated[
@@ -88,7 +89,7 @@ Reattach: TypeAlias = Annotated[
         "--reattach",
         metavar="SECONDS",
         parser=seconds,
-        help="If the server goes away, wait so long for it to come back, then go on.",
+        help="If the server is not there yet or goes away, wait so long for it.",
     ),
 ]
 Stdin: TypeAlias = Annotated[bool, typer.Option("--stdin", help="Read the goal from stdin.")]
@@ -244,6 +245,9 @@ def send_goal(
     way = "speed" if speed is not None else "seed" if seed is not None else "embedded"
     is_embedded = embedded or speed is not None or seed is not None
     only_one("where to send it", **{way: is_embedded}, connect=connect is not None)
+    if is_embedded and timeout == 0:
+        problem = "leaves the goal to a server, and an embedded world ends with the command"
+        raise UsageError(f"--timeout 0 {problem}")
     if is_embedded and reattach:
         raise UsageError("--reattach is for servers in other processes, not for an embedded world")
     said = {

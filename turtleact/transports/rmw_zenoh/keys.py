@@ -26,9 +26,11 @@ from turtleact.transports.base import Endpoint, EndpointKind, QoS, TimePolicies
 __all__ = [
     "Graph",
     "Token",
+    "all_nodes",
     "all_tokens",
     "data_key",
     "dds_type",
+    "domain_of_node",
     "endpoint_token",
     "gid_of",
     "node_token",
@@ -142,6 +144,22 @@ def data_key(domain: int, endpoint: Endpoint) -> str:
 def all_tokens(domain: int) -> str:
     """Return a key expression that matches all tokens of a domain."""
     return f"{PREFIX}/{domain}/**"
+
+
+def all_nodes() -> str:
+    """Return a key expression that matches the tokens of all nodes, of all domains."""
+    return f"{PREFIX}/*/*/*/*/{NODE}/**"
+
+
+def domain_of_node(token: str) -> int | None:
+    """Return the domain of a node; None if it is hidden, or the token cannot be understood.
+
+    >>> domain_of_node("@ros2_lv/3/a/0/0/NN/%/%/lab")
+    3
+    """
+    chunks = token.split("/", NODE_CHUNKS)
+    is_hidden = len(chunks) < NODE_CHUNKS or chunks[8].startswith("_")
+    return None if is_hidden or not chunks[1].isdecimal() else int(chunks[1])
 
 
 def node_token(domain: int, zid: str, node_id: int, node: str) -> str:

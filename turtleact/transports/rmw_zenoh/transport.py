@@ -45,8 +45,10 @@ from turtleact.transports.rmw_zenoh.config import Mode, domain_of, session_confi
 from turtleact.transports.rmw_zenoh.context import Context, Named, Opened, Presence
 from turtleact.transports.rmw_zenoh.keys import (
     Graph,
+    all_nodes,
     all_tokens,
     data_key,
+    domain_of_node,
     endpoint_token,
     gid_of,
     node_token,
@@ -227,6 +229,29 @@ class ZenohTransport:
             self.round_trip = perf_counter() - began
         finally:
             del self._gone_since[found]
+
+    async def domains(self) -> tuple[int, ...]:
+        """The ROS domains in which other sessions have nodes, but hidden ones. Cancelling: safe.
+
+        Raises:
+            TurtleactError: if the transport is closed, now or while this waits.
+        """
+        self._check_open()
+        context, answered = self.context, anyio.Event()
+        found: set[int] = set()
+
+        def ask() -> None:
+            try:
+                for token in context.session.tokens(all_nodes()):
+                    domain = domain_of_node(token)
+                    if domain is not None:
+                        found.add(domain)
+            finally:
+                context.tasks.from_anywhere(answered.set)
+
+        context.outbox.post(ask)
+        await self._wait_unless_closed(answered)
+        return tuple(sorted(found))
 
     async def aclose(self) -> None:
         """Close the session: calls under way end, and handlers are cancelled.

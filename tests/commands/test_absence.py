@@ -1,0 +1,158 @@
+"""What a command says when the server, the router or the nodes that it looks for are not there."""
+
+from __future__ import annotations
+
+import shlex
+import signal
+import socket
+import threading
+
+import pytest
+
+from turtleact import open_node, open_zenoh
+from turtleact.commands import absence, graph, send_goal
+from turtleact.commands.absence import no_router, none_in_domain, not_served
+from turtleact.commands.settings import Reach
+from turtleact.errors import TurtleactError
+
+HERE = Reach((), 0)
+
+
+@pytest.fixture
+def at():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+
+
+@pytest.fixture
+def without_router(monkeypatch):
+    """No router lets a command in; gives how often it was asked."""
+    asked = []
+
+    def refuse(reach):
+        asked.append(reach)
+        raise TurtleactError("no ROS 2 graph in reach")
+
+    monkeypatch.setattr(graph, "open_transport", refuse)
+    return asked
+
+
+def test_a_missing_router_is_named_with_what_starts_one():
+    assert no_router(HERE) == (
+        "no router answers at tcp/localhost:7447 ('turtleact serve' starts one)"
+    )
+
+
+def test_a_router_may_also_refuse_the_config():
+    assert "answers, or lets in this --config, at" in no_router(Reach((), 0, "locks.toml"))
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["/a", "/lookup"], "is your server running? The actions in reach: /a, /lookup"),
+        ([], "is your server running? The actions in reach: none"),
+        (["/count"], "is your server running, or did you mean '/count'?"),
+        (
+            [f"/{i}" for i in range(11)],
+            "is your server running? The actions in reach: /0, /1, /10, /2, /3, /4, /5, /6, /7, "
+            "/8, …",
+        ),
+    ],
+)
+def test_the_error_asks_for_the_server_and_says_what_is_in_reach(names, said):
+    assert f"action '/cuont': nobody serves it; {said}" in str(not_served("/cuont", names))
+
+
+async def test_an_empty_domain_names_the_domains_that_have_nodes(at):
+    async with (
+        open_zenoh(listen=[at], mode="router", domain=3) as lab,
+        open_node("lab", transport=lab),
+        open_zenoh([at], domain=0) as other,
+        open_node("_hidden", transport=other),
+    ):
+        await lab.flush()
+        said = await none_in_domain(other, HERE, "actions")
+        assert said == "domain 0 has no actions (domain 3 has nodes: try --domain 3)"
+        async with open_zenoh([at], domain=5) as third, open_node("third", transport=third):
+            await third.flush()
+            said = await none_in_domain(other, HERE)
+            assert "(domains 3, 5 have nodes: try --domain 3)" in said
+
+
+async def test_a_domain_with_hidden_nodes_only_is_empty(at, capsys):
+    async with open_zenoh(listen=[at], mode="router", domain=0) as alone:
+        async with open_node("_hidden", transport=alone):
+            await absence.note_empty(alone, HERE)
+        async with open_node("lab", transport=alone):
+            await absence.note_empty(alone, HERE)
+    assert capsys.readouterr().err == (
+        "turtleact: domain 0 has no nodes; is your server running?\n"
+    )
+
+
+def test_a_world_is_started_with_the_reason(turtleact, without_router):
+    ran = turtleact("send-goal", "fibonaci")
+    assert (ran.status, ran.err.splitlines()) == (
+        1,
+        [
+            "turtleact: started an embedded world, which ends with this command, because no "
+            "router answers at tcp/localhost:7447 ('turtleact serve' starts one)",
+            "turtleact: action '/fibonaci': nobody serves it; is your server running, or did you "
+            "mean '/fibonacci'?",
+        ],
+    )
+
+
+def test_the_actions_of_that_world_are_named_as_such(turtleact, without_router):
+    ran = turtleact("send-goal", "zzz")
+    assert "The actions in the embedded world: /command_turtle, /fib" in ran.err
+
+
+def test_a_timeout_of_zero_starts_no_world(turtleact, without_router):
+    ran = turtleact("send-goal", "fibonacci", "--timeout", "0")
+    assert (ran.status, ran.err) == (
+        1,
+        "turtleact: action '/fibonacci': no server is in reach; no router answers at "
+        "tcp/localhost:7447 ('turtleact serve' starts one)\n",
+    )
+
+
+def test_a_timeout_of_zero_in_an_embedded_world_is_refused(turtleact):
+    ran = turtleact("send-goal", "fibonacci", "--timeout", "0", "--embedded")
+    problem = "leaves the goal to a server, and an embedded world ends with the command"
+    assert (ran.status, ran.problem) == (2, f"--timeout 0 {problem}")
+
+
+@pytest.mark.parametrize("connect", ["", "--connect tcp/127.0.0.1:1"])
+def test_reattach_waits_for_a_server_instead_of_starting_a_world(
+    turtleact, without_router, monkeypatch, connect
+):
+    monkeypatch.setattr(send_goal, "AGAIN", 0.01)
+    ran = turtleact(*shlex.split(f"send-goal now --reattach 0.1 {connect}"))
+    assert ran.status == 1
+    assert len(without_router) > 2
+    first, last = ran.err.splitlines()
+    assert first == "turtleact: nobody serves '/now' yet: waiting for a server for up to 0.1 s"
+    assert last.startswith(
+        "turtleact: no ROS 2" if connect else "turtleact: action '/now': no server after 0.1 s; no"
+    )
+
+
+def test_reattach_waits_until_the_action_is_served(on_graph, graphs):
+    ran = on_graph(
+        graphs.in_turn(graphs.parameters, graphs.later(0.01, graphs.fibonacci)),
+        *shlex.split("send-goal fibonacci 'order: 1' --reattach 20 --plain"),
+    )
+    assert (ran.status, ran.err.count("waiting for a server for up to 20 s")) == (0, 1)
+
+
+def test_a_signal_ends_that_wait(turtleact, without_router, interrupts):
+    interrupts.install()
+    threading.Timer(0.1, signal.raise_signal, [signal.SIGINT]).start()
+    ran = turtleact("send-goal", "now", "--reattach", "600")
+    assert (ran.status, ran.err.splitlines()[-1]) == (
+        130,
+        "turtleact: interrupted before the goal was accepted; there is none",
+    )
