@@ -53,7 +53,7 @@ REATTACH = 60.0
 PATIENCE = 60.0
 """How long the first server may take to come, and the last goals to end (s)."""
 
-LONGEST = 1.6
+LONGEST = 2.4
 """A server lives at most so long (s), counted from its fork."""
 
 
