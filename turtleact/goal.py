@@ -182,6 +182,7 @@ class Goal(msgspec.Struct, eq=False):
             only then has the goal ended.
         resumed: What an earlier process has left of it; None if it began in this one.
         is_paused: Whether its body stands still, and does so until it is resumed.
+        is_paused_by_parent: Whether it is paused because the goal is whose body sent it.
         hold: The request that its body stands still; see `turtleact.server.pausing`.
         paused_ns: How long it was paused before (ns), by the server's clock.
         children: The active goals that its body has sent; each with an object that can pause it.
@@ -211,6 +212,7 @@ class Goal(msgspec.Struct, eq=False):
     is_decided: bool = False
     resumed: object = None
     is_paused: bool = False
+    is_paused_by_parent: bool = False
     hold: object = None
     paused_ns: int = 0
     children: dict[Goal, Any] | None = None

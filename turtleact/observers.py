@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
+from typing import TypeAlias
 
 from turtleact.goal import Goal, GoalStatus
 from turtleact.summaries import STOPS, loggable
@@ -18,6 +19,8 @@ from turtleact.summaries import STOPS, loggable
 __all__ = ["GoalObserver", "Observers"]
 
 logger = logging.getLogger("turtleact")
+
+_News: TypeAlias = tuple[Goal, GoalStatus, GoalStatus] | tuple[Goal, object] | tuple[Goal]
 
 
 class GoalObserver:
@@ -28,6 +31,9 @@ class GoalObserver:
 
     def feedback_published(self, goal: Goal, feedback: object) -> None:
         """Called with each feedback message, which must not be changed."""
+
+    def pause_changed(self, goal: Goal) -> None:
+        """Called after a server has paused or resumed a goal; ``is_paused`` tells which."""
 
 
 class Observers:
@@ -46,7 +52,7 @@ class Observers:
     def __init__(self, action: str) -> None:
         self._action = action
         self._observers: tuple[GoalObserver, ...] = ()
-        self._untold: deque[tuple[Goal, GoalStatus, GoalStatus] | tuple[Goal, object]] = deque()
+        self._untold: deque[_News] = deque()
         self._is_telling = False
         self.are_any = False
         self.want_feedback = False
@@ -67,6 +73,10 @@ class Observers:
         """Tell all observers of a feedback message."""
         self._tell((goal, feedback))
 
+    def pause_changed(self, goal: Goal) -> None:
+        """Tell all observers that a goal was paused or resumed."""
+        self._tell((goal,))
+
     def _set(self, observers: tuple[GoalObserver, ...]) -> None:
         self._observers = observers
         self.are_any = bool(observers)
@@ -75,7 +85,7 @@ class Observers:
             for each in observers
         )
 
-    def _tell(self, news: tuple[Goal, GoalStatus, GoalStatus] | tuple[Goal, object]) -> None:
+    def _tell(self, news: _News) -> None:
         """Tell all observers one piece of news, then whatever they cause meanwhile."""
         if self._is_telling:  # an observer has caused this; the call below tells it next
             self._untold.append(news)
@@ -87,8 +97,10 @@ class Observers:
                     try:
                         if len(news) == 3:
                             observer.goal_changed(*news)
-                        else:
+                        elif len(news) == 2:
                             observer.feedback_published(*news)
+                        else:
+                            observer.pause_changed(*news)
                     except STOPS:
                         raise
                     except BaseException as error:  # also a stray cancellation

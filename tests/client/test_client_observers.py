@@ -6,6 +6,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
+import anyio
 import pytest
 
 import turtleact
@@ -35,6 +36,9 @@ class Notes(GoalObserver):
 
     def feedback_published(self, goal: Goal, feedback: object) -> None:
         self.heard.append(feedback)
+
+    def pause_changed(self, goal: Goal) -> None:
+        self.heard.append("paused" if goal.is_paused else "resumed")
 
 
 SUCCEEDS = [
@@ -87,6 +91,22 @@ async def test_an_observer_hears_of_a_goal_that_is_canceled(where):
             await gate.started.wait()
             await settle()
         assert notes.heard == CANCELED
+
+
+@WHERE
+async def test_an_observer_hears_of_pauses(where):
+    async def step(request: Count.Goal) -> AsyncIterator[Count.Feedback]:
+        while True:
+            yield feedback()
+            await anyio.sleep(0)
+
+    async with clients(where, step) as (client, _):
+        client.observers.add(notes := Notes())
+        async with client.send_goal(goal(1)) as handle:
+            await handle.pause()
+            await handle.pause()
+            await handle.resume()
+        assert [each for each in notes.heard if isinstance(each, str)] == ["paused", "resumed"]
 
 
 @WHERE

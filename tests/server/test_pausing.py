@@ -445,6 +445,85 @@ async def test_a_goal_that_a_paused_body_sends_begins_paused_and_is_resumed_with
             assert await handle.result() == result(3)
 
 
+@pytest.mark.parametrize("is_withdrawn", [False, True], ids=["paused", "withdrawn"])
+async def test_a_goal_that_a_body_sends_while_it_is_being_paused_stands_still_with_it(is_withdrawn):
+    walker, go = Walker(), anyio.Event()
+
+    async def parent(request: Count.Goal, handle: Handle) -> AsyncIterator[Any]:
+        await go.wait()
+        yield await handle.node.action_client(Count, "child").send_goal(goal(3))
+
+    async def on_pause(handle: Handle) -> None:
+        if is_withdrawn:
+            raise ValueError("it cannot stop")
+
+    async with lab(parent, on_pause=on_pause) as served:
+        served.node.action_server(Count, "child", walker.generator)
+        async with served.client.send_goal(goal()) as handle:
+            async with running(handle.pause) as pausing:
+                assert not pausing.done.is_set()
+                go.set()
+            assert isinstance(pausing.error, PauseRefused) == is_withdrawn
+            assert handle.is_paused != is_withdrawn
+            assert is_withdrawn or not walker.steps
+            await handle.resume()
+            assert await handle.result() == result(3)
+
+
+async def test_a_goal_sent_while_its_parent_brakes_is_paused_too():
+    walker, go = Walker(), anyio.Event()
+
+    async def parent(request: Count.Goal, handle: Handle) -> Count.Result:
+        await go.wait()
+        await handle.node.action_client(Count, "child").send_goal(goal(MANY))
+        return result()
+
+    async def brake(handle: Handle) -> None:
+        go.set()
+        await take_turns()
+
+    async with lab(parent, on_pause=brake) as served:
+        served.node.action_server(Count, "child", walker.generator)
+        async with served.client.send_goal(goal()) as handle:
+            await handle.pause()
+            assert walker.steps > 0
+            assert await walker.stands_still()
+
+
+@pytest.mark.parametrize("was_paused", [False, True], ids=["with its parent", "by itself"])
+async def test_what_goes_on_without_its_canceled_parent_is_resumed_unless_paused_by_itself(
+    was_paused,
+):
+    walker, other = Walker(), Walker()
+    sent = list[turtleact.ClientGoalHandle[Any, Any]]()
+
+    async def parent(request: Count.Goal, handle: Handle) -> AsyncIterator[Any]:
+        client = handle.node.action_client
+        async with (
+            client(Count, "alone").send_goal(goal(MANY)) as alone,
+            client(Count, "other").send_goal(goal(MANY)) as child,
+        ):
+            alone.detach()
+            sent.append(alone)
+            yield await child.result()
+
+    async with lab(parent) as served:
+        served.node.action_server(Count, "alone", walker.generator)
+        served.node.action_server(Count, "other", other.generator)
+        async with served.client.send_goal(goal()) as handle:
+            await take_turns()
+            if was_paused:
+                await sent[0].pause()
+            await handle.pause()
+            assert await walker.stands_still()
+            await handle.cancel()
+            await handle.outcome()
+            await take_turns()
+            assert sent[0].is_paused == was_paused
+            assert await walker.stands_still() == was_paused
+            assert await other.stands_still()
+
+
 async def test_a_robot_whose_stop_is_cancelled_is_started_again():
     walker = Walker()
 

@@ -457,6 +457,11 @@ class _Relay(GoalObserver):
         if goal.sender is self._client:
             self._observers.feedback_published(goal, feedback)
 
+    def pause_changed(self, goal: Goal) -> None:
+        """Called after a goal was paused or resumed."""
+        if goal.sender is self._client:
+            self._observers.pause_changed(goal)
+
 
 def _is_coroutine_function(callback: object) -> bool:
     """A faster `inspect.iscoroutinefunction` for functions and methods."""

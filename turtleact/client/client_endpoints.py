@@ -252,7 +252,6 @@ class ClientEndpoints:
         response: Any = (await caller.call(request)).message
         if not response.success:
             raise PauseRefused(response.message)
-        goal.is_paused = is_paused and not goal.ended
 
     # opening and closing
 

@@ -461,6 +461,17 @@ class RemoteGoals:
         if not status.is_terminal:
             self._move(remote, status)
 
+    def take_paused(self, goal: Goal, *, is_paused: bool) -> None:
+        """Record whether a goal is paused."""
+        if is_paused == goal.is_paused or goal.ended:
+            return
+        goal.is_paused = is_paused
+        remote = self.by_id.get(cast("bytes", goal.id))
+        if remote is not None and remote.is_observed:
+            self._observers.pause_changed(goal)
+        if goal.listener is not None:
+            goal.listener.fire()
+
     # states
 
     def _move(self, remote: RemoteGoal, status: GoalStatus) -> None:

@@ -182,8 +182,8 @@ class RemoteActionServer:
 
     def _take_paused(self, paused: frozenset[bytes]) -> None:
         self._paused = paused
-        for goal_id, remote in self._goals.by_id.items():
-            remote.goal.is_paused = goal_id in paused
+        for goal_id, remote in tuple(self._goals.by_id.items()):
+            self._goals.take_paused(remote.goal, is_paused=goal_id in paused)
 
     # canceling
 
@@ -213,10 +213,12 @@ class RemoteActionServer:
             ServerUnavailable: if nobody answers.
         """
         await self._endpoints.set_paused(goal, is_paused=True, timeout=timeout)
+        self._goals.take_paused(goal, is_paused=True)
 
     async def resume(self, goal: Goal) -> None:
         """Ask the server to let a paused goal go on; raises like `pause`."""
         await self._endpoints.set_paused(goal, is_paused=False)
+        self._goals.take_paused(goal, is_paused=False)
 
     # closing
 

@@ -113,10 +113,10 @@ class Execution:
         options: ServerOptions,
     ) -> None:
         self.served = served
-        self.pauses = Pauses(served.body, options, self, tasks, now)
         self.observers = Observers(served.name)
-        self.outlet: FeedbackOutlet | None = None
         self.durable: DurableGoals | None = None
+        self.pauses = Pauses(served.body, options, self, tasks, now)
+        self.outlet: FeedbackOutlet | None = None
         self.is_suspended = False
         self.bodies: dict[BodyTask, Goal] = {}
         self._call = served.body.call
@@ -360,6 +360,8 @@ class Execution:
         if self.is_suspended and not canceling and event is not GoalEvent.SUCCEED:
             return
         self.pauses.end(goal)
+        if goal.children:
+            self.pauses.leave(goal)
         goal.is_decided = True
         if result is not None:
             goal.result = result

@@ -344,9 +344,7 @@ class LocalActionServer:
         if not self._table.add(goal):
             raise GoalRejected(f"the server still holds a goal with the id {goal.hex}")
         if goal.parent is not None:
-            goal.enter_parent(goal.parent, self.pauses)
-            if goal.parent.is_paused:  # they are resumed together
-                self.pauses.hold(goal)
+            self.pauses.enter(goal, goal.parent)
         if self.slot is None:
             if self.observers.are_any:
                 self._show_accepted(goal)
@@ -631,6 +629,7 @@ class LocalActionServer:
         self.slot = None  # from now on no goal gets a place
         for asking in list(self._cancels.values()):
             await asking.aclose(self.grace)
+        await self.pauses.aclose(self.grace)
 
 
 def restore_all(servers: list[LocalActionServer]) -> None:

@@ -16,6 +16,7 @@ from turtleact.goal_pausing import PausedGoals, SetPaused, paused_topic, set_pau
 from turtleact.interfaces import WireFormat
 from turtleact.interfaces.standard import UUID
 from turtleact.interfaces.standard.std_srvs.srv import Trigger
+from turtleact.observers import GoalObserver
 from turtleact.services import LocalServiceServer
 from turtleact.transports.base import STATUS_QOS, Closeable, Publication, Source
 
@@ -32,7 +33,7 @@ PATIENCE = 5.0
 _PAUSABLE = (GoalStatus.ACCEPTED, GoalStatus.EXECUTING)
 
 
-class PauseEndpoints(Source):
+class PauseEndpoints(Source, GoalObserver):
     """The services and the topic of one action server.
 
     Args:
@@ -62,15 +63,20 @@ class PauseEndpoints(Source):
         topic = self._endpoint("publisher", paused_topic(name), PausedGoals.type_name, STATUS_QOS)
         self._publication = self._transport.advertise(topic, WireFormat(PausedGoals), self)
         self._opened.append(self._publication)
-        self._server.pauses.on_change = self._publication.refresh
+        self._server.observers.add(self)
 
     async def aclose(self) -> None:
         """Leave the graph."""
-        self._server.pauses.on_change = lambda: None
+        self._server.observers.remove(self)
         for opened in self._opened:
             opened.close()
         for service in self._services:
             await service.aclose()
+
+    def pause_changed(self, goal: Goal) -> None:  # noqa: ARG002  # the message has all of them
+        """Publish which goals are paused now."""
+        if self._publication is not None:
+            self._publication.refresh()
 
     def readers_changed(self, *, has_readers: bool) -> None:
         """The message is made on demand, so there is nothing to do."""

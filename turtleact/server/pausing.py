@@ -22,9 +22,10 @@ import anyio
 from turtleact.body import Body, ServerOptions
 from turtleact.errors import PauseRefused
 from turtleact.goal import Goal, GoalStatus
+from turtleact.observers import Observers
 from turtleact.server.durable import DurableGoals
 from turtleact.summaries import loggable, summary
-from turtleact.tasks import Signal, Tasks
+from turtleact.tasks import Background, Signal, Tasks
 
 __all__ = ["Hold", "Pauses"]
 
@@ -57,6 +58,7 @@ class Keeper(Protocol):
     """What pausing needs of `turtleact.server.execution.Execution`."""
 
     durable: DurableGoals | None
+    observers: Observers
 
     def make_handle(self, goal: Goal) -> object:
         """Make the handle that the callbacks get."""
@@ -68,13 +70,12 @@ class Pauses:
     Args:
         body: The body.
         options: The server's options, with ``pausable``, ``on_pause`` and ``on_resume``.
-        keeper: Makes handles, and has the journal.
+        keeper: Makes handles, and has the journal and the observers.
         tasks: The task functions of the event loop.
         now: Returns the current time (ns since the epoch).
 
     Attributes:
         paused: The goals that are paused, and since when (ns).
-        on_change: Called when a goal has been paused or resumed.
     """
 
     def __init__(
@@ -85,14 +86,15 @@ class Pauses:
         tasks: Tasks,
         now: Callable[[], int],
     ) -> None:
-        self.on_change: Callable[[], object] = lambda: None
         self._on_pause: Callback | None = options.get("on_pause")
         self._on_resume: Callback | None = options.get("on_resume")
         self._stands = body.is_generator or options.get("pausable", False)
         self._keeper = keeper
+        self._observers = keeper.observers
         self._tasks = tasks
         self._now = now
         self._switching: dict[Goal, anyio.Lock] = {}
+        self._orphans: list[Background] = []
         self.paused: dict[Goal, int] = {}
 
     async def pause(self, goal: Goal, timeout: float) -> None:
@@ -112,12 +114,7 @@ class Pauses:
             if goal.is_paused:
                 return
             self._check(goal)
-            try:
-                await self._pause(goal, timeout)
-            except BaseException:
-                if not goal.is_paused:
-                    self.let_go(goal)
-                raise
+            await self._pause(goal, timeout)
 
     async def resume(self, goal: Goal) -> None:
         """Let a paused goal, and those that its body has sent, go on.
@@ -203,24 +200,62 @@ class Pauses:
         if goal.status is GoalStatus.ACCEPTED:
             self.hold(goal)
             return
-        paused = list[tuple[Goal, Pauses]]()
+        until = anyio.current_time() + timeout
         try:
-            for child, pauses in _children(goal):
-                if not child.is_paused and await pauses.pause_unless_ended(child, timeout):
-                    paused.append((child, pauses))
+            # The body is held first: a goal that it sends from now on begins paused (`enter`).
             if self._stands:
                 goal.hold = Hold(self._tasks.signal())
-                if not goal.children:  # a body that waits for its paused children stands still
-                    await self._wait_until_it_stands(goal, timeout)
+            await self._pause_children(goal, until)
+            if self._stands:
+                await self._wait_until_it_stands(goal, until, timeout)
             await self._bring_to_rest(goal)
+            await self._pause_children(goal, until)  # of a body that is not held
             if _is_ending(goal):
                 raise PauseRefused("it is being canceled or has ended")
         except BaseException:
-            with anyio.move_on_after(CLEANING, shield=True):
-                for child, pauses in paused:
-                    await pauses.resume(child)
+            self.let_go(goal)
+            # If the goal is being canceled, its children may be, too. What is left of them goes on
+            # when it has ended (`leave`).
+            if goal.is_decided or not _is_ending(goal):
+                with anyio.move_on_after(CLEANING, shield=True):
+                    await self._free(_paused_children(goal))
             raise
         self._set(goal, is_paused=True)
+
+    def enter(self, goal: Goal, parent: Goal) -> None:
+        """Make a new goal the child of the one whose body has sent it.
+
+        If the parent is paused, or is to be, the goal begins paused. They are resumed together.
+        """
+        goal.enter_parent(parent, self)
+        if parent.is_paused or parent.hold is not None:
+            self.hold(goal)
+            goal.is_paused_by_parent = True
+            if isinstance(parent.hold, Hold):
+                parent.hold.changed.fire()
+
+    def leave(self, goal: Goal) -> None:
+        """Let the children of a goal that has ended go on, if they were paused with it."""
+        if left := _paused_children(goal):
+            self._orphans = [each for each in self._orphans if not each.has_ended]
+            freeing = self._free(left)
+            self._orphans.append(Background(freeing, f"children of goal {goal.hex}", self._tasks))
+
+    async def aclose(self, grace: float) -> None:
+        """Stop letting children go on, and wait for that, at most ``grace`` s (loop time)."""
+        for each in self._orphans:
+            await each.aclose(grace)
+
+    async def _pause_children(self, goal: Goal, until: float) -> None:
+        while fresh := [each for each in _children(goal) if not _stands_or_ends(each[0])]:
+            child, pauses = fresh[0]
+            if await pauses.pause_unless_ended(child, max(0.0, until - anyio.current_time())):
+                child.is_paused_by_parent = True
+
+    async def _free(self, children: list[tuple[Goal, Pauses]]) -> None:
+        for child, pauses in children:
+            with suppress(PauseRefused):  # logged already; that child stays paused
+                await pauses.resume(child)
 
     async def pause_unless_ended(self, goal: Goal, timeout: float) -> bool:
         """Pause a goal like `pause`; return False if it is ending, so that it need not be paused.
@@ -246,15 +281,17 @@ class Pauses:
                     await self._call(self._on_resume, goal, "on_resume")
             raise
 
-    async def _wait_until_it_stands(self, goal: Goal, timeout: float) -> None:
+    async def _wait_until_it_stands(self, goal: Goal, until: float, timeout: float) -> None:
+        # A body that waits for its paused children stands still, too, and reaches no `yield`.
         hold = goal.hold
-        assert isinstance(hold, Hold)  # noqa: S101  # the caller has just set it
-        with anyio.move_on_after(timeout):
-            while goal.hold is hold and not hold.is_standing:
+        if not isinstance(hold, Hold):  # canceled while its children were being paused
+            raise PauseRefused("it is being canceled or has ended")
+        with anyio.move_on_after(until - anyio.current_time()):
+            while goal.hold is hold and not (hold.is_standing or goal.children):
                 await hold.changed.wait()
         if goal.hold is not hold:
             raise PauseRefused("it is being canceled or has ended")
-        if not hold.is_standing:
+        if not (hold.is_standing or goal.children):
             raise PauseRefused(
                 f"its body has not reached a yield or a checkpoint within {timeout:g} s, so the "
                 "request was withdrawn"
@@ -275,10 +312,12 @@ class Pauses:
         if is_paused:
             self.paused[goal] = self._now()
         else:
+            goal.is_paused_by_parent = False
             goal.paused_ns += self._now() - self.paused.pop(goal)
         if self._keeper.durable is not None and not goal.is_decided:
             self._keeper.durable.paused(goal)
-        self.on_change()
+        if self._observers.are_any:
+            self._observers.pause_changed(goal)
         if goal.listener is not None:
             goal.listener.fire()
 
@@ -289,6 +328,14 @@ class Pauses:
 def _children(goal: Goal) -> list[tuple[Goal, Pauses]]:
     """The children of a goal as they are now: some may end while the caller waits for another."""
     return list((goal.children or {}).items())
+
+
+def _paused_children(goal: Goal) -> list[tuple[Goal, Pauses]]:
+    return [each for each in _children(goal) if each[0].is_paused_by_parent]
+
+
+def _stands_or_ends(goal: Goal) -> bool:
+    return goal.is_paused or _is_ending(goal)
 
 
 def _is_ending(goal: Goal) -> bool:
