@@ -20,6 +20,7 @@ import os
 import platform
 import random
 import signal
+import socket
 import sqlite3
 import statistics
 import sys
@@ -46,7 +47,6 @@ SEED = 1
 CLIENTS = 3
 TARGETS = 20
 SPEED = 20
-ADDRESS = "tcp/127.0.0.1:17447"
 REATTACH = 60.0
 """How long a client waits for a server that it hears nothing from (s)."""
 
@@ -90,7 +90,16 @@ class Round(NamedTuple):
 # --- the server -----------------------------------------------------------------------------------
 
 
-def fork_servers(orders: Connection, path: str) -> None:
+def free_address() -> str:
+    """Return an address that nobody listens on, outside the range that systems give to clients."""
+    while True:
+        with socket.socket() as probe, suppress(OSError):
+            port = random.randrange(20_000, 30_000)
+            probe.bind(("127.0.0.1", port))
+            return f"tcp/127.0.0.1:{port}"
+
+
+def fork_servers(orders: Connection, path: str, address: str) -> None:
     """Start and kill servers, each time for so long (s) as an order says, until one says 0."""
     from turtleact import app, cli, journal  # imported here and not in each server
     from turtleact.commands import serve
@@ -98,7 +107,7 @@ def fork_servers(orders: Connection, path: str) -> None:
 
     _ = app, journal, serve, verb
     os.setsid()  # so that the servers can be ended together with this process
-    command = f"serve --plain --listen {ADDRESS} --turtles {CLIENTS} --speed {SPEED}"
+    command = f"serve --plain --listen {address} --turtles {CLIENTS} --speed {SPEED}"
     keeping = ["--journal", path, "--on-restart", "resume", "--max-starts", "0"]
     while True:
         lifetime = orders.recv()
@@ -122,13 +131,15 @@ def fork_servers(orders: Connection, path: str) -> None:
 # --- the clients ----------------------------------------------------------------------------------
 
 
-async def patrol_on(turtle: str, seed: str, sent: list[Sent], is_over: anyio.Event) -> None:
+async def patrol_on(
+    turtle: str, address: str, seed: int, sent: list[Sent], is_over: anyio.Event
+) -> None:
     """Send one patrol after the other until it is over; the last one still ends."""
-    chance = random.Random(seed)
+    chance = random.Random(f"{seed} {turtle}")
     retry = {"period_init_ms": 20, "period_max_ms": 20}
     quick = {"connect/retry": retry, "connect/timeout_ms": -1}
     async with (
-        turtleact.open_zenoh([ADDRESS], listen=[], config=quick) as transport,
+        turtleact.open_zenoh([address], listen=[], config=quick) as transport,
         turtleact.open_node(f"{turtle}_client", transport=transport) as node,
     ):
         client = node.action_client(Patrol, "/patrol")
@@ -206,9 +217,10 @@ async def run(kills: int, seed: int, path: Path) -> tuple[list[Sent], dict[bytes
     """
     chance, sent, is_over = random.Random(seed), list[Sent](), anyio.Event()
     ends: dict[bytes, int] = {}
+    address = free_address()
     mine, its = multiprocessing.Pipe()
     forking = multiprocessing.get_context("spawn").Process(
-        target=fork_servers, args=(its, str(path))
+        target=fork_servers, args=(its, str(path), address)
     )
     forking.start()
     its.close()
@@ -216,7 +228,7 @@ async def run(kills: int, seed: int, path: Path) -> tuple[list[Sent], dict[bytes
         async with anyio.create_task_group() as clients:
             for number in range(1, CLIENTS + 1):
                 turtle = f"turtle{number}"
-                clients.start_soon(patrol_on, turtle, f"{seed} {turtle}", sent, is_over)
+                clients.start_soon(patrol_on, turtle, address, seed, sent, is_over)
             for count in range(kills):
                 mine.send(chance.uniform(0.0, LONGEST))
                 status = await anyio.to_thread.run_sync(mine.recv, abandon_on_cancel=True)
