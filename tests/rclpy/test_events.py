@@ -53,7 +53,8 @@ def clock(monkeypatch):
 
 
 def spin(executor):
-    """Run everything that is ready."""
+    """Run everything that is ready, once what was closed has left the graph."""
+    executor.context.connection.loop.call(lambda: None)
     for _ in range(5):
         executor.spin_once(0)
 
