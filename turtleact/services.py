@@ -287,6 +287,7 @@ class ServiceClient(Generic[Req, Res]):
         self._transport = transport
         self._caller = caller
         self._membership = owner.add(self, caller)
+        self._home = owner.home.of(f"the client of service '{name}'")
         self._tasks = tasks
         self._found: LocalService | None = None
         self._check_request = _checker(service_type.Request, "request")
@@ -311,6 +312,7 @@ class ServiceClient(Generic[Req, Res]):
             ServiceError: if the handler failed. The server's log has its traceback.
             ServiceTimeout: if there was no response within ``timeout``.
         """
+        self._home.check()
         check_timeout(timeout)
         await self._tasks.checkpoint()  # so that calls in a loop let other tasks run
         if timeout is None:
@@ -331,6 +333,7 @@ class ServiceClient(Generic[Req, Res]):
         Raises:
             InvalidOption: if ``timeout`` is not a number.
         """
+        self._home.check()
         return await wait_until_served(self._transport, self._find, timeout)
 
     async def aclose(self) -> None:

@@ -37,6 +37,7 @@ class Publisher(Generic[M]):
         self._check = snapshotter(message_type)
         self._publication = publication
         self._membership = owner.add(self, publication)
+        self._home = owner.home.of(f"the publisher of topic '{topic}'")
 
     @property
     def has_subscriptions(self) -> bool:
@@ -48,8 +49,9 @@ class Publisher(Generic[M]):
 
         Raises:
             InvalidMessage: if it is not of the topic's type, or a value does not fit its type.
-            TurtleactError: if the publisher is closed.
+            TurtleactError: if the publisher is closed, or belongs to another event loop or thread.
         """
+        self._home.check()
         snapshot = self._check(message)
         if not self.is_open:
             raise TurtleactError(f"the publisher of topic '{self.topic}' is closed: open another")
@@ -116,6 +118,7 @@ class Subscription(Generic[M]):
         self._kept: deque[M] = deque(maxlen=endpoint.qos.depth)
         self._signal = signal
         self._is_open = True
+        self._home = owner.home.of(f"the subscription of topic '{self.topic}'")
         # Latched messages may come before this returns.
         deliver = cast("Deliver", self._deliver)
         subscribed = transport.subscribe(endpoint, WireFormat(message_type), deliver)
@@ -137,6 +140,7 @@ class Subscription(Generic[M]):
 
     def drain(self) -> list[M]:
         """Return all unread messages without waiting."""
+        self._home.check()
         drained = list(self._kept)
         self._kept.clear()
         return drained
@@ -145,6 +149,7 @@ class Subscription(Generic[M]):
         return self
 
     async def __anext__(self) -> M:
+        self._home.check()
         while not self._kept:
             if not self._is_open:
                 raise StopAsyncIteration

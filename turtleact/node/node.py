@@ -96,7 +96,7 @@ class Node:
         self.transport = transport
         self._tasks = current_tasks()
         self._home = Home(f"node '{self.fully_qualified_name}'")
-        self._resources = Resources()
+        self._resources = Resources(self._home)
         self._slots = Slots[SlotRequest]()
         self._hooks: list[Transition] = []
         self._to_restore: list[LocalActionServer] = []

@@ -11,6 +11,7 @@ from weakref import WeakValueDictionary
 
 import anyio
 
+from turtleact.tasks import Home
 from turtleact.transports.base import AsyncCloseable, Closeable, Owner, ServerKind, Serving
 
 __all__ = ["Resources"]
@@ -20,10 +21,12 @@ class Resources(Owner):
     """Everything open on a node.
 
     Attributes:
+        home: The event loop of the node.
         is_open: Whether more can be opened.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, home: Home) -> None:
+        self.home = home
         self.is_open = True
         self._count = 0
         self._opened: dict[int, AsyncCloseable] = {}

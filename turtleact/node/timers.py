@@ -53,11 +53,13 @@ class Timer:
         self._start = clock.time()
         self._number = 0
         self._is_awaited = False
+        self._home = resources.home.of("the timer")
 
     def __aiter__(self) -> Self:
         return self
 
     async def __anext__(self) -> Tick:
+        self._home.check()
         if self._is_awaited:
             raise TurtleactError("another task waits for this timer: give each its own")
         # The tick that is due now, however late, or else the next one. The division may be off by a

@@ -32,6 +32,7 @@ from turtleact.errors import InvalidMessage, TurtleactError
 
 if TYPE_CHECKING:
     from turtleact.clock import Clock
+    from turtleact.tasks import Home
 
 __all__ = [
     "EVERY_SERVER",
@@ -207,7 +208,13 @@ class Serving(AsyncCloseable, Protocol):
 
 
 class Owner(Protocol):
-    """Owns what is opened on it, as a node does; closing it closes everything."""
+    """Owns what is opened on it, as a node does; closing it closes everything.
+
+    Attributes:
+        home: The event loop in which the owner, and what is opened on it, must be used.
+    """
+
+    home: Home
 
     def add(self, thing: AsyncCloseable, opened: Closeable) -> Closeable:
         """Track something until the user closes it, or the owner does.
