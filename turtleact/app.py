@@ -38,9 +38,22 @@ class WorldNode(Node):
         sim: The world.
     """
 
-    def __init__(self, name: str, transport: Transport, sim: Turtlesim) -> None:
+    def __init__(
+        self, name: str, transport: Transport, sim: Turtlesim, built_ins: Node | None = None
+    ) -> None:
         super().__init__(name, "/", transport)
         self.sim = sim
+        self._built_ins = built_ins
+
+    async def aclose(self) -> None:
+        """Close the node, as `Node.aclose` does; the world is about to end.
+
+        Built-in actions that have made way for actions of this node do not come back: they would
+        serve for a moment, and the log would say so.
+        """
+        if self._built_ins is not None:
+            await self._built_ins.close_withdrawn()
+        await super().aclose()
 
     @property
     def is_paused(self) -> bool:
@@ -133,6 +146,7 @@ async def open_world(
             on_start(sim)
         if on_transition is not None:
             home.on_transition(on_transition)
+        actions = None
         if not turtlesim_only:
             opening = open_node("turtle_actions", transport=transport)
             actions = await stack.enter_async_context(opening)
@@ -141,7 +155,7 @@ async def open_world(
                 actions.on_transition(on_transition)
             serve_built_ins(actions, side=SIDE, journal=journal, on_restart=on_restart)
         name = "_turtleact" if turtlesim_only else "turtleact"  # turtlesim shows one node
-        node = await stack.enter_async_context(aclosing(WorldNode(name, transport, sim)))
+        node = await stack.enter_async_context(aclosing(WorldNode(name, transport, sim, actions)))
         node.introspection = introspection
         yield node
 

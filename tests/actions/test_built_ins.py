@@ -57,6 +57,13 @@ async def test_a_built_in_action_is_not_served_if_another_server_was_first():
             assert (await client.send_goal(Fibonacci.Goal(order=2))).sequence == MINE
 
 
+async def test_a_built_in_action_stays_away_while_its_world_ends(caplog):
+    async with open_world(speed="max") as node:
+        node.action_server(Fibonacci, "/fibonacci", mine)
+        await settle()
+    assert caplog.messages[-1].endswith("the built-in action withdraws")
+
+
 async def test_other_built_in_actions_stay():
     async with open_world(speed="max") as node, open_node("lab", transport=node.transport) as lab:
         lab.action_server(Fibonacci, "/fibonacci", mine)

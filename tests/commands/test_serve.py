@@ -443,9 +443,9 @@ def test_a_taken_port_is_one_clear_line(shared, lab):
     assert err.count("\n") == 1
 
 
-def test_a_second_server_joins_the_graph_of_the_first(shared, lab):
+def test_a_second_server_on_the_graph_of_the_first_lists_only_its_own_actions(shared, lab):
     with serving_beside(shared, lab) as ready:
-        assert ready == f"ready at {shared.at}, domain 0: /endless, /quick\n"
+        assert ready == f"ready at {shared.at}, domain 0: nothing\n"
 
 
 @contextmanager
@@ -566,7 +566,7 @@ def test_a_standby_takes_over_when_the_first_server_is_killed(served, lab):
         assert standby.stderr is not None
         assert standby.stdout is not None
         notes = {standby.stderr.readline() for _ in range(2)}
-        assert "/quick is served by /turtleact: waiting until that has gone\n" in notes
+        assert "/quick is served by /servedlab: waiting until that has gone\n" in notes
         served.process.kill()
         assert standby.stdout.readline().startswith("ready at ")
         standby.send_signal(signal.SIGTERM)

@@ -84,7 +84,7 @@ def test_a_file_is_served_and_served_anew_and_its_goals_end(tmp_path):
         assert goal.returncode == 4
         assert "turtleact: the goal was aborted: reloading" in out
         lines_until(server, "reloaded: /yours")
-        with command(tmp_path, "param", "get", "/turtleact", "speed", "--connect", at) as param:
+        with command(tmp_path, "param", "get", "/lab", "speed", "--connect", at) as param:
             assert param.communicate(timeout=20)[0] == "Double value is: 1.0\n"
         server.send_signal(signal.SIGINT)
         server.communicate(timeout=20)

@@ -210,6 +210,26 @@ def test_a_refusal_says_where_there_is_help(turtleact, arguments):
     assert "\nTry 'turtleact action send_goal -h' for help.\n" in ran.err
 
 
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        ("lab --no-sim", "lab"),
+        ("lab.robot:drive other --no-sim", "robot"),
+        ("lab --no-sim --node-name arm", "arm"),
+        ("--no-sim", "turtleact"),
+        ("lab", "turtleact"),  # beside a world
+        ("turtlesim --no-sim", "turtleact"),  # else it would pass for a world
+        ("_lab --no-sim", "turtleact"),  # a hidden node
+        ("löb --no-sim", "turtleact"),
+    ],
+)
+def test_the_node_of_a_server_without_a_world_has_the_name_of_the_module(
+    monkeypatch, interrupts, line, name
+):
+    monkeypatch.setattr(serve, "run", lambda service, _: service.node_name)
+    assert verbs.parse(["serve", *line.split()])(interrupts) == name
+
+
 @pytest.fixture
 def order(monkeypatch, interrupts):
     """The order that a command line makes."""

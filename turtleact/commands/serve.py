@@ -26,6 +26,7 @@ from turtleact.commands.targets import Found, Modules
 from turtleact.commands.terminal import can_move
 from turtleact.errors import ActionConflict, InvalidOption, TurtleactError, UsageError
 from turtleact.goal import GoalStatus
+from turtleact.graph import types_by_name
 from turtleact.node import Node, open_node
 from turtleact.tasks import Background
 from turtleact.transports import open_zenoh
@@ -181,7 +182,7 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
                 log.say(f"web page, and rosbridge, at {url}")
             (transport, where), *_ = opened
             await transport.flush()
-            actions = listed(list(node.graph().actions))
+            actions = listed(list(types_by_name(transport.local_endpoints(), "action")))
             log.say(f"ready at {where}, domain {service.reach.domain}: {actions}")
             await interrupts.wait(1)
             goes_on = service.keeping is not None and service.keeping.resumes

@@ -28,7 +28,7 @@ import anyio
 from turtleact.errors import ActionConflict
 from turtleact.transports.base import Transport
 
-__all__ = ["BUILT_INS_NODE", "OnConflict", "Rivals"]
+__all__ = ["BUILT_INS_NODE", "OnConflict", "Rivals", "tell_of_built_in"]
 
 logger = logging.getLogger("turtleact.server")
 
@@ -100,6 +100,12 @@ class Rivals:
         """
         return self._node != BUILT_INS_NODE and BUILT_INS_NODE in self._nodes(is_local=is_local)
 
+    async def look_for_built_in(self, action: str, seconds: float) -> None:
+        """Tell of a built-in action that discovery shows within some seconds. Cancelling: safe."""
+        with anyio.move_on_after(seconds):
+            await self.wait_until(self.has_built_in)
+            tell_of_built_in(action)
+
     async def wait_until_free(self) -> None:
         """Wait until this node can serve the action. Cancelling: safe.
 
@@ -128,3 +134,8 @@ class Rivals:
     def _is_local(self, type_name: str) -> bool:
         """Whether this process serves the service under that type."""
         return self._transport.local(self._service, type_name) is not None
+
+
+def tell_of_built_in(action: str) -> None:
+    """Log that the built-in action makes way for one of this process."""
+    logger.warning("%s: the built-in action makes way for this one", action)

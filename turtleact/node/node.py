@@ -26,7 +26,7 @@ from turtleact.graph import Graph, graph_of
 from turtleact.interfaces import Action, Message, Service, WireFormat
 from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
 from turtleact.node.arguments import check_declaration, check_server_options, expect
-from turtleact.node.conflicts import OnConflict, Rivals
+from turtleact.node.conflicts import OnConflict, Rivals, tell_of_built_in
 from turtleact.node.hooks import Hook
 from turtleact.node.resources import Resources
 from turtleact.node.timers import Timer
@@ -478,6 +478,12 @@ class Node:
         finally:
             self._membership.close()
 
+    async def close_withdrawn(self) -> None:
+        """Close the action servers that have made way for others, so that none comes back."""
+        for server in self._servers():
+            if not server.is_open:
+                await server.aclose()
+
     def _check_open(self) -> None:
         self._home.check()
         if not self.is_open:
@@ -616,24 +622,17 @@ class ActionServer(Generic[G, R, F]):
     def _begin(self, rivals: Rivals) -> None:
         """Join the graph."""
         if rivals.has_built_in(is_local=False):
-            self._tell_that_built_in_makes_way()
+            tell_of_built_in(self.name)
         elif not rivals.has_built_in():
             # On a graph that was opened a moment ago, it may not have been discovered yet.
             rest = self.node.transport.discovery_ends - anyio.current_time()
             if rest > 0:
-                self._keep(self._look_for_built_in(rivals, rest), "looking for a built-in of")
+                looking = rivals.look_for_built_in(self.name, rest)
+                self._keep(looking, "looking for a built-in of")
         self._endpoints.open()
         self.node._restore_soon(self._local)
         self.is_serving = True
         self._turned.fire()
-
-    async def _look_for_built_in(self, rivals: Rivals, seconds: float) -> None:
-        with anyio.move_on_after(seconds):
-            await rivals.wait_until(rivals.has_built_in)
-            self._tell_that_built_in_makes_way()
-
-    def _tell_that_built_in_makes_way(self) -> None:
-        logger.warning("%s: the built-in action makes way for this one", self.name)
 
     def _stop(self) -> None:
         """Stop accepting goals."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
@@ -31,6 +32,11 @@ __all__ = ["app", "serve"]
 
 MOST_TURTLES = 10_000
 """A node cannot publish the poses of more turtles in time."""
+
+_NODE_NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")
+"""The names of modules that a node can have, unless it would be hidden."""
+
+_WORLD_NODES = ("turtlesim", "turtle_actions", "world")
 
 NOTHING_TO_RELOAD = "--reload is for your own actions: name a module or a file, such as lab.py"
 
@@ -115,7 +121,8 @@ NodeName: TypeAlias = Annotated[
     typer.Option(
         "--node-name",
         metavar="NAME",
-        help="With --no-sim: the name of the node with your actions. If left out, turtleact.",
+        help="With --no-sim: the name of the node with your actions. If left out, the name of the "
+        "first file or module.",
     ),
 ]
 OnRestart: TypeAlias = Annotated[
@@ -269,13 +276,25 @@ def serve(
             is_live=not (headless or plain),
             wait=wait,
             reload=reload,
-            node_name=node_name or "turtleact",
+            node_name=node_name or _node_name(targets, no_sim=no_sim),
             keeping=keeping,
             introspection=introspection,
         )
         return run(service, interrupts)
 
     return job
+
+
+def _node_name(targets: list[str] | None, *, no_sim: bool) -> str:
+    """The name of the node with the user's actions: that of their module, unless there is a world.
+
+    ROS 2 warns of two nodes with one name, and such a server often runs beside one with a world.
+    """
+    from turtleact.commands.targets import read_target
+
+    module = read_target(targets[0]).module.rpartition(".")[2] if no_sim and targets else ""
+    is_fit = _NODE_NAME.fullmatch(module) and module not in _WORLD_NODES
+    return module if is_fit else "turtleact"
 
 
 def _access(where: Reach, listen: tuple[str, ...], *, insecure: bool) -> dict[str, object]:
