@@ -28,7 +28,7 @@ from typing import Generic, Protocol, TypeVar, cast
 import anyio
 
 from turtleact.errors import InvalidOption, SimError
-from turtleact.tasks import Background, Signal, Tasks, current_tasks, idleness
+from turtleact.tasks import Background, Signal, Tasks, current_tasks, idleness, thread_work
 
 __all__ = [
     "EPOCH",
@@ -216,7 +216,8 @@ class VirtualClock:
 
     A task must `run` the clock. Sleepers with the same deadline wake one at a time, in the order in
     which they went to sleep. Each wakes when everything the previous one caused has been done.
-    Virtual time does not wait for tasks that wait for the network, a thread or wall time.
+    Virtual time does not wait for tasks that wait for the network, a thread or wall time. It does
+    wait for a journal that writes.
     """
 
     def __init__(self) -> None:
@@ -267,11 +268,14 @@ class VirtualClock:
     async def run(self) -> None:
         """Jump to the next deadline whenever every other task waits, until cancelled."""
         wanted = self._wanted = current_tasks().signal()
-        wait_until_idle, sleepers = idleness(), self._sleepers
+        wait_until_idle, sleepers, work = idleness(), self._sleepers, thread_work()
         # One sleeper is woken per round, so whatever it does happens before the next one wakes. If
         # there is nothing to jump to, `wanted` fires for a new sleeper or a new limit.
         while True:
             await wait_until_idle()
+            if work.is_under_way:
+                await work.wait_for_end()
+                continue
             first = sleepers.first
             if first is None or first[0] > self._end:
                 await wanted.wait()

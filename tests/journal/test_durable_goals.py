@@ -7,8 +7,11 @@ would find exactly that.
 from __future__ import annotations
 
 import shutil
+import sqlite3
+import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -140,6 +143,37 @@ async def test_a_goal_is_on_disk_before_it_is_accepted_and_its_end_before_it_is_
             assert await handle.result() == result(3)
             ended = records(path)[ID]
     assert (ended.status, ended.ended > 0) == (GoalStatus.SUCCEEDED, True)
+
+
+async def test_the_disk_has_a_goal_and_its_end_before_they_are_told(path, monkeypatch):
+    log = list[str]()
+
+    class Noting(sqlite3.Connection):
+        """Notes each commit with what SQLite then waits for: 2 means the disk, 1 the system."""
+
+        def execute(self, statement: str, *values: Any) -> sqlite3.Cursor:
+            if statement == "COMMIT":
+                ((level,),) = super().execute("PRAGMA synchronous")
+                log.append(f"committing at {level}")
+            done = super().execute(statement, *values)
+            if statement == "COMMIT":
+                log.append("committed")
+            return done
+
+    connect = partial(sqlite3.connect, factory=Noting)
+    monkeypatch.setattr(sqlite3, "connect", connect)
+    gate = Gate()
+    async with place(path) as here:
+        here.serve(gate.wait)
+        async with here.client.send_goal(goal(), goal_id=ID) as handle:
+            log.append("accepted")
+            await here.journal.written()
+            gate.opened.set()
+            await handle.result()
+            log.append("ended")
+            ended = log[-3:]
+    assert log[:3] == ["committing at 2", "committed", "accepted"]
+    assert ended == ["committing at 2", "committed", "ended"]
 
 
 async def test_feedback_is_on_disk_before_anybody_sees_it(path, style):
@@ -331,8 +365,22 @@ async def test_a_nested_goal_is_left_to_its_parent(path):
                 assert again.log.count("begun") == 1
 
 
-async def test_waiting_goals_keep_their_order(path):
-    order = list[int]()
+class Clock:
+    """A system clock that a test sets back.
+
+    Attributes:
+        lag: By how much (s).
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.lag = 0.0
+        time_ns = time.time_ns
+        monkeypatch.setattr(time, "time_ns", lambda: time_ns() - round(self.lag * 1e9))
+
+
+@pytest.mark.parametrize("step", [0.0, 3600.0], ids=["", "clock set back"])
+async def test_waiting_goals_keep_their_order(path, monkeypatch, step):
+    order, clock = list[int](), Clock(monkeypatch)
 
     async def act(request: Count.Goal, handle: Handle) -> Count.Result:
         order.append(request.upto)
@@ -347,6 +395,7 @@ async def test_waiting_goals_keep_their_order(path):
             for number, goal_id in enumerate(ids):
                 handle = await here.client.send_goal(goal(number), goal_id=goal_id).__aenter__()
                 handle.detach()
+                clock.lag += step
             crashed = await here.crash()
             senders.cancel_scope.cancel()
         order.clear()
@@ -524,6 +573,21 @@ async def test_an_ended_goal_still_answers_after_a_restart(path):
             with pytest.raises(GoalAborted) as aborted:
                 await handle.result()
         assert (aborted.value.reason, aborted.value.result) == ("too far", result(2))
+
+
+async def test_an_ended_goal_still_answers_after_the_clock_was_set_back(path, monkeypatch):
+    gate, clock = Gate(), Clock(monkeypatch)
+    gate.opened.set()
+    async with place(path) as here:
+        here.serve(gate.wait, result_timeout=60.0)
+        assert await here.client.send_goal(goal(), goal_id=ID) == result(3)
+    clock.lag = 3600.0
+    async with place(path) as there:
+        there.serve(gate.wait, result_timeout=60.0)
+        clock.lag -= 59.0
+        async with there.client.attach(ID) as handle:
+            assert await handle.result() == result(3)
+    assert gate.log.count("begun") == 1
 
 
 # --- one id, one goal ---------------------------------------------------------------------------

@@ -6,7 +6,8 @@ import os
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +15,16 @@ import anyio
 import pytest
 
 import turtleact
+from turtleact import testing
+from turtleact.clock import VirtualClock
 from turtleact.errors import InvalidOption
 from turtleact.goal import GoalStatus
 from turtleact.goal_journal import GoalChange, GoalRecord
 from turtleact.journal import Journal, JournalError, find_goals, open_journal, prune, read_goals
 from turtleact.journal.database import Accept, Change, Database, Withdraw
+from turtleact.transports import MemoryTransport
 
-from ..lab import Count, Gate, goal, result, running, settle
+from ..lab import Count, Gate, feedback, goal, result, running, settle
 
 pytestmark = pytest.mark.loops("asyncio")
 
@@ -297,6 +301,74 @@ async def test_a_closing_journal_does_not_wait_for_a_full_disk_for_ever(path, mo
         disk.is_full = True
         journal.end(record(1).id, ended(NOW, NOW), lambda: None)
     assert "1 changes of goals are lost" in caplog.text
+
+
+# --- virtual time -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def slow(monkeypatch) -> None:
+    """Lets every write take a while."""
+    write = Database.write
+
+    def write_slowly(database: Database, jobs: object, *, is_durable: bool) -> None:
+        time.sleep(0.02)
+        write(database, jobs, is_durable=is_durable)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Database, "write", write_slowly)
+
+
+async def goal_with_a_journal(path: Path, transport: Any) -> float:
+    """Send a goal of 1 s to a server with a journal, beside a sleeper; return how long it took."""
+    async with (
+        open_journal(path) as journal,
+        turtleact.open_node("lab", transport=transport) as lab,
+    ):
+
+        async def execute(request: Count.Goal) -> AsyncIterator[Any]:
+            await lab.clock.sleep(1.0)
+            yield feedback(1)
+            yield result()
+
+        lab.action_server(Count, "count", execute, journal=journal)
+        client = lab.action_client(Count, "count")
+        async with running(lambda: lab.clock.sleep(1000.0)) as sleeper:
+            began = lab.clock.time()
+            async with client.send_goal(goal()) as handle:
+                assert [each async for each in handle] == [feedback(1)]
+                await handle.result()
+            took = lab.clock.time() - began
+            sleeper.scope.cancel()
+    return took
+
+
+@pytest.mark.loops("asyncio", "trio")
+async def test_a_virtual_clock_stands_still_while_a_write_is_awaited(path, slow):
+    clock = VirtualClock()
+    async with running(clock.run) as driver:
+        assert await goal_with_a_journal(path, MemoryTransport(clock)) == 1.0
+        driver.scope.cancel()
+
+
+@pytest.mark.parametrize("backend", ["asyncio", "trio"])
+def test_the_time_of_a_virtual_loop_stands_still_while_a_write_is_awaited(path, slow, backend):
+    took = testing.run(lambda: goal_with_a_journal(path, MemoryTransport()), backend=backend)
+    assert took == 1.0
+
+
+def test_virtual_time_goes_on_though_the_disk_is_full(path, monkeypatch):
+    disk = Disk(monkeypatch)
+    monkeypatch.setattr("turtleact.journal.writer.CLOSING", 0.0)
+
+    async def main() -> float:
+        async with open_journal(path) as journal:
+            await journal.accept(record(1))
+            disk.is_full = True
+            journal.end(record(1).id, ended(NOW, NOW), lambda: None)
+            await anyio.sleep(1000.0)
+            return anyio.current_time()
+
+    assert testing.run(main) == 1000.0
 
 
 # --- closed and shared --------------------------------------------------------------------------

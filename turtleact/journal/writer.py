@@ -15,8 +15,8 @@ import sqlite3
 import threading
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -34,7 +34,7 @@ from turtleact.journal.database import (
     Withdraw,
     explain,
 )
-from turtleact.tasks import Home, Tasks, current_tasks
+from turtleact.tasks import Home, Tasks, current_tasks, thread_work
 
 __all__ = ["Journal", "open_journal"]
 
@@ -57,6 +57,7 @@ class _Job(msgspec.Struct, eq=False):
         failed: Called in the event loop with the reason instead of trying again.
         is_durable: Whether it must survive a power loss.
         is_told: Whether ``done`` was called although the write has failed.
+        is_awaited: Whether virtual time stands still until this was tried.
     """
 
     work: Accept | Change | Withdraw | None
@@ -64,6 +65,7 @@ class _Job(msgspec.Struct, eq=False):
     failed: Callable[[sqlite3.Error], object] | None = None
     is_durable: bool = False
     is_told: bool = False
+    is_awaited: bool = False
 
 
 class Journal:
@@ -85,6 +87,7 @@ class Journal:
         self.max_starts = max_starts
         self.aborts_at_close = aborts_at_close
         self._tasks = tasks
+        self._thread_work = thread_work()
         self._home = Home(f"journal '{path}'")
         self._held: dict[bytes, GoalRecord] = {}
         self._expiring: deque[GoalRecord] = deque()
@@ -158,7 +161,7 @@ class Journal:
             JournalError: if it cannot be opened.
         """
         self._thread.start()
-        with anyio.CancelScope(shield=True):
+        with anyio.CancelScope(shield=True), self._at_work():
             await self._opened.wait()
         if self._error is not None:
             raise self._error
@@ -169,8 +172,16 @@ class Journal:
             self._is_closing = True
             self._deadline = time.monotonic() + CLOSING
             self._changed.notify()
-        with anyio.CancelScope(shield=True):
+        with anyio.CancelScope(shield=True), self._at_work():
             await self._ended.wait()
+
+    @contextmanager
+    def _at_work(self) -> Iterator[None]:
+        self._thread_work.begin()
+        try:
+            yield
+        finally:
+            self._thread_work.end()
 
     async def _write(self, work: Accept | Withdraw) -> None:
         """Put something on disk and wait until it is there.
@@ -223,6 +234,9 @@ class Journal:
             if self._is_closing:
                 is_open = False
             else:
+                if job.done is not None:
+                    job.is_awaited = True
+                    self._thread_work.begin()
                 self._jobs.append(job)
                 self._changed.notify()
                 is_open = True
@@ -291,9 +305,7 @@ class Journal:
         if self._is_failing:
             self._is_failing = False
             logger.warning("%s can be written again", self.path)
-        done = [job.done for job in jobs if job.done is not None and not job.is_told]
-        if done:
-            self._tasks.from_anywhere(partial(_call_all, done))
+        self._report(jobs, [job.done for job in jobs if job.done is not None and not job.is_told])
 
     def _fail(self, jobs: list[_Job], error: sqlite3.Error) -> None:
         """Report the failure of jobs that have ``failed``, and keep the others to try again."""
@@ -314,13 +326,24 @@ class Journal:
                 kept.append(job)
         with self._changed:
             self._jobs.extendleft(reversed(kept))
-        if calls:
-            self._tasks.from_anywhere(partial(_call_all, calls))
+        self._report(jobs, calls)
 
+    def _report(self, jobs: list[_Job], calls: list[Callable[[], object]]) -> None:
+        """Call these in the event loop; from then on, nobody waits for the jobs."""
+        count = 0
+        for job in jobs:
+            count += job.is_awaited
+            job.is_awaited = False
+        if calls or count:
+            self._tasks.from_anywhere(partial(self._call_all, calls, count))
 
-def _call_all(calls: list[Callable[[], object]]) -> None:
-    for call in calls:
-        call()
+    def _call_all(self, calls: list[Callable[[], object]], count: int) -> None:
+        try:
+            for call in calls:
+                call()
+        finally:
+            if count:
+                self._thread_work.end(count)
 
 
 def _by_expiry(record: GoalRecord) -> tuple[bool, int]:

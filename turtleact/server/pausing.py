@@ -165,7 +165,10 @@ class Pauses:
     def paused_time(self, goal: Goal) -> float:
         """How long a goal has been paused (s)."""
         since = self.paused.get(goal)
-        return (goal.paused_ns + (0 if since is None else self._now() - since)) / 1e9
+        return (goal.paused_ns + (0 if since is None else self._since(since))) / 1e9
+
+    def _since(self, moment: int) -> int:
+        return max(0, self._now() - moment)  # the clock may have been set back
 
     def let_go(self, goal: Goal) -> None:
         """Let the body go on, or withdraw the request that it stands still."""
@@ -313,7 +316,7 @@ class Pauses:
             self.paused[goal] = self._now()
         else:
             goal.is_paused_by_parent = False
-            goal.paused_ns += self._now() - self.paused.pop(goal)
+            goal.paused_ns += self._since(self.paused.pop(goal))
         if self._keeper.durable is not None and not goal.is_decided:
             self._keeper.durable.paused(goal)
         if self._observers.are_any:

@@ -14,7 +14,12 @@ from __future__ import annotations
 
 from turtleact.tasks.background import Background, current_tasks, wait_while
 from turtleact.tasks.base import GRACE, Home, Signal, Tasks, is_cancellation
-from turtleact.tasks.idle import idleness, new_event_loop, wait_until_idle
+from turtleact.tasks.idle import (
+    idleness,
+    new_event_loop,
+    thread_work,
+    wait_until_idle,
+)
 
 __all__ = [
     "GRACE",
@@ -26,6 +31,7 @@ __all__ = [
     "idleness",
     "is_cancellation",
     "new_event_loop",
+    "thread_work",
     "wait_until_idle",
     "wait_while",
 ]

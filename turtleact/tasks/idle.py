@@ -18,17 +18,21 @@ import asyncio
 import logging
 import selectors
 from collections.abc import Awaitable, Callable, Sized
+from contextlib import suppress
 from typing import cast
 
 import anyio
+import anyio.to_thread
 from anyio.lowlevel import RunVar
 
 __all__ = [
     "IdleSelector",
+    "ThreadWork",
     "WatchedEventLoop",
     "idleness",
     "new_event_loop",
     "ready_callbacks",
+    "thread_work",
     "wait_until_idle",
 ]
 
@@ -123,6 +127,61 @@ def ready_callbacks(loop: asyncio.AbstractEventLoop) -> Sized | None:
     return cast("Sized | None", getattr(loop, "_ready", None))
 
 
+class ThreadWork:
+    """Counts what a thread of turtleact does for the loop; virtual time stands still meanwhile.
+
+    Such work must be sure to end soon. A `turtleact.clock.VirtualClock` asks this object. The event
+    loops of `turtleact.testing` stand still while a token of anyio's thread limiter is borrowed, so
+    this borrows one.
+    """
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._limiter = anyio.to_thread.current_default_thread_limiter()
+        self._is_borrowing = False
+        self._done: Callable[[], object] | None = None
+
+    def begin(self) -> None:
+        """Count one more piece of work."""
+        self._count += 1
+        if self._count == 1:
+            with suppress(anyio.WouldBlock):  # other threads have all of them
+                self._limiter.acquire_on_behalf_of_nowait(self)
+                self._is_borrowing = True
+
+    def end(self, count: int = 1) -> None:
+        """Count so many less."""
+        self._count -= count
+        if self._count:
+            return
+        if self._is_borrowing:
+            self._is_borrowing = False
+            self._limiter.release_on_behalf_of(self)
+        if self._done is not None:
+            self._done()
+
+    @property
+    def is_under_way(self) -> bool:
+        """Whether there is any."""
+        return self._count > 0
+
+    async def wait_for_end(self) -> None:
+        """Wait until there is none. Only one task can wait. Cancelling: safe."""
+        while self._count:
+            done = anyio.Event()
+            self._done = done.set
+            await done.wait()
+
+
+def thread_work() -> ThreadWork:
+    """Return the running loop's `ThreadWork`."""
+    work = _work.get(None)
+    if work is None:
+        work = ThreadWork()
+        _work.set(work)
+    return work
+
+
 class _Turns:
     """Watches a loop that turtleact did not make.
 
@@ -162,3 +221,4 @@ class _Turns:
 
 
 _turns: RunVar[_Turns] = RunVar("turtleact_turns")
+_work: RunVar[ThreadWork] = RunVar("turtleact_thread_work")
