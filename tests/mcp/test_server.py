@@ -13,6 +13,7 @@ from mcp import MCPError
 from mcp.types import ElicitResult, ToolListChangedNotification
 
 from turtleact import QoS, open_world
+from turtleact.interfaces import SECOND
 from turtleact.interfaces.standard import Fibonacci, Point
 from turtleact.interfaces.standard.example_interfaces.srv import AddTwoInts
 from turtleact.mcp import Limits, open_mcp
@@ -20,7 +21,7 @@ from turtleact.sim.pictures import to_png
 
 from .line import FOREVER, MODES, client_of, connect, open_lab, serve, text_of
 
-SQUARE = [{"x": x, "y": y} for x, y in ((2, 2), (9, 2), (9, 9), (2, 9), (2, 2))]
+SQUARE = [{"x": x, "y": y} for x, y in ((5, 5), (7, 5), (7, 7), (5, 7), (5, 5))]
 
 
 # tools
@@ -58,6 +59,7 @@ async def test_read_only_offers_only_what_changes_nothing():
 # calls
 
 
+@pytest.mark.loops("asyncio", "trio")
 @pytest.mark.parametrize("mode", MODES)
 async def test_a_call_reports_progress_that_grows_and_gives_the_result(mode):
     told = []
@@ -87,6 +89,7 @@ async def test_fast_feedback_is_thinned_out_and_the_newest_is_told():
     assert told[-1] == 500
 
 
+@pytest.mark.loops("asyncio", "trio")
 @pytest.mark.parametrize("mode", MODES)
 async def test_a_cancelled_call_cancels_its_goal_and_waits_for_its_end(mode):
     async with connect(mode) as (lab, client):
@@ -94,9 +97,12 @@ async def test_a_cancelled_call_cancels_its_goal_and_waits_for_its_end(mode):
             calling.start_soon(client.call_tool, "count", {"order": 0})
             await lab.started.wait()
             calling.cancel_scope.cancel()
-        goals = (await client.call_tool("list_goals", {})).structured_content["goals"]
+        status = "EXECUTING"
+        while status in ("EXECUTING", "CANCELING"):
+            [goal] = (await client.call_tool("list_goals", {})).structured_content["goals"]
+            status = goal["status"]
+        assert status == "CANCELED"
         assert lab.ended == ["cancelled"]
-        assert all(goal["status"] == "CANCELED" for goal in goals)
 
 
 @pytest.mark.parametrize(
@@ -117,10 +123,11 @@ async def test_a_reason_reaches_the_model_word_for_word(arguments, text):
 
 async def test_arguments_of_10_mb_are_refused():
     async with connect() as (_, client):
-        reply = await client.call_tool("count", {"order": [1] * 5_000_000})
+        reply = await client.call_tool("count", {"order": "9" * 10_000_000})
         assert "bytes are too many" in text_of(reply)
 
 
+@pytest.mark.loops("asyncio", "trio")
 async def test_a_hundred_calls_run_at_once():
     replies = []
     async with connect() as (_, client):
@@ -129,12 +136,13 @@ async def test_a_hundred_calls_run_at_once():
             replies.append(await client.call_tool("count", {"order": order}))
 
         async with anyio.create_task_group() as calling:
-            for order in range(1, 101):
-                calling.start_soon(call, order)
-    lengths = {len(reply.structured_content["result"]["sequence"]) for reply in replies}
-    assert lengths == set(range(1, 101))
+            for number in range(100):
+                calling.start_soon(call, number % 4 + 1)
+    lengths = [len(reply.structured_content["result"]["sequence"]) for reply in replies]
+    assert sorted(lengths) == [1] * 25 + [2] * 25 + [3] * 25 + [4] * 25
 
 
+@pytest.mark.loops("asyncio", "trio")
 async def test_a_flood_of_goals_meets_a_limit_that_says_what_to_do():
     async with connect(limits=Limits(goals=1)) as (lab, client):
         async with anyio.create_task_group() as calling:
@@ -149,6 +157,7 @@ async def test_a_flood_of_goals_meets_a_limit_that_says_what_to_do():
 # servers that come and go
 
 
+@pytest.mark.loops("asyncio", "trio")
 async def test_a_server_that_goes_ends_its_calls_with_the_reason():
     replies = []
     async with open_lab(actions=["/again"]) as (lab, node, server), client_of(server) as client:
@@ -185,6 +194,7 @@ async def test_an_older_client_is_told_when_the_tools_change():
         assert "again" in {tool.name for tool in (await client.list_tools()).tools}
 
 
+@pytest.mark.loops("asyncio", "trio")
 async def test_a_newer_client_that_listens_is_told_when_the_tools_change():
     async with (
         open_lab(actions="all") as (lab, node, server),
@@ -228,6 +238,7 @@ async def test_all_goals_can_be_cancelled_at_once():
     assert [goal["status"] for goal in reply.structured_content["goals"]] == ["CANCELED"] * 2
 
 
+@pytest.mark.loops("asyncio", "trio")
 async def test_a_goal_can_be_paused_and_resumed():
     async with (
         open_lab() as (lab, node, server),
@@ -325,6 +336,7 @@ async def test_a_client_that_cannot_ask_its_user_sends_nothing():
         assert not lab.started.is_set()
 
 
+@pytest.mark.loops("asyncio", "trio")
 async def test_a_confirmation_is_good_for_one_call_with_the_same_arguments():
     async def answer(_, params):
         raise AssertionError("the test answers itself")
@@ -371,7 +383,7 @@ async def test_a_client_that_knows_only_the_schemas_drives_a_square_and_sees_it(
 
 async def test_a_turtle_stands_still_within_half_a_second_of_a_cancel():
     async with (
-        open_world() as node,
+        open_world(speed="max") as node,
         open_mcp(node, actions=["/patrol"], topics=["/turtle1/pose"]) as server,
         client_of(server) as client,
     ):
@@ -380,15 +392,18 @@ async def test_a_turtle_stands_still_within_half_a_second_of_a_cancel():
         async def hear(progress, total, message):
             moving.set()
 
-        arguments = {"targets": SQUARE, "max_linear": 5.0}
+        arguments = {"targets": SQUARE}
         async with anyio.create_task_group() as calling:
             call = functools.partial(client.call_tool, "patrol", arguments, progress_callback=hear)
             calling.start_soon(call)
             await moving.wait()
             calling.cancel_scope.cancel()
-        await node.clock.sleep(0.5)
-        pose = await client.call_tool("read_topic", {"topic": "/turtle1/pose"})
-        assert pose.structured_content["linear_velocity"] == 0.0
+        due = node.clock.now() + SECOND // 2
+        speed = 1.0
+        while speed:
+            pose = await client.call_tool("read_topic", {"topic": "/turtle1/pose"})
+            speed = pose.structured_content["linear_velocity"]
+            assert node.clock.now() < due
         [goal] = (await client.call_tool("list_goals", {})).structured_content["goals"]
         assert goal["status"] == "CANCELED"
 

@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
+import socket
+from contextlib import asynccontextmanager
 from typing import Any, Literal
 
 import anyio
 import pytest
 from mcp import MCPError
 from mcp.client.extension import ClientExtension, ResultClaim
-from mcp.types import CallToolResult, RequestParams, Result
+from mcp.types import (
+    CallToolResult,
+    RequestParams,
+    Result,
+    SubscriptionFilter,
+    SubscriptionsListenRequest,
+    SubscriptionsListenRequestParams,
+)
 from mcp.types import Request as McpRequest
 
+from turtleact import open_node
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.mcp import Limits, open_mcp
 from turtleact.mcp.tasks import EXTENSION
+from turtleact.transports import open_zenoh
 
+from ..journal.test_reattaching import Server as KillableServer
 from .line import FOREVER, client_of, connect, open_lab
 
 NOBODY = "ab" * 16
@@ -88,6 +100,7 @@ async def ended(client: Any, task_id: str) -> Any:
         await anyio.sleep(0.001)
 
 
+@pytest.mark.loops("asyncio", "trio")
 async def test_a_goal_goes_on_as_a_task_and_leaves_its_result():
     takes = TakesTasks()
     async with connect(client={"extensions": [takes]}) as (_, client):
@@ -101,6 +114,7 @@ async def test_a_goal_goes_on_as_a_task_and_leaves_its_result():
         assert task.result["structuredContent"]["goal_id"] == begun.task_id
 
 
+@pytest.mark.loops("asyncio", "trio")
 async def test_a_task_tells_the_last_feedback():
     takes = TakesTasks()
     async with connect(client={"extensions": [takes]}) as (_, client):
@@ -131,6 +145,7 @@ async def test_a_rejected_goal_is_no_task():
         assert not takes.tasks
 
 
+@pytest.mark.loops("asyncio", "trio")
 async def test_tasks_survive_a_restart_of_this_server():
     takes = TakesTasks()
     options: Any = {"extensions": [takes]}
@@ -152,8 +167,69 @@ async def test_tasks_survive_a_restart_of_this_server():
             assert (await ended(client, begun.task_id)).status == "cancelled"
 
 
-@pytest.mark.parametrize("task_id", [NOBODY, "zz", ""])
-@pytest.mark.parametrize("method", ["tasks/get", "tasks/cancel", "tasks/update"])
+async def test_a_task_survives_restarts_of_its_journaled_server_and_of_this_one(tmp_path):
+    takes = TakesTasks()
+    options: Any = {"extensions": [takes]}
+    async with killable_server(tmp_path) as (program, node):
+        async with (
+            open_mcp(node, actions=["/count"]) as server,
+            client_of(server, **options) as client,
+        ):
+            await client.call_tool("count", {"upto": 120})
+            task_id = takes.tasks[-1].task_id
+            await goes_on(client, task_id)
+            await restart(program)
+            await goes_on(client, task_id)
+        async with (
+            open_mcp(node, actions=["/count"]) as second,
+            client_of(second, **options) as client,
+        ):
+            await goes_on(client, task_id)  # the id of a task is the id of its goal
+            await restart(program)
+            task = await ended(client, task_id)
+    assert task.status == "completed"
+    assert task.result["structuredContent"]["result"] == {"counted": list(range(120))}
+
+
+@asynccontextmanager
+async def killable_server(tmp_path):
+    """A program that serves /count with a journal, and a node that sees it."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    program = KillableServer(address, tmp_path / "goals.db")
+    await program.start()
+    quick = {"connect/retry": {"period_init_ms": 50, "period_max_ms": 50}}
+    try:
+        async with (
+            open_zenoh([address], listen=[], config=quick) as transport,
+            open_node("near", transport=transport) as node,
+        ):
+            await transport.explore()
+            yield program, node
+    finally:
+        program.kill()
+
+
+async def restart(program):
+    """Kill the program, and start it again."""
+    program.kill()
+    await program.start()
+
+
+async def goes_on(client: Any, task_id: str) -> None:
+    """Poll a task until its feedback has changed a few times."""
+    told: set[str] = set()
+    while len(told) < 4:
+        task = await ask(client, "tasks/get", task_id)
+        assert task.status == "working"
+        told.add(task.status_message)
+        await anyio.sleep(0.002)
+
+
+@pytest.mark.parametrize(
+    ("method", "task_id"), [("tasks/get", NOBODY), ("tasks/cancel", "zz"), ("tasks/update", "")]
+)
 async def test_an_unknown_task_is_an_invalid_parameter(method, task_id):
     async with connect(client={"extensions": [TakesTasks()]}) as (_, client):
         with pytest.raises(MCPError, match="there is no task") as caught:
@@ -169,6 +245,19 @@ async def test_a_client_that_declares_no_tasks_gets_none(mode, code):
         with pytest.raises(MCPError) as caught:
             await ask(client, "tasks/get", NOBODY)
     assert caught.value.error.code == code
+
+
+def listening(task_id: str) -> SubscriptionsListenRequest:
+    """A request to be told of a task."""
+    wanted = SubscriptionFilter.model_validate({"taskIds": [task_id]})
+    return SubscriptionsListenRequest(params=SubscriptionsListenRequestParams(notifications=wanted))
+
+
+async def test_a_client_that_declares_no_tasks_cannot_listen_to_one():
+    async with connect() as (_, client):
+        with pytest.raises(MCPError) as caught:
+            await client.session.send_request(listening(NOBODY), Result)
+    assert caught.value.error.code == MISSING_CAPABILITY
 
 
 async def test_tasks_that_have_ended_are_forgotten_if_there_are_too_many():

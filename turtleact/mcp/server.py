@@ -33,6 +33,8 @@ from mcp.types import (
     ReadResourceResult,
     Resource,
     ResourceTemplate,
+    SubscriptionsListenRequestParams,
+    SubscriptionsListenResult,
     TextResourceContents,
 )
 
@@ -46,7 +48,7 @@ from turtleact.mcp.greeting import INSTRUCTIONS, NAME
 from turtleact.mcp.offer import Limits, Names, Offer
 from turtleact.mcp.replies import failure
 from turtleact.mcp.schema import message_from, plain
-from turtleact.mcp.tasks import Tasks, declares_tasks
+from turtleact.mcp.tasks import TASK_IDS, Tasks, declares_tasks, require_tasks
 from turtleact.mcp.tools import Tools, picture, read_topic
 from turtleact.tasks import Background
 
@@ -106,7 +108,7 @@ class McpServer:
             on_list_resources=self._list_resources,
             on_list_resource_templates=self._list_templates,
             on_read_resource=self._read_resource,
-            on_subscriptions_listen=self._listening,
+            on_subscriptions_listen=self._listen,
         )
         server.middleware.append(self._note_session)
         if not self._offer.is_read_only:
@@ -226,6 +228,18 @@ class McpServer:
         raise TurtleactError(f"there is no resource {uri[:100]}")
 
     # changes
+
+    async def _listen(
+        self, ctx: Request, params: SubscriptionsListenRequestParams
+    ) -> SubscriptionsListenResult:
+        """Tell a client of changes until it leaves; tasks are not among them, so they are polled.
+
+        Raises:
+            MCPError: if the client wants to hear of tasks, but does not declare the extension.
+        """
+        if TASK_IDS in (params.notifications.model_extra or {}):
+            require_tasks(ctx)
+        return await self._listening(ctx, params)
 
     async def _note_session(self, ctx: Request, call_next: CallNext) -> HandlerResult:
         """Remember the sessions of the older protocol, which are told of changes one by one.

@@ -34,7 +34,7 @@ from mcp.types import (
     RequestParams,
 )
 
-from turtleact.errors import TurtleactError
+from turtleact.errors import ServerUnavailable, TurtleactError
 from turtleact.goal import GoalStatus
 from turtleact.goal_id import new_goal_id
 from turtleact.mcp.replies import data_of, failure, one_line
@@ -51,9 +51,12 @@ if TYPE_CHECKING:
     from turtleact.mcp.goals import AnyClient, Goals
     from turtleact.mcp.request import Request
 
-__all__ = ["EXTENSION", "Tasks", "declares_tasks"]
+__all__ = ["EXTENSION", "TASK_IDS", "Tasks", "declares_tasks", "require_tasks"]
 
 EXTENSION: Final = "io.modelcontextprotocol/tasks"
+TASK_IDS: Final = "taskIds"
+"""The key with which a client asks to be told of tasks, in ``subscriptions/listen``."""
+
 METHODS: Final = ("tasks/get", "tasks/update", "tasks/cancel")
 FIRST_VERSION: Final = "2026-07-28"
 """The first version of the protocol that has the extension; versions are dates."""
@@ -63,7 +66,10 @@ KEEP_MS: Final = 3_600_000
 
 POLL_MS: Final = 500
 RETURN: Final = 600.0
-"""How long a goal's server may be away before its task fails (s, event loop time)."""
+"""How long a goal's server may be away before its task ends with an error (s)."""
+
+PAUSE: Final = 0.5
+"""The pause before a server that has gone is looked for again (s, event loop time)."""
 
 
 class TaskParams(RequestParams):
@@ -181,9 +187,16 @@ class Tasks:
             task.known.set()
 
     async def _attach(self, client: AnyClient, task: _Task) -> None:
+        """Follow a goal that a server holds; with a journal, also after the server's restarts."""
         try:
-            async with client.attach(task.goal_id) as handle:
-                await self._follow(task, handle)
+            while task.reply is None:
+                try:
+                    async with client.attach(task.goal_id) as handle:
+                        await self._follow(task, handle)
+                except ServerUnavailable:
+                    await anyio.sleep(PAUSE)
+                    if not await client.wait_for_server(RETURN):
+                        raise
         except TurtleactError as error:
             task.end(failure(error), "completed")
         finally:
@@ -212,10 +225,7 @@ class Tasks:
         """
         if ctx.protocol_version < FIRST_VERSION:
             raise MCPError(METHOD_NOT_FOUND, "Method not found", ctx.method)
-        if not declares_tasks(ctx):
-            needed: dict[str, Any] = {"requiredCapabilities": {"extensions": {EXTENSION: {}}}}
-            problem = f"the client has not declared the extension {EXTENSION}"
-            raise MCPError(MISSING_REQUIRED_CLIENT_CAPABILITY, problem, needed)
+        require_tasks(ctx)
         try:
             goal_id = binascii.unhexlify(text)
         except ValueError:
@@ -261,3 +271,15 @@ def declares_tasks(ctx: Request) -> bool:
     capabilities = ctx.session.client_capabilities
     declared = None if capabilities is None else capabilities.extensions
     return ctx.protocol_version >= FIRST_VERSION and EXTENSION in (declared or {})
+
+
+def require_tasks(ctx: Request) -> None:
+    """Refuse a request about tasks of a client that has not declared the extension.
+
+    Raises:
+        MCPError: if it has not.
+    """
+    if not declares_tasks(ctx):
+        needed: dict[str, Any] = {"requiredCapabilities": {"extensions": {EXTENSION: {}}}}
+        problem = f"the client has not declared the extension {EXTENSION}"
+        raise MCPError(MISSING_REQUIRED_CLIENT_CAPABILITY, problem, needed)
