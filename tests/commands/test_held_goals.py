@@ -1,4 +1,4 @@
-"""``goals``, ``cancel``, ``watch``, ``result`` and ``action echo``: goals that others have sent."""
+"""``goals``, ``cancel``, ``watch`` and ``result``: goals that others have sent."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ import pytest
 from turtleact import QoS, open_node
 from turtleact.actions.patrol import Patrol
 from turtleact.clock import EPOCH, VirtualClock
+from turtleact.commands import event_echo, live, send_goal, topic_reading
 from turtleact.commands import held_goals as verbs
-from turtleact.commands import live, send_goal, topic_reading
 from turtleact.commands.held_goals import HeldGoal, held_goals, served_actions
+from turtleact.commands.message_style import Style
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.standard import (
@@ -379,29 +380,6 @@ def test_feedback_that_has_come_with_the_result_is_printed_before_it(on_graph, g
     )
 
 
-# --- action echo ----------------------------------------------------------------------------
-
-
-def test_the_feedback_and_the_states_of_all_goals_are_echoed(on_graph, graphs):
-    nodes = graphs.in_turn(graphs.fibonacci, sent(2, wait=0.5), graphs.interrupted(3))
-    first, second = "c53d" + 28 * "0", "abcd" + 28 * "0"
-    ran = on_graph(nodes, "action", "echo", "fibonacci")
-    assert (ran.status, ran.err) == (130, "")
-    documents = ran.out.split("---\n")
-    assert documents[0] == f"goal_id: '{first}'\nstatus: EXECUTING\n"
-    assert documents.count(f"goal_id: '{second}'\nstatus: SUCCEEDED\n") == 1
-    assert f"goal_id: '{second}'\nfeedback:\n  sequence:\n  - 0\n  - 1\n  - 1\n" in documents
-    assert len(documents) == 2 * 3 + 1
-
-
-def test_the_feedback_of_an_action_that_nobody_serves_is_an_error(on_graph, graphs):
-    ran = on_graph(graphs.fibonacci, "action", "echo", "fibonaci")
-    assert (
-        ran.err == "turtleact: action '/fibonaci': nobody serves it; is your server running, or "
-        "did you mean '/fibonacci'?\n"
-    )
-
-
 async def test_what_echoes_and_measures_ends_with_its_node(graphs):
     transport = MemoryTransport()
     async with (
@@ -409,7 +387,8 @@ async def test_what_echoes_and_measures_ends_with_its_node(graphs):
         anyio.create_task_group() as beside,
         open_node("viewer", transport=transport) as viewer,
     ):
-        beside.start_soon(verbs.echo, viewer, "/fibonacci")
+        order = event_echo.Order("/fibonacci", None, Style())
+        beside.start_soon(event_echo.echo_action, viewer, order)
         beside.start_soon(
             topic_reading.measure, viewer, "/fibonacci/_action/feedback", topic_reading.Rate(5)
         )

@@ -33,7 +33,6 @@ COMPLETE = {
     "topic echo NAME --csv": "topic echo /turtle1/pose --csv",
     "serve --config FILE": "serve --config serve.toml",
     "node info NODE": "node info /turtlesim",
-    "service call": "service call /clear std_srvs/srv/Empty",
     "param set": "param set /turtlesim background_r 100",
     "serve --web 9090": "serve --web 0",
 }

@@ -54,7 +54,10 @@ USAGE = [
     (["send-goal", "x", "--json", "--plain"], "give one of --json and --plain"),
     (["send_goal", "x"], "No such command 'send_goal'. Did you mean 'send-goal'?"),
     (["goal"], "No such command 'goal'. Did you mean 'goals', 'send-goal'?"),
-    (["echo", "/x"], "No such command 'echo'. Did you mean 'action echo' or 'topic echo'?"),
+    (
+        ["echo", "/x"],
+        "No such command 'echo'. Did you mean 'action echo' or 'topic echo' or 'service echo'?",
+    ),
     (["send-gaol"], "No such command 'send-gaol'. Did you mean 'send-goal'?"),
     (["--frobnicate"], "No such option: --frobnicate"),
     (["send-goal", "--rate"], "No such option: --rate"),
@@ -121,7 +124,6 @@ USAGE = [
     (["security"], "turtleact has no 'security': 'turtleact serve --config FILE' controls"),
     (["wtf"], "turtleact has no 'wtf': 'turtleact node list' tells"),
     (["rqt_graph"], "turtleact has no 'rqt_graph': 'turtleact node list' lists the nodes"),
-    (["service", "echo", "--flow-style", "/x"], "turtleact has no 'service echo': nodes"),
     (["send-goal", "x", "--embedded", "--connect", "tcp/a:1"], "is given twice"),
     (["send-goal", "x", "--speed", "2", "--connect", "tcp/a:1"], "is given twice"),
     (

@@ -13,7 +13,7 @@ __all__ = ["GROUPS", "VERBS"]
 GROUPS: Final = {
     "action": ("send_goal", "list", "info", "type", "find", "echo"),
     "topic": ("list", "info", "type", "find", "echo", "hz", "bw", "delay", "pub"),
-    "service": ("list", "info", "type", "find", "call"),
+    "service": ("list", "info", "type", "find", "call", "echo"),
     "node": ("list", "info"),
     "param": ("list", "get", "set", "delete", "describe", "dump", "load"),
     "pkg": ("create", "list", "executables"),

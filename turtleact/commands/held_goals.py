@@ -1,4 +1,4 @@
-"""``goals``, ``cancel``, ``watch``, ``result`` and ``action echo``: goals that others have sent.
+"""``goals``, ``cancel``, ``watch`` and ``result``: goals that others have sent.
 
 All of it goes through the endpoints of an action that any ROS 2 peer has: the status topic says
 which goals a server holds, ``cancel_goal`` cancels them, and ``get_result`` waits for their end.
@@ -25,10 +25,8 @@ from turtleact.client import Outcome
 from turtleact.clock import within
 from turtleact.commands.absence import not_served
 from turtleact.commands.graph import interface_class
-from turtleact.commands.message_text import yaml_lines
 from turtleact.commands.output import duration, note, say, say_names
 from turtleact.commands.pause_requests import follow_paused, paused_goals, set_paused
-from turtleact.commands.topic_reading import note_absence
 from turtleact.commands.transcript import Followed
 from turtleact.errors import (
     ServerUnavailable,
@@ -41,12 +39,10 @@ from turtleact.graph import types_by_name
 from turtleact.interfaces import (
     SECOND,
     Action,
-    Implied,
     Message,
     implied,
     nanoseconds,
     stamp_of,
-    to_dict,
 )
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo, GoalStatusArray
 from turtleact.names import action_names, resolve_name
@@ -63,7 +59,6 @@ __all__ = [
     "WatchedGoal",
     "cancel",
     "cancel_many",
-    "echo",
     "find_goal",
     "find_goals",
     "follow",
@@ -522,51 +517,3 @@ async def _call(client: Any, action: str, request: Message, timeout: float | Non
         return await client.call(request, timeout)
     except ServerUnavailable as error:
         raise ServerUnavailable(action, error.problem) from None
-
-
-# action echo
-
-
-async def echo(node: Node, name: str) -> int:
-    """Print the feedback and the states of all goals of an action until the node is closed.
-
-    Raises:
-        ServerUnavailable: if nobody serves an action of that name.
-        TurtleactError: if its type is not known here.
-    """
-    [(full_name, type_name)] = served_actions(node, name).items()
-    action_type = interface_class(Action, type_name, f"action '{full_name}'")
-    kinds: Implied = implied(action_type)
-    names = action_names(full_name)
-    async with anyio.create_task_group() as beside:
-        beside.start_soon(note_absence, node, names.feedback)
-        async with anyio.create_task_group() as telling:
-            statuses = node.subscription(GoalStatusArray, names.status, STATUS_QOS)
-            telling.start_soon(_echo_statuses, statuses, full_name, type_name)
-            feedback = node.subscription(kinds.feedback_message, names.feedback, FEEDBACK_QOS)
-            telling.start_soon(_echo_feedback, feedback)
-        beside.cancel_scope.cancel()
-    return DONE
-
-
-async def _echo_statuses(
-    messages: Subscription[GoalStatusArray], name: str, type_name: str
-) -> None:
-    """Print each state of a goal once."""
-    known: dict[bytes, GoalStatus] = {}
-    async for message in messages:
-        goals = list(goals_in(message, name, type_name))
-        for goal in goals:
-            if known.get(goal.goal_id) is not goal.status:
-                _echo(goal.goal_id, [f"status: {goal.status.name}"])
-        known = {goal.goal_id: goal.status for goal in goals}
-
-
-async def _echo_feedback(messages: Subscription[Any]) -> None:
-    async for message in messages:
-        feedback: Message = message.feedback
-        _echo(message.goal_id.uuid, yaml_lines({"feedback": to_dict(feedback)}))
-
-
-def _echo(goal_id: bytes, lines: Iterable[str]) -> None:
-    say("".join(f"{line}\n" for line in (f"goal_id: '{goal_id.hex()}'", *lines, "---")))

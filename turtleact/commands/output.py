@@ -10,7 +10,17 @@ import os
 import sys
 from typing import TextIO
 
-__all__ = ["ELSEWHERE", "abandon", "duration", "note", "printable", "say", "say_names", "tell_exit"]
+__all__ = [
+    "ELSEWHERE",
+    "abandon",
+    "duration",
+    "note",
+    "printable",
+    "say",
+    "say_message",
+    "say_names",
+    "tell_exit",
+]
 
 ELSEWHERE = (
     "source the ROS workspace that has it, give --interfaces DIR, or change to the folder of its "
@@ -25,6 +35,12 @@ HALF = 2000
 def say(text: str) -> None:
     """Print a block on stdout; a pipe sees it at once."""
     print(text, end="", flush=True)
+
+
+def say_message(text: str) -> None:
+    """Print the text of a message; a terminal gets it printable, anything else as it is."""
+    is_terminal = sys.stdout is not None and sys.stdout.isatty()
+    say(printable(text) if is_terminal else text)
 
 
 def say_names(text: str) -> None:

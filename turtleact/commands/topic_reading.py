@@ -4,14 +4,12 @@
 ``delay`` report a silent topic each second, as ROS 1 did. All of them report when the last
 publisher goes.
 
-Source: ros2cli ``ros2topic/verb/{echo,hz,bw,delay}.py`` and rosidl_runtime_py ``convert.py``;
-recordings of Jazzy for the words.
+Source: ros2cli ``ros2topic/verb/{echo,hz,bw,delay}.py``; recordings of Jazzy for the words.
 """
 
 from __future__ import annotations
 
 import math
-import sys
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -19,13 +17,12 @@ import anyio
 
 from turtleact.clock import within
 from turtleact.commands.graph import chosen_class
-from turtleact.commands.message_text import yaml_lines
-from turtleact.commands.output import note, printable, say, say_names
+from turtleact.commands.message_style import Style
+from turtleact.commands.output import note, say, say_message, say_names
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.graph import names_like, types_by_name
-from turtleact.interfaces import Message, encode, nanoseconds, to_dict
-from turtleact.interfaces.definition import ArrayForm, did_you_mean
-from turtleact.interfaces.text import flow
+from turtleact.interfaces import Message, encode, nanoseconds
+from turtleact.interfaces.definition import did_you_mean
 from turtleact.interfaces.types import fields, nested_classes
 from turtleact.names import resolve_name
 from turtleact.summaries import summary
@@ -36,7 +33,6 @@ if TYPE_CHECKING:
     from types import CodeType
 
     from turtleact.commands.settings import Durability, Policies
-    from turtleact.interfaces.definition import FieldType
     from turtleact.node import Node
     from turtleact.topics import Subscription
 
@@ -44,15 +40,6 @@ __all__ = ["Bandwidth", "Delay", "Meter", "Order", "Rate", "echo", "measure", "n
 
 ECHO_DEPTH = 1000
 """Messages that ``echo`` keeps while the output is stuck."""
-
-IDL_NAMES = {
-    "bool": "boolean",
-    "byte": "octet",
-    "char": "uint8",
-    "float32": "float",
-    "float64": "double",
-}
-"""Types that have another name in IDL, which ``--no-arr`` prints."""
 
 LONGEST = 300
 """How many characters are shown of an error that contains a message."""
@@ -73,11 +60,7 @@ class Order(NamedTuple):
         type_name: The type of the topic; None for the type on the graph.
         path: The names that lead to the field to print; empty for the whole message.
         once: Whether to exit after the first message.
-        csv: Whether to print comma-separated values instead of YAML.
-        flow: Whether to print YAML on one line.
-        longest: The length to which lists and strings are cut; None cuts none.
-        arrays: Whether to print the elements of lists, or only their type.
-        strings: Whether to print strings, or only their length.
+        style: How messages are printed.
         timeout: When to exit (s, by the clock of the graph); None for never.
         wanted: A Python expression that is true for the messages ``m`` to print; None for all.
         raw: Whether to print messages as CDR bytes.
@@ -88,11 +71,7 @@ class Order(NamedTuple):
     type_name: str | None
     path: tuple[str, ...]
     once: bool
-    csv: bool
-    flow: bool
-    longest: int | None
-    arrays: bool
-    strings: bool
+    style: Style
     timeout: float | None
     wanted: CodeType | None
     raw: bool
@@ -148,7 +127,7 @@ async def _print(
             if order.wanted is not None and not _is_wanted(message, order.wanted, order.path):
                 continue
             text = _text(message, order)
-            say(printable(text) if _is_terminal() else text)
+            say_message(text)
             count += 1
             if order.once:
                 return DONE
@@ -156,11 +135,6 @@ async def _print(
         _check_type(node, subscription.topic, message_type)
         note(f"no message on topic '{subscription.topic}' within {order.timeout:g} s")
     return DONE if count else TIMEOUT
-
-
-def _is_terminal() -> bool:
-    """Whether stdout is a terminal, which control characters in a message could affect."""
-    return sys.stdout is not None and sys.stdout.isatty()
 
 
 def _durability(node: Node, name: str) -> Durability:
@@ -219,59 +193,10 @@ def _text(message: Message, order: Order) -> str:
     """A message as it is printed."""
     if order.raw:
         return f"{encode(message)!r}\n---\n"
-    value: object = to_dict(message)
-    if not (order.arrays and order.strings):
-        value = _described(type(message), to_dict(message), order)
+    value: object = order.style.values(message)
     for name in order.path:
         value = value[name]  # type: ignore[index]  # a mapping, as `_check_path` has seen
-    if order.longest is not None:
-        value = _cut(value, order.longest)
-    if order.csv:
-        return f"{_csv(value)}\n"
-    lines = [flow(value)] if order.flow else yaml_lines(value)
-    return "".join(f"{line}\n" for line in (*lines, "---"))
-
-
-def _described(cls: type[Message], values: dict[str, object], order: Order) -> dict[str, object]:
-    """The fields of a message; those that are left out are only described."""
-    described = dict(values)
-    for field, nested in zip(fields(cls), nested_classes(cls), strict=True):
-        value = values[field.name]
-        if field.type.is_sequence and not order.arrays:
-            described[field.name] = _kind_of_list(field.type, len(value))  # type: ignore[arg-type]  # a list
-        elif isinstance(value, str) and not order.strings:
-            described[field.name] = f"<string length: <{len(value)}>>"
-        elif nested is not None and isinstance(value, dict):
-            described[field.name] = _described(nested, value, order)
-        elif nested is not None and isinstance(value, list):
-            described[field.name] = [_described(nested, each, order) for each in value]
-    return described
-
-
-def _kind_of_list(kind: FieldType, length: int) -> str:
-    name = IDL_NAMES.get(kind.name, kind.name)
-    if kind.form is ArrayForm.FIXED:
-        return f"<array type: {name}[{kind.size}]>"
-    bound = f"[{kind.size}]" if kind.form is ArrayForm.BOUNDED else ""
-    return f"<sequence type: {name}{bound}, length: {length}>"
-
-
-def _cut(value: object, longest: int) -> object:
-    """A value with its lists and strings cut; three dots stand for the rest."""
-    if isinstance(value, dict):
-        return {name: _cut(item, longest) for name, item in value.items()}
-    if isinstance(value, str):
-        return value if len(value) <= longest else f"{value[:longest]}..."
-    if not isinstance(value, list | bytes):
-        return value
-    more = ["..."] if len(value) > longest else []
-    return [_cut(item, longest) for item in value[:longest]] + more
-
-
-def _csv(value: object) -> str:
-    if isinstance(value, dict):
-        return ",".join(map(_csv, value.values()))
-    return ",".join(map(_csv, value)) if isinstance(value, list | bytes) else str(value)
+    return order.style.text(value)
 
 
 PERIOD = 1.0

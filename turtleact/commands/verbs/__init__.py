@@ -78,7 +78,6 @@ _ELSEWHERE: Final = {
     "rqt": "'turtleact serve --web 9090' shows goals, topics and turtles in a browser",
     "rqt_graph": "'turtleact node list' lists the nodes, 'turtleact node info NODE' describes one",
     "rviz2": "'turtleact serve --web 9090' shows the turtles in a browser",
-    "service echo": "nodes do not publish their service calls; use 'turtleact service call'",
     "test": _TEST,
     "wtf": "'turtleact node list' tells whether a graph is in reach",
 }

@@ -19,9 +19,15 @@ from turtleact.commands.verbs import SETTINGS, Job, Verb, new_group
 from turtleact.commands.verbs.options import (
     Config,
     Connect,
+    Csv,
     Domain,
+    Flow,
+    FullLength,
     Interfaces,
+    NoArrays,
+    NoStrings,
     Plain,
+    Truncate,
     folder,
     journal_in,
     message_of,
@@ -32,6 +38,7 @@ from turtleact.commands.verbs.options import (
     seconds,
     span,
     speed_or_max,
+    style,
     type_and_text,
     type_of,
     whole,
@@ -68,6 +75,16 @@ Name: TypeAlias = Annotated[
     ),
 ]
 Type: TypeAlias = Annotated[str | None, type_of("action", is_asked=True)]
+PartsOrFolder: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--interfaces",
+        "-i",
+        metavar="PART|PART",
+        help="Print only these parts: GOAL_SERVICE, CANCEL_SERVICE, RESULT_SERVICE, "
+        "FEEDBACK_TOPIC, STATUS_TOPIC. Or a folder with more interfaces, as for other verbs.",
+    ),
+]
 Goal: TypeAlias = Annotated[str | None, message_of("goal", "GOAL")]
 Feedback: TypeAlias = Annotated[
     bool, typer.Option("--feedback", "-f", help="Print each feedback message.")
@@ -490,19 +507,34 @@ def find(
 @action.command(cls=Verb)
 def echo(
     name: Name,
+    type_name: Type = None,
     *,
-    interfaces: Interfaces = None,
+    csv: Csv = False,
+    flow: Flow = False,
+    full_length: FullLength = False,
+    truncate_length: Truncate = 128,
+    no_arr: NoArrays = False,
+    no_str: NoStrings = False,
+    interfaces: PartsOrFolder = None,
     connect: Connect = None,
     domain: Domain = 0,
     config: Config = None,
 ) -> Job:
-    """Print the feedback and the states of all goals of an action."""
-    from turtleact.commands import held_goals
+    """Print the feedback, the states, the requests and the responses of an action."""
+    from turtleact.commands import event_echo
 
+    parts = None if interfaces is None else _parts(interfaces, event_echo.PARTS)
+    longest = None if full_length else truncate_length
+    order = event_echo.Order(
+        name,
+        type_name,
+        style(csv=csv, flow=flow, longest=longest, no_arr=no_arr, no_str=no_str),
+        parts or event_echo.PARTS,
+    )
     return on_known_graph(
         reach(connect, domain, config),
-        interfaces,
-        lambda _: lambda node: held_goals.echo(node, name),
+        Path(interfaces) if interfaces is not None and parts is None else None,
+        lambda _: lambda node: event_echo.echo_action(node, order),
     )
 
 
@@ -552,6 +584,21 @@ def _since(text: str) -> int:
     except UsageError:
         problem = "takes a length of time such as 1h, or a time such as 2026-11-21T20:15:00Z"
         raise UsageError(f"--since {problem}, not {quoted(text)}") from None
+
+
+def _parts(text: str, known: tuple[str, ...]) -> list[str] | None:
+    """The parts of an action that ``--interfaces`` names; None if it names a folder.
+
+    Raises:
+        UsageError: if it is neither.
+    """
+    parts = [each.strip().upper() for each in text.split("|")]
+    if all(each in known for each in parts):
+        return parts
+    if Path(text).is_dir():
+        return None
+    words = ", ".join(known)
+    raise UsageError(f"--interfaces takes a folder, or some of {words}, not {quoted(text)}")
 
 
 def _read(look: Callable[[ModuleType], int]) -> Job:

@@ -14,8 +14,14 @@ from turtleact.commands.verbs import Job, Verb, new_group
 from turtleact.commands.verbs.options import (
     Config,
     Connect,
+    Csv,
     Domain,
+    Flow,
+    FullLength,
     Interfaces,
+    NoArrays,
+    NoStrings,
+    Truncate,
     hertz,
     message_of,
     on_graph,
@@ -23,6 +29,7 @@ from turtleact.commands.verbs.options import (
     only_one,
     reach,
     seconds,
+    style,
     type_and_text,
     type_of,
 )
@@ -429,3 +436,32 @@ def call(
         return lambda node: user_messages.call(node, name, type_name, text, rate=rate)
 
     return on_known_graph(reach(connect, domain, config), interfaces, plan)
+
+
+@service.command(cls=Verb)
+def echo(
+    name: ServiceName,
+    type_name: AskedType = None,
+    *,
+    csv: Csv = False,
+    flow: Flow = False,
+    full_length: FullLength = False,
+    truncate_length: Truncate = 128,
+    no_arr: NoArrays = False,
+    no_str: NoStrings = False,
+    interfaces: Interfaces = None,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Print the requests and responses of a service, if somebody publishes them."""
+    from turtleact.commands import event_echo
+
+    longest = None if full_length else truncate_length
+    shown = style(csv=csv, flow=flow, longest=longest, no_arr=no_arr, no_str=no_str)
+    order = event_echo.Order(name, type_name, shown)
+    return on_known_graph(
+        reach(connect, domain, config),
+        interfaces,
+        lambda _: lambda node: event_echo.echo_service(node, order),
+    )

@@ -17,6 +17,7 @@ from turtleact.commands.verbs import Job
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
+    from turtleact.commands.message_style import Style
     from turtleact.graph import Kind
     from turtleact.node import Node
 
@@ -124,6 +125,32 @@ Plain: TypeAlias = Annotated[
     bool, typer.Option("--plain", help="Print plain lines, even on a terminal.")
 ]
 
+Csv: TypeAlias = Annotated[
+    bool, typer.Option("--csv", help="Print all values on one line, separated by commas.")
+]
+Flow: TypeAlias = Annotated[
+    bool, typer.Option("--flow-style", help="Print each message on one line, in braces.")
+]
+FullLength: TypeAlias = Annotated[
+    bool, typer.Option("--full-length", "-f", help="Print long lists and strings in full.")
+]
+Truncate: TypeAlias = Annotated[
+    int,
+    typer.Option(
+        "--truncate-length",
+        "-l",
+        metavar="N",
+        min=0,
+        help="Cut lists and strings that are longer.",
+    ),
+]
+NoArrays: TypeAlias = Annotated[
+    bool, typer.Option("--no-arr", help="Print the length and type of lists only.")
+]
+NoStrings: TypeAlias = Annotated[
+    bool, typer.Option("--no-str", help="Print the length of strings only.")
+]
+
 
 def reach(connect: str | None = None, domain: int = 0, config: Path | None = None) -> Reach:
     """The graph that these options select; raises as `Reach.of` does."""
@@ -173,6 +200,18 @@ def type_of(kind: Kind, *, is_asked: bool = False) -> Any:  # noqa: ANN401  # as
         autocompletion=completion.types(kind, of_name=is_asked),
         show_default=False,
     )
+
+
+def style(*, csv: bool, flow: bool, longest: int | None, no_arr: bool, no_str: bool) -> Style:
+    """How messages are printed.
+
+    Raises:
+        UsageError: if they are to be printed in two ways.
+    """
+    from turtleact.commands.message_style import Style
+
+    only_one("how messages are printed", csv=csv, flow_style=flow)
+    return Style(csv=csv, flow=flow, longest=longest, arrays=not no_arr, strings=not no_str)
 
 
 def message_of(what: str, metavar: str = "VALUES") -> Any:  # noqa: ANN401  # likewise

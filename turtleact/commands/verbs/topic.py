@@ -12,8 +12,14 @@ from turtleact.commands.verbs import Job, Verb, new_group
 from turtleact.commands.verbs.options import (
     Config,
     Connect,
+    Csv,
     Domain,
+    Flow,
+    FullLength,
     Interfaces,
+    NoArrays,
+    NoStrings,
+    Truncate,
     hertz,
     message_of,
     on_graph,
@@ -21,6 +27,7 @@ from turtleact.commands.verbs.options import (
     only_one,
     reach,
     seconds,
+    style,
     type_and_text,
     type_of,
     whole,
@@ -88,31 +95,6 @@ Once: TypeAlias = Annotated[bool, typer.Option("--once", help="Exit after the fi
 Field: TypeAlias = Annotated[
     str | None,
     typer.Option("--field", metavar="FIELD", help="Print only this field, such as linear.x."),
-]
-Csv: TypeAlias = Annotated[
-    bool, typer.Option("--csv", help="Print all values on one line, separated by commas.")
-]
-Flow: TypeAlias = Annotated[
-    bool, typer.Option("--flow-style", help="Print each message on one line, in braces.")
-]
-FullLength: TypeAlias = Annotated[
-    bool, typer.Option("--full-length", "-f", help="Print long lists and strings in full.")
-]
-Truncate: TypeAlias = Annotated[
-    int,
-    typer.Option(
-        "--truncate-length",
-        "-l",
-        metavar="N",
-        min=0,
-        help="Cut lists and strings that are longer.",
-    ),
-]
-NoArrays: TypeAlias = Annotated[
-    bool, typer.Option("--no-arr", help="Print the length and type of lists only.")
-]
-NoStrings: TypeAlias = Annotated[
-    bool, typer.Option("--no-str", help="Print the length of strings only.")
 ]
 Timeout: TypeAlias = Annotated[
     float | None,
@@ -298,16 +280,13 @@ def echo(
         raise UsageError(f"--field takes names separated by dots, not {quoted(field)}")
     only_one("how messages are printed", raw=raw, csv=csv, flow_style=flow)
     only_one("what is printed", raw=raw, field=field is not None)
+    longest = None if full_length else truncate_length
     order = topic_reading.Order(
         name,
         type_name,
         () if field is None else tuple(field.split(".")),
         once=once,
-        csv=csv,
-        flow=flow,
-        longest=None if full_length else truncate_length,
-        arrays=not no_arr,
-        strings=not no_str,
+        style=style(csv=csv, flow=flow, longest=longest, no_arr=no_arr, no_str=no_str),
         timeout=timeout,
         wanted=None if filter_ is None else _compiled(filter_),
         raw=raw,
