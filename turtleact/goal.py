@@ -192,6 +192,7 @@ class Goal(msgspec.Struct, eq=False):
         published: How many of its messages were published on the feedback topic.
         is_asked_for: Whether a client in another process has asked for its result.
         error: Why contact with the goal was lost; its state is then UNKNOWN.
+        runner: What runs its body; None before it begins.
     """
 
     request: object
@@ -222,6 +223,7 @@ class Goal(msgspec.Struct, eq=False):
     published: int = 0
     is_asked_for: bool = False
     error: TurtleactError | None = None
+    runner: object = None
 
     @property
     def hex(self) -> str:

@@ -1,7 +1,7 @@
 """Two special encodings for goals on the wire: notes, and the bytes of the status topic.
 
-- A note carries what ROS 2 has no field for. It travels as a short JSON text attached to a
-  response. Other ROS 2 programs do not see it.
+- A note carries what ROS 2 has no field for. It travels as a short JSON text attached to a request
+  or a response. Other ROS 2 programs do not see it.
 - A server that ends thousands of goals within its ``result_timeout`` publishes all their states at
   each change. The functions here take 0.1 us per goal to write and 0.3 us to read, a tenth of what
   the general codec takes.
@@ -23,20 +23,29 @@ __all__ = ["GoalNote", "State", "pack_state", "read_states", "write_states"]
 
 
 class GoalNote(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The note attached to the answer to a ``SendGoal`` or ``GetResult`` request.
+    """The note attached to a ``SendGoal`` request, or to the answer to it or to ``GetResult``.
 
     Attributes:
         reason: Why the goal was rejected or aborted.
         feedback: How many feedback messages the server published for the goal.
+        traceparent: In a request: the span in which the goal was sent.
+        tracestate: In a request: what tracing systems add to it.
+        is_detached: In a request: whether the sender does not wait for the goal's end, so that the
+            goal gets a trace of its own.
 
-    >>> GoalNote.read(GoalNote("no such place", 3).write())
-    GoalNote(reason='no such place', feedback=3)
+    Source: W3C Trace Context, for ``traceparent`` and ``tracestate``.
+
+    >>> GoalNote("no such place", 3).write()
+    '{"reason":"no such place","feedback":3}'
     >>> GoalNote.read("")
-    GoalNote(reason='', feedback=0)
+    GoalNote(reason='', feedback=0, traceparent='', tracestate='', is_detached=False)
     """
 
     reason: str = ""
     feedback: int = 0
+    traceparent: str = ""
+    tracestate: str = ""
+    is_detached: bool = False
 
     def write(self) -> str:
         """Return the note as text.

@@ -1,7 +1,7 @@
 """Observers of the goals of a server or client: one list for all purposes.
 
-The status topic and users' hooks are observers; recordings and telemetry can be. An observer only
-watches. The list logs whatever an observer raises, so that it never affects a goal.
+The status topic, users' hooks and telemetry are observers. An observer only watches. The list logs
+whatever an observer raises, so that it never affects a goal.
 
 Order: all observers hear of one change before any hears of the next. If an observer causes a
 change, for example by canceling a goal, all observers hear of the current change first.
@@ -13,14 +13,54 @@ import logging
 from collections import deque
 from typing import TypeAlias
 
+import msgspec
+
 from turtleact.goal import Goal, GoalStatus
 from turtleact.summaries import STOPS, loggable
 
-__all__ = ["GoalObserver", "Observers"]
+__all__ = [
+    "BodyFailed",
+    "Detached",
+    "FeedbackLost",
+    "GoalObserver",
+    "Lost",
+    "News",
+    "Observers",
+]
 
 logger = logging.getLogger("turtleact")
 
-_News: TypeAlias = tuple[Goal, GoalStatus, GoalStatus] | tuple[Goal, object] | tuple[Goal]
+
+class BodyFailed(msgspec.Struct, frozen=True):
+    """The body raised an exception of its own. The goal ends ABORTED next."""
+
+    error: BaseException
+
+
+class Detached(msgspec.Struct, frozen=True):
+    """The sender has left the goal's block, and the goal goes on without it."""
+
+
+class FeedbackLost(msgspec.Struct, frozen=True):
+    """The goal has ended, and so many of its feedback messages have not arrived."""
+
+    count: int
+
+
+class Lost(msgspec.Struct, frozen=True):
+    """The server stops before the goal's end; the goal goes on when the server is back.
+
+    Attributes:
+        before: The goal's state until now.
+    """
+
+    before: GoalStatus
+
+
+News: TypeAlias = BodyFailed | Detached | FeedbackLost | Lost
+"""What else happens to a goal."""
+
+_News: TypeAlias = tuple[str, tuple[object, ...]]  # a method of observers, and its arguments
 
 
 class GoalObserver:
@@ -35,6 +75,18 @@ class GoalObserver:
     def pause_changed(self, goal: Goal) -> None:
         """Called after a server has paused or resumed a goal; ``is_paused`` tells which."""
 
+    def noted(self, goal: Goal, news: News) -> None:
+        """Called when something else happens to a goal."""
+
+    def goal_rejected(self, reason: str) -> None:
+        """Called when a server rejects a goal."""
+
+    def closed(self) -> None:
+        """Called when a client is closed. Nothing more is heard of goals that go on."""
+
+    def enter_body(self, goal: Goal) -> None:
+        """Called in a body's context before its first step, to set context variables for it."""
+
 
 class Observers:
     """The observers of one server or client.
@@ -45,9 +97,18 @@ class Observers:
     Attributes:
         are_any: Whether there are any observers. A server checks this before it calls anything.
         want_feedback: Whether any observer overrides `feedback_published`.
+        want_bodies: Whether any observer overrides `enter_body`.
     """
 
-    __slots__ = ("_action", "_is_telling", "_observers", "_untold", "are_any", "want_feedback")
+    __slots__ = (
+        "_action",
+        "_is_telling",
+        "_observers",
+        "_untold",
+        "are_any",
+        "want_bodies",
+        "want_feedback",
+    )
 
     def __init__(self, action: str) -> None:
         self._action = action
@@ -55,6 +116,7 @@ class Observers:
         self._untold: deque[_News] = deque()
         self._is_telling = False
         self.are_any = False
+        self.want_bodies = False
         self.want_feedback = False
 
     def add(self, observer: GoalObserver) -> None:
@@ -67,15 +129,31 @@ class Observers:
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
         """Tell all observers of a goal's new state."""
-        self._tell((goal, before, after))
+        self._tell("goal_changed", goal, before, after)
 
     def feedback_published(self, goal: Goal, feedback: object) -> None:
         """Tell all observers of a feedback message."""
-        self._tell((goal, feedback))
+        self._tell("feedback_published", goal, feedback)
 
     def pause_changed(self, goal: Goal) -> None:
         """Tell all observers that a goal was paused or resumed."""
-        self._tell((goal,))
+        self._tell("pause_changed", goal)
+
+    def noted(self, goal: Goal, news: News) -> None:
+        """Tell all observers what else has happened to a goal."""
+        self._tell("noted", goal, news)
+
+    def goal_rejected(self, reason: str) -> None:
+        """Tell all observers that a goal was rejected."""
+        self._tell("goal_rejected", reason)
+
+    def closed(self) -> None:
+        """Tell all observers that the client was closed."""
+        self._tell("closed")
+
+    def enter_body(self, goal: Goal) -> None:
+        """Let all observers set context variables for a body; call this in the body's context."""
+        self._call("enter_body", (goal,))
 
     def _set(self, observers: tuple[GoalObserver, ...]) -> None:
         self._observers = observers
@@ -84,31 +162,30 @@ class Observers:
             type(each).feedback_published is not GoalObserver.feedback_published
             for each in observers
         )
+        self.want_bodies = any(
+            type(each).enter_body is not GoalObserver.enter_body for each in observers
+        )
 
-    def _tell(self, news: _News) -> None:
+    def _tell(self, method: str, *news: object) -> None:
         """Tell all observers one piece of news, then whatever they cause meanwhile."""
         if self._is_telling:  # an observer has caused this; the call below tells it next
-            self._untold.append(news)
+            self._untold.append((method, news))
             return
         self._is_telling = True
         try:
-            while True:
-                for observer in self._observers:
-                    try:
-                        if len(news) == 3:
-                            observer.goal_changed(*news)
-                        elif len(news) == 2:
-                            observer.feedback_published(*news)
-                        else:
-                            observer.pause_changed(*news)
-                    except STOPS:
-                        raise
-                    except BaseException as error:  # also a stray cancellation
-                        problem = "an observer of the goals of %s failed"
-                        logger.error(problem, self._action, exc_info=loggable(error))
-                if not self._untold:
-                    return
-                news = self._untold.popleft()
+            self._call(method, news)
+            while self._untold:
+                self._call(*self._untold.popleft())
         finally:
             self._untold.clear()  # not empty only if the program ends
             self._is_telling = False
+
+    def _call(self, method: str, news: tuple[object, ...]) -> None:
+        for observer in self._observers:
+            try:
+                getattr(observer, method)(*news)
+            except STOPS:
+                raise
+            except BaseException as error:  # also a stray cancellation
+                problem = "an observer of the goals of %s failed"
+                logger.error(problem, self._action, exc_info=loggable(error))

@@ -30,7 +30,7 @@ class Service:
         self.sent: list[object] = []
         self.answered = anyio.Semaphore(0)
 
-    async def call(self, request: object) -> Reply:
+    async def call(self, request: object, note: str = "") -> Reply:
         self.sent.append(request)
         await self.answered.acquire()
         return Reply(request)

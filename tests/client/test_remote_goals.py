@@ -75,13 +75,13 @@ class Service:
     def is_served(self) -> bool:
         return self.server.is_back
 
-    def ask(self, _request: object) -> Early | None:
+    def ask(self, _request: object, note: str = "") -> Early | None:
         if not self.server.early:
             return None
         self.server.story.append(f"{self.name} early")
         return self.server.early.pop(0)
 
-    async def call(self, _request: object) -> Reply:
+    async def call(self, _request: object, note: str = "") -> Reply:
         self.server.story.append(self.name)
         answer = self.server.answers.pop(0)
         if isinstance(answer, Exception):

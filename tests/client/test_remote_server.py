@@ -82,7 +82,7 @@ class Apart:
     def join(self, endpoint: Any, format: Any, target: Any = EVERY_SERVER) -> Any:
         caller: Any = self._transport.join(endpoint, format, target)
         if self.is_prompt:
-            caller.ask = lambda request: Early(lambda: caller.call(request))
+            caller.ask = lambda request, note="": Early(lambda: caller.call(request, note))
         return caller
 
 
@@ -698,10 +698,10 @@ class CutCaller:
     def is_served(self) -> bool:
         return not self._graph.is_cut and self._caller.is_served
 
-    def ask(self, request: object) -> Early | None:
+    def ask(self, request: object, note: str = "") -> Early | None:
         return Early(lambda: self.call(request)) if self._graph.is_prompt else None
 
-    async def call(self, request: object) -> Any:
+    async def call(self, request: object, note: str = "") -> Any:
         if self._graph.delays and self._name.endswith("get_result"):
             await settle()
         if not self._graph.is_cut:

@@ -14,9 +14,10 @@ import sys
 import uuid
 import warnings
 from collections.abc import Callable, Coroutine, Generator
+from contextlib import AbstractContextManager, nullcontext
 from inspect import CO_COROUTINE
 from types import CodeType, TracebackType
-from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeAlias, TypeVar, cast
 
 import anyio
 import anyio.lowlevel
@@ -35,7 +36,7 @@ from turtleact.graph import graph_of
 from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.definition import nearest
 from turtleact.interfaces.standard import CancelGoal, Time
-from turtleact.observers import GoalObserver, Observers
+from turtleact.observers import Detached, GoalObserver, News, Observers
 from turtleact.tasks import Home, Tasks
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Owner, find_server, wait_until_served
@@ -46,6 +47,8 @@ logger = logging.getLogger("turtleact.client")
 
 SILENCE: Final = 5.0
 """After waiting so long for a server, the client says so once (s, event loop time)."""
+
+Around: TypeAlias = Callable[[GoalOrder], AbstractContextManager[GoalOrder]]
 
 G = TypeVar("G", bound=Message)
 R = TypeVar("R", bound=Message)
@@ -60,6 +63,8 @@ class ActionClient(Generic[G, R, F]):
         action_type: The action.
         is_open: Whether it can send goals.
         observers: Told of each change and feedback of the goals sent by this client.
+        around: Makes a block for each goal, in which it is sent and waited for, and gives the order
+            to send. None if nothing asks for that.
     """
 
     def __init__(
@@ -74,6 +79,7 @@ class ActionClient(Generic[G, R, F]):
         self.action_type: ActionType[G, R, F] = endpoints.action_type
         self.is_open = True
         self.observers = _ClientObservers(self)
+        self.around: Around | None = None
         self._endpoints = endpoints
         self._membership = owner.add(self, endpoints)
         self._cancel_timeout = cancel_timeout
@@ -174,6 +180,7 @@ class ActionClient(Generic[G, R, F]):
         """Leave the graph. Goals it has sent go on, unless ``on_client_lost`` cancels them."""
         self._home.check()
         self.is_open = False
+        self.observers.closed()
         if self._server is not None and self._server is not self._remote:
             self._server.client_lost(self)
         self._use(None)
@@ -236,6 +243,10 @@ class ActionClient(Generic[G, R, F]):
 
     # goals
 
+    async def _run_around(self, order: GoalOrder, around: Around) -> R:
+        with around(order) as known:
+            return await self._run(known)
+
     async def _run(self, order: GoalOrder) -> R:
         """Send a goal and wait for its result."""
         reattach = order.reattach
@@ -270,8 +281,10 @@ class ActionClient(Generic[G, R, F]):
 
     async def _enter(self, order: GoalOrder) -> GoalReader:
         """Send a goal and wait until it is accepted."""
-        server = await self._find_server(order.reattach)
-        return GoalReader(server, await server.send_goal(order), self._home, is_sender=True)
+        with nullcontext(order) if self.around is None else self.around(order) as known:
+            server = await self._find_server(known.reattach)
+            goal = await server.send_goal(known)
+        return GoalReader(server, goal, self._home, is_sender=True)
 
     async def _attach(self, goal_id: bytes) -> GoalReader:
         """Attach to a goal that somebody else sent."""
@@ -317,12 +330,12 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
     _calling: Coroutine[object, object, R] | None = None
 
     def __await__(self) -> Generator[object, object, R]:
-        return self._client._run(self._take_order()).__await__()
+        return self._start().__await__()
 
     def send(self, value: object) -> object:
         """Run to the next wait. Event loops call this."""
         if self._calling is None:
-            self._calling = self._client._run(self._take_order())
+            self._calling = self._start()
         return self._calling.send(value)
 
     def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
@@ -352,10 +365,17 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
         if reader is None or reader.goal.ended:
             return
         await reader.leave(self._client._cancel_timeout)
+        if reader.is_detached:
+            self._client.observers.noted(reader.goal, Detached())
         # The wait above is shielded, so a cancellation may have arrived meanwhile. Deliver it now,
         # unless the block already ends with an exception.
         if error is None:
             await anyio.lowlevel.checkpoint_if_cancelled()
+
+    def _start(self) -> Coroutine[object, object, R]:
+        client, order = self._client, self._take_order()
+        around = client.around
+        return client._run(order) if around is None else client._run_around(order, around)
 
     def _take_order(self) -> GoalOrder:
         order, self._order = self._order, None
@@ -461,6 +481,11 @@ class _Relay(GoalObserver):
         """Called after a goal was paused or resumed."""
         if goal.sender is self._client:
             self._observers.pause_changed(goal)
+
+    def noted(self, goal: Goal, news: News) -> None:
+        """Called when something else happens to a goal."""
+        if goal.sender is self._client:
+            self._observers.noted(goal, news)
 
 
 def _is_coroutine_function(callback: object) -> bool:

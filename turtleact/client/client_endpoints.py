@@ -74,14 +74,14 @@ class RequestLimiter:
         self._unanswered = 0
         self._waiting: deque[anyio.Event] = deque()
 
-    async def call(self, caller: Caller, request: object) -> Reply:
+    async def call(self, caller: Caller, request: object, note: str = "") -> Reply:
         """Send a request in its turn and wait for the reply; raises what the caller raises.
 
         Cancelling: safe. A request that still waits for its turn is not sent.
         """
         await self._wait_for_turn()
         try:
-            return await caller.call(request)
+            return await caller.call(request, note)
         finally:
             self._unanswered -= 1
             if self._unanswered < AT_ONCE:
@@ -212,11 +212,11 @@ class ClientEndpoints:
             self._goals.admit_all()
             self._cancels.admit_all()
 
-    async def ask_for_goal(self, request: object) -> Reply:
+    async def ask_for_goal(self, request: object, note: str) -> Reply:
         """Send a goal and return the answer; the request waits its turn unless `knows_ours`."""
         if self.knows_ours():
-            return await self.send_goal.call(request)
-        return await self._goals.call(self.send_goal, request)
+            return await self.send_goal.call(request, note)
+        return await self._goals.call(self.send_goal, request, note)
 
     async def ask_to_cancel(self, request: object) -> Reply:
         """Send a cancel request and return the answer; as `ask_for_goal`. Needs `open` first."""

@@ -38,10 +38,10 @@ from turtleact.goal import Cancelable, Goal, GoalEvent, GoalStatus, status_of
 from turtleact.goal_wire import GoalNote, State
 from turtleact.interfaces import SECOND, Message, nanoseconds, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
-from turtleact.observers import Observers
+from turtleact.observers import FeedbackLost, Observers
 from turtleact.summaries import STOPS, loggable, summary
 from turtleact.tasks import Signal, Tasks, wait_while
-from turtleact.transports.base import PendingCall, Reply
+from turtleact.transports.base import REQUEST_NOTE, PendingCall, Reply
 
 __all__ = ["RemoteGoal", "RemoteGoals"]
 
@@ -89,6 +89,7 @@ class RemoteGoal:
         is_abandoned: Whether it must be canceled as soon as it is accepted.
         is_awaited: Whether somebody waits for its acceptance.
         is_observed: Whether observers have heard of it.
+        note: The note to send with the goal.
         received: How many feedback messages have arrived.
         reattach: How long to wait for a server that has gone to return (s, event loop time).
         sent: The request that sends the goal, while it is under way without a task.
@@ -106,6 +107,7 @@ class RemoteGoal:
         "is_observed",
         "is_sender",
         "log",
+        "note",
         "reattach",
         "received",
         "sent",
@@ -122,6 +124,7 @@ class RemoteGoal:
         self.is_abandoned = False
         self.is_awaited = False
         self.is_observed = False
+        self.note = ""
         self.received = 0
         self.reattach = 0.0
         self.sent: PendingCall | None = None
@@ -174,6 +177,7 @@ class RemoteGoals:
             self.open()
         remote = RemoteGoal(goal, is_sender=True)
         remote.reattach = reattach
+        remote.note = REQUEST_NOTE.get()
         is_under_way = self._send_both(remote)
         self.by_id[remote.goal_id] = remote
         if not is_under_way:
@@ -256,7 +260,7 @@ class RemoteGoals:
             return False
         implied, goal_id = endpoints.implied, UUID(remote.goal_id)
         request = implied.send_goal.Request(goal_id, cast("Any", remote.goal.request))
-        sent = remote.sent = endpoints.send_goal.ask(request)
+        sent = remote.sent = endpoints.send_goal.ask(request, note=remote.note)
         if sent is None:
             return False
         asked = remote.asked = endpoints.get_result.ask(implied.get_result.Request(goal_id))
@@ -347,7 +351,7 @@ class RemoteGoals:
                 if sent is None:
                     goal_id, goal = UUID(remote.goal_id), cast("Any", remote.goal.request)
                     request = self._endpoints.implied.send_goal.Request(goal_id, goal)
-                    reply = await self._endpoints.ask_for_goal(request)
+                    reply = await self._endpoints.ask_for_goal(request, remote.note)
                 else:
                     reply = await sent.reply()
             except ServerUnavailable as error:
@@ -402,6 +406,8 @@ class RemoteGoals:
         if remote.received < count:
             lost = count - remote.received
             logger.warning("%d feedback messages of goal %s were lost", lost, remote.goal.hex)
+            if remote.is_observed:
+                self._observers.noted(remote.goal, FeedbackLost(lost))
 
     # messages from the server
 

@@ -84,6 +84,7 @@ class Node:
         clock: The graph's time. Bodies should wait with it.
         transport: The connection to other nodes.
         introspection: The introspection of what is opened on the node from now on.
+        resources: Everything that is open on the node.
     """
 
     introspection: Introspection = "off"
@@ -96,7 +97,7 @@ class Node:
         self.transport = transport
         self._tasks = current_tasks()
         self._home = Home(f"node '{self.fully_qualified_name}'")
-        self._resources = Resources(self._home)
+        self.resources = self._resources = Resources(self._home)
         self._slots = Slots[SlotRequest]()
         self._hooks: list[Transition] = []
         self._to_restore: list[LocalActionServer] = []
@@ -201,6 +202,7 @@ class Node:
             Body(names.name, execute),
             partial(ServerGoalHandle, self),
             self._home.of(f"the goal handle of action '{names.name}'"),
+            self.fully_qualified_name,
         )
         local = LocalActionServer(
             served, options, self._tasks, self.clock.now, self._place(options)
@@ -551,6 +553,7 @@ class ActionServer(Generic[G, R, F]):
         name: The fully qualified name.
         action_type: The action.
         node: The node that serves it.
+        local: Holds and runs its goals.
         is_serving: Whether it is on the graph under its name. It is not while it waits for another
             node to stop serving the name, nor after it has made way for one.
     """
@@ -566,7 +569,7 @@ class ActionServer(Generic[G, R, F]):
         self.action_type = action_type
         self.node = node
         self._membership: Closeable | None = None
-        self._local = local
+        self.local = self._local = local
         self._endpoints = endpoints
         self.is_serving = False
         self._watches: list[Background] = []
@@ -612,7 +615,6 @@ class ActionServer(Generic[G, R, F]):
         return self.is_serving
 
     def _watch(self, hook: Transition) -> None:
-        """Call a hook at each change of a goal."""
         self._local.observers.add(Hook(hook, self._local.execution))
 
     def _keep(self, running: Coroutine[object, object, None], name: str) -> None:
@@ -620,7 +622,6 @@ class ActionServer(Generic[G, R, F]):
         self._watches.append(Background(running, f"{name} {self.name}"))
 
     def _begin(self, rivals: Rivals) -> None:
-        """Join the graph."""
         if rivals.has_built_in(is_local=False):
             tell_of_built_in(self.name)
         elif not rivals.has_built_in():
@@ -635,7 +636,6 @@ class ActionServer(Generic[G, R, F]):
         self._turned.fire()
 
     def _stop(self) -> None:
-        """Stop accepting goals."""
         self._local.is_open = False
         self.is_serving = False
         self._turned.fire()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AsyncExitStack, contextmanager
+from typing import TypeVar
 from weakref import WeakValueDictionary
 
 import anyio
@@ -15,6 +16,8 @@ from turtleact.tasks import Home
 from turtleact.transports.base import AsyncCloseable, Closeable, Owner, ServerKind, Serving
 
 __all__ = ["Resources"]
+
+T = TypeVar("T")
 
 
 class Resources(Owner):
@@ -28,6 +31,7 @@ class Resources(Owner):
     def __init__(self, home: Home) -> None:
         self.home = home
         self.is_open = True
+        self._watchers: list[Callable[[object], object]] = []
         self._count = 0
         self._opened: dict[int, AsyncCloseable] = {}
         self._waits: set[anyio.CancelScope] = set()
@@ -41,6 +45,7 @@ class Resources(Owner):
         """Track something until the user closes it, or the node does."""
         self._count += 1
         self._opened[self._count] = thing
+        self._tell(thing)
         return _Membership(opened.close, self._opened, self._count)
 
     def add_server(
@@ -50,7 +55,22 @@ class Resources(Owner):
         self._count += 1
         self._opened[self._count] = server
         self._servers[kind][self._count] = server
+        self._tell(server)
         return _Membership(close, self._opened, self._count)
+
+    def watch(self, told: Callable[[object], object]) -> None:
+        """Call ``told`` with everything that is open, and with what is opened from now on."""
+        self._watchers.append(told)
+        for thing in tuple(self._opened.values()):
+            told(thing)
+
+    def find(self, kind: type[T]) -> T | None:
+        """Return the oldest open thing of a class; None if there is none."""
+        return next((each for each in self._opened.values() if isinstance(each, kind)), None)
+
+    def _tell(self, thing: object) -> None:
+        for told in self._watchers:
+            told(thing)
 
     def action_servers(self) -> list[object]:
         """The action servers, oldest first, including those that are closing."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from contextvars import Context, ContextVar
+from contextvars import Context, ContextVar, copy_context
 from functools import partial
 from typing import NamedTuple, Protocol, TypeAlias, cast
 
@@ -23,7 +23,7 @@ from turtleact.feedback import FeedbackLog
 from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable
 from turtleact.goal_id import new_goal_id
 from turtleact.interfaces import Message, snapshotter
-from turtleact.observers import Observers
+from turtleact.observers import BodyFailed, Lost, Observers
 from turtleact.server.body_task import BodyTask
 from turtleact.server.durable import DurableGoals
 from turtleact.server.pausing import Pauses
@@ -54,6 +54,7 @@ class Served(NamedTuple):
         body: The body to run.
         make_handle: Makes the handle for bodies and callbacks.
         home: The event loop in which all of this must be used.
+        node: The fully qualified name of the node.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Served(NamedTuple):
     body: Body
     make_handle: Callable[[Execution, Goal], object]
     home: Home
+    node: str
 
 
 class FeedbackOutlet(Protocol):
@@ -141,6 +143,9 @@ class Execution:
             self._end_canceled(goal)
         if goal.is_decided:
             return
+        if self.observers.want_bodies:
+            context = copy_context() if context is None else context
+            context.run(self.observers.enter_body, goal)
         task = goal.body = BodyTask(self, goal, self._tasks)
         self.bodies[task] = goal
         task.start(self.served.name, context)
@@ -148,6 +153,7 @@ class Execution:
     async def run(self, goal: Goal, task: BodyTask) -> None:
         """Run a body and end its goal when the body ends."""
         CURRENT_GOAL.set(goal)  # only in this task's context
+        goal.runner = self
         body = self.served.body
         try:
             if goal.hold is not None:
@@ -375,9 +381,12 @@ class Execution:
     def lose(self, goal: Goal, error: TurtleactError) -> None:
         """Tell whoever waits for a goal that its server has stopped before its end."""
         goal.is_decided = True
+        before = goal.status
         goal.error, goal.status = error, GoalStatus.UNKNOWN
         goal.leave_parent()
         self._table.end(goal, self._now())
+        if self.observers.are_any:
+            self.observers.noted(goal, Lost(before))
         if goal.listener is not None:
             goal.listener.fire()
         self._call_back(goal)
@@ -431,6 +440,8 @@ class Execution:
         else:
             name, told = self.served.name, loggable(error)
             logger.error("the body of goal %s of %s failed", goal.hex, name, exc_info=told)
+            if self.observers.are_any:
+                self.observers.noted(goal, BodyFailed(error))
             self.end(goal, GoalEvent.ABORT, None, summary(error))
 
     def _end_canceled(self, goal: Goal) -> None:

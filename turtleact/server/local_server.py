@@ -114,6 +114,7 @@ class LocalActionServer:
         grace: How long a body may clean up (s, event loop time).
         durable: The goals in the server's journal; None if it has none.
         pauses: Pauses and resumes the goals.
+        slot_name: The name of the slot that it shares with other servers; empty if it has none.
         closing_reason: The reason for goals that end because the server closes.
 
     Raises:
@@ -138,6 +139,7 @@ class LocalActionServer:
         self._tasks = tasks
         self._now = now
         self.slot = slot
+        self.slot_name = options.get("slot") or ""
         self._callbacks = Callbacks(served.name, options, tasks)
         self.durable = self._open_durable(options)
         self._cancels_lost = options.get("on_client_lost", "keep") == "cancel"
@@ -205,16 +207,20 @@ class LocalActionServer:
 
     async def take(self, order: GoalOrder, *, is_streamed: bool) -> Goal:
         """Accept a goal after asking the callback if needed; ``is_streamed`` keeps its feedback."""
-        if self.durable is not None:
-            return await self._take_durably(order, self.durable, is_streamed=is_streamed)
-        self._until_turn -= 1
-        goal = None
-        if self._until_turn > 0:
-            goal = self.take_nowait(order, is_streamed=is_streamed)
-        if goal is None:
+        if self.durable is None:
+            self._until_turn -= 1
+            if self._until_turn > 0:
+                goal = self.take_nowait(order, is_streamed=is_streamed)
+                if goal is not None:
+                    return goal
+        try:
+            if self.durable is not None:
+                return await self._take_durably(order, self.durable, is_streamed=is_streamed)
             request = await self._prepare(order)
-            goal = self._admit(self._new_goal(order, request, is_streamed=is_streamed))
-        return goal
+            return self._admit(self._new_goal(order, request, is_streamed=is_streamed))
+        except GoalRejected as rejected:
+            self.observers.goal_rejected(rejected.reason)
+            raise
 
     def take_nowait(self, order: GoalOrder, *, is_streamed: bool) -> Goal | None:
         """Accept a goal without waiting, or do nothing and return None if that needs waiting.
@@ -223,7 +229,11 @@ class LocalActionServer:
         """
         if self._callbacks.ask_about_goals or self.durable is not None:
             return None
-        return self._admit(self._new_goal(order, order.request, is_streamed=is_streamed))
+        try:
+            return self._admit(self._new_goal(order, order.request, is_streamed=is_streamed))
+        except GoalRejected as rejected:
+            self.observers.goal_rejected(rejected.reason)
+            raise
 
     async def _take_durably(
         self, order: GoalOrder, durable: DurableGoals, *, is_streamed: bool

@@ -24,6 +24,7 @@ Source: ROS 2 ``rmw``; the QoS policies of the ROS 2 documentation.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import msgspec
@@ -297,6 +298,10 @@ class Reply(msgspec.Struct, frozen=True):
     note: str = ""
 
 
+REQUEST_NOTE: ContextVar[str] = ContextVar("REQUEST_NOTE", default="")
+"""The note that came with the request that is being handled; only turtleact sends any."""
+
+
 class Target(msgspec.Struct, frozen=True, gc=False):
     """Selects servers for a client's requests if several processes serve the same service.
 
@@ -366,10 +371,14 @@ class Caller(Closeable, Protocol):
     def is_served(self) -> bool:
         """Whether a call would reach a server now. Changes only when the graph does."""
 
-    async def call(self, request: object) -> Reply:
+    async def call(self, request: object, note: str = "") -> Reply:
         """Send a request and wait for the reply.
 
         Cancelling: safe. A server in the same process is told.
+
+        Args:
+            request: The request.
+            note: A short text to send with it, for `REQUEST_NOTE` of a server in another process.
 
         Raises:
             InvalidMessage: if the request does not fit its type. Nothing was sent.
@@ -381,12 +390,16 @@ class Caller(Closeable, Protocol):
         """
 
     def ask(
-        self, request: object, on_end: Callable[[PendingCall], object] | None = None
+        self,
+        request: object,
+        on_end: Callable[[PendingCall], object] | None = None,
+        note: str = "",
     ) -> PendingCall | None:
         """Send a request to another process now; return None if `call` would have to wait first.
 
         Args:
             request: The request.
+            note: As for `call`.
             on_end: Called once with the call when it is over, in the thread that brings the reply
                 or in the event loop. A client that uses it may ask in any thread, one at a time.
 

@@ -391,7 +391,7 @@ class _Caller:
             self._seen = self._transport.changes
         return self._is_served
 
-    async def call(self, request: object) -> Reply:
+    async def call(self, request: object, note: str = "") -> Reply:  # noqa: ARG002
         name, handler = self.endpoint.name, self._handler()
         if not self._is_open:
             raise TurtleactError(f"the client of service '{name}' is closed: open another")
@@ -421,7 +421,12 @@ class _Caller:
             each.responded(reply.message, self.gid, sequence)
         return reply
 
-    def ask(self, _request: object, on_end: Callable[[PendingCall], object] | None = None) -> None:
+    def ask(
+        self,
+        _request: object,
+        on_end: Callable[[PendingCall], object] | None = None,
+        note: str = "",
+    ) -> None:
         """Return None: there are no servers in other processes."""
 
     def why_not_served(self, suffix: str = "") -> str:

@@ -30,6 +30,7 @@ __all__ = [
     "Attachment",
     "gid_in",
     "note_in",
+    "note_tail",
     "read_attachment",
     "write_attachment",
 ]
@@ -61,13 +62,17 @@ class Attachment(msgspec.Struct, frozen=True):
 
 def write_attachment(sequence: int, stamp: int, gid: bytes, note: str = "") -> bytes:
     """Encode an attachment; a note of more than 4,096 bytes is cut."""
-    fixed = LAYOUT.pack(sequence, stamp, GID_SIZE, gid)
+    return LAYOUT.pack(sequence, stamp, GID_SIZE, gid) + note_tail(note)
+
+
+def note_tail(note: str) -> bytes:
+    """Encode a note, to be put behind an attachment that has none."""
     if not note:
-        return fixed
+        return b""
     tail = note.encode(errors="backslashreplace")  # a note must never make its message fail
     if len(tail) > LONGEST_NOTE:
         tail = tail[:LONGEST_NOTE].decode(errors="ignore").encode()
-    return fixed + tail
+    return tail
 
 
 def read_attachment(data: bytes) -> Attachment:
@@ -83,7 +88,7 @@ def read_attachment(data: bytes) -> Attachment:
         raise _invalid(f"expected a gid of {GID_SIZE} bytes, not of {size}")
     if sequence < 0 or stamp < 0:
         raise _invalid(f"sequence number and time must not be negative: {sequence}, {stamp}")
-    note = note_in(data) if len(data) > LAYOUT.size else ""  # requests carry none
+    note = note_in(data) if len(data) > LAYOUT.size else ""  # most requests carry none
     return Attachment(sequence, stamp, gid, note)
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
+from contextvars import copy_context
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -28,6 +29,7 @@ from turtleact.errors import (
 from turtleact.summaries import loggable, shortened, summary
 from turtleact.tasks import GRACE
 from turtleact.transports.base import (
+    REQUEST_NOTE,
     AsyncHandler,
     Caller,
     CallObserver,
@@ -46,6 +48,7 @@ from turtleact.transports.rmw_zenoh.attachment import (
     Attachment,
     gid_in,
     note_in,
+    note_tail,
     read_attachment,
     write_attachment,
 )
@@ -158,6 +161,16 @@ class WireService:
         self._under_way[beside.gid, beside.sequence] = query
         if offer.observer is not None:
             offer.observer.requested(request, beside.gid, beside.sequence)
+        if beside.note:  # the handler's task inherits it from this context
+            copy_context().run(self._handle_noted, offer, beside, request)
+        else:
+            self._handle(offer, beside, request)
+
+    def _handle_noted(self, offer: _Offer, beside: Attachment, request: object) -> None:
+        REQUEST_NOTE.set(beside.note)
+        self._handle(offer, beside, request)
+
+    def _handle(self, offer: _Offer, beside: Attachment, request: object) -> None:
         if not self._answer_nowait(offer, beside, request):
             answering = self._answer(offer, beside, request)
             self._context.crew.run(answering, f"a request to {self._name}")
@@ -312,26 +325,29 @@ class WireCaller:
         """Whether a call would reach a server now."""
         return self._near.is_served or (self.is_matching and self._context.is_open)
 
-    async def call(self, request: object) -> Reply:
+    async def call(self, request: object, note: str = "") -> Reply:
         """Send a request and wait for the reply; see `turtleact.transports.base.Caller`."""
         if self._near.is_served or not self._is_open:
-            return await self._near.call(request)
+            return await self._near.call(request, note)
         payload = self._format.encode(request)
         if not self.is_matching:
             await self._wait_for_route()
         if not self.is_matching or not self._context.is_open:
             raise self._unavailable(self.why_not_served())
-        return await self._send(request, payload, is_cancelable=True).reply()
+        return await self._send(request, payload, note, is_cancelable=True).reply()
 
     def ask(
-        self, request: object, on_end: Callable[[PendingCall], object] | None = None
+        self,
+        request: object,
+        on_end: Callable[[PendingCall], object] | None = None,
+        note: str = "",
     ) -> PendingCall | None:
         """Send a request to another process now; None if that is not possible at once."""
         is_far = self.is_matching and self._context.is_open and not self._near.is_served
         if not is_far or not self._is_open:
             return None
         payload = self._format.encode(request)
-        return self._send(request, payload, is_cancelable=False, on_end=on_end)
+        return self._send(request, payload, note, is_cancelable=False, on_end=on_end)
 
     def close(self) -> None:
         """Leave the graph when the calls under way are over. A second call does nothing.
@@ -367,13 +383,13 @@ class WireCaller:
         self,
         request: object,
         payload: bytes,
+        note: str,
         *,
         is_cancelable: bool,
         on_end: Callable[[PendingCall], object] | None = None,
     ) -> WireCall:
-        call = WireCall(
-            self._context, payload, self._counter.next(), self, is_cancelable=is_cancelable
-        )
+        attachment = self._counter.next() + note_tail(note)
+        call = WireCall(self._context, payload, attachment, self, is_cancelable=is_cancelable)
         if on_end is not None:
             call.on_end.append(on_end)
         self._calls.add(call)
