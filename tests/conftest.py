@@ -41,7 +41,18 @@ LOOPS = {
     "trio": ("trio", {}),
 }
 INSTALLED = [name for name in LOOPS if find_spec(name)]
-ONE_LOOP = {"actions", "commands", "fuzz", "interfaces", "interop", "mcp", "render", "sim", "web"}
+ONE_LOOP = {
+    "actions",
+    "commands",
+    "fuzz",
+    "interfaces",
+    "interop",
+    "mcp",
+    "render",
+    "sim",
+    "telemetry",
+    "web",
+}
 """The folders whose async tests run on asyncio only, if no mark says otherwise."""
 TESTS = Path(__file__).parent
 SECONDS = 30.0

@@ -1,0 +1,109 @@
+"""OpenTelemetry's SDK for a program: spans and measurements go to a collector, by OTLP over HTTP.
+
+OpenTelemetry's own environment variables say where to, how often, and how much: among others
+``OTEL_EXPORTER_OTLP_ENDPOINT``, ``OTEL_SERVICE_NAME``, ``OTEL_RESOURCE_ATTRIBUTES``,
+``OTEL_TRACES_SAMPLER``, ``OTEL_BSP_MAX_QUEUE_SIZE`` and ``OTEL_METRIC_EXPORT_INTERVAL``.
+``OTEL_TRACES_EXPORTER=none`` and ``OTEL_METRICS_EXPORTER=none`` leave one of the two out.
+
+Threads of the SDK send everything. A collector that is slow or down delays no goal: spans that do
+not fit into the queue are dropped, and the SDK logs that.
+
+Source: OpenTelemetry specification 1.45, "Environment Variable Specification".
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from threading import Thread
+from typing import Final
+
+import anyio
+from opentelemetry import metrics, trace
+from opentelemetry.exporter.otlp.proto.http.metric_exporter import OTLPMetricExporter
+from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
+from opentelemetry.sdk.metrics import MeterProvider
+from opentelemetry.sdk.metrics.export import PeriodicExportingMetricReader
+from opentelemetry.sdk.resources import SERVICE_NAME, Resource
+from opentelemetry.sdk.trace import TracerProvider
+from opentelemetry.sdk.trace.export import BatchSpanProcessor
+
+from turtleact.errors import TurtleactError
+from turtleact.tasks import current_tasks
+
+__all__ = ["FLUSH_WITHIN", "exporting"]
+
+FLUSH_WITHIN: Final = 3.0
+"""How long the last spans and measurements may take at the end (s, event loop time)."""
+
+EXPORTERS: Final = ("otlp", "none")
+
+
+@asynccontextmanager
+async def exporting(service: str) -> AsyncIterator[None]:
+    """Export what the process traces and measures, for the length of a block.
+
+    This sets the process's global providers, which can be done once. At the end of the block, what
+    has not been sent yet is sent. That takes at most `FLUSH_WITHIN` seconds; then it is given up.
+
+    Args:
+        service: The name of the service, unless ``OTEL_SERVICE_NAME`` gives another one.
+
+    Raises:
+        TurtleactError: if an environment variable has a value that is not supported.
+    """
+    resource = Resource.create()
+    if "OTEL_SERVICE_NAME" not in os.environ and "service.name=" not in os.environ.get(
+        "OTEL_RESOURCE_ATTRIBUTES", ""
+    ):
+        resource = resource.merge(Resource({SERVICE_NAME: service}))
+    ends: list[Callable[[], object]] = []
+    try:
+        if _is_wanted("OTEL_TRACES_EXPORTER"):
+            spans = TracerProvider(resource=resource, shutdown_on_exit=False)
+            spans.add_span_processor(BatchSpanProcessor(OTLPSpanExporter()))
+            trace.set_tracer_provider(spans)
+            ends.append(spans.shutdown)
+        if _is_wanted("OTEL_METRICS_EXPORTER"):
+            reader = PeriodicExportingMetricReader(OTLPMetricExporter())
+            numbers = MeterProvider([reader], resource, shutdown_on_exit=False)
+            metrics.set_meter_provider(numbers)
+            ends.append(numbers.shutdown)
+    except ValueError as error:
+        raise TurtleactError(f"OpenTelemetry cannot be set up: {error}") from error
+    try:
+        yield
+    finally:
+        await _run_all(ends)
+
+
+def _is_wanted(variable: str) -> bool:
+    """Whether an environment variable asks for the exporter that there is.
+
+    Raises:
+        TurtleactError: if it asks for another one.
+    """
+    name = os.environ.get(variable) or "otlp"
+    if name not in EXPORTERS:
+        raise TurtleactError(f"{variable} is '{name}': turtleact knows {', '.join(EXPORTERS)}")
+    return name == "otlp"
+
+
+async def _run_all(ends: list[Callable[[], object]]) -> None:
+    """Call blocking functions, each in a thread, and wait for them, at most `FLUSH_WITHIN` s."""
+    tasks = current_tasks()
+    left, changed = list(ends), tasks.signal()
+
+    def run(end: Callable[[], object]) -> None:
+        try:
+            end()
+        finally:
+            left.remove(end)
+            tasks.from_anywhere(changed.fire)
+
+    for end in ends:  # daemons: the process may end though a collector keeps one waiting
+        Thread(target=run, args=(end,), name="the end of an exporter", daemon=True).start()
+    with anyio.move_on_after(FLUSH_WITHIN, shield=True):
+        while left:
+            await changed.wait()

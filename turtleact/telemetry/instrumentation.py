@@ -1,0 +1,95 @@
+"""`instrument`: traces and metrics of a node's goals, by OpenTelemetry's API alone.
+
+The program chooses what happens to them: it sets up an SDK with exporters, or uses
+``opentelemetry-instrument``. Without an SDK, the API's calls do nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Coroutine, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TYPE_CHECKING
+
+from turtleact.errors import TurtleactError
+from turtleact.node import Node
+from turtleact.tasks import Background
+from turtleact.telemetry.measuring import measure, watch, watch_loop
+
+if TYPE_CHECKING:
+    from opentelemetry.metrics import MeterProvider
+    from opentelemetry.trace import TracerProvider
+
+__all__ = ["NEW_TRACES", "instrument", "new_traces"]
+
+NEW_TRACES: ContextVar[bool] = ContextVar("NEW_TRACES", default=False)
+"""Whether goals sent now get traces of their own."""
+
+
+def instrument(
+    node: Node,
+    *,
+    tracer_provider: TracerProvider | None = None,
+    meter_provider: MeterProvider | None = None,
+) -> None:
+    """Trace and measure the goals that a node serves and sends, from now on.
+
+    Goals that are under way already are measured, but not traced. A second call for the same node
+    does nothing.
+
+    Args:
+        node: The node.
+        tracer_provider: Where spans go; left out, the program's global provider.
+        meter_provider: Where measurements go; left out, the program's global provider.
+
+    Raises:
+        TurtleactError: if OpenTelemetry's API is not installed.
+    """
+    try:
+        from turtleact.telemetry.instruments import Instruments
+        from turtleact.telemetry.tracing import Tracing
+    except ModuleNotFoundError as missing:
+        if (missing.name or "").partition(".")[0] != "opentelemetry":
+            raise
+        raise TurtleactError(
+            "turtleact.telemetry.instrument needs the extra otel: "
+            "pip install 'opentelemetry-api>=1.30,<2'"
+        ) from missing
+    if node.resources.find(_Instrumentation) is not None:
+        return
+    tracing, instruments = Tracing(node, tracer_provider), Instruments(meter_provider)
+    watch(node, tracing.add_server, tracing.add_client)
+    measure(node, instruments)
+    node.resources.add(_Instrumentation(watch_loop(instruments)), _Nothing())
+
+
+@contextmanager
+def new_traces() -> Iterator[None]:
+    """A block in which each goal that is sent gets a trace of its own, linked to the current one.
+
+    Use it for goals that you detach. Otherwise the server's span is a child of the client's, which
+    suits a client that waits for the end.
+    """
+    token = NEW_TRACES.set(True)
+    try:
+        yield
+    finally:
+        NEW_TRACES.reset(token)
+
+
+class _Instrumentation:
+    """What `instrument` runs beside a node; closed with the node."""
+
+    def __init__(self, watching: Coroutine[object, object, None]) -> None:
+        self._watching = Background(watching, "measuring the event loop")
+
+    async def aclose(self) -> None:
+        """Stop measuring the event loop."""
+        await self._watching.aclose()
+
+
+class _Nothing:
+    """The transport's side of `_Instrumentation`, which has none."""
+
+    def close(self) -> None:
+        """Do nothing."""

@@ -1,0 +1,106 @@
+"""Log records that say which goal they belong to, as text and as JSON.
+
+>>> import logging
+>>> handler = logging.StreamHandler()
+>>> handler.addFilter(GoalFilter())
+>>> handler.setFormatter(JsonFormatter())
+
+Each record of a body then carries the id of its goal, the action and the node, whichever module
+logs it. Logging calls in threads carry them, too, if the thread has the body's context, as those of
+`asyncio.to_thread` and `anyio.to_thread` do.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from datetime import UTC, datetime
+from typing import Any, Final
+
+import msgspec
+
+from turtleact.server.execution import CURRENT_GOAL, Execution
+from turtleact.summaries import encodable
+
+__all__ = ["GoalFilter", "JsonFormatter", "TextFormatter"]
+
+FIELDS: Final = ("goal_id", "action", "node")
+
+PLAIN: Final = frozenset({*logging.makeLogRecord({}).__dict__, "message", "asctime", "taskName"})
+"""What every record has; the rest was given by the user as ``extra``."""
+
+
+class GoalFilter(logging.Filter):
+    """Adds ``goal_id``, ``action`` and ``node`` to records; lets every record pass.
+
+    Outside of bodies, the three are empty. A value that the record has already is kept. Add the
+    filter to a handler, because a logger's filters do not see the records of its children.
+    """
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Add the fields."""
+        goal = CURRENT_GOAL.get()
+        values = "", "", ""
+        if goal is not None and isinstance(goal.runner, Execution):
+            served = goal.runner.served
+            values = goal.runner.name_goal(goal).hex(), served.name, served.node
+        for field, value in zip(FIELDS, values, strict=True):
+            record.__dict__.setdefault(field, value)
+        return True
+
+
+class TextFormatter(logging.Formatter):
+    """One line with time, level, logger and message; a body's records also name their goal."""
+
+    def __init__(self) -> None:
+        super().__init__("%(asctime)s %(levelname)s %(name)s: %(message)s")
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # logging's name
+        """Add the goal to the line."""
+        line = super().formatMessage(record)
+        said = [f"{field}={value}" for field in FIELDS if (value := getattr(record, field, ""))]
+        return f"{line} [{' '.join(said)}]" if said else line
+
+
+class JsonFormatter(logging.Formatter):
+    """One JSON object on a line.
+
+    Members: ``time`` (UTC, ISO 8601), ``level``, ``logger``, ``message``; in a body ``goal_id``,
+    ``action`` and ``node``; in a span of OpenTelemetry ``trace_id`` and ``span_id``; with a
+    traceback ``exception``; and whatever was given as ``extra``.
+    """
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Write a record."""
+        members: dict[str, Any] = {
+            "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="microseconds"),
+            "level": record.levelname,
+            "logger": record.name,
+            "message": record.getMessage(),
+        }
+        given = {name: value for name, value in record.__dict__.items() if name not in PLAIN}
+        members |= {name: value for name, value in given.items() if name not in FIELDS or value}
+        members |= _current_span()
+        if record.exc_info:
+            members["exception"] = self.formatException(record.exc_info)
+        return _written(members)
+
+
+def _current_span() -> dict[str, str]:
+    """The ids of the current span, if the program uses OpenTelemetry."""
+    trace = sys.modules.get("opentelemetry.trace")
+    if trace is None:
+        return {}
+    here = trace.get_current_span().get_span_context()
+    if not here.is_valid:
+        return {}
+    return {"trace_id": f"{here.trace_id:032x}", "span_id": f"{here.span_id:016x}"}
+
+
+def _written(members: dict[str, Any]) -> str:
+    """Write JSON; a value that JSON has no form for becomes its text."""
+    try:
+        return msgspec.json.encode(members, enc_hook=str).decode()
+    except (UnicodeEncodeError, ValueError, TypeError, RecursionError):
+        plain = {name: encodable(str(value)) for name, value in members.items()}
+        return msgspec.json.encode(plain).decode()

@@ -1,0 +1,135 @@
+"""Turns what observers hear into measurements: goals by status, durations, waits, and losses.
+
+A `Measurements` takes the numbers: `turtleact.telemetry.prometheus` keeps them, and
+`turtleact.telemetry.instruments` passes them on to OpenTelemetry. Times are the graph's. No
+measurement carries a goal id, because each id would begin a new time series.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final, Protocol
+
+import anyio
+
+from turtleact.client import ActionClient
+from turtleact.goal import Goal, GoalStatus
+from turtleact.node import ActionServer, Node
+from turtleact.observers import FeedbackLost, GoalObserver, Lost, News
+
+__all__ = ["BOUNDS", "Measurements", "measure", "watch", "watch_loop"]
+
+BOUNDS: Final = (
+    *(0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0),
+    *(30.0, 60.0, 120.0, 300.0, 600.0, 1800.0),
+)
+"""The bounds of the histograms' buckets (s): goals take milliseconds or half an hour."""
+
+INTERVAL: Final = 0.5
+"""How often the lag of the event loop is measured (s)."""
+
+NAMES: Final = {status: status.name.lower() for status in GoalStatus}
+"""The names of states in measurements."""
+
+AnyServer = ActionServer[Any, Any, Any]
+AnyClient = ActionClient[Any, Any, Any]
+
+
+class Measurements(Protocol):
+    """Takes measurements. The methods must not raise, and must not block."""
+
+    def ended(self, action: str, status: str, seconds: float | None) -> None:
+        """A goal has ended that long after its acceptance; None for a rejected goal."""
+
+    def waited(self, action: str, seconds: float) -> None:
+        """A goal has waited that long from its acceptance until its body began."""
+
+    def active_changed(self, action: str, state: str, change: int) -> None:
+        """So many more goals are in a state that is not final."""
+
+    def feedback_lost(self, action: str, count: int) -> None:
+        """So many feedback messages have not reached a client."""
+
+    def lagged(self, seconds: float) -> None:
+        """The event loop was late by that much."""
+
+
+def watch(
+    node: Node,
+    on_server: Callable[[AnyServer], object],
+    on_client: Callable[[AnyClient], object],
+) -> None:
+    """Call a function with each action server and client of a node, now open or opened later."""
+
+    def told(thing: object) -> None:
+        if isinstance(thing, ActionServer):
+            on_server(thing)
+        elif isinstance(thing, ActionClient):
+            on_client(thing)
+
+    node.resources.watch(told)
+
+
+def measure(node: Node, measurements: Measurements) -> None:
+    """Measure the goals of a node from now on."""
+    watch(
+        node,
+        lambda server: server.local.observers.add(_ServerMeter(server, measurements)),
+        lambda client: client.observers.add(_ClientMeter(client.name, measurements)),
+    )
+
+
+async def watch_loop(measurements: Measurements) -> None:
+    """Measure how late the event loop is, until cancelled."""
+    while True:
+        due = anyio.current_time() + INTERVAL
+        await anyio.sleep_until(due)
+        measurements.lagged(max(0.0, anyio.current_time() - due))
+
+
+class _ServerMeter(GoalObserver):
+    """Measures the goals of one server, including those that run already."""
+
+    def __init__(self, server: AnyServer, measurements: Measurements) -> None:
+        self._action = server.name
+        self._now = server.node.clock.now
+        self._measurements = measurements
+        for goal in server.local.held():
+            self._move(GoalStatus.UNKNOWN, goal.status)
+
+    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
+        """Called after a goal has changed its state."""
+        self._move(before, after)
+        if after is GoalStatus.EXECUTING:
+            self._measurements.waited(self._action, (self._now() - goal.stamp) / 1e9)
+        elif after.is_terminal:
+            seconds = (goal.ended - goal.stamp) / 1e9
+            self._measurements.ended(self._action, NAMES[after], seconds)
+
+    def noted(self, goal: Goal, news: News) -> None:  # noqa: ARG002
+        """Called when something else happens to a goal."""
+        if isinstance(news, Lost):
+            self._move(news.before, GoalStatus.UNKNOWN)
+
+    def goal_rejected(self, reason: str) -> None:  # noqa: ARG002
+        """Called when the server rejects a goal."""
+        self._measurements.ended(self._action, "rejected", None)
+
+    def _move(self, before: GoalStatus, after: GoalStatus) -> None:
+        if before.is_active:
+            self._measurements.active_changed(self._action, NAMES[before], -1)
+        if after.is_active:
+            self._measurements.active_changed(self._action, NAMES[after], 1)
+
+
+class _ClientMeter(GoalObserver):
+    """Measures what only a client knows."""
+
+    def __init__(self, action: str, measurements: Measurements) -> None:
+        self._action = action
+        self._measurements = measurements
+
+    def noted(self, goal: Goal, news: News) -> None:  # noqa: ARG002
+        """Called when something else happens to a goal."""
+        if isinstance(news, FeedbackLost):
+            self._measurements.feedback_lost(self._action, news.count)
