@@ -95,7 +95,8 @@ class Observers:
         action: The name of the action, for the log.
 
     Attributes:
-        are_any: Whether there are any observers. A server checks this before it calls anything.
+        are_any: Whether any observer wants more than `pause_changed`. A server checks this before
+            it calls anything else.
         want_feedback: Whether any observer overrides `feedback_published`.
         want_bodies: Whether any observer overrides `enter_body`.
     """
@@ -118,6 +119,9 @@ class Observers:
         self.are_any = False
         self.want_bodies = False
         self.want_feedback = False
+
+    def __len__(self) -> int:
+        return len(self._observers)
 
     def add(self, observer: GoalObserver) -> None:
         """Tell ``observer`` of every change from now on."""
@@ -157,7 +161,13 @@ class Observers:
 
     def _set(self, observers: tuple[GoalObserver, ...]) -> None:
         self._observers = observers
-        self.are_any = bool(observers)
+        # Every server has an observer that only hears of pauses. It must not slow down all goals.
+        self.are_any = any(
+            type(each).goal_changed is not GoalObserver.goal_changed
+            or type(each).feedback_published is not GoalObserver.feedback_published
+            or type(each).noted is not GoalObserver.noted
+            for each in observers
+        )
         self.want_feedback = any(
             type(each).feedback_published is not GoalObserver.feedback_published
             for each in observers

@@ -440,23 +440,23 @@ class _ClientObservers(Observers):
 
     def add(self, observer: GoalObserver) -> None:
         """Tell ``observer`` of every change from now on."""
-        if not self.are_any and self._theirs is not None:
+        if not len(self) and self._theirs is not None:
             self._theirs.add(self._relay)
         super().add(observer)
 
     def remove(self, observer: GoalObserver) -> None:
         """Stop telling ``observer``; an unknown observer is ignored."""
         super().remove(observer)
-        if not self.are_any and self._theirs is not None:
+        if not len(self) and self._theirs is not None:
             self._theirs.remove(self._relay)
 
     def watch(self, server: object | None) -> None:
         """Relay from this server from now on, instead of another one; None for no server."""
-        if self.are_any and self._theirs is not None:
+        if len(self) and self._theirs is not None:
             self._theirs.remove(self._relay)
         theirs = getattr(server, "observers", None)
         self._theirs = theirs if isinstance(theirs, Observers) else None
-        if self.are_any and self._theirs is not None:
+        if len(self) and self._theirs is not None:
             self._theirs.add(self._relay)
 
 

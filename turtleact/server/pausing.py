@@ -319,8 +319,7 @@ class Pauses:
             goal.paused_ns += self._since(self.paused.pop(goal))
         if self._keeper.durable is not None and not goal.is_decided:
             self._keeper.durable.paused(goal)
-        if self._observers.are_any:
-            self._observers.pause_changed(goal)
+        self._observers.pause_changed(goal)
         if goal.listener is not None:
             goal.listener.fire()
 

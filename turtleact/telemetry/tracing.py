@@ -48,8 +48,6 @@ from turtleact.observers import (
     GoalObserver,
     Lost,
     News,
-    Paused,
-    Resumed,
 )
 from turtleact.telemetry.instrumentation import NEW_TRACES
 from turtleact.telemetry.measuring import AnyClient, AnyServer
@@ -184,6 +182,12 @@ class _Spans(GoalObserver):
         if record is not None:
             record.feedback()
 
+    def pause_changed(self, goal: Goal) -> None:
+        """Called after a server has paused or resumed a goal."""
+        record = self.records.get(goal.id)
+        if record is not None:
+            record.span.add_event("paused" if goal.is_paused else "resumed")
+
     def noted(self, goal: Goal, news: News) -> None:
         """Called when something else happens to a goal."""
         record = self.records.get(goal.id)
@@ -192,8 +196,6 @@ class _Spans(GoalObserver):
         match news:
             case FeedbackLost(count):
                 record.span.add_event("feedback lost", {"ros.feedback.count": count})
-            case Paused() | Resumed():
-                record.span.add_event(type(news).__name__.lower())
             case Lost():
                 del self.records[goal.id]
                 record.fail(type(goal.error).__name__, str(goal.error))
