@@ -1,4 +1,4 @@
-"""What turtles can do: the built-in actions, each through a node's topics and actions only."""
+"""The built-in actions. They drive turtles through a node's topics and actions only."""
 
 from __future__ import annotations
 

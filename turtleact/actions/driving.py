@@ -107,7 +107,7 @@ class Drive:
 
     @property
     def seen(self) -> Sighting:
-        """Where it was last seen."""
+        """The place and heading of the newest pose."""
         if self._taken is not None:
             self._seen, self._taken = self._robot.read(self._taken), None
         return self._seen
@@ -118,7 +118,7 @@ class Drive:
 
     @property
     def pose(self) -> TurtlePose:
-        """Where it was last seen, as turtlesim's message."""
+        """The newest pose, as turtlesim's message."""
         return TurtlePose(*self.seen.pose, *self.seen.speeds)
 
     def has_reached(self, target: Point, *, theta: float | None = None) -> bool:
@@ -133,9 +133,9 @@ class Drive:
     def time(self) -> float:
         """The time of the drive (s): the node's clock without the time for which it was held.
 
-        It counts from pose to pose. So it stands still for exactly the ticks that were passed over,
-        whenever between two ticks the turtle is held and released. It is rounded to nanoseconds, so
-        that a sum of pauses does not move a moment beyond the tick in which it falls.
+        It advances with each pose. A pause therefore takes out exactly the ticks that it lasts, no
+        matter when between two ticks it begins and ends. It is rounded to nanoseconds, so that a
+        sum of pauses does not move a moment beyond the tick in which it falls.
         """
         return round(self._clock.time() - self._passed_over, 9)
 
@@ -148,7 +148,10 @@ class Drive:
             self._publish(STILL)
 
     def release(self) -> None:
-        """Let the turtle go on: at its earlier speeds, or from rest if they cannot jump."""
+        """Let the turtle go on.
+
+        With limited accelerations it starts from rest; otherwise it has its earlier speeds at once.
+        """
         if self._held is None:
             return
         self._held.set()
@@ -196,7 +199,7 @@ class Drive:
         theta: float | None = None,
         until: float = math.inf,
     ) -> None:
-        """Drive for one tick, or while the command stays valid without reaching the target.
+        """Drive for one tick, or longer if the same command stays right until then.
 
         Args:
             target: Where to.
@@ -275,8 +278,8 @@ class Drive:
 
     def _take(self, message: TurtlePose) -> bool:
         """Take a pose that needs no new command, so the driver need not wake for it."""
-        # Called for each pose while it is being published, 62 times a second and turtle, so this
-        # must be short, and must not await. The message is read in full only if somebody asks.
+        # This is called while a pose is being published, 62 times a second for each turtle. It must
+        # be short and must not await. It reads the whole message only if somebody asks for it.
         if self._held is not None:
             self._pass_over()
             return True
@@ -494,7 +497,7 @@ class Turtles:
         self._driven.add(topic)
         if goal is not None:
             self._drives[goal.goal_id] = drive
-            if goal.is_paused:  # since before its body has begun
+            if goal.is_paused:  # it was paused before its body began
                 drive.hold()
         try:
             # The first pose only says where the turtle is: nothing has been travelled yet.

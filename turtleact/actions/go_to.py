@@ -155,7 +155,7 @@ class _GoTo:
                     await drive.towards(target, theta=theta, until=min(due, deadline))
                 await drive.rest()
             finally:
-                note()  # however it ends: a canceled or aborted goal tells how far it came
+                note()  # a canceled or aborted goal has a result, too
         return result
 
     def _steering(self, goal: GoTo.Goal) -> Steering:

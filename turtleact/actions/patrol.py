@@ -30,10 +30,10 @@ PERIOD = 1.0
 """Seconds between two feedback messages on the way to a target."""
 
 WHOLE = 24
-"""How many stops count in the bound with their turns (10 ms of work). Later ones count straight."""
+"""For so many stops the bound includes the turns (10 ms of work); later ones count as straight."""
 
 AT_ONCE = 16
-"""A round takes at least one tick, and at least one tick for this many stops."""
+"""A round takes at least one tick, and at least one more for each group of this many stops."""
 
 
 class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
@@ -158,7 +158,7 @@ class _Tour:
         return self._sum_from(stop, self._legs)
 
     async def bound(self, drive: Drive, goal: Patrol.Goal) -> float:
-        """The shortest possible time (s); later stops only count with their straight legs.
+        """The shortest possible time (s); for stops beyond `EXACT`, only their straight legs count.
 
         The first round alone may give a higher bound than all rounds, because the search is finer
         with fewer stops.
@@ -246,7 +246,7 @@ class _Patrol:
     ) -> Patrol.Result:
         """Visit all stops and report each one; record the result, however the patrol ends.
 
-        ``result`` says what an earlier process has done of the goal.
+        ``result`` holds what an earlier process has already done for the goal.
         """
         tour = _Tour(goal.targets, 1 + goal.loops)
         started, before = handle.node.clock.time() - result.duration, result.distance
@@ -283,7 +283,7 @@ class _Patrol:
                         raise drive.too_late(f"targets[{tour.index(stop)}]")
                 await drive.rest()
             finally:
-                record()  # however it ends: a canceled or aborted patrol tells what it has done
+                record()  # a canceled or aborted patrol has a result, too
         return result
 
     def _steering(self, goal: Patrol.Goal) -> Steering:

@@ -179,7 +179,7 @@ LEAST_LOG: Final = 3
 """How many lines a map leaves for the log below it."""
 
 INDENT: Final = "  "
-"""Stands before the further lines of a line of the log that was wrapped."""
+"""The indent of the second and later lines of a wrapped log line."""
 
 
 class GoalRow(NamedTuple):

@@ -80,8 +80,8 @@ def world_map(view: MapView, rows: int) -> Text:
     """The world between its walls, ``rows`` high and twice as wide, not counting the border.
 
     A reached target has a tick beside its number. If several things fall into one cell, a turtle
-    hides a target, a target a name, and a name a trail. A name stands where it hides least, or
-    nowhere if there is no room.
+    hides a target, a target a name, and a name a trail. A name is put where it hides least, and
+    left out if there is no room.
     """
     columns = 2 * rows
     canvas = Braille(columns, rows) if view.ink is None else view.ink.canvas(columns, rows)

@@ -83,14 +83,14 @@ class Canvas:
             width: How wide it is (pixels), above zero.
             colour: What it is drawn in.
         """
-        if abs(start - MIDDLE) > abs(end - MIDDLE):  # counted from afar, pixels would be rounded
+        if abs(start - MIDDLE) > abs(end - MIDDLE):  # so that rounding moves no pixel
             start, end = end, start
         length, half = abs(end - start), width / 2.0
         along = (end - start) / length if length else 1.0 + 0.0j
         reach = abs(along.imag) * (length / 2.0 + half) + abs(along.real) * half
         middle = (start.imag + end.imag) / 2.0
         first, last = _within(middle - reach, middle + reach)
-        # The rectangle is where two strips cross: its two sides bound one, its two ends the other.
+        # The rectangle is where two strips cross: one between its long sides, one between its ends.
         side, side_low, side_high = _strip(-along.imag, along.real, -half, half)
         top, top_low, top_high = _strip(along.real, along.imag, -half, length + half)
         pixel = array("I", [ink(colour)])
@@ -121,7 +121,8 @@ def _within(low: float, high: float) -> tuple[int, int]:
 def _strip(dx: float, dy: float, low: float, high: float) -> tuple[float, float, float]:
     """Where ``low <= dx * x + dy * y < high``: the slope of x by y, and its bounds at y = 0.
 
-    There are no bounds where the condition does not depend on x; the rows are chosen accordingly.
+    If the condition does not depend on x, there are no bounds; the caller chooses the rows
+    accordingly.
     """
     if abs(dx) < FLAT:
         return 0.0, -inf, inf

@@ -2,8 +2,8 @@
 
 `Pens` follows the turtles tick by tick. A pen that is on draws a line from its turtle's old place
 to the new one, teleports included. Within a tick, each turtle in name order draws its teleports,
-senses the colour under it, and draws its step. It therefore senses the lines of turtles before it,
-but not the end of its own.
+senses the colour under it, and draws its step. A turtle therefore senses the new lines of the
+turtles before it, but not its own new line.
 
 `Drawing` only notes new lines and computes them when somebody looks, so an unseen drawing costs
 little. When `UNREAD` lines are noted, the oldest are computed anyway. The lines of a fleet arrive
@@ -54,7 +54,7 @@ UNREAD: Final = 4096
 """The maximum number of lines that are only noted (200 kB); then the oldest are computed."""
 
 UNREAD_OF_FLEET: Final = 1024
-"""The same for a fleet; then all are computed at once, in a few milliseconds."""
+"""The same limit for a fleet; then all are computed at once, in a few milliseconds."""
 
 _PORTION: Final = 64
 """How many lines are then computed at a time: about a millisecond's work."""

@@ -3,8 +3,8 @@
 The numbers and the order of the operations are turtlesim's, so that its Poses come out to the
 last bit: y is kept as the depth below the upper edge, a Pose is rounded to float32 only when it is
 read, and half a turn is 3.14159265, as turtlesim has it. `Handful` steps a few turtles in plain
-floats; `turtleact.sim.fleet` steps many as arrays. Knows no names, no ROS and no clock: time is
-the number of a tick.
+floats; `turtleact.sim.fleet` steps many as arrays. This module knows no names, no ROS and no clock:
+time is the number of a tick.
 
 Source: turtlesim 1.8.2, ``Turtle::update`` in ``turtle.cpp``; for arcs Lynch and Park, Modern
 Robotics, section 13.3.1, the integral of a constant twist.
@@ -164,12 +164,12 @@ def displacement(
     """
     lag, length = chord
     cos_, sin_ = cos(theta - lag), sin(theta - lag)
-    # In turtlesim's order: another one rounds differently.
+    # These are turtlesim's operations in its order; another order rounds differently.
     return cos_ * vx * length - sin_ * vy * length, cos_ * vy * length + sin_ * vx * length
 
 
 def chord(rule: StepRule, turn: float) -> tuple[float, float]:
-    """How a step that turns is made straight.
+    """The straight line that replaces a step along a curve.
 
     Args:
         rule: The step rule.
@@ -201,7 +201,7 @@ def wrap(theta: float, half: float) -> float:
     """
     turn = 2.0 * half
     wrapped = theta - turn * math.floor((theta + half) / turn)
-    # Far out, the difference itself is rounded and may miss the range by a bit, or by far.
+    # For huge angles the difference itself is rounded, and may miss the range by little or by much.
     return wrapped if -half <= wrapped < half else -half
 
 

@@ -143,7 +143,7 @@ def to_png(snapshot: Snapshot) -> bytes:
 def thumbnail(pixels: bytes, width: int, height: int) -> list[list[Colour | None]]:
     """A drawing in fewer pixels, row by row from the top; None where nothing was drawn.
 
-    A pixel has a colour that was drawn in its place; if there are several, the one with most blue.
+    A pixel gets a colour that was drawn there. Of several colours, it gets the one with most blue.
 
     Args:
         pixels: The drawing, as `Drawing.pixels` gives it.
@@ -219,7 +219,7 @@ def _short(number: float) -> str:
 SVG_TURTLE: Final = "\n".join(
     f'<polygon{_SVG_FILLS[part.shade]} points="{_svg_points(part.outline)}"/>' for part in _PARTS
 )
-"""The shape of a turtle at 0 that looks to the right. `svg_shades` belong to what holds it."""
+"""The shape of a turtle at 0 that looks to the right. The element around it needs `svg_shades`."""
 
 
 def _paint(

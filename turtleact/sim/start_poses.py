@@ -1,4 +1,4 @@
-"""Where turtles are put: at the start, by a spawn, by a teleport.
+"""Places for turtles: at the start, after a spawn, after a teleport.
 
 Turtles that a world begins with are put in one of `PLACINGS`:
 
@@ -9,7 +9,7 @@ Turtles that a world begins with are put in one of `PLACINGS`:
   it.
 
 All keep a metre from the walls. Numbers that come from messages are rounded to float32, as
-turtlesim has them. Knows no ROS and no clock; all randomness comes from a seed.
+turtlesim has them. This module knows no ROS and no clock; all randomness comes from a seed.
 
 Source: turtlesim 1.8.2, ``TurtleFrame::spawnTurtle`` and ``Turtle::update``.
 """
@@ -144,7 +144,7 @@ def _on_ring(index: int, count: int) -> Place:
 
 
 def _spread(number: int, seed: int) -> Place:
-    """A place that any number of neighbours leave room for.
+    """The place of one turtle of a sequence that fills the square evenly, however long it gets.
 
     Source: Roberts, The Unreasonable Effectiveness of Quasirandom Sequences, R3.
     """

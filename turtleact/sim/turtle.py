@@ -227,7 +227,7 @@ class Turtle:
             await turn.ended.wait()
         except anyio.get_cancelled_exc_class():
             # The last tick may have ended the goal before the cancellation reached this task. The
-            # turtle is there then, and turtlesim says so, too.
+            # turtle has then arrived, and turtlesim reports success, too.
             if turn.ended.is_set():
                 return turn.take()
             self.turn = None

@@ -46,8 +46,10 @@ __all__ = ["Turtlesim"]
 logger = logging.getLogger("turtleact.turtlesim")
 
 MOST_SHOWN: Final = 100
-"""Other processes see this many of a fleet's first turtles, and of the spawned ones, at once; the
-rest appear on demand."""
+"""Other processes see so many turtles from the start, and the rest on demand.
+
+The limit counts a fleet's first turtles and the spawned ones.
+"""
 
 
 class Turtlesim:
@@ -91,7 +93,7 @@ class Turtlesim:
         node.service(Kill, "kill", self._kill)
         node.service(Empty, "clear", self._clear)
         node.service(Empty, "reset", self._reset)
-        self.tick()  # here, so that the world is a tick old before anybody can send a goal
+        self.tick()  # tick once now, so that the world is a tick old before anybody can send a goal
         self._ticking = Ticking(node.clock, self.tick, is_paused=is_paused)
         if beside is not None:
             Simulation(beside, self._ticking, self._restart)

@@ -6,8 +6,8 @@
 - `Simulation` serves time as other simulators do: ``~/get_simulator_features``,
   ``~/get_simulation_state``, ``~/set_simulation_state``, ``~/step_simulation`` and
   ``~/reset_simulation``, and the action ``~/simulate_steps``.
-- `Poses` holds the poses of all turtles in one message of arrays: one message per turtle would take
-  longer to make than a tick lasts, and ``geometry_msgs/msg/PoseArray`` has no names.
+- `Poses` holds the poses of all turtles in one message of arrays: making one message per turtle
+  would take longer than a tick, and ``geometry_msgs/msg/PoseArray`` has no names.
 - `Pictures` serves ``~/snapshot``; `pictures` makes the picture, in a thread.
 
 Source: simulation_interfaces 2.1.0; Gazebo for the names, which are below the node's name there,
@@ -125,8 +125,8 @@ class Ticking:
         """Make no tick until `resume`, and stop the clock; a `step` that is under way ends now."""
         now = self._clock.time()
         self._clock.stop_at(now)
-        # A tick that is late now would come at once after the pause, as if time had passed in it.
-        # So the schedule is moved: the next tick is due now, not earlier.
+        # A tick that is late now would come at once after the pause, as if time had passed during
+        # it. The schedule is therefore moved, so that the next tick is due now and not earlier.
         self._start = max(self._start, now - self._count * DT)
         self._end_step("paused")
         self.is_paused = True
@@ -162,8 +162,8 @@ class Ticking:
         if not ticks:
             return
         step = self._step = _Step(ticks, on_tick)
-        # The clock runs just as far as the last of these ticks. A task that waits on it for a later
-        # moment keeps waiting, so a program that steps the world misses none of its own deadlines.
+        # The clock runs exactly until the last of these ticks. Tasks that wait for a later moment
+        # keep waiting, so a program that steps the world misses none of its own deadlines.
         self._clock.stop_at(self._due(ticks - 1))
         self._changed.fire()
         try:
@@ -192,8 +192,9 @@ class Ticking:
         clock = self._clock
         while True:
             # A machine that is a little late catches up tick by tick, so the schedule does not
-            # drift. If it was suspended, or is too slow for the speed asked for, catching up would
-            # take forever: the schedule starts anew from now, and a step ends accordingly later.
+            # drift. If it was suspended, or is too slow for the requested speed, catching up would
+            # take forever. The schedule then starts anew from now, and a step ends later by as
+            # much.
             if clock.time() - self._due() > MOST_BEHIND:
                 self._start = clock.time() - self._count * DT
                 if self._step is not None:
@@ -233,7 +234,7 @@ class Simulation:
         self._ticking = ticking
         self._restart = restart
         self._is_stopped = False
-        self._turns = anyio.Lock()  # one change of the state after the other
+        self._turns = anyio.Lock()  # handle one change of the state at a time
         node.service(GetSimulatorFeatures, "~/get_simulator_features", self._get_features)
         node.service(GetSimulationState, "~/get_simulation_state", self._get_state)
         node.service(SetSimulationState, "~/set_simulation_state", self._set_state)

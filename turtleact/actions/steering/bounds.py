@@ -1,4 +1,4 @@
-"""How long a tour takes: at least with any law, and at most with ours.
+"""How long a tour takes: at least, whatever the law of steering; and at most, with our law.
 
 `shortest_time` is proven for every law that keeps to a style. `time_bound` is proven for unlimited
 accelerations (`turtleact.actions.steering.law` has the proof). For limited ones it is an estimate
@@ -167,7 +167,7 @@ def rising_times(
 
 
 def _turn_time(angle: float, limits: Limits) -> float:
-    """Return the time (s) to turn the short way to a heading that need not be exact."""
+    """Return the time (s) to turn the short way to a heading, within a tolerance."""
     turn = max(0.0, abs(wrap_angle(angle)) - limits.heading_tolerance)
     return ramp_time(turn, limits.max_angular, limits.max_angular_acceleration)
 
@@ -192,7 +192,7 @@ def _touch(before: complex, leg: complex, centre: complex, tolerance: float) -> 
 
 
 def _unit(leg: complex) -> complex:
-    """Return the direction of a leg; zero if it has none."""
+    """Return the direction of a leg; zero if its ends are the same."""
     return leg / abs(leg) if leg else leg
 
 
@@ -201,7 +201,7 @@ def _proven_length(
 ) -> float:
     """The least sum of unit * leg; a point's weight is the difference of the units at its sides.
 
-    It is negative where units lead back: what turning takes is counted from there, not from zero.
+    It is negative if the units lead back. The loss by turning is then added to that negative sum.
     """
     total = -(start * units[0].conjugate()).real
     for centre, unit, leaving in zip(centres, units, [*units[1:], 0j], strict=True):
@@ -225,7 +225,7 @@ def _turns(stops: Sequence[complex], theta: float, limits: Limits) -> Iterator[f
 
 
 class _Tour:
-    """What unit vectors along the legs of a tour prove, if the turtle turns as it drives."""
+    """The time and length that unit vectors prove, for a turtle that turns as it drives."""
 
     def __init__(
         self, pose: Pose, centres: Sequence[complex], steering: Steering, theta: float | None
@@ -237,7 +237,7 @@ class _Tour:
         self._theta = theta
 
     def proofs(self, units: Sequence[complex]) -> Iterator[tuple[float, float]]:
-        """Yield lengths (m) and times (s) proven by these directions, then by better ones."""
+        """Yield lengths (m) and times (s) that these directions prove, then better ones."""
         if len(units) > _TUNED:
             yield self._length(units), self._time(units, _COARSE)[0]
             return
@@ -250,7 +250,7 @@ class _Tour:
         yield self._length(units), time
 
     def _better(self, units: list[complex]) -> Iterator[tuple[float, list[complex], list[float]]]:
-        """Turn the directions, or leave them out, one by one, as long as they prove more.
+        """Turn or drop one direction after another, as long as that proves more.
 
         Yields after each attempt the best so far: the time (s) that it proves, the directions, and
         the headings (rad) at the targets.
@@ -307,7 +307,7 @@ class _Tour:
         tried: Sequence[float] | None = None,
         enough: float = -math.inf,
     ) -> tuple[float, list[float]]:
-        """The time (s) that the directions prove, and headings (rad) at the targets that need it.
+        """The time (s) that the directions prove, and the headings (rad) at which it is needed.
 
         If the tried headings need at most ``enough``, the search ends with them.
         """
@@ -315,7 +315,7 @@ class _Tour:
         legs = self._legs(units, views)
         if not legs:
             return driven, [phase(self._heading)] * len(units)
-        corners = list(legs)[:-1]  # a corner lies at the target of its leg
+        corners = list(legs)[:-1]  # each leg ends at a corner
         turning = Turning(
             half=self._half,
             tick=limits.turn,
@@ -377,7 +377,7 @@ class Cell(msgspec.Struct, frozen=True):
 
 
 _Sight: TypeAlias = tuple[float, int, float]
-"""An error, its side (1, -1, or 0 for either), and the distance made while turning it off."""
+"""An error, its side (1, -1, or 0 for either), and the distance covered until it is zero."""
 
 
 class Turning(msgspec.Struct, frozen=True, kw_only=True):
@@ -407,7 +407,7 @@ def least_loss(
     tried: Sequence[float] | None = None,
     enough: float = -math.inf,
 ) -> tuple[float, list[float]]:
-    """The least that turning takes over all legs, and the headings at the corners that take it.
+    """The least loss by turning over all legs, and the headings at the corners that lead to it.
 
     The first is in rad of turning at full rate, the headings are in rad.
 
@@ -418,7 +418,7 @@ def least_loss(
         known: Results for the first legs of other tours with the same first heading and the same
             ``turning``. New results are added.
         tried: Headings (rad), one for each corner, that may be nearly the best. They are tried
-            first. If nothing is known, headings that cannot be better are then left out.
+            first. If ``known`` is empty, headings that cannot be better are then left out.
         enough: The search ends with the tried headings if they lose at most this.
     """
     corners = [_corner(one, next_, turning) for one, next_ in pairwise(legs)]
@@ -539,13 +539,13 @@ def _pass(
         if following and limit < math.inf:
             cost = limit + _ROUNDING - _started(end, following, turning)
         most, wanted = cost, dict[int, _Sight]()
-        for way in chain(hint, ways):  # first the one that was best for the previous cell
+        for way in chain(hint, ways):  # try the view that was best for the previous cell first
             start, sights = way
             least = max(0.0, _turned(start, end, half) - tick) if leg.is_left_out else 0.0
             if start.cost + least >= cost:
                 continue
             width = max(start.width + tick, end.width)
-            for nth, i in enumerate(order):  # first the view that ruled out the way before
+            for nth, i in enumerate(order):  # try the view that ruled out the previous way first
                 view = views[i]
                 if i not in wanted:
                     wanted[i] = _sight(end, view, half)
@@ -560,7 +560,10 @@ def _pass(
 
 
 def _best(cells: Sequence[Cell], half: float) -> list[Cell]:
-    """The cells by cost, without those that another cell reaches as fast by a turn on the spot."""
+    """The cells by cost.
+
+    A cell is left out if a turn on the spot from another one costs no more.
+    """
     best: list[Cell] = []
     for cell in sorted(cells, key=_cost):
         for other in best:
@@ -583,7 +586,10 @@ def _turned(start: Cell, end: Cell, half: float) -> float:
 
 
 def _between(start: _Sight, end: _Sight, view: View, half: float, width: float) -> float:
-    """What a way from one error to another costs; each may be larger by a width."""
+    """The cost of a leg from one error to another.
+
+    Each error may be larger by the width of a cell.
+    """
     sides = start[1] * end[1]
     if sides > 0:
         return _on_one_side(start, end, view, width)
@@ -594,7 +600,7 @@ def _between(start: _Sight, end: _Sight, view: View, half: float, width: float) 
 
 
 def _on_both_sides(start: _Sight, end: _Sight, view: View, half: float, width: float) -> float:
-    """What a way from an error to one on the other side costs."""
+    """The cost of a leg from an error to one on the other side."""
     (error, _, made), (wanted, _, made_wanted) = start, end
     least = max(error - made + wanted - made_wanted, error + wanted - view.most)
     # Or the turtle turns the other way round: an error of half a turn is on both sides.
@@ -609,7 +615,7 @@ def _on_both_sides(start: _Sight, end: _Sight, view: View, half: float, width: f
 
 
 def _on_one_side(one: _Sight, other: _Sight, view: View, width: float) -> float:
-    """What a way from one error to another on the same side costs.
+    """The cost of a leg from one error to another on the same side.
 
     The error first falls. When the rest of the way is as long as the turn to the other error needs,
     the error rises again.
@@ -631,7 +637,7 @@ def _on_one_side(one: _Sight, other: _Sight, view: View, width: float) -> float:
 
 
 def _started(cell: Cell, leg: Leg, turning: Turning) -> float:
-    """What the last leg costs from a cell, if it may end in any heading."""
+    """The cost of the last leg from a cell, if it may end in any heading."""
     least = 0.0
     for view in _views(leg):
         if view.least > 0.0:
@@ -642,10 +648,10 @@ def _started(cell: Cell, leg: Leg, turning: Turning) -> float:
 
 
 def _made(error: float) -> float:
-    """How far the turtle comes while it turns an error off (radii)."""
+    """How far the turtle gets while it turns an error to zero (radii)."""
     return math.sin(error) if error < _RIGHT else 1.0
 
 
 def _lost(error: float) -> float:
-    """The loss while an error is turned off: the integral of 1 - cos, or 1 beyond a right angle."""
+    """The loss until an error is zero: the integral of 1 - cos, or 1 beyond a right angle."""
     return error - _made(error)

@@ -91,7 +91,9 @@ __all__ = ["LONGEST", "OLDEST", "STILL", "Helm", "Steering"]
 _CORNER: dict[Style, float] = {"natural": 1.0, "fastest": 0.5, "forward": 1.0}
 _FORMER = {"arc": "fastest"}  # Former names of styles.
 _WORTH = 3.0  # The style natural reverses if turning round would take this many times as long.
-_SHARE = 0.5  # Share of the highest speed that a turn allows at which an eased turtle drives.
+# With limited accelerations, the turtle drives at this share of the highest speed that its turn
+# allows.
+_SHARE = 0.5
 _ROOM = 0.8  # Share of the way to the edge of the area in which it could stop.
 _GLANCES = (0.0, 0.25, 0.5, 0.75, 1.0)  # Shares of a turn after which it may have to stop.
 
@@ -105,7 +107,7 @@ STILL: Final = (0.0, 0.0)
 """The speeds of a turtle that stands still."""
 
 _SAME = 3e-3
-"""How far a held turn rate may lead aside of the law's own course, as a share of the tolerance.
+"""How far a held turn rate may lead away from the law's own course, as a share of the tolerance.
 
 The error is computed as if the turn rates differed all the time by as much as at the end.
 """
@@ -185,7 +187,7 @@ class Steering(msgspec.Struct, frozen=True):
         gear = self._gear(frame.see(goal), speeds[1])
         frame = Frame(frame.at, gear * frame.heading)
         if gear < 0.0 and self.style == "natural":
-            next_target = None  # it mostly leaves the target forwards, so it does not swing wide
+            next_target = None  # it will mostly leave the target forwards: no swing
         if self.limits.is_eased:
             driven = gear * speeds[0], speeds[1]
             linear, angular = self._eased(frame, goal, driven, is_last=next_target is None)
@@ -212,7 +214,7 @@ class Steering(msgspec.Struct, frozen=True):
 
     @property
     def _turns_round(self) -> bool:
-        """Whether it drives on forwards to a target that lies back from the one before."""
+        """Whether the turtle drives on forwards to a target that lies back from the one before."""
         return self.style in ("natural", "forward")
 
     def _gear(self, seen: complex, turning: float) -> float:
@@ -235,7 +237,7 @@ class Steering(msgspec.Struct, frozen=True):
         limits, away = self.limits, abs(seen)
         half_width = math.asin(
             min(1.0, limits.tolerance / away)
-        )  # of the disc, as it is seen from here
+        )  # the width of the disc as seen from here
         error, length = abs(phase(seen)), (away - limits.tolerance) / limits.radius
         reversing = max(0.0, math.pi - error - half_width) + length
         return max(0.0, error - half_width) + length >= _WORTH * reversing
@@ -249,7 +251,7 @@ class Steering(msgspec.Struct, frozen=True):
     def _at_once(
         self, frame: Frame, goal: complex, after: complex | None, turning: float
     ) -> Speeds:
-        """Both speeds, in the gear, where they may change at once."""
+        """Both speeds in the given gear, if speeds may jump."""
         limits, miss = self.limits, MISS * self.limits.tolerance
         if after is not None and abs(after - goal) <= 2.0 * miss:
             # Both are reached from a point between them, unless the turtle would have to back away
@@ -275,7 +277,7 @@ class Steering(msgspec.Struct, frozen=True):
         return share * limits.max_linear, angular
 
     def _eased(self, frame: Frame, goal: complex, speeds: Speeds, *, is_last: bool) -> Speeds:
-        """Both speeds, in the gear, where accelerations are limited."""
+        """Both speeds in the given gear, if accelerations are limited."""
         limits = self.limits
         area, aim = inside(goal, limits)
         facing = late(limits) if self.style == "rotate_then_drive" else math.pi / 2
@@ -301,7 +303,7 @@ class Steering(msgspec.Struct, frozen=True):
         slope = math.tan(abs(error))
         fastest = min(limits.max_linear, _SHARE * rate * abs(seen) / slope if slope else math.inf)
         ends = max(0.0, abs(seen) - limits.tolerance / 2)
-        if not (is_last or limits.step > limits.tolerance):  # it need not stop there
+        if not (is_last or limits.step > limits.tolerance):  # the turtle need not stop there
             ends = ends / min(1.0, slope) if slope else math.inf
         for share in _GLANCES:
             ahead = frame.turned(share * error)
@@ -310,7 +312,7 @@ class Steering(msgspec.Struct, frozen=True):
 
 
 class Course(NamedTuple):
-    """What the law needs, besides the pose and the speeds."""
+    """The arguments of the law besides the pose and the speeds."""
 
     target: Point
     next_target: Point | None
@@ -462,11 +464,11 @@ class Helm:
         )
 
     def _bulge(self, ticks: int) -> float:
-        """How far the way there can lead aside of a straight line (m)."""
+        """How far the path to that pose can deviate from a straight line (m)."""
         return abs(self._step * self._turn) * ticks * ticks / 8.0
 
     def _is_same(self, command: Speeds, ticks: int) -> bool:
-        """Whether a command is as good as the one that is held until there."""
+        """Whether a command is as good as the one that is held up to that pose."""
         limits, speeds = self._steering.limits, self.speeds
         if command[0] != speeds[0] or not speeds[0]:
             return command == speeds

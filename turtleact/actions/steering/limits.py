@@ -134,7 +134,7 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, dict=True):
 
     @cached_property
     def radius(self) -> float:
-        """Of the turning circle at full speed (m)."""
+        """The radius of the turning circle at full speed (m)."""
         return self.max_linear / self.max_angular
 
 
@@ -208,7 +208,7 @@ class Frame(msgspec.Struct, frozen=True):
         return (point - self.at) * self.heading.conjugate()
 
     def turned(self, angle: float) -> Frame:
-        """The same place, turned by an angle (rad)."""
+        """The same place with its heading turned by an angle (rad)."""
         return Frame(self.at, self.heading * cmath.rect(1.0, angle))
 
 
@@ -240,7 +240,10 @@ def sway(aside: float, limits: Limits) -> float:
 
 
 def leads_back(frame: Frame, target: complex, after: complex, limits: Limits) -> bool:
-    """Whether the next target lies back from this one; False if late commands drive past both."""
+    """Whether the next target lies behind this one.
+
+    False if late commands could drive past both.
+    """
     back = ((target - frame.at) * (after - target).conjugate()).real < 0.0
     return back and _LATE * limits.step <= limits.tolerance
 
@@ -271,7 +274,7 @@ def room(area: Area, at: complex, step: complex, limits: Limits) -> float:
 
 
 def reach(area: Area, at: complex, heading: complex, limits: Limits) -> float:
-    """How far it is straight ahead to the edge of the area (m)."""
+    """The distance straight ahead to the edge of the area (m)."""
     margin = min(_MARGIN, limits.tolerance / 10) / 2
     right = area.right - margin if heading.real > 0.0 else area.left + margin
     top = area.top - margin if heading.imag > 0.0 else area.bottom + margin
