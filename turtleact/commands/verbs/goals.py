@@ -233,6 +233,17 @@ app = typer.Typer(**SETTINGS)
 action = new_group("action")
 
 
+def _written(*, domain: int, **options: object) -> str:
+    """Return the options that say which graph is meant, as they are written in a command."""
+    if str(domain) != (os.environ.get("ROS_DOMAIN_ID") or "0"):
+        options["domain"] = domain
+    return "".join(
+        f" --{option} {shlex.quote(str(value))}"
+        for option, value in options.items()
+        if value is not None
+    )
+
+
 @app.command("send-goal", cls=Verb, help=VERBS["send-goal"], epilog=EXAMPLES)
 def send_goal(
     name: Name,
@@ -267,22 +278,12 @@ def send_goal(
         raise UsageError(f"--timeout 0 {problem}")
     if is_embedded and reattach:
         raise UsageError("--reattach is for servers in other processes, not for an embedded world")
-    said = {
-        "connect": connect,
-        "domain": None if str(domain) == (os.environ.get("ROS_DOMAIN_ID") or "0") else domain,
-        "config": config,
-        "interfaces": interfaces,
-    }
     place = Place(
         1.0 if speed is None else speed_or_max(speed),
         seed or 0,
         None if is_embedded else reach(connect, domain, config),
         folder(interfaces),
-        "".join(
-            f" --{option} {shlex.quote(str(value))}"
-            for option, value in said.items()
-            if value is not None
-        ),
+        _written(connect=connect, domain=domain, config=config, interfaces=interfaces),
     )
 
     def job(interrupts: Interrupts) -> int:
