@@ -7,8 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from turtleact.errors import ServerUnavailable, TurtleactError
 from turtleact.rclpy.exceptions import ROSInterruptException
@@ -201,17 +200,6 @@ class Client(Subscriptable, Entity):
             logger.debug(f"a request to {self._full_name} was lost: {error}")
         else:
             logger.error(f"{self._full_name} sends no response: {error}")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.destroy()
 
 
 PATIENCE = 0.5

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import total_ordering
 from typing import ClassVar
 
 from turtleact.rclpy.constants import S_TO_NS
@@ -15,6 +16,7 @@ LARGEST = 2**63
 """Durations and times are signed numbers of 64 bits."""
 
 
+@total_ordering
 class Duration:
     """A length of time, in whole nanoseconds.
 
@@ -60,21 +62,6 @@ class Duration:
     def __lt__(self, other: object) -> bool:
         if isinstance(other, Duration):
             return self._nanoseconds < other._nanoseconds
-        return NotImplemented
-
-    def __le__(self, other: object) -> bool:
-        if isinstance(other, Duration):
-            return self._nanoseconds <= other._nanoseconds
-        return NotImplemented
-
-    def __gt__(self, other: object) -> bool:
-        if isinstance(other, Duration):
-            return self._nanoseconds > other._nanoseconds
-        return NotImplemented
-
-    def __ge__(self, other: object) -> bool:
-        if isinstance(other, Duration):
-            return self._nanoseconds >= other._nanoseconds
         return NotImplemented
 
     def __add__(self, other: object) -> Duration:

@@ -225,7 +225,7 @@ class Executor:
         end = 0.0 if timeout_sec is None else time.monotonic() + timeout_sec
         left = None if timeout_sec is None or is_endless else TimeoutObject(timeout_sec)
         while self._context.ok() and not self._is_shutdown and not _is_over(future):
-            self._spin_once_until_future_complete(future, left)
+            self._spin_once(left, future)
             if left is not None:
                 now = time.monotonic()
                 if now >= end:
@@ -236,23 +236,24 @@ class Executor:
         self.wake()
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Wait for one callback and run it.
+        """Wait for one callback and run it; raises what a callback has raised.
 
         Args:
             timeout_sec: How long to wait; None or a negative number mean for ever.
         """
-        raise NotImplementedError
+        self._spin_once(timeout_sec)
 
     def spin_once_until_future_complete(
         self, future: Future, timeout_sec: float | TimeoutObject | None = None
     ) -> None:
         """Wait for one callback and run it, unless a future is done first."""
-        raise NotImplementedError
+        future.add_done_callback(self._future_done)
+        self._spin_once(timeout_sec, future)
 
-    def _spin_once_until_future_complete(
-        self, future: Future, timeout_sec: float | TimeoutObject | None = None
+    def _spin_once(
+        self, timeout_sec: float | TimeoutObject | None, future: Future | None = None
     ) -> None:
-        self.spin_once_until_future_complete(future, timeout_sec)
+        raise NotImplementedError
 
     def can_execute(self, entity: Entity) -> bool:
         """Whether the group of an entity lets its callback run."""
@@ -389,22 +390,6 @@ class Executor:
 class SingleThreadedExecutor(Executor):
     """Runs callbacks in the thread that spins."""
 
-    def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Wait for one callback and run it; raises what it raises."""
-        self._spin_once(timeout_sec)
-
-    def spin_once_until_future_complete(
-        self, future: Future, timeout_sec: float | TimeoutObject | None = None
-    ) -> None:
-        """Wait for one callback and run it, unless a future is done first."""
-        future.add_done_callback(self._future_done)
-        self._spin_once(timeout_sec, future)
-
-    def _spin_once_until_future_complete(
-        self, future: Future, timeout_sec: float | TimeoutObject | None = None
-    ) -> None:
-        self._spin_once(timeout_sec, future)
-
     def _spin_once(
         self, timeout_sec: float | TimeoutObject | None, future: Future | None = None
     ) -> None:
@@ -439,22 +424,6 @@ class MultiThreadedExecutor(Executor):
         self._executor = ThreadPoolExecutor(num_threads, thread_name_prefix="rclpy")
         self._failed: deque[Task] = deque()  # those whose exceptions were not raised yet
         self._context.on_shutdown(self._let_threads_end)
-
-    def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Wait for one callback and start it; raises what an earlier one has raised."""
-        self._spin_once(timeout_sec)
-
-    def spin_once_until_future_complete(
-        self, future: Future, timeout_sec: float | TimeoutObject | None = None
-    ) -> None:
-        """Wait for one callback and start it, unless a future is done first."""
-        future.add_done_callback(self._future_done)
-        self._spin_once(timeout_sec, future)
-
-    def _spin_once_until_future_complete(
-        self, future: Future, timeout_sec: float | TimeoutObject | None = None
-    ) -> None:
-        self._spin_once(timeout_sec, future)
 
     def shutdown(self, timeout_sec: float | None = None, *, wait_for_threads: bool = True) -> bool:
         """Stop, and wait for callbacks that run.

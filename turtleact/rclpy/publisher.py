@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from turtleact.rclpy.duration import Duration
 from turtleact.rclpy.impl.connection import Sender
-from turtleact.rclpy.impl.entity import Handle
+from turtleact.rclpy.impl.entity import Destroyable, Handle
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.messages.codec import encode
 from turtleact.rclpy.qos import QoSProfile
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["Publisher"]
 
 
-class Publisher(Subscriptable):
+class Publisher(Subscriptable, Destroyable):
     """Sends messages to a topic; made by `Node.create_publisher`.
 
     A message is encoded in the thread that publishes it, so it may be changed afterwards.
@@ -107,14 +106,3 @@ class Publisher(Subscriptable):
         for each in self.event_handlers:
             each.destroy()
         self._handle.destroy_when_not_in_use()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.destroy()

@@ -7,8 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from enum import Enum
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from turtleact.errors import InvalidMessage
 from turtleact.rclpy.impl.entity import NOTHING, Entity
@@ -159,17 +158,6 @@ class Subscription(Subscriptable, Entity):
     def _close(self) -> None:
         if self._opened is not None:
             self._opened.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.destroy()
 
 
 def _callback_type(callback: Anything) -> Subscription.CallbackType:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import total_ordering
 from typing import overload
 
 from turtleact.rclpy.clock_type import ClockType
@@ -13,6 +14,7 @@ from turtleact.rclpy.messages.classes import interface_class
 __all__ = ["Time"]
 
 
+@total_ordering
 class Time:
     """A point in time, in whole nanoseconds since the start of its clock.
 
@@ -110,21 +112,6 @@ class Time:
     def __lt__(self, other: object) -> bool:
         if isinstance(other, Time):
             return self._nanoseconds < self._other(other)
-        return NotImplemented
-
-    def __le__(self, other: object) -> bool:
-        if isinstance(other, Time):
-            return self._nanoseconds <= self._other(other)
-        return NotImplemented
-
-    def __gt__(self, other: object) -> bool:
-        if isinstance(other, Time):
-            return self._nanoseconds > self._other(other)
-        return NotImplemented
-
-    def __ge__(self, other: object) -> bool:
-        if isinstance(other, Time):
-            return self._nanoseconds >= self._other(other)
         return NotImplemented
 
     def to_msg(self) -> Anything:

@@ -10,8 +10,7 @@ import inspect
 import threading
 from collections.abc import Callable
 from functools import partial
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from turtleact.rclpy.clock import Clock, JumpThreshold
 from turtleact.rclpy.clock_type import ClockType
@@ -193,17 +192,6 @@ class Timer(Entity):
     def describe(self) -> str:
         """Name it in a diagnostic."""
         return f"the timer of {self._period / 1e9:g} s"
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.destroy()
 
 
 def _info_parameter(callback: Anything) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from turtleact.graph import SEND_GOAL, types_by_name
-from turtleact.rclpy.impl.node_graph import NodeNameNonExistentError
+from turtleact.rclpy.impl.node_graph import endpoints_of
 from turtleact.transports.base import Endpoint, EndpointKind
 
 if TYPE_CHECKING:
@@ -26,28 +26,21 @@ def get_action_client_names_and_types_by_node(
     Raises:
         RuntimeError: if there is no such node.
     """
-    return _of_node(node, remote_node_name, remote_node_namespace, "client")
+    ends = endpoints_of(node.connection, remote_node_name, remote_node_namespace)
+    return _listed(ends, "client")
 
 
 def get_action_server_names_and_types_by_node(
     node: Node, remote_node_name: str, remote_node_namespace: str
 ) -> list[tuple[str, list[str]]]:
     """Return the actions that a node serves, and their types; raises as above."""
-    return _of_node(node, remote_node_name, remote_node_namespace, "service")
+    ends = endpoints_of(node.connection, remote_node_name, remote_node_namespace)
+    return _listed(ends, "service")
 
 
 def get_action_names_and_types(node: Node) -> list[tuple[str, list[str]]]:
     """Return all actions that are served or used, and their types."""
     return _listed(node.connection.endpoints(), "service", "client")
-
-
-def _of_node(
-    node: Node, name: str, namespace: str, kind: EndpointKind
-) -> list[tuple[str, list[str]]]:
-    full = f"{namespace.rstrip('/')}/{name}"
-    if full not in node.connection.nodes():
-        raise NodeNameNonExistentError(f"Cannot get the actions of an unknown node: {full}")
-    return _listed([each for each in node.connection.endpoints() if each.node == full], kind)
 
 
 def _listed(

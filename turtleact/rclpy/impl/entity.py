@@ -13,7 +13,7 @@ from turtleact.rclpy.impl.typing import Anything
 if TYPE_CHECKING:
     from turtleact.rclpy.callback_groups import CallbackGroup
 
-__all__ = ["NOTHING", "Entity", "Handle"]
+__all__ = ["NOTHING", "Destroyable", "Entity", "Handle"]
 
 NOTHING = object()
 """What `Entity.take` returns if there was nothing to take after all."""
@@ -81,7 +81,26 @@ class Handle:
             self._close()
 
 
-class Entity:
+class Destroyable:
+    """Something that can be destroyed; a context manager that does so at its end."""
+
+    def destroy(self) -> None:
+        """Destroy it. A second call does nothing."""
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.destroy()
+
+
+class Entity(Destroyable):
     """A source of callbacks: a timer, subscription, guard condition, client, service or waitable.
 
     Args:

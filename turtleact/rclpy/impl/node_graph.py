@@ -11,7 +11,7 @@ from turtleact.rclpy.impl.connection import Connection
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.transports.base import Endpoint, EndpointKind
 
-__all__ = ["NodeGraph"]
+__all__ = ["NodeGraph", "NodeNameNonExistentError", "endpoints_of"]
 
 TOPIC_ENDS: tuple[EndpointKind, ...] = ("publisher", "subscription")
 
@@ -173,14 +173,23 @@ def _listed(node: Named, kind: Anything, *kinds: EndpointKind) -> list[tuple[str
 def _of_node(
     node: Named, name: str, namespace: str, kind: EndpointKind
 ) -> list[tuple[str, list[str]]]:
-    full = f"{namespace.rstrip('/')}/{name}"
-    if full not in node.connection.nodes():
-        raise NodeNameNonExistentError(f"Cannot get the names of an unknown node: {full}")
-    ends = [each for each in node.connection.endpoints() if each.node == full]
+    ends = endpoints_of(node.connection, name, namespace)
     noun: Anything = "topic" if kind in TOPIC_ENDS else "service"
     return [
         (each, list(types)) for each, types in types_by_name(ends, noun, kind, hidden=True).items()
     ]
+
+
+def endpoints_of(connection: Connection, name: str, namespace: str) -> list[Endpoint]:
+    """Return the endpoints of a node.
+
+    Raises:
+        NodeNameNonExistentError: if there is no such node.
+    """
+    full = f"{namespace.rstrip('/')}/{name}"
+    if full not in connection.nodes():
+        raise NodeNameNonExistentError(f"Cannot get the names of an unknown node: {full}")
+    return [each for each in connection.endpoints() if each.node == full]
 
 
 def _ends(node: Named, name: str, kind: EndpointKind) -> list[Endpoint]:
