@@ -5,16 +5,20 @@ import time
 
 import pytest
 
-from turtleact.goal import GoalStatus
+from turtleact.goal import GoalEvent, GoalStatus
 from turtleact.rclpy import toplevel as rclpy
 from turtleact.rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from turtleact.rclpy.action.server import ServerGoalHandle
 from turtleact.rclpy.exceptions import RCLError
 from turtleact.rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
+from turtleact.rclpy.impl.connection import RequestHandler
 from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages.codec import hash_of
 from turtleact.rclpy.task import Future
 
 Fibonacci = interface_class("example_interfaces/action/Fibonacci")
+Rotate = interface_class("turtlesim/action/RotateAbsolute")
+UUID = interface_class("unique_identifier_msgs/msg/UUID")
 
 
 def succeed(goal_handle):
@@ -277,3 +281,165 @@ def test_feedback_beside_an_answer_comes_with_it_or_behind_its_callback(
         executor.spin_once(0)
     assert sent.done()
     assert told == (["answer", "feedback"] if is_awaited else ["feedback"])
+
+
+def test_feedback_and_results_that_do_not_fit_their_types_are_refused(node, executor, capsys):
+    said: list[str] = []
+
+    def turn(goal_handle):
+        for wrong in (Rotate.Result(), Rotate.Feedback(remaining="a bit")):
+            try:
+                goal_handle.publish_feedback(wrong)
+            except TypeError as error:
+                said.append(str(error))
+        goal_handle.succeed()
+        return Rotate.Result(delta="a bit")
+
+    ActionServer(node, Rotate, "turn", turn)
+    client = ActionClient(node, Rotate, "turn")
+    sent = client.send_goal_async(Rotate.Goal())
+    executor.spin_until_future_complete(sent, timeout_sec=2)
+    ended = sent.result().get_result_async()
+    executor.spin_until_future_complete(ended, timeout_sec=2)
+    assert ended.result().status == GoalStatus.SUCCEEDED
+    assert ended.result().result.delta == 0
+    assert "The result cannot be sent" in capsys.readouterr().err
+    assert "expected feedback of the action" in said[0]
+    assert "feedback.remaining: a float32 cannot be 'a bit'" in said[1]
+
+
+def test_a_goal_that_ends_while_its_cancel_callback_runs_is_not_canceled(
+    node, send, result_of, executor
+):
+    held: list[ServerGoalHandle] = []
+
+    def hold(goal_handle):
+        held.append(goal_handle)
+        goal_handle.update(GoalEvent.EXECUTE)
+
+    def finish(goal_handle):
+        held[0].succeed()
+        return CancelResponse.ACCEPT
+
+    server = ActionServer(
+        node,
+        Fibonacci,
+        "fibonacci",
+        succeed,
+        handle_accepted_callback=hold,
+        cancel_callback=finish,
+    )
+    handle = send()
+    canceled = handle.cancel_goal_async()
+    executor.spin_until_future_complete(canceled, timeout_sec=2)
+    assert canceled.result().goals_canceling == []
+    with pytest.raises(RCLError, match="from state SUCCEEDED"):
+        held[0].abort()
+    assert held[0] == held[0]
+    assert len({held[0], held[0]}) == 1
+    assert held[0].goal_info.goal_id == held[0].goal_id
+    server.destroy()
+    held[0].abort()  # a server that is gone has no goals
+    assert held[0].status == GoalStatus.UNKNOWN
+
+
+def test_a_second_cancel_request_is_accepted_too(node, send, executor):
+    goes_on = Future()
+
+    async def wait(goal_handle):
+        await goes_on
+        goal_handle.canceled()
+        return Fibonacci.Result()
+
+    ActionServer(
+        node, Fibonacci, "fibonacci", wait, cancel_callback=lambda _: CancelResponse.ACCEPT
+    )
+    handle = send()
+    for _ in range(2):
+        canceled = handle.cancel_goal_async()
+        executor.spin_until_future_complete(canceled, timeout_sec=2)
+        assert len(canceled.result().goals_canceling) == 1
+    ended = handle.get_result_async()
+    goes_on.set_result(None)
+    executor.spin_until_future_complete(ended, timeout_sec=2)
+    assert ended.result().status == GoalStatus.CANCELED
+    while handle.status != GoalStatus.CANCELED:
+        executor.spin_once(timeout_sec=1)
+
+
+def test_an_execute_callback_must_be_callable(node, send):
+    held: list[ServerGoalHandle] = []
+    server = ActionServer(
+        node, Fibonacci, "fibonacci", succeed, handle_accepted_callback=held.append
+    )
+    with pytest.raises(TypeError, match="not callable"):
+        server.register_execute_callback(None)
+    send()
+    with pytest.raises(TypeError, match="not callable"):
+        held[0].execute("soon")
+
+
+def test_a_node_without_an_executor_executes_no_goal(node, context):
+    server = ActionServer(node, Fibonacci, "fibonacci", succeed)
+    info = interface_class("action_msgs/msg/GoalInfo")()
+    handle = ServerGoalHandle(server, info, Fibonacci.Goal())
+    handle.execute()
+    assert handle.status == GoalStatus.EXECUTING
+
+
+def test_requests_and_answers_that_cannot_be_read_are_logged(node, executor, send, capsys):
+    server = ActionServer(node, Fibonacci, "fibonacci", succeed)
+    end = node.connection.local("/fibonacci/_action/send_goal", f"{Fibonacci.type_name}_SendGoal")
+    assert end is not None
+    end.take(b"\0\1\0\0", print)
+    assert "a request cannot be read" in capsys.readouterr().err
+    server.destroy()
+
+    def answer(request, respond):
+        respond(b"\0\1\0\0", "")
+
+    handler = RequestHandler(answer)
+    type_name = f"{Fibonacci.type_name}_SendGoal"
+    raw = node.endpoint("service", "/fibonacci/_action/send_goal", type_name)
+    node.connection.serve(raw, hash_of(type_name), handler)
+    client = ActionClient(node, Fibonacci, "fibonacci")
+    sent = client.send_goal_async(Fibonacci.Goal())
+    executor.spin_once(timeout_sec=1)
+    assert not sent.done()
+    assert "a response cannot be read" in capsys.readouterr().err
+
+
+def test_an_answer_to_a_cancelled_future_is_dropped(node, executor):
+    ActionServer(node, Fibonacci, "fibonacci", succeed)
+    client = ActionClient(node, Fibonacci, "fibonacci")
+    sent = client.send_goal_async(Fibonacci.Goal(), goal_uuid=UUID(uuid=list(range(16))))
+    sent.cancel()
+    for _ in range(5):
+        executor.spin_once(timeout_sec=0)
+    assert (sent.cancelled(), sent.done()) == (True, False)
+
+
+def test_a_blocking_call_whose_answer_nobody_handles_says_why(node, context, monkeypatch, capsys):
+    monkeypatch.setattr("turtleact.rclpy.action.client.PATIENCE", 0.01)
+    monkeypatch.setattr("turtleact.rclpy.action.client.BLOCKED_AFTER", 0.02)
+    other = rclpy.create_node("server", context=context)
+    ActionServer(other, Fibonacci, "fibonacci", succeed)
+    serving = SingleThreadedExecutor(context=context)
+    serving.add_node(other)
+    client = ActionClient(node, Fibonacci, "fibonacci")
+    threading.Thread(target=serving.spin_once, daemon=True).start()
+    sent = client.send_goal_async(Fibonacci.Goal())
+    threading.Timer(0.2, context.shutdown).start()
+    assert client.wait_for_future(sent, "send_goal()") is None
+    said = capsys.readouterr().err
+    assert "send_goal() of /fibonacci has waited" in said
+    assert "nobody spins the node" in said
+
+
+def test_servers_and_clients_stand_for_several_entities(node):
+    server = ActionServer(node, Fibonacci, "fibonacci", succeed)
+    client = ActionClient(node, Fibonacci, "fibonacci")
+    assert server.get_num_entities().num_services == 3
+    assert client.get_num_entities().num_clients == 3
+    assert server.describe() == "the action server of /fibonacci"
+    assert client.describe() == "the action client of /fibonacci"

@@ -1,19 +1,30 @@
 """Executors: the order of a round, tasks, groups, timeouts and shutdown."""
 
+import asyncio
 import threading
 
 import pytest
 
 from turtleact.rclpy import toplevel as rclpy
-from turtleact.rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from turtleact.rclpy.callback_groups import (
+    CallbackGroup,
+    MutuallyExclusiveCallbackGroup,
+    ReentrantCallbackGroup,
+)
 from turtleact.rclpy.exceptions import InvalidHandle, NotInitializedException
 from turtleact.rclpy.executors import (
+    ConditionReachedException,
+    Executor,
     ExternalShutdownException,
     MultiThreadedExecutor,
+    ShutdownException,
     SingleThreadedExecutor,
+    TimeoutException,
 )
+from turtleact.rclpy.impl.entity import Handle
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.task import Future
+from turtleact.rclpy.waitable import NumberOfEntities, Waitable
 
 String = interface_class("std_msgs/msg/String")
 AddTwoInts = interface_class("example_interfaces/srv/AddTwoInts")
@@ -217,3 +228,217 @@ def test_a_context_is_initialised_and_shut_down_once(context):
     context.shutdown()
     with pytest.raises(RuntimeError, match="must be initialized before it can be shutdown"):
         context.shutdown()
+
+
+# --- custom waitables and executors --------------------------------------------------------------
+
+
+class Counter(Waitable):
+    """Counts up to a number, or fails to."""
+
+    def __init__(self, group, things):
+        super().__init__(group)
+        self.things = things
+        self.counted: list[object] = []
+
+    def is_ready(self, wait_set):
+        return bool(self.things)
+
+    def take_data(self):
+        taken = self.things.pop(0)
+        if isinstance(taken, Exception):
+            raise taken
+        return taken
+
+    async def execute(self, taken_data):
+        self.counted.append(taken_data)
+
+
+def test_a_waitable_of_a_program_is_executed_when_it_is_ready(node, executor):
+    counter = Counter(node.default_callback_group, [1, None, 2])
+    node.add_waitable(counter)
+    for _ in range(4):
+        executor.spin_once(timeout_sec=0)
+    assert counter.counted == [1, 2]
+    node.remove_waitable(counter)
+    counter.things.append(3)
+    executor.spin_once(timeout_sec=0)
+    assert counter.counted == [1, 2]
+
+
+def test_a_waitable_that_cannot_be_taken_from_gives_its_group_back(node, executor):
+    counter = Counter(node.default_callback_group, [ValueError("broken"), 1])
+    node.add_waitable(counter)
+    with pytest.raises(ValueError, match="broken"):
+        executor.spin_once(timeout_sec=0)
+    executor.spin_once(timeout_sec=0)
+    assert counter.counted == [1]
+
+
+def test_the_base_of_waitables_and_groups_does_nothing_by_itself(node):
+    waitable = Waitable(node.default_callback_group)
+    for method in (waitable.is_ready, lambda _: waitable.take_data()):
+        with pytest.raises(NotImplementedError):
+            method(None)
+    group = CallbackGroup()
+    for ask in (group.can_execute, group.beginning_execution, group.ending_execution):
+        with pytest.raises(NotImplementedError):
+            ask(waitable)
+    group.add_entity(waitable)
+    assert group.has_entity(waitable)
+    counted = NumberOfEntities(1, 2, num_events=3)
+    assert (counted.num_subscriptions, counted.num_events) == (1, 3)
+
+
+def test_an_exclusive_group_is_held_by_one_entity_at_a_time(node):
+    group = MutuallyExclusiveCallbackGroup()
+    first = node.create_guard_condition(None, callback_group=group)
+    second = node.create_guard_condition(None, callback_group=group)
+    assert group.beginning_execution(first)
+    assert not group.beginning_execution(second)
+    assert not group.can_execute(second)
+    assert group.active_entity == first
+    group.ending_execution(first)
+    assert group.can_execute(second)
+
+
+def test_a_custom_executor_runs_callbacks_where_it_likes(node, context):
+    class Custom(Executor):
+        def __init__(self):
+            super().__init__(context=context)
+            self.seen: list[object] = []
+
+        def spin_once(self, timeout_sec=None):
+            handler, _, its_node = self.wait_for_ready_callbacks(timeout_sec)
+            self.seen.append(its_node)
+            handler()
+
+    called: list[str] = []
+    with Custom() as executor:
+        executor.add_node(node)
+        node.create_guard_condition(lambda: called.append("guard")).trigger()
+        executor.spin_once(1)
+        assert (called, executor.seen) == (["guard"], [node])
+        with pytest.raises(NotImplementedError):
+            executor.spin_until_future_complete(Future())
+    with pytest.raises(ShutdownException):
+        executor.spin_once()
+
+
+def test_work_can_be_waited_for_in_some_nodes_only(node, executor, context):
+    other = rclpy.create_node("other", context=context)
+    executor.add_node(other)
+    assert not executor.add_node(other)
+
+    async def twice():
+        await asyncio.sleep(0)
+
+    guard = node.create_guard_condition(twice)
+    guard.trigger()
+    executor.spin_once(0)  # the next step of the coroutine is a task of this node
+    other.create_guard_condition(None).trigger()
+    works = executor._wait_for_ready_callbacks(0, [other])
+    task, _, found = next(works)
+    assert found is other
+    task()
+    with pytest.raises(TimeoutException):
+        next(works)
+    with pytest.raises(ConditionReachedException):
+        executor.wait_for_ready_callbacks(None, None, lambda: True)
+
+
+def test_a_cancelled_task_is_skipped(executor):
+    called: list[int] = []
+    executor.create_task(called.append, 1).cancel()
+    executor.create_task(called.append, 2)
+    executor.spin_once(0)
+    assert called == [2]
+
+
+def test_a_spin_until_a_future_is_done_ends_after_its_timeout(executor):
+    never = Future()
+    executor.spin_until_future_complete(never, timeout_sec=0.01)
+    executor.spin_once_until_future_complete(never, 0.01)
+    assert not never.done()
+    done = Future()
+    done.set_result(1)
+    executor.spin_once_until_future_complete(done)
+
+
+def test_callbacks_wait_while_a_coroutine_holds_their_group(node, executor):
+    called: list[str] = []
+    released = Future()
+
+    async def hold():
+        timer.cancel()
+        await released
+
+    timer = node.create_timer(0.0, hold)
+    executor.spin_once(0)
+    node.create_timer(0.001, lambda: called.append("timer"))
+    node.create_guard_condition(lambda: called.append("guard")).trigger()
+    executor.spin_once(timeout_sec=0.01)
+    assert called == []
+    released.set_result(None)
+    for _ in range(3):
+        executor.spin_once(timeout_sec=1)
+    assert sorted(set(called)) == ["guard", "timer"]
+
+
+@pytest.mark.parametrize("kind", [SingleThreadedExecutor, MultiThreadedExecutor])
+def test_a_shutdown_waits_for_callbacks_no_longer_than_asked(node, context, kind):
+    executor = kind(context=context)
+    executor.add_node(node)
+    began, goes_on = threading.Event(), threading.Event()
+
+    def work():
+        began.set()
+        goes_on.wait(5)
+
+    node.create_guard_condition(work).trigger()
+    spinning = threading.Thread(target=executor.spin, daemon=True)
+    spinning.start()
+    assert began.wait(5)
+    assert not executor.shutdown(0.01)
+    goes_on.set()
+    assert executor.shutdown(5)
+    spinning.join(5)
+    assert executor.get_nodes() == []
+
+
+def test_one_thread_is_too_few_for_a_multi_threaded_executor(context):
+    with pytest.warns(UserWarning, match="use a SingleThreadedExecutor"):
+        MultiThreadedExecutor(1, context=context).shutdown()
+
+
+def test_a_node_moves_from_one_executor_to_another(node, executor, context):
+    other = SingleThreadedExecutor(context=context)
+    node.executor = other
+    assert (executor.get_nodes(), other.get_nodes()) == ([], [node])
+    node.executor = other
+    node.executor = None
+    assert (node.executor, other.get_nodes()) == (None, [])
+
+
+def test_a_guard_condition_may_have_no_callback_or_a_coroutine(node, executor):
+    called: list[int] = []
+
+    async def call():
+        called.append(1)
+
+    node.create_guard_condition(None).trigger()
+    node.create_guard_condition(call).trigger()
+    for _ in range(2):
+        executor.spin_once(0)
+    assert called == [1]
+
+
+def test_a_handle_is_closed_when_its_last_user_has_left():
+    closed: list[int] = []
+    handle = Handle(lambda: closed.append(1))
+    with handle:
+        handle.destroy_when_not_in_use()
+        assert handle.is_destroyed
+        assert closed == []
+    handle.destroy_when_not_in_use()
+    assert closed == [1]

@@ -12,10 +12,15 @@ from turtleact.rclpy import action, logging, serialization
 from turtleact.rclpy import toplevel as rclpy
 from turtleact.rclpy.clock import ROSClock
 from turtleact.rclpy.duration import Duration
-from turtleact.rclpy.exceptions import NoTypeSupportImportedException
+from turtleact.rclpy.exceptions import (
+    InvalidServiceNameException,
+    InvalidTopicNameException,
+    NoTypeSupportImportedException,
+)
 from turtleact.rclpy.executors import SingleThreadedExecutor
 from turtleact.rclpy.impl.implementation_singleton import rclpy_implementation
 from turtleact.rclpy.impl.logging_severity import LoggingSeverity
+from turtleact.rclpy.impl.rcutils_logger import LOG, Record
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import Parameter
 from turtleact.rclpy.qos import (
@@ -389,3 +394,79 @@ def test_parameters_may_override_a_quality(context):
     )
     with pytest.raises(InvalidQosOverridesError, match="too deep"):
         node.create_publisher(String, "other", 1, qos_overriding_options=strict)
+
+
+# --- what a node has ------------------------------------------------------------------------------
+
+
+def test_a_node_lists_what_it_has(node, executor):
+    publisher = node.create_publisher(String, "chatter", 10)
+    subscription = node.create_subscription(String, "chatter", print, 10)
+    client = node.create_client(AddTwoInts, "add")
+    service = node.create_service(AddTwoInts, "add", print)
+    timer = node.create_timer(1.0, print)
+    guard = node.create_guard_condition(print)
+    rate = node.create_rate(10)
+    assert publisher in node.publishers
+    assert subscription in node.subscriptions
+    assert client in node.clients
+    assert service in node.services
+    assert list(node.timers) == [timer, rate.timer]
+    assert list(node.guards) == [guard]
+    assert [each.describe() for each in (subscription, client, service, timer, guard)] == [
+        "the subscription of /chatter",
+        "the client of /add",
+        "the service /add",
+        "the timer of 1 s",
+        "a guard condition",
+    ]
+    assert node.destroy_rate(rate)
+    with node.handle:
+        assert node.executor is executor
+
+
+def test_a_remapping_to_a_name_that_breaks_the_rules_is_refused(context):
+    node = rclpy.create_node(
+        "arm", context=context, cli_args=["--ros-args", "-r", "chatter:=4ever", "-r", "add:=4ever"]
+    )
+    with pytest.raises(InvalidTopicNameException):
+        node.create_publisher(String, "chatter", 10)
+    with pytest.raises(InvalidServiceNameException):
+        node.create_client(AddTwoInts, "add")
+
+
+def test_a_subscription_may_have_a_coroutine_or_a_function_of_c_as_callback(node, executor):
+    heard: list[Any] = []
+
+    async def hear(message):
+        heard.append(message.data)
+
+    node.create_subscription(String, "chatter", hear, 10)
+    seen = node.create_subscription(String, "chatter", dir, 10)
+    assert seen.callback is not None
+    node.create_publisher(String, "chatter", 10).publish(String(data="hi"))
+    for _ in range(2):
+        executor.spin_once(timeout_sec=1)
+    assert heard == ["hi"]
+
+
+def test_a_message_that_cannot_be_read_is_logged_and_dropped(node, executor, capsys):
+    heard: list[Any] = []
+    node.create_subscription(String, "chatter", heard.append, 10)
+    publisher = node.create_publisher(String, "chatter", 10)
+    publisher.publish(b"\0\1\0\0")
+    publisher.publish(String(data="hi"))
+    for _ in range(2):
+        executor.spin_once(timeout_sec=1)
+    assert [each.data for each in heard] == ["hi"]
+    assert "a message of /chatter cannot be read" in capsys.readouterr().err
+
+
+def test_a_log_line_may_have_another_format(monkeypatch, capsys):
+    monkeypatch.setenv(
+        "RCUTILS_CONSOLE_OUTPUT_FORMAT", "{severity} {name} {line_number} {message} {x}"
+    )
+    monkeypatch.setenv("RCUTILS_COLORIZED_OUTPUT", "1")
+    log = type(LOG)()
+    log.write(Record(LoggingSeverity.WARN, "arm", "hot", 1_000_000_000, "f.py", "f", 7))
+    assert capsys.readouterr().err == "\033[33mWARN arm 7 hot {x}\033[0m\n"

@@ -50,7 +50,6 @@ def test_durations_are_added_scaled_and_compared():
     assert len({one, Duration(seconds=1)}) == 1
     assert (str(Infinite), str(one)) == ("Infinite", "1000000000 nanoseconds")
     assert repr(one) == "Duration(nanoseconds=1000000000)"
-    assert one.get_c_duration() == SECOND
     assert Duration.from_msg(Duration(seconds=1.5).to_msg()).nanoseconds == 1.5 * SECOND
 
 

@@ -36,6 +36,8 @@ def main() -> None:
     parser.add_argument("program", help="the file or module")
     parser.add_argument("arguments", nargs=REMAINDER, help="the program's own arguments")
     given = parser.parse_args()
+    if given.alone and given.embedded:
+        parser.error("--embedded needs a graph: leave --alone out")
     connect = tuple(given.connect.split(",")) if given.connect else ()
     place = Place(connect, is_embedded=given.embedded, is_alone=given.alone)
     options = Options(given.face, place, given.interfaces)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from turtleact.errors import ServerUnavailable, TurtleactError
 from turtleact.rclpy.exceptions import ROSInterruptException
 from turtleact.rclpy.impl.calls import CallEnd
-from turtleact.rclpy.impl.diagnosis import warn_if_blocked
+from turtleact.rclpy.impl.diagnosis import BLOCKED_AFTER, warn_if_blocked
 from turtleact.rclpy.impl.entity import NOTHING, Entity
 from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
@@ -204,6 +204,3 @@ class Client(Subscriptable, Entity):
 
 PATIENCE = 0.5
 """How long to wait at most before looking again (s); a signal may not interrupt a lock."""
-
-BLOCKED_AFTER = 2.0
-"""After so long, somebody who waits is told who blocks the callback that is waited for (s)."""

@@ -102,10 +102,6 @@ class Duration:
             raise TypeError("Must pass a builtin_interfaces.msg.Duration object")
         return cls(seconds=msg.sec, nanoseconds=msg.nanosec)
 
-    def get_c_duration(self) -> int:
-        """Return the length in nanoseconds."""
-        return self._nanoseconds
-
 
 Infinite = Duration(nanoseconds=LARGEST - 1)
 """The longest duration: for ever."""

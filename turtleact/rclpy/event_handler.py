@@ -24,7 +24,7 @@ from turtleact.rclpy.executors import await_or_execute
 from turtleact.rclpy.impl.connection import Connection
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.qos import QoSPolicyKind
-from turtleact.rclpy.waitable import NumberOfEntities, Waitable
+from turtleact.rclpy.waitable import Waitable
 from turtleact.transports.base import Endpoint
 
 __all__ = [
@@ -348,10 +348,6 @@ class EventHandler(Waitable):
     async def execute(self, taken_data: object) -> None:
         """Call the callback."""
         await await_or_execute(self.callback, taken_data)
-
-    def get_num_entities(self) -> NumberOfEntities:
-        """Return how many entities it stands for."""
-        return NumberOfEntities(num_events=1)
 
     def destroy(self) -> None:
         """Destroy it. A second call does nothing."""

@@ -8,7 +8,6 @@ from functools import partial
 from types import TracebackType
 from typing import TYPE_CHECKING, Self, TypeVar
 
-from turtleact.errors import InvalidName
 from turtleact.rclpy.callback_groups import (
     CallbackGroup,
     MutuallyExclusiveCallbackGroup,
@@ -18,11 +17,7 @@ from turtleact.rclpy.client import Client
 from turtleact.rclpy.clock import Clock, ROSClock
 from turtleact.rclpy.constants import S_TO_NS
 from turtleact.rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from turtleact.rclpy.exceptions import (
-    InvalidServiceNameException,
-    InvalidTopicNameException,
-    NotInitializedException,
-)
+from turtleact.rclpy.exceptions import NotInitializedException
 from turtleact.rclpy.guard_condition import GuardCondition
 from turtleact.rclpy.impl.arguments import arguments_of
 from turtleact.rclpy.impl.calls import CallEnd
@@ -323,14 +318,11 @@ class Node(NodeParameters, NodeGraph):
             validate_topic_name(name, is_service=is_service)
             full = expand_topic_name(name, self._name, self._namespace)
             validate_full_topic_name(full, is_service=is_service)
-            return full if only_expand else self._remapped(full, is_service=is_service)
-
-    def _remapped(self, full: str, *, is_service: bool) -> str:
-        try:
-            return self._arguments.remap(full, self._name, self._namespace)
-        except InvalidName as error:
-            kind = InvalidServiceNameException if is_service else InvalidTopicNameException
-            raise kind(error.name, error.problem, error.position) from error
+            if only_expand:
+                return full
+            remapped = self._arguments.remap(full, self._name, self._namespace)
+            validate_full_topic_name(remapped, is_service=is_service)
+            return remapped
 
     def endpoint(
         self, kind: EndpointKind, name: str, type_name: str, qos: QoSProfile | None = None

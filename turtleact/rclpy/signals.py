@@ -18,7 +18,6 @@ from typing import TypeAlias
 from turtleact.rclpy.impl.process import PROCESS
 
 __all__ = [
-    "SignalHandlerGuardCondition",
     "SignalHandlerOptions",
     "get_current_signal_handlers_options",
     "install_signal_handlers",
@@ -104,13 +103,3 @@ def get_current_signal_handlers_options() -> SignalHandlerOptions:
 def uninstall_signal_handlers() -> None:
     """Restore the handlers that were there before."""
     HANDLERS.uninstall()
-
-
-class SignalHandlerGuardCondition:
-    """Stands for rclpy's; executors are woken when their context is shut down."""
-
-    def __init__(self, context: object = None) -> None:
-        self.context = context
-
-    def destroy(self) -> None:
-        """Do nothing."""

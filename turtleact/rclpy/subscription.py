@@ -107,11 +107,6 @@ class Subscription(Subscriptable, Entity):
         """Remember the transport's end, to close it."""
         self._opened = opened
 
-    def take_waiting(self) -> Anything:
-        """Take a message without running the callback: a pair of message and info, or None."""
-        taken = self.take()
-        return None if taken is NOTHING else taken
-
     def is_ready_now(self) -> bool:
         """Whether a message waits."""
         return bool(self._waiting) and not self._handle.is_destroyed

@@ -66,10 +66,9 @@ def shutdown(*, context: Context | None = None) -> None:
 def try_shutdown(*, context: Context | None = None) -> None:
     """Shut down a context, or the default one, unless it is shut down already."""
     given = get_default_context() if context is None else context
-    if given.ok():
-        if context is None:
-            get_default_context(shutting_down=True)
-        given.try_shutdown()
+    if context is None and given.handle is not None:  # it may also have been shut down by a signal
+        get_default_context(shutting_down=True)
+    given.try_shutdown()
 
 
 def remove_ros_args(args: Sequence[str] | None = None) -> list[str]:

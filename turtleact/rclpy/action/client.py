@@ -347,13 +347,22 @@ class ActionClient(Waitable):
         is_awaited = future.is_awaited
         future.set_result(handle(response))
         if not is_awaited:
-            # As in rclpy, feedback that is here already belongs to the same turn. But where a
-            # callback or coroutine waits for the answer, it must be the first to know.
+            await self._go_on()
+
+    async def _go_on(self) -> None:
+        """Handle what came with an answer: a new state, and one feedback message.
+
+        In rclpy that belongs to the same turn of the executor. But if a callback or coroutine waits
+        for the answer, it must be the first to know.
+        """
+        event: Event | None = None
+        while event is None or event[0] != self._feedback:
             with self._lock:
-                is_next = self._events and self._events[0][0] == self._feedback
-                event = self._events.popleft() if is_next else None
-            if event is not None:
-                await self.execute(event)
+                is_answer = not self._events or self._events[0][0] == self._answered
+                event = None if is_answer else self._events.popleft()
+            if event is None:
+                return
+            await self.execute(event)
 
     def _goal_answered(self, goal_id: Anything, response: Anything) -> ClientGoalHandle:
         handle = ClientGoalHandle(self, goal_id, response)

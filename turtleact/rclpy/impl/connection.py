@@ -184,9 +184,6 @@ class Connection:
 
     def close(self) -> None:
         """Leave the graph. Whatever does not close in time is left behind."""
-        if self.loop.is_here:
-            self.loop.start(self._close())
-            return
         with contextlib.suppress(TimeoutError):
             self.loop.run(self._close(), CLOSING)
 

@@ -39,11 +39,6 @@ class Handle:
         """Whether it was destroyed."""
         return self._is_destroyed
 
-    @property
-    def pointer(self) -> int:
-        """A number that identifies it."""
-        return id(self)
-
     def check(self) -> None:
         """Raise if it was destroyed.
 

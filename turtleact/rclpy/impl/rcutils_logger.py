@@ -14,15 +14,12 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from types import FrameType
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import msgspec
 
 from turtleact.rclpy.impl.logging_severity import LoggingSeverity
 from turtleact.rclpy.impl.typing import Anything
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["LOG", "RcutilsLogger", "Record", "Rosout"]
 
