@@ -48,6 +48,7 @@ ONE_LOOP = {
     "interfaces",
     "interop",
     "mcp",
+    "recording",
     "render",
     "sim",
     "telemetry",

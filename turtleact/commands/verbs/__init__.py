@@ -57,7 +57,6 @@ _NO_BUILD: Final = (
 
 _TEST: Final = "'python -m pytest' runs your tests"
 _ELSEWHERE: Final = {
-    "bag": "'turtleact topic echo NAME --csv' prints one message per line; save them to a file",
     "build": _NO_BUILD,
     "colcon": _NO_BUILD,
     "component": "each node is a program of its own, such as 'turtleact serve'",

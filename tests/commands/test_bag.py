@@ -1,0 +1,183 @@
+"""``bag``: recorded, inspected, and what is said about what is missing."""
+
+import signal
+import sys
+import time
+from contextlib import asynccontextmanager
+
+import pytest
+
+from turtleact import open_node
+from turtleact.commands import bag_recording
+from turtleact.interfaces import encode, get_message
+from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
+from turtleact.interfaces.standard.std_msgs.msg import String
+from turtleact.recording import Bag
+from turtleact.recording.bag_writer import BagWriter, Split
+from turtleact.recording.metadata import Offer
+from turtleact.recording.schemas import schema_of
+from turtleact.recording.storage import Channel
+from turtleact.tasks import Background
+
+START = 1_800_000_000_000_000_000
+
+
+@asynccontextmanager
+async def talking(transport):
+    """A graph on which ``/said`` gets ten messages a second, and ``fibonacci`` is served."""
+
+    async def body(goal):
+        return Fibonacci.Result([goal.order])
+
+    async def talk(publisher):
+        while True:
+            await transport.clock.sleep(0.1)
+            publisher.publish(String(data="x"))
+
+    async with open_node("talker", transport=transport) as node:
+        node.action_server(Fibonacci, "fibonacci", body)
+        running = Background(talk(node.publisher(String, "said")), "talking")
+        yield
+        await running.aclose()
+
+
+@pytest.fixture
+def bag(tmp_path):
+    """A bag with a topic, an action without events, and a service."""
+    writer = BagWriter(tmp_path / "run", Split())
+    types = {
+        "/said": "std_msgs/msg/String",
+        "/patrol/_action/feedback": "example_interfaces/action/Fibonacci_FeedbackMessage",
+        "/reset/_service_event": "std_srvs/srv/Empty_Event",
+    }
+    for number, (topic, type_name) in enumerate(types.items()):
+        cls = get_message(type_name)
+        writer.add(number, Channel(topic=topic, schema=schema_of(cls), offers=(Offer(),)))
+        for place in range(number + 1):
+            stamp = START + place * 1_500_000_000
+            writer.write(number, stamp, stamp, encode(cls()))
+    writer.close({"/said": 3})
+    return tmp_path / "run"
+
+
+TOLD = """
+Files:             run_0.mcap
+Bag size:          3.6 KiB
+Storage id:        mcap
+ROS Distro:        turtleact
+Duration:          3.000000000s
+Start:             Jan 15 2027 08:00:00.000000000 (1800000000.000000000)
+End:               Jan 15 2027 08:00:03.000000000 (1800000003.000000000)
+Messages:          1
+Topic information: Topic: /said | Type: std_msgs/msg/String | Count: 1 | Serialization Format: cdr
+Services:          1
+Service information: Service: /reset | Type: std_srvs/srv/Empty | Event Count: 3 | \
+Serialization Format: cdr
+Actions:           1
+Action information:
+  Action: /patrol | Type: example_interfaces/action/Fibonacci | Topics: 2 | Service: 3 | \
+Serialization Format: cdr
+    Topic: feedback | Count: 2
+    Topic: status | Count: 0
+    Service: send_goal | Event Count: 0
+    Service: cancel_goal | Event Count: 0
+    Service: get_result | Event Count: 0
+
+Lost: 3 messages of /said were not recorded.
+Missing: the goals and results of /patrol. No service events were published; serve the actions \
+with introspection to record them.
+"""
+
+
+def test_info_is_that_of_ros2_bag_and_says_what_is_missing(turtleact, bag, monkeypatch):
+    monkeypatch.setenv("TZ", "UTC")
+    time.tzset()
+    size = sum(each.stat().st_size for each in bag.glob("*.mcap"))
+    ran = turtleact("bag", "info", str(bag))
+    assert ran.status == 0
+    told = TOLD.replace("3.6 KiB", f"{size / 1024:.1f} KiB")
+    assert ran.out == told.replace("information:\n", "information: \n")
+    ran = turtleact("bag", "info", "-v", str(bag / "run_0.mcap"))
+    assert "/reset | Type: std_srvs/srv/Empty | Request Count: 3 | Response Count: 0" in ran.out
+    assert turtleact("bag", "info", "-t", str(bag)).out.split() == [
+        "/patrol/_action/feedback",
+        "/reset/_service_event",
+        "/said",
+    ]
+
+
+def test_info_says_that_a_file_was_not_closed(turtleact, bag):
+    (bag / "metadata.yaml").unlink()
+    file = bag / "run_0.mcap"
+    file.write_bytes(file.read_bytes()[:-100])
+    said = turtleact("bag", "info", str(bag)).out
+    assert "\nThe file was not closed: the recorder was killed" in said
+
+
+def test_info_of_nothing(turtleact, tmp_path):
+    ran = turtleact("bag", "info", str(tmp_path / "none"))
+    assert (ran.status, ran.err) == (1, f"turtleact: bag '{tmp_path}/none': it does not exist\n")
+
+
+def test_something_must_be_recorded(on_graph, tmp_path):
+    ran = on_graph(talking, "bag", "record", "-o", str(tmp_path / "run"))
+    assert ran.status == 2
+    assert "nothing to record: name topics, or give --all" in ran.problem
+
+
+@pytest.mark.parametrize(
+    ("options", "topics"),
+    [
+        (["/said"], {"/said"}),
+        (["--topics", "said", "/other", "--max-bag-size", "100000"], {"/said"}),
+        (["--actions", "/fibonacci"], {"/fibonacci/_action/feedback", "/fibonacci/_action/status"}),
+        (["-e", "s.id", "--storage-preset-profile", "zstd_fast"], {"/said"}),
+    ],
+)
+def test_a_signal_ends_a_recording_with_status_0(
+    on_graph, interrupts, monkeypatch, tmp_path, options, topics
+):
+    taken = bag_recording.record
+
+    @asynccontextmanager
+    async def record(node, path, **options):
+        async with taken(node, path, **options) as recording:
+            await node.clock.sleep(1)
+            interrupts.end(signal.SIGINT)
+            yield recording
+
+    monkeypatch.setattr(bag_recording, "record", record)
+    ran = on_graph(talking, "bag", "record", *options, "-o", str(tmp_path / "run"))
+    assert ran.status == 0
+    bag = Bag(tmp_path / "run")
+    assert {each.name for each in bag.info.topics} == topics
+    assert bag.info.is_closed
+    assert f"turtleact: recording to {tmp_path}/run; Ctrl-C ends it\n" in ran.err
+    for topic in topics:
+        assert f"turtleact: subscribed to topic '{topic}'\n" in ran.err
+    assert f"turtleact: {bag.info.count} messages recorded in {tmp_path}/run\n" in ran.err
+
+
+def test_a_recording_names_what_was_lost(on_graph, interrupts, monkeypatch, tmp_path):
+    lost = {f"/{number}": number for number in range(1, 9)}
+    monkeypatch.setattr(bag_recording.Recording, "lost_by_topic", lost)
+
+    async def tell(_):
+        interrupts.end(signal.SIGTERM)
+
+    monkeypatch.setattr(bag_recording, "_tell", tell)
+    ran = on_graph(talking, "bag", "record", "-a", "-o", str(tmp_path / "run"))
+    assert "8 messages of topic '/8' were lost\n" in ran.err
+    assert ran.err.endswith("and 36 messages in all, of 8 topics\n")
+
+
+def test_without_the_extra_the_package_is_named(turtleact, tmp_path, monkeypatch):
+    ours = ("turtleact.recording", "turtleact.commands.bag_")
+    for name in [each for each in sys.modules if each.startswith(ours)]:
+        monkeypatch.delitem(sys.modules, name)
+    for name in ["mcap", *[each for each in sys.modules if each.startswith("mcap.")]]:
+        monkeypatch.setitem(sys.modules, name, None)
+    ran = turtleact("bag", "info", str(tmp_path))
+    assert ran.status == 1
+    problem = "turtleact bag needs one more package: pip install 'mcap>=1.6,<2'"
+    assert ran.err == f"turtleact: {problem}\n"

@@ -1,0 +1,214 @@
+"""``bag info``: what is in a bag, as ``ros2 bag info`` prints it, and what is missing from it.
+
+Source: rosbag2 ``format_bag_metadata.cpp``, ``format_action_info.cpp``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+from turtleact.commands.output import say_names
+from turtleact.recording import Bag, BagInfo, BagTopic
+from turtleact.recording.selection import EVENT, owner_of, part_of
+from turtleact.recording.storage import Range
+
+__all__ = ["print_info"]
+
+INDENT = 19
+"""The width of the names at the left."""
+
+REQUESTS = frozenset({0, 1})
+"""The kinds of service events that belong to a request; the others belong to a response."""
+
+_SIZES = ("B", "KiB", "MiB", "GiB", "TiB")
+
+
+class _Action(NamedTuple):
+    """The topics of an action by part, and its type."""
+
+    name: str
+    type_name: str
+    parts: dict[str, BagTopic]
+
+
+def print_info(path: Path, *, verbose: bool, names_only: bool) -> int:
+    """Print what is in a bag; with ``verbose``, count requests and responses apart.
+
+    Raises:
+        BagError: if there is no bag.
+    """
+    bag = Bag(path)
+    try:
+        info = bag.info
+        if names_only:
+            say_names("".join(f"{name}\n" for name in sorted({each.name for each in info.topics})))
+            return 0
+        reading = _Reading(bag) if verbose else None
+        lines = [*_head(info), *_topics(info), *_services(info, reading), *_actions(info, reading)]
+        say_names("\n" + "".join(f"{line}\n" for line in [*lines, *_remarks(info)]))
+        return 0
+    finally:
+        bag.close()
+
+
+class _Reading:
+    """What only the messages themselves tell: requests and responses, and sizes by topic."""
+
+    def __init__(self, bag: Bag) -> None:
+        self.sizes: Counter[str] = Counter()
+        self.requests: Counter[str] = Counter()
+        self.responses: Counter[str] = Counter()
+        for raw in bag.messages(Range()):
+            topic = raw.channel.topic
+            self.sizes[topic] += len(raw.data)
+            if topic.endswith(EVENT) and len(raw.data) > 4:
+                # The kind of event is the first byte behind the header of CDR.
+                (self.requests if raw.data[4] in REQUESTS else self.responses)[topic] += 1
+
+
+def _head(info: BagInfo) -> list[str]:
+    end = info.start + info.duration
+    files = [each.path for each in info.files]
+    # Events of services do not count as messages.
+    events = sum(each.count for each in info.topics if part_of(each.name).owner != "topic")
+    return [
+        *_under("Files:", files),
+        _row("Bag size:", _size(info.size)),
+        _row("Storage id:", info.storage),
+        _row("ROS Distro:", info.distro or "unknown"),
+        _row("Duration:", f"{_seconds(info.duration)}s"),
+        _row("Start:", _moment(info.start)),
+        _row("End:", _moment(end)),
+        _row("Messages:", str(info.count - events)),
+    ]
+
+
+def _topics(info: BagInfo) -> list[str]:
+    rows = [
+        f"Topic: {each.name} | Type: {each.type_name} | Count: {each.count} | "
+        f"Serialization Format: {each.format}"
+        for each in _sorted(info.topics)
+        if part_of(each.name).owner == "topic"
+    ]
+    return _under("Topic information:", rows)
+
+
+def _services(info: BagInfo, reading: _Reading | None) -> list[str]:
+    events = [each for each in _sorted(info.topics) if part_of(each.name).owner == "service"]
+    rows = [
+        f"Service: {part_of(each.name).name} | Type: {owner_of(each.name, each.type_name)} | "
+        f"{_events(each, reading)} | Serialization Format: {each.format}"
+        for each in events
+    ]
+    return [
+        _row("Services:", str(len(events))),
+        *_under("Service information:", rows, INDENT + 2),
+    ]
+
+
+def _actions(info: BagInfo, reading: _Reading | None) -> list[str]:
+    actions = _actions_of(info)
+    lines = [_row("Actions:", str(len(actions))), "Action information: "]
+    for action in actions:
+        lines.append(
+            f"  Action: {action.name} | Type: {action.type_name} | Topics: 2 | Service: 3 | "
+            "Serialization Format: cdr"
+        )
+        for part in ("feedback", "status"):
+            topic = action.parts.get(part)
+            lines.append(f"    Topic: {part} | Count: {topic.count if topic else 0}")
+        for part in ("send_goal", "cancel_goal", "get_result"):
+            lines.append(f"    Service: {part} | {_events(action.parts.get(part), reading)}")
+    return lines
+
+
+def _events(topic: BagTopic | None, reading: _Reading | None) -> str:
+    if reading is None:
+        return f"Event Count: {topic.count if topic else 0}"
+    name = topic.name if topic else ""
+    requests, responses = reading.requests[name], reading.responses[name]
+    return f"Request Count: {requests} | Response Count: {responses}"
+
+
+def _actions_of(info: BagInfo) -> list[_Action]:
+    """The actions of a bag by name; several types may be served under one name."""
+    found = dict[str, dict[str, BagTopic]]()
+    types = dict[str, str]()
+    for topic in info.topics:
+        owner, name, part = part_of(topic.name)
+        if owner == "action":
+            held = found.setdefault(name, {})
+            if part not in held or topic.count > held[part].count:
+                held[part] = topic
+            types[name] = types.get(name) or owner_of(topic.name, topic.type_name)
+    return [_Action(name, types[name], found[name]) for name in sorted(found)]
+
+
+def _remarks(info: BagInfo) -> list[str]:
+    """What a reader has to know: what is missing."""
+    remarks = []
+    if not info.is_closed:
+        remarks.append(
+            "The file was not closed: the recorder was killed, or the disk was full. "
+            "All that is counted above can be read."
+        )
+    for key, count in info.custom.items():
+        kind, _, topic = key.partition(":")
+        if kind == "lost":
+            remarks.append(f"Lost: {count} messages of {topic} were not recorded.")
+    silent = [each.name for each in _actions_of(info) if _lacks_goals(each)]
+    if silent:
+        remarks.append(
+            f"Missing: the goals and results of {', '.join(silent)}. No service events were "
+            "published; serve the actions with introspection to record them."
+        )
+    return ["", *remarks] if remarks else []
+
+
+def _lacks_goals(action: _Action) -> bool:
+    """Whether an action had goals, but none of them was recorded."""
+    counts = {part: topic.count for part, topic in action.parts.items()}
+    # The first status comes when the recorder subscribes, and may list no goal.
+    was_active = counts.get("feedback", 0) or counts.get("status", 0) > 1
+    return bool(was_active and not (counts.get("send_goal") or counts.get("get_result")))
+
+
+def _sorted(topics: Iterable[BagTopic]) -> list[BagTopic]:
+    return sorted(topics, key=lambda each: (each.name, each.type_name))
+
+
+def _row(name: str, value: str) -> str:
+    return f"{name:<{INDENT}}{value}"
+
+
+def _under(name: str, values: list[str], indent: int = INDENT) -> list[str]:
+    """Values below each other, with the name before the first."""
+    first, *others = values or [""]
+    return [f"{name:<{indent - 1}} {first}", *(" " * indent + each for each in others)]
+
+
+def _size(size: int) -> str:
+    """A size in the largest fitting unit.
+
+    >>> _size(40858)
+    '39.9 KiB'
+    """
+    number, unit = float(size), 0
+    while number >= 1024 and unit < len(_SIZES) - 1:
+        number, unit = number / 1024, unit + 1
+    return f"{number:.{min(unit, 1)}f} {_SIZES[unit]}"
+
+
+def _seconds(nanoseconds: int) -> str:
+    return f"{nanoseconds // 10**9}.{nanoseconds % 10**9:09d}"
+
+
+def _moment(stamp: int) -> str:
+    at = time.localtime(stamp // 10**9)
+    day = f"{time.strftime('%b', at)} {at.tm_mday:2d} {at.tm_year}"
+    clock = f"{time.strftime('%H:%M:%S', at)}.{stamp % 10**9:09d}"
+    return f"{day} {clock} ({_seconds(stamp)})"

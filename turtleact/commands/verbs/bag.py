@@ -1,0 +1,360 @@
+"""``bag``, as Typer reads it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+
+import typer
+
+from turtleact.commands import completion
+from turtleact.commands.verbs import Job, Verb, new_group
+from turtleact.commands.verbs.options import (
+    Config,
+    Connect,
+    Domain,
+    Interfaces,
+    folder,
+    reach,
+    seconds,
+    whole,
+)
+from turtleact.errors import TurtleactError, UsageError
+
+if TYPE_CHECKING:
+    from turtleact.commands.interrupts import Interrupts
+    from turtleact.recording import Selection
+
+__all__ = ["app"]
+
+WHAT = "What is recorded"
+FILES = "Files"
+
+Preset: TypeAlias = Literal["none", "fastwrite", "zstd_fast", "zstd_small"]
+
+
+class ManyVerb(Verb):
+    """A verb with options that take several values, as argparse's do: ``--topics /a /b``."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
+        """Read the arguments; an option is repeated before each of its values."""
+        many = {name for each in self.params if _is_list(each) for name in each.opts}
+        return super().parse_args(ctx, _repeated(args, many))
+
+
+def _is_list(param: Any) -> bool:  # noqa: ANN401  # of click, as in `load`
+    return bool(getattr(param, "multiple", False))
+
+
+def _repeated(args: Sequence[str], many: set[str]) -> list[str]:
+    """Repeat such an option before each value that follows it.
+
+    >>> _repeated(["--topics", "/a", "/b", "-o", "run", "/c"], {"--topics"})
+    ['--topics', '/a', '--topics', '/b', '-o', 'run', '/c']
+    """
+    found: list[str] = []
+    option = ""
+    for arg in args:
+        if arg.startswith("-"):
+            option = arg if arg in many else ""
+            if not option:
+                found.append(arg)
+        else:
+            found += [option, arg] if option else [arg]
+    return found
+
+
+def _several(name: str, text: str, *, panel: str = WHAT, names: Callable[..., Any] | None) -> Any:  # noqa: ANN401  # as typer.Option
+    return typer.Option(
+        name, metavar="NAME...", help=text, rich_help_panel=panel, autocompletion=names
+    )
+
+
+def _flag(*names: str, text: str, panel: str = WHAT) -> Any:  # noqa: ANN401  # as typer.Option
+    return typer.Option(*names, help=text, rich_help_panel=panel)
+
+
+Positional: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="TOPIC",
+        help="Topics to record.",
+        autocompletion=completion.topics,
+        show_default=False,
+    ),
+]
+Topics: TypeAlias = Annotated[
+    list[str] | None, _several("--topics", "These topics.", names=completion.topics)
+]
+Services: TypeAlias = Annotated[
+    list[str] | None, _several("--services", "These services.", names=None)
+]
+Actions: TypeAlias = Annotated[
+    list[str] | None, _several("--actions", "These actions.", names=completion.actions)
+]
+Types: TypeAlias = Annotated[
+    list[str] | None, _several("--topic-types", "Topics of these types.", names=None)
+]
+All: TypeAlias = Annotated[
+    bool, _flag("--all", "-a", text="All topics, services and actions, except hidden topics.")
+]
+AllTopics: TypeAlias = Annotated[
+    bool, _flag("--all-topics", text="All topics, except hidden ones.")
+]
+AllServices: TypeAlias = Annotated[bool, _flag("--all-services", text="All services.")]
+AllActions: TypeAlias = Annotated[bool, _flag("--all-actions", text="All actions.")]
+Hidden: TypeAlias = Annotated[
+    bool, _flag("--include-hidden-topics", text="Hidden topics too, with --all.")
+]
+Regex: TypeAlias = Annotated[
+    str,
+    typer.Option(
+        "--regex",
+        "-e",
+        metavar="EXPR",
+        help="Everything whose name this regular expression finds.",
+        rich_help_panel=WHAT,
+    ),
+]
+ExcludeRegex: TypeAlias = Annotated[
+    str,
+    typer.Option(
+        "--exclude-regex",
+        "-x",
+        metavar="EXPR",
+        help="Leave out everything whose name this regular expression finds.",
+        rich_help_panel=WHAT,
+    ),
+]
+ExcludeTopics: TypeAlias = Annotated[
+    list[str] | None, _several("--exclude-topics", "Leave these out.", names=completion.topics)
+]
+ExcludeServices: TypeAlias = Annotated[
+    list[str] | None, _several("--exclude-services", "Leave these out.", names=None)
+]
+ExcludeActions: TypeAlias = Annotated[
+    list[str] | None, _several("--exclude-actions", "Leave these out.", names=completion.actions)
+]
+ExcludeTypes: TypeAlias = Annotated[
+    list[str] | None,
+    _several("--exclude-topic-types", "Leave topics of these types out.", names=None),
+]
+Output: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="NAME",
+        help="The folder to create; by default, one with the time in its name.",
+        rich_help_panel=FILES,
+        show_default=False,
+    ),
+]
+MaxSize: TypeAlias = Annotated[
+    int,
+    typer.Option(
+        "--max-bag-size",
+        "--max-size",
+        "-b",
+        metavar="BYTES",
+        parser=whole,
+        help="Begin another file after so many bytes; 0 for never.",
+        rich_help_panel=FILES,
+    ),
+]
+MaxDuration: TypeAlias = Annotated[
+    float,
+    typer.Option(
+        "--max-bag-duration",
+        "--max-duration",
+        "-d",
+        metavar="SECONDS",
+        parser=seconds,
+        help="Begin another file after this time; 0 for never.",
+        rich_help_panel=FILES,
+    ),
+]
+CacheSize: TypeAlias = Annotated[
+    int,
+    typer.Option(
+        "--max-cache-size",
+        metavar="BYTES",
+        parser=whole,
+        help="How much may wait to be written. Beyond that, messages are dropped and counted.",
+        rich_help_panel=FILES,
+    ),
+]
+Storage: TypeAlias = Annotated[
+    Literal["mcap"] | None,
+    typer.Option("--storage", "-s", help="The format of the files.", rich_help_panel=FILES),
+]
+PresetProfile: TypeAlias = Annotated[
+    Preset,
+    typer.Option(
+        "--storage-preset-profile",
+        help="Whether to compress: zstd_fast or zstd_small.",
+        rich_help_panel=FILES,
+    ),
+]
+Ignored: TypeAlias = Annotated[
+    bool, typer.Option("--disable-keyboard-controls", hidden=True, help="For scripts of ros2.")
+]
+BagPath: TypeAlias = Annotated[
+    Path, typer.Argument(metavar="BAG", help="The folder of the bag, or one of its files.")
+]
+ReadStorage: TypeAlias = Annotated[
+    Literal["mcap", "sqlite3"] | None,
+    typer.Option("--storage", "-s", hidden=True, help="Not needed: the file tells."),
+]
+NamesOnly: TypeAlias = Annotated[
+    bool, typer.Option("--topic-name", "-t", help="Print only the names of the topics.")
+]
+Verbose: TypeAlias = Annotated[
+    bool,
+    typer.Option(
+        "--verbose", "-v", help="Count requests and responses apart; reads all of the bag."
+    ),
+]
+
+app = new_group("bag")
+
+
+@app.command(cls=ManyVerb)
+def record(
+    positional: Positional = None,
+    *,
+    topics: Topics = None,
+    services: Services = None,
+    actions: Actions = None,
+    types: Types = None,
+    everything: All = False,
+    all_topics: AllTopics = False,
+    all_services: AllServices = False,
+    all_actions: AllActions = False,
+    hidden: Hidden = False,
+    regex: Regex = "",
+    exclude_regex: ExcludeRegex = "",
+    exclude_topics: ExcludeTopics = None,
+    exclude_services: ExcludeServices = None,
+    exclude_actions: ExcludeActions = None,
+    exclude_types: ExcludeTypes = None,
+    output: Output = None,
+    max_size: MaxSize = 0,
+    max_duration: MaxDuration = 0,
+    cache: CacheSize = 100 * 1024 * 1024,
+    storage: Storage = None,  # noqa: ARG001  # there is one
+    preset: PresetProfile = "none",
+    keyboard: Ignored = False,  # noqa: ARG001  # there are none
+    interfaces: Interfaces = None,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Record topics, services and actions to a bag, until Ctrl-C."""
+    names = [*(positional or ()), *(topics or ())]
+    if not (
+        names
+        or services
+        or actions
+        or types
+        or regex
+        or everything
+        or all_topics
+        or all_services
+        or all_actions
+    ):
+        raise UsageError(
+            "nothing to record: name topics, or give --all, --actions, --services, --regex or "
+            "another option of --help"
+        )
+    where = reach(connect, domain, config)
+    path = output or Path(time.strftime("rosbag2_%Y_%m_%d-%H_%M_%S"))
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands.interfaces import make_known
+
+        bag_recording = _work("bag_recording")
+        make_known(folder(interfaces))
+        selection = _selection(
+            topics=names,
+            services=services,
+            actions=actions,
+            types=types,
+            regex=regex,
+            all_topics=everything or all_topics,
+            all_services=everything or all_services,
+            all_actions=everything or all_actions,
+            hidden=hidden,
+            exclude=[*(exclude_topics or ()), *(exclude_services or ()), *(exclude_actions or ())],
+            exclude_types=exclude_types,
+            exclude_regex=exclude_regex,
+        )
+        order = bag_recording.Order(
+            path,
+            selection,
+            max_size=max_size,
+            max_duration=max_duration,
+            capacity=cache,
+            compression="none" if preset == "fastwrite" else preset,
+        )
+        status: int = bag_recording.run(where, order, interrupts)
+        return status
+
+    return job
+
+
+@app.command(cls=Verb)
+def info(
+    bag: BagPath,
+    *,
+    names_only: NamesOnly = False,
+    verbose: Verbose = False,
+    storage: ReadStorage = None,  # noqa: ARG001  # the file tells
+) -> Job:
+    """Print what is in a bag, and what is missing from it."""
+
+    def job(_: Interrupts) -> int:
+        status: int = _work("bag_info").print_info(
+            bag, verbose=verbose, names_only=names_only and not verbose
+        )
+        return status
+
+    return job
+
+
+def _work(module: str) -> Any:  # noqa: ANN401  # a module
+    """Import a module that needs the extra.
+
+    Raises:
+        TurtleactError: if a package is missing; the text says which.
+    """
+    from importlib import import_module
+
+    try:
+        return import_module(f"turtleact.commands.{module}")
+    except ImportError as error:
+        if (error.name or "").partition(".")[0] not in ("mcap", "zstandard", "lz4"):
+            raise
+        problem = "turtleact bag needs one more package: pip install 'mcap>=1.6,<2'"
+        raise TurtleactError(problem) from None
+
+
+def _selection(**given: Any) -> Selection:  # noqa: ANN401  # as Selection
+    """A selection; lists become sets, and names absolute."""
+    from turtleact.names import resolve_name
+    from turtleact.recording import Selection
+
+    named = ("topics", "services", "actions", "exclude")
+    values: dict[str, Any] = {
+        key: _set(value, resolve_name if key in named else str)
+        if value is None or isinstance(value, list)
+        else value
+        for key, value in given.items()
+    }
+    return Selection(**values)
+
+
+def _set(values: Iterable[str] | None, resolve: Callable[[str], str]) -> frozenset[str]:
+    return frozenset(resolve(each) for each in values or ())

@@ -1,0 +1,308 @@
+"""A bag as a reader sees it: a folder with ``metadata.yaml`` and files, or a single file.
+
+Files are opened when their messages are read. A folder without ``metadata.yaml``, as a killed
+recorder leaves it, is read by its files.
+
+Source: rosbag2 ``docs/storage_plugin_development.md`` and ``sequential_reader.cpp``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import AsyncIterator, Callable, Collection, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Final
+
+import anyio.to_thread
+import msgspec
+
+from turtleact.errors import InvalidMessage
+from turtleact.interfaces import Message
+from turtleact.interfaces.cdr import decode
+from turtleact.recording.mcap_reading import McapFile
+from turtleact.recording.metadata import (
+    ROOT,
+    BagError,
+    BagFile,
+    BagInfo,
+    BagTopic,
+    read_info,
+    span,
+)
+from turtleact.recording.schemas import class_of
+from turtleact.recording.sqlite_reading import SqliteFile
+from turtleact.recording.storage import BagStorage, Channel, Range, Raw
+
+__all__ = ["METADATA", "Bag", "Reading", "Recorded", "read"]
+
+METADATA: Final = "metadata.yaml"
+
+SUFFIXES: Final = {".mcap": "mcap", ".db3": "sqlite3"}
+
+BATCH: Final = 256
+"""How many messages a thread reads at once."""
+
+
+class Recorded(msgspec.Struct, frozen=True):
+    """A message of a bag.
+
+    Attributes:
+        topic: The name of its topic.
+        stamp: When it was recorded (ns since 1970).
+        type_name: Its type, ``pkg/kind/Name``.
+        data: Its bytes, as CDR.
+        value: The message; None if its type is not known here or the bytes do not fit it.
+    """
+
+    topic: str
+    stamp: int
+    type_name: str
+    data: bytes
+    value: Message | None
+
+
+class Bag:
+    """A bag that is read.
+
+    Args:
+        path: The folder, or a single file.
+
+    Raises:
+        BagError: if there is no bag.
+
+    Attributes:
+        path: The same.
+        info: What is known without reading messages.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._open: dict[Path, BagStorage] = {}
+        self.info = self._look()
+
+    def close(self) -> None:
+        """Close its files."""
+        while self._open:
+            self._open.popitem()[1].close()
+
+    def messages(self, wanted: Range) -> Iterator[Raw]:
+        """The messages of a range, ordered by stamp within each file.
+
+        Raises:
+            BagError: at a damaged place.
+        """
+        for file in self.info.files:
+            is_outside = file.count and (
+                file.start + file.duration < wanted.start
+                or (wanted.end is not None and file.start > wanted.end)
+            )
+            if not is_outside:
+                yield from self.storage(file.path).messages(wanted)
+
+    def storage(self, name: str) -> BagStorage:
+        """One of its files, opened for reading."""
+        path = self.path / name if self.path.is_dir() else self.path
+        if path not in self._open:
+            self._open[path] = _open(path)
+        return self._open[path]
+
+    def channels(self) -> list[Channel]:
+        """The topics with their schemas, from every file."""
+        found = dict[tuple[str, str], Channel]()
+        for file in self.info.files:
+            for channel in self.storage(file.path).channels.values():
+                found.setdefault((channel.topic, channel.schema.name), channel)
+        return list(found.values())
+
+    def _look(self) -> BagInfo:
+        if not self.path.exists():
+            raise BagError(self.path, "it does not exist")
+        if not self.path.is_dir():
+            return self._from_files([self.path])
+        described = self.path / METADATA
+        if described.exists():
+            try:
+                info = read_info(described.read_text(encoding="utf-8"), described)
+            except (OSError, UnicodeDecodeError) as error:
+                raise BagError(described, f"it cannot be read: {error}") from error
+            return self._checked(info)
+        files = sorted(
+            (each for each in self.path.iterdir() if each.suffix in SUFFIXES), key=_by_number
+        )
+        if not files:
+            raise BagError(self.path, "it has neither metadata.yaml nor files of a bag")
+        return self._from_files(files)
+
+    def _checked(self, info: BagInfo) -> BagInfo:
+        """What ``metadata.yaml`` says, with the size of the files.
+
+        Raises:
+            BagError: if a file is missing, or the bag is compressed as a whole.
+        """
+        if info.compression:
+            hint = "'ros2 bag convert' can write it without"
+            raise BagError(self.path, f"its {info.compression}s are compressed: {hint}")
+        # Before version 4, paths began with the folder's own name.
+        names = [each.path.rpartition("/")[2] for each in info.files]
+        missing = [each for each in names if not (self.path / each).is_file()]
+        if missing:
+            raise BagError(self.path, f"{', '.join(missing)} is missing; metadata.yaml names it")
+        sizes = [(self.path / each).stat().st_size for each in names]
+        files = tuple(
+            msgspec.structs.replace(each, path=name)
+            for each, name in zip(info.files, names, strict=True)
+        )
+        return msgspec.structs.replace(info, files=files, size=sum(sizes))
+
+    def _from_files(self, paths: list[Path]) -> BagInfo:
+        files, topics, about = list[BagFile](), dict[tuple[str, str], BagTopic](), ""
+        is_closed = True
+        for path in paths:
+            storage = self._open[path] = _open(path)
+            count = sum(storage.counts.values())
+            files.append(
+                BagFile(
+                    path=path.name,
+                    start=storage.start,
+                    duration=storage.end - storage.start,
+                    count=count,
+                )
+            )
+            _add_topics(storage, topics)
+            about = storage.about or about
+            is_closed &= storage.is_closed
+        start, duration = span(files)
+        inside = _described(about, paths[-1])
+        return BagInfo(
+            files=tuple(files),
+            topics=tuple(topics.values()),
+            storage=SUFFIXES[paths[0].suffix],
+            start=start,
+            duration=duration,
+            count=sum(file.count for file in files),
+            size=sum(path.stat().st_size for path in paths),
+            distro=inside.distro,
+            custom=inside.custom,
+            is_closed=is_closed,
+        )
+
+
+class Reading:
+    """Reads the messages of a bag in a thread, and decodes them in the event loop.
+
+    Use it as an async iterator, and as a context manager to close the bag.
+
+    Args:
+        bag: The bag.
+        wanted: Which messages to read.
+        is_decoded: Whether to decode them.
+    """
+
+    def __init__(self, bag: Bag, wanted: Range, *, is_decoded: bool = True) -> None:
+        self.bag = bag
+        self._messages = bag.messages(wanted)
+        self._is_decoded = is_decoded
+        self._classes: dict[Channel, Callable[[bytes], Message | None]] = {}
+
+    async def batches(self) -> AsyncIterator[list[Recorded]]:
+        """The messages, several at once. Cancelling: safe."""
+        while True:
+            batch = await anyio.to_thread.run_sync(self._read)
+            if not batch:
+                return
+            yield [self._recorded(raw) for raw in batch]
+
+    def _read(self) -> list[Raw]:
+        return list(islice(self._messages, BATCH))
+
+    def _recorded(self, raw: Raw) -> Recorded:
+        channel = raw.channel
+        value = None
+        if self._is_decoded:
+            read = self._classes.get(channel)
+            if read is None:
+                read = self._classes[channel] = reader_of(channel)
+            value = read(raw.data)
+        return Recorded(channel.topic, raw.stamp, channel.schema.name, raw.data, value)
+
+
+def reader_of(channel: Channel) -> Callable[[bytes], Message | None]:
+    """Return a function that decodes the messages of a topic, or gives None."""
+    cls = class_of(channel.schema, channel.type_hash) if channel.format == "cdr" else None
+
+    def read(data: bytes) -> Message | None:
+        try:
+            return None if cls is None else decode(cls, data)
+        except InvalidMessage:
+            return None
+
+    return read
+
+
+async def read(
+    path: str | Path,
+    *,
+    topics: Collection[str] | None = None,
+    start: int = 0,
+    end: int | None = None,
+) -> AsyncIterator[Recorded]:
+    """Read the messages of a bag, ordered by stamp.
+
+    The bag may have been recorded by turtleact, rosbag2 or rosbags, as MCAP or SQLite. Of a large
+    file, only what is asked for is read.
+
+    Args:
+        path: The folder of the bag, or a single file.
+        topics: The topics to read; left out, all.
+        start: The earliest stamp (ns since 1970).
+        end: The latest stamp.
+
+    Raises:
+        BagError: if there is no bag, or a place in it is damaged.
+    """
+    wants = None if topics is None else frozenset(topics).__contains__
+    bag = await anyio.to_thread.run_sync(Bag, path)
+    try:
+        async for batch in Reading(bag, Range(start, end, wants)).batches():
+            for message in batch:
+                yield message
+    finally:
+        bag.close()
+
+
+def _open(path: Path) -> BagStorage:
+    if path.suffix == ".db3":
+        return SqliteFile(path)
+    return McapFile(path)
+
+
+def _by_number(path: Path) -> tuple[int, str]:
+    """Sort ``NAME_10.mcap`` after ``NAME_9.mcap``."""
+    found = re.search(r"_(\d+)$", path.stem)
+    return (int(found[1]) if found else 0, path.name)
+
+
+def _add_topics(storage: BagStorage, topics: dict[tuple[str, str], BagTopic]) -> None:
+    """Add the topics of a file to those of the bag."""
+    for number, channel in storage.channels.items():
+        key = (channel.topic, channel.schema.name)
+        held = topics.get(key)
+        count = storage.counts.get(number, 0) + (held.count if held else 0)
+        topics[key] = BagTopic(
+            name=channel.topic,
+            type_name=channel.schema.name,
+            count=count,
+            offers=channel.offers,
+            type_hash=channel.type_hash,
+            format=channel.format,
+        )
+
+
+def _described(about: str, path: Path) -> BagInfo:
+    """What a file says about its bag; nothing if it says nothing that can be read."""
+    indented = "".join(f"  {line}\n" for line in about.splitlines())
+    try:
+        return read_info(f"{ROOT}:\n{indented}", path)
+    except BagError:
+        return BagInfo()

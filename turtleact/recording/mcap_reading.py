@@ -1,0 +1,288 @@
+"""Reads one MCAP file, with its index if it has one.
+
+A file that was not closed has no index. Then all of it is looked through, up to the first record
+that is cut off or damaged: what comes before can be read. Messages are read a chunk at a time.
+
+Source: the MCAP specification.
+"""
+
+from __future__ import annotations
+
+import heapq
+import struct
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO, Final, NamedTuple
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
+from mcap.records import Channel as ChannelRecord
+from mcap.records import Chunk, Metadata
+from mcap.records import Schema as SchemaRecord
+from mcap.stream_reader import get_chunk_data_stream
+from mcap.summary import Summary
+from mcap.writer import MCAP0_MAGIC
+
+from turtleact.recording.mcap_writing import MESSAGE
+from turtleact.recording.metadata import BagError, read_offers
+from turtleact.recording.schemas import Schema
+from turtleact.recording.storage import Channel, Range, Raw
+
+__all__ = ["McapFile"]
+
+ABOUT: Final = "rosbag2"
+"""The name of the metadata record in which rosbag2 describes the bag."""
+
+_HEAD: Final = struct.Struct("<BQ")
+_DAMAGED: Final = (McapError, struct.error, ValueError, MemoryError, EOFError)
+
+
+class _Piece(NamedTuple):
+    """A part of the file that is read at once: a chunk, or a single message outside of chunks.
+
+    Attributes:
+        start: The time of its earliest message (ns).
+        offset: Where its record begins.
+        end: The time of its latest message (ns).
+        channels: The channels it has; None if they are not known.
+    """
+
+    start: int
+    offset: int
+    end: int
+    channels: frozenset[int] | None
+
+
+class McapFile:
+    """A file; see `turtleact.recording.storage.BagStorage`.
+
+    Args:
+        path: The file.
+
+    Raises:
+        BagError: if it cannot be opened, or is no MCAP file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.channels: dict[int, Channel] = {}
+        self.counts: Counter[int] = Counter()
+        self.start = self.end = 0
+        self.is_closed = True
+        self.about = ""
+        self._pieces: list[_Piece] = []
+        self._schemas: dict[int, Schema] = {}
+        try:
+            self._file: BinaryIO = path.open("rb")
+        except OSError as error:
+            raise BagError(path, f"it cannot be opened: {error.strerror}") from error
+        try:
+            self._look_through()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def messages(self, wanted: Range) -> Iterator[Raw]:
+        """The messages of a range, ordered by stamp; those of one stamp as in the file.
+
+        Raises:
+            BagError: at a damaged chunk.
+        """
+        waiting: list[tuple[int, int, int, Raw]] = []
+        for piece in self._chosen(wanted):
+            while waiting and waiting[0][0] < piece.start:
+                yield heapq.heappop(waiting)[3]
+            for place, raw in enumerate(self._read(piece)):
+                if wanted.has(raw.channel.topic) and _is_in(raw.stamp, wanted):
+                    heapq.heappush(waiting, (raw.stamp, piece.offset, place, raw))
+        while waiting:
+            yield heapq.heappop(waiting)[3]
+
+    def _chosen(self, wanted: Range) -> list[_Piece]:
+        channels = {number for number, each in self.channels.items() if wanted.has(each.topic)}
+        return [
+            piece
+            for piece in self._pieces
+            if piece.end >= wanted.start
+            and (wanted.end is None or piece.start <= wanted.end)
+            and (piece.channels is None or piece.channels & channels)
+        ]
+
+    # opening
+
+    def _look_through(self) -> None:
+        if self._file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+            raise BagError(self.path, "it is not an MCAP file")
+        summary = self._summary()
+        if summary is None or not _is_complete(summary):
+            self._scan()
+        else:
+            self._take(summary)
+        self._pieces.sort()
+
+    def _summary(self) -> Summary | None:
+        """The index at the end of the file; None if there is none that can be read."""
+        self._file.seek(-len(MCAP0_MAGIC), 2)
+        self.is_closed = self._file.read() == MCAP0_MAGIC and self._file.tell() > 16
+        if not self.is_closed:
+            return None
+        self._file.seek(0)
+        try:
+            return SeekingReader(self._file).get_summary()
+        except _DAMAGED:
+            self.is_closed = False
+            return None
+
+    def _take(self, summary: Summary) -> None:
+        """Take all that is needed from the index."""
+        for schema in summary.schemas.values():
+            self._add_schema(schema)
+        for channel in summary.channels.values():
+            self._add_channel(channel)
+        if summary.statistics is not None:
+            self.counts.update(summary.statistics.channel_message_counts)
+            self.start = summary.statistics.message_start_time
+            self.end = summary.statistics.message_end_time
+        for index in summary.chunk_indexes:
+            offsets = index.message_index_offsets
+            self._pieces.append(
+                _Piece(
+                    index.message_start_time,
+                    index.chunk_start_offset,
+                    index.message_end_time,
+                    frozenset(offsets) if offsets else None,
+                )
+            )
+        places = [each.offset for each in summary.metadata_indexes if each.name == ABOUT]
+        if places:
+            self._file.seek(places[-1] + _HEAD.size)
+            self._note(Metadata.read(ReadDataStream(self._file)))
+
+    def _scan(self) -> None:
+        """Look through the whole file, up to the first record that is cut off or damaged."""
+        size = self._file.seek(0, 2)
+        place = len(MCAP0_MAGIC)
+        while place + _HEAD.size <= size:
+            self._file.seek(place)
+            opcode, length = _HEAD.unpack(self._file.read(_HEAD.size))
+            behind = place + _HEAD.size + length
+            if behind > size or opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                self.is_closed &= behind <= size
+                return
+            try:
+                self._see(opcode, place, self._file.read(length))
+            except _DAMAGED:
+                self.is_closed = False
+                return
+            place = behind
+        self.is_closed = False
+
+    def _see(self, opcode: int, place: int, content: bytes) -> None:
+        """Take note of a record outside of chunks."""
+        if opcode == Opcode.CHUNK:
+            found = self._records(Chunk.read(_stream(content)))
+            if found:
+                stamps = [stamp for _, stamp, _, _ in found]
+                channels = Counter(channel for channel, _, _, _ in found)
+                self._add_piece(place, min(stamps), max(stamps), channels)
+        elif opcode == Opcode.MESSAGE:
+            channel, _, stamp, _ = struct.unpack_from("<HIQQ", content)
+            self._add_piece(place, stamp, stamp, Counter([channel]))
+        elif opcode == Opcode.METADATA:
+            self._note(Metadata.read(_stream(content)))
+        else:
+            self._declare(opcode, content)
+
+    def _add_piece(self, place: int, start: int, end: int, channels: Counter[int]) -> None:
+        self.start = min(start, self.start) if self._pieces else start
+        self.end = max(end, self.end)
+        self._pieces.append(_Piece(start, place, end, frozenset(channels)))
+        self.counts += channels
+
+    def _note(self, record: Metadata) -> None:
+        if record.name == ABOUT:
+            self.about = record.metadata.get("serialized_metadata", "")
+
+    # records
+
+    def _read(self, piece: _Piece) -> Iterator[Raw]:
+        """The messages of a part of the file."""
+        try:
+            self._file.seek(piece.offset)
+            opcode, length = _HEAD.unpack(self._file.read(_HEAD.size))
+            content = self._file.read(length)
+            if opcode == Opcode.CHUNK:
+                found = self._records(Chunk.read(_stream(content)))
+            else:
+                channel, _, stamp, sent = struct.unpack_from("<HIQQ", content)
+                found = [(channel, stamp, sent, content[22:])]
+            for channel, stamp, sent, data in found:
+                yield Raw(stamp, sent, self.channels[channel], data)
+        except (*_DAMAGED, KeyError) as error:
+            problem = f"the chunk at byte {piece.offset} is damaged ({error})"
+            raise BagError(self.path, f"{problem}; choose other times to read the rest") from error
+
+    def _records(self, chunk: Chunk) -> list[tuple[int, int, int, bytes]]:
+        """The messages of a chunk: channel, log time, publish time and data."""
+        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+        content = stream.read(length)
+        if len(content) < length:
+            raise EOFError("it is cut off")
+        found, place = list[tuple[int, int, int, bytes]](), 0
+        while place < length:
+            opcode, size = _HEAD.unpack_from(content, place)
+            behind = place + _HEAD.size + size
+            if opcode == Opcode.MESSAGE:
+                _, _, channel, _, stamp, sent = MESSAGE.unpack_from(content, place)
+                found.append((channel, stamp, sent, content[place + MESSAGE.size : behind]))
+            else:
+                self._declare(opcode, content[place + _HEAD.size : behind])
+            place = behind
+        return found
+
+    def _declare(self, opcode: int, content: bytes) -> None:
+        """Take note of a schema or channel; other records do not matter."""
+        if opcode == Opcode.SCHEMA:
+            self._add_schema(SchemaRecord.read(_stream(content)))
+        elif opcode == Opcode.CHANNEL:
+            self._add_channel(ChannelRecord.read(_stream(content)))
+
+    def _add_schema(self, record: SchemaRecord) -> None:
+        text = record.data.decode(errors="replace")
+        self._schemas[record.id] = Schema(record.name, record.encoding, text)
+
+    def _add_channel(self, record: ChannelRecord) -> None:
+        if record.id in self.channels:  # one object for each, so that it can be a key
+            return
+        self.channels[record.id] = Channel(
+            topic=record.topic,
+            schema=self._schemas.get(record.schema_id, Schema("")),
+            offers=read_offers(record.metadata.get("offered_qos_profiles", "")),
+            type_hash=record.metadata.get("topic_type_hash", ""),
+            format=record.message_encoding,
+        )
+
+
+def _is_complete(summary: Summary) -> bool:
+    """Whether messages can be found by the index; without chunks, there is none of them."""
+    statistics = summary.statistics
+    if statistics is None:
+        return False
+    return bool(summary.chunk_indexes) or not statistics.message_count
+
+
+def _stream(content: bytes) -> ReadDataStream:
+    from io import BytesIO
+
+    return ReadDataStream(BytesIO(content))
+
+
+def _is_in(stamp: int, wanted: Range) -> bool:
+    return stamp >= wanted.start and (wanted.end is None or stamp <= wanted.end)

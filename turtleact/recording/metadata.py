@@ -1,0 +1,341 @@
+"""What ``metadata.yaml`` says about a bag, and how it is written. Pure.
+
+Type hashes are written for each channel of a file, but not here: rosbags compares those of a folder
+with hashes of its own, which differ for the types of actions.
+
+Source: rosbag2 ``metadata_io.cpp``, ``yaml.hpp`` and ``qos.cpp``. Version 9 is written; older ones
+are read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final, cast
+
+import msgspec
+import yaml
+
+from turtleact.errors import TurtleactError
+from turtleact.transports.base import QoS, TimePolicies
+
+__all__ = [
+    "ROOT",
+    "BagError",
+    "BagFile",
+    "BagInfo",
+    "BagTopic",
+    "Offer",
+    "embedded",
+    "offers_text",
+    "read_info",
+    "read_offers",
+    "span",
+    "write_info",
+]
+
+VERSION: Final = 9
+"""The version of the format that is written."""
+
+ROOT: Final = "rosbag2_bagfile_information"
+
+FOREVER: Final = {"sec": 9223372036, "nsec": 854775807}
+"""How ROS 2 writes that a policy has no limit."""
+
+
+class BagError(TurtleactError):
+    """A bag cannot be written or read.
+
+    Attributes:
+        path: The file or folder.
+        problem: What is wrong, and what to do about it.
+    """
+
+    def __init__(self, path: Path, problem: str) -> None:
+        super().__init__(path, problem)
+        self.path = path
+        self.problem = problem
+
+    def __str__(self) -> str:
+        return f"bag '{self.path}': {self.problem}"
+
+
+class Offer(msgspec.Struct, frozen=True):
+    """The quality of service that a publisher offered."""
+
+    qos: QoS = QoS()
+    times: TimePolicies = TimePolicies()
+
+
+class BagTopic(msgspec.Struct, frozen=True, kw_only=True):
+    """A topic of a bag.
+
+    Attributes:
+        name: The fully qualified name.
+        type_name: The type, ``pkg/kind/Name``.
+        count: How many messages were recorded.
+        offers: What its publishers offered.
+        type_hash: The hash of the type, if the bag has it.
+        format: How messages are written; ``"cdr"`` for all that ROS 2 sends.
+    """
+
+    name: str
+    type_name: str
+    count: int = 0
+    offers: tuple[Offer, ...] = ()
+    type_hash: str = ""
+    format: str = "cdr"
+
+
+class BagFile(msgspec.Struct, frozen=True, kw_only=True):
+    """A file of a bag.
+
+    Attributes:
+        path: The path, relative to the folder.
+        start: The time of the first message (ns since 1970).
+        duration: The time from the first message to the last (ns).
+        count: How many messages it has.
+    """
+
+    path: str
+    start: int = 0
+    duration: int = 0
+    count: int = 0
+
+
+class BagInfo(msgspec.Struct, frozen=True, kw_only=True):
+    """What is known about a bag without reading its messages.
+
+    Attributes:
+        files: The files, in the order of their messages.
+        topics: The topics, in the order in which they were first seen.
+        storage: The format of the files, ``"mcap"`` or ``"sqlite3"``.
+        start: The time of the first message (ns since 1970).
+        duration: The time from the first message to the last (ns).
+        count: How many messages there are.
+        size: The size of all files (bytes).
+        distro: The distribution of ROS, or the program, that recorded it.
+        custom: Texts that the recorder added.
+        compression: How files or messages are compressed by rosbag2: ``"file"``, ``"message"`` or
+            empty. Chunks compressed inside of a file do not count.
+        is_closed: Whether every file was closed. A recorder that is killed leaves one open.
+    """
+
+    files: tuple[BagFile, ...] = ()
+    topics: tuple[BagTopic, ...] = ()
+    storage: str = "mcap"
+    start: int = 0
+    duration: int = 0
+    count: int = 0
+    size: int = 0
+    distro: str = ""
+    custom: Mapping[str, str] = {}
+    compression: str = ""
+    is_closed: bool = True
+
+
+def span(files: Iterable[BagFile]) -> tuple[int, int]:
+    """The first stamp and the duration of files together; files without messages do not count."""
+    filled = [each for each in files if each.count]
+    if not filled:
+        return 0, 0
+    start = min(each.start for each in filled)
+    return start, max(each.start + each.duration for each in filled) - start
+
+
+def write_info(info: BagInfo) -> str:
+    """Return the text of ``metadata.yaml``."""
+    return _dump({ROOT: _described(info)})
+
+
+def embedded(info: BagInfo) -> str:
+    """Return the text that a file holds about itself."""
+    return _dump(_described(info))
+
+
+def read_info(text: str, path: Path) -> BagInfo:
+    """Read the text of ``metadata.yaml``; the size of the files is left out.
+
+    Raises:
+        BagError: if it is not such a text.
+    """
+    try:
+        said = yaml.load(text, Loader=_LOADER)  # noqa: S506  # a safe loader
+        return _info(said[ROOT])
+    except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
+        problem = f"it is not readable as metadata.yaml of a bag: {error!r}"
+        raise BagError(path, f"{problem}; without this file, the bag can be read") from error
+
+
+def offers_text(offers: Iterable[Offer]) -> str:
+    """Return the text that a channel has about the offers of its publishers."""
+    said = [_offer(each) for each in offers]
+    return _dump(said).strip() if said else ""
+
+
+def read_offers(given: object) -> tuple[Offer, ...]:
+    """Read offers, as a text or as the values in it; what is no offer is left out.
+
+    >>> read_offers("- {depth: 1, reliability: 2, durability: transient_local}")[0].qos
+    QoS(depth=1, durability='transient_local', reliability='best_effort')
+    """
+    if isinstance(given, str):
+        try:
+            given = yaml.load(given, Loader=_LOADER)  # noqa: S506  # as above
+        except yaml.YAMLError:
+            return ()
+    entries = given if isinstance(given, list) else []
+    return tuple(_read_offer(each) for each in entries if isinstance(each, dict))
+
+
+_LOADER: Final[Any] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes equal parts in full, and lists below their key as yaml-cpp does."""
+
+    def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002  # any
+        return True
+
+
+def _dump(value: object) -> str:
+    text: str = yaml.dump(value, Dumper=_Dumper, sort_keys=False, default_flow_style=False)
+    return text
+
+
+def _described(info: BagInfo) -> dict[str, object]:
+    return {
+        "version": VERSION,
+        "storage_identifier": info.storage,
+        "duration": {"nanoseconds": info.duration},
+        "starting_time": {"nanoseconds_since_epoch": info.start},
+        "message_count": info.count,
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": topic.name,
+                    "type": topic.type_name,
+                    "serialization_format": topic.format,
+                    "offered_qos_profiles": [_offer(each) for each in topic.offers],
+                    "type_description_hash": "",
+                },
+                "message_count": topic.count,
+            }
+            for topic in info.topics
+        ],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file.path for file in info.files],
+        "files": [
+            {
+                "path": file.path,
+                "starting_time": {"nanoseconds_since_epoch": file.start},
+                "duration": {"nanoseconds": file.duration},
+                "message_count": file.count,
+            }
+            for file in info.files
+        ],
+        "custom_data": dict(info.custom) or None,
+        "ros_distro": info.distro,
+    }
+
+
+def _info(said: dict[str, Any]) -> BagInfo:
+    """What the values of a ``metadata.yaml`` say; raises whatever they lead to."""
+    start, duration = (
+        int(said["starting_time"]["nanoseconds_since_epoch"]),
+        int(said["duration"]["nanoseconds"]),
+    )
+    count = int(said["message_count"])
+    paths = [str(each) for each in said["relative_file_paths"]]
+    files = {str(each["path"]): _file(each) for each in said.get("files") or ()}
+    alone = BagFile(path="", start=start, duration=duration, count=count)
+    return BagInfo(
+        files=tuple(files.get(path) or msgspec.structs.replace(alone, path=path) for path in paths),
+        topics=tuple(_topic(each) for each in said["topics_with_message_count"] or ()),
+        storage=str(said["storage_identifier"]),
+        start=start if count else 0,
+        duration=duration,
+        count=count,
+        distro=str(said.get("ros_distro") or ""),
+        custom={str(key): str(value) for key, value in (said.get("custom_data") or {}).items()},
+        compression=_compression(said),
+    )
+
+
+def _compression(said: dict[str, Any]) -> str:
+    mode = str(said.get("compression_mode") or "").lower()
+    return "" if mode == "none" else mode
+
+
+def _file(said: dict[str, Any]) -> BagFile:
+    return BagFile(
+        path=str(said["path"]),
+        start=int(said["starting_time"]["nanoseconds_since_epoch"]),
+        duration=int(said["duration"]["nanoseconds"]),
+        count=int(said["message_count"]),
+    )
+
+
+def _topic(said: dict[str, Any]) -> BagTopic:
+    about = said["topic_metadata"]
+    return BagTopic(
+        name=str(about["name"]),
+        type_name=str(about["type"]),
+        count=int(said["message_count"]),
+        offers=read_offers(about.get("offered_qos_profiles") or ()),
+        type_hash=str(about.get("type_description_hash") or ""),
+        format=str(about["serialization_format"]),
+    )
+
+
+def _offer(offer: Offer) -> dict[str, object]:
+    qos, times = offer.qos, offer.times
+    return {
+        "history": "keep_last",
+        "depth": qos.depth,
+        "reliability": qos.reliability,
+        "durability": qos.durability,
+        "deadline": _limit(times.deadline),
+        "lifespan": _limit(times.lifespan),
+        "liveliness": times.liveliness,
+        "liveliness_lease_duration": _limit(times.lease),
+        "avoid_ros_namespace_conventions": False,
+    }
+
+
+def _limit(nanoseconds: int | None) -> dict[str, int]:
+    if nanoseconds is None:
+        return FOREVER
+    seconds, rest = divmod(nanoseconds, 10**9)
+    return {"sec": seconds, "nsec": rest}
+
+
+def _read_offer(said: dict[str, Any]) -> Offer:
+    # Before version 9, policies are numbers.
+    is_latched = said.get("durability") in ("transient_local", 1)
+    is_best_effort = said.get("reliability") in ("best_effort", 2)
+    depth = said.get("depth")
+    qos = QoS(
+        depth=depth if isinstance(depth, int) and depth > 0 else QoS().depth,
+        durability="transient_local" if is_latched else "volatile",
+        reliability="best_effort" if is_best_effort else "reliable",
+    )
+    liveliness = said.get("liveliness")
+    times = TimePolicies(
+        _read_limit(said.get("deadline")),
+        _read_limit(said.get("lifespan")),
+        liveliness if isinstance(liveliness, str) else "automatic",
+        _read_limit(said.get("liveliness_lease_duration")),
+    )
+    return Offer(qos, times)
+
+
+def _read_limit(said: object) -> int | None:
+    limits = cast("dict[str, Any]", said) if isinstance(said, dict) else FOREVER
+    seconds, rest = limits.get("sec"), limits.get("nsec")
+    if not isinstance(seconds, int) or not isinstance(rest, int):
+        return None
+    total = seconds * 10**9 + rest
+    # Foxy wrote "for ever" as 0x7FFFFFFF seconds or the largest int64; zero means no limit as well.
+    return total if total > 0 and seconds < 0x7FFFFFFF else None

@@ -1,0 +1,338 @@
+"""Records topics of a graph: finds them, subscribes to them, and hands their messages to a spool.
+
+Over a network, messages are recorded as the bytes that arrive, without decoding them. An action is
+recorded through its two topics and the events of its services. A server publishes events only with
+introspection, so a recording may lack goals and results; `turtleact bag info` says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Collection, Iterable
+from contextlib import asynccontextmanager
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple, TypedDict, Unpack
+
+import anyio
+import anyio.to_thread
+
+from turtleact.clock import WallClock
+from turtleact.errors import InvalidInterface, UnknownInterface
+from turtleact.graph import SEND_GOAL
+from turtleact.interfaces import Message, WireFormat, get_interface, type_hash
+from turtleact.names import resolve_name
+from turtleact.node import Node
+from turtleact.recording.bag_writer import BagWriter, Split
+from turtleact.recording.mcap_writing import Compression
+from turtleact.recording.metadata import BagError, Offer
+from turtleact.recording.schemas import Schema, schema_of
+from turtleact.recording.selection import EVENT, EVERYTHING, Selection
+from turtleact.recording.spool import CAPACITY, Encode, Spool
+from turtleact.recording.storage import Channel
+from turtleact.tasks import Background, current_tasks
+from turtleact.transports.base import Closeable, Endpoint, QoS
+
+__all__ = ["RawFormat", "RecordOptions", "Recording", "record"]
+
+
+class RecordOptions(TypedDict, total=False):
+    """The options of `record`."""
+
+    topics: Collection[str]
+    actions: Collection[str]
+    services: Collection[str]
+    selection: Selection
+    max_size: int
+    max_duration: float
+    compression: Compression
+    capacity: int
+
+
+class RawFormat:
+    """The format of an endpoint whose messages stay bytes.
+
+    Args:
+        type_hash: The hash of the type.
+        encode: Encodes messages that are objects.
+    """
+
+    def __init__(self, type_hash: str, encode: Encode | None = None) -> None:
+        self.type_hash = type_hash
+        self._encode = encode
+
+    def encode(self, message: object) -> bytes:
+        """Return the bytes of a message."""
+        if isinstance(message, bytes) or self._encode is None:
+            return message  # type: ignore[return-value]  # without a class, only bytes come
+        return self._encode(message)
+
+    def decode(self, data: bytes) -> object:
+        """Return the bytes."""
+        return data
+
+
+class _Key(NamedTuple):
+    """What is subscribed to: publishers of one topic may use several definitions of a type."""
+
+    topic: str
+    type_name: str
+    type_hash: str
+
+
+class Recording:
+    """A recording in progress; made by `record`.
+
+    Attributes:
+        path: The folder or file.
+        topics: The topics that are recorded so far.
+    """
+
+    def __init__(self, node: Node, path: Path, selection: Selection, spool: Spool) -> None:
+        self.path = path
+        self.topics: list[str] = []
+        self._node = node
+        self._selection = selection
+        self._spool = spool
+        self._subscriptions: dict[_Key, Closeable] = {}
+        self._changed = current_tasks().signal()
+        self._is_over = False
+
+    @property
+    def count(self) -> int:
+        """How many messages are in the bag or about to be written."""
+        return self._spool.count
+
+    @property
+    def lost(self) -> int:
+        """How many messages were lost, because the disk was too slow or full."""
+        return sum(self.lost_by_topic.values())
+
+    @property
+    def lost_by_topic(self) -> dict[str, int]:
+        """How many messages of each topic were lost; topics without a loss are left out."""
+        return self._spool.lost
+
+    @property
+    def error(self) -> BagError | None:
+        """Why the recording has ended early; None if it has not."""
+        problem = self._spool.error
+        if problem is None:
+            return None
+        what = f"it cannot be written any more: {problem.strerror}"
+        return BagError(self.path, f"{what}; what was recorded until then can be read")
+
+    async def wait_ended(self) -> None:
+        """Wait until the recording ends early, for example because the disk is full.
+
+        Cancelling: safe.
+        """
+        while not self._is_over:
+            await self._changed.wait()
+
+    async def wait_changed(self) -> None:
+        """Wait until another topic is recorded, or the recording ends early. Cancelling: safe."""
+        await self._changed.wait()
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it has ended early."""
+        return self._is_over
+
+    def end(self) -> None:
+        """Note that the spool writes no more."""
+        self._is_over = True
+        self._changed.fire()
+
+    async def look(self) -> None:
+        """Subscribe to everything on the graph that is wanted and not yet recorded.
+
+        Other tasks run in between: to describe hundreds of types takes a while.
+        """
+        endpoints = self._node.transport.endpoints()
+        offered = dict[_Key, list[Endpoint]]()
+        for each in endpoints:
+            if each.kind == "publisher" and self._selection.wants(each.name, each.type_name):
+                key = _Key(each.name, each.type_name, each.type_hash)
+                offered.setdefault(key, []).append(each)
+        for key in self._events(endpoints):
+            if not any(each[:2] == key[:2] for each in offered):
+                offered[key] = []
+        checkpoint = current_tasks().checkpoint
+        for key, publishers in offered.items():
+            if self._record(key, publishers):
+                await checkpoint()
+
+    async def watch(self) -> None:
+        """Record what appears on the graph, until cancelled."""
+        transport = self._node.transport
+        seen = -1
+        while True:
+            if transport.changes == seen:
+                await transport.wait_for_change()
+            seen = transport.changes
+            await self.look()
+
+    def close(self) -> None:
+        """Leave all topics."""
+        for each in self._subscriptions.values():
+            each.close()
+
+    def _events(self, endpoints: Iterable[Endpoint]) -> Iterable[_Key]:
+        """The topics of the events of chosen actions and services.
+
+        A publisher of events may show itself only once somebody reads them, so they are subscribed
+        to whether or not it is seen.
+        """
+        for each in endpoints:
+            if each.kind != "service":
+                continue
+            if each.name.endswith(SEND_GOAL):
+                name = each.name.removesuffix(SEND_GOAL)
+                if self._selection.wants_owner("action", name):
+                    owner = each.type_name.removesuffix("_SendGoal")
+                    for part, type_name in (
+                        ("send_goal", f"{owner}_SendGoal_Event"),
+                        ("cancel_goal", "action_msgs/srv/CancelGoal_Event"),
+                        ("get_result", f"{owner}_GetResult_Event"),
+                    ):
+                        yield _Key(f"{name}/_action/{part}{EVENT}", type_name, "")
+            elif "/_" not in each.name and self._selection.wants_owner("service", each.name):
+                yield _Key(f"{each.name}{EVENT}", f"{each.type_name}_Event", "")
+
+    def _record(self, key: _Key, publishers: list[Endpoint]) -> bool:
+        """Subscribe to a topic, unless that has been done; return whether it has been done now."""
+        cls = _message_class(key.type_name)
+        own_hash = "" if cls is None else type_hash(cls)
+        key = key._replace(type_hash=key.type_hash or own_hash)
+        if key in self._subscriptions or not key.type_hash:
+            return False
+        is_known = cls is not None and own_hash == key.type_hash
+        channel = Channel(
+            topic=key.topic,
+            schema=schema_of(cls) if cls is not None and is_known else Schema(key.type_name),
+            offers=tuple(dict.fromkeys(Offer(each.qos, each.times) for each in publishers)),
+            type_hash=key.type_hash,
+        )
+        encode = WireFormat(cls).encode if cls is not None else None
+        number = self._spool.add(channel, encode, is_there=bool(publishers))
+        self._subscriptions[key] = self._subscribe(key, publishers, number)
+        if publishers:
+            self.topics.append(key.topic)
+            self._changed.fire()
+        return True
+
+    def _subscribe(self, key: _Key, publishers: list[Endpoint], number: int) -> Closeable:
+        put, now = self._spool.put, self._node.clock.now
+
+        def deliver(message: object) -> None:
+            put(number, now(), message)
+
+        qos = _request(publishers)
+        endpoint = Endpoint(
+            "subscription", key.topic, key.type_name, self._node.fully_qualified_name, qos
+        )
+        # Wall time can be read in any thread, and then messages need no detour through the loop.
+        is_anywhere = isinstance(self._node.clock, WallClock)
+        return self._node.transport.subscribe(
+            endpoint, RawFormat(key.type_hash), deliver, in_any_thread=is_anywhere
+        )
+
+
+@asynccontextmanager
+async def record(
+    node: Node, path: str | Path, **options: Unpack[RecordOptions]
+) -> AsyncIterator[Recording]:
+    """Record topics, services and actions for the length of a block.
+
+    What appears on the graph during the block is recorded too. Messages are written in a thread.
+    If it cannot keep up, messages are dropped and counted; see `Recording.lost`.
+
+    Args:
+        node: A node on the graph.
+        path: The folder to create; a path that ends in ``.mcap`` names a single file instead.
+        **options: ``topics``, ``actions`` and ``services`` are the names to record; without them,
+            everything is recorded that is not hidden. ``selection`` is a `Selection` instead of
+            these. A file that has reached ``max_size`` (bytes) or ``max_duration`` (s) is followed
+            by another. ``compression`` is "none", "zstd_fast" or "zstd_small". At most ``capacity``
+            bytes wait to be written.
+
+    Raises:
+        BagError: if the folder or file exists or cannot be created; at the end of the block, if the
+            disk was full. What was recorded until then can be read.
+        InvalidName: if a name breaks ROS 2's rules.
+        TypeError: if an option does not exist.
+    """
+    for unknown in options.keys() - RecordOptions.__annotations__.keys():
+        raise TypeError(f"record has no option '{unknown}'")
+    split = Split(
+        max_size=options.get("max_size", 0),
+        max_duration=round(options.get("max_duration", 0.0) * 1e9),
+        compression=options.get("compression", "none"),
+    )
+    selection = _selection(node, options)
+    tasks = current_tasks()
+    # Not in a thread: virtual time would go on meanwhile.
+    writer = BagWriter(Path(path), split)
+    ended: list[Recording] = []
+    spool = Spool(
+        writer,
+        lambda: tasks.from_anywhere(partial(_end_all, ended)),
+        capacity=options.get("capacity", CAPACITY),
+        is_patient=not isinstance(node.clock, WallClock),
+    )
+    recording = Recording(node, Path(path), selection, spool)
+    ended.append(recording)
+    spool.start()
+    try:
+        await recording.look()
+        watch = Background(recording.watch(), f"recording {path}")
+        try:
+            yield recording
+        finally:
+            await watch.aclose()
+    finally:
+        recording.close()
+        with anyio.CancelScope(shield=True):
+            await anyio.to_thread.run_sync(spool.close)
+    if recording.error is not None:
+        raise recording.error
+
+
+def _end_all(recordings: list[Recording]) -> None:
+    for each in recordings:
+        each.end()
+
+
+def _selection(node: Node, options: RecordOptions) -> Selection:
+    if "selection" in options:
+        return options["selection"]
+    topics, services, actions = (
+        frozenset(resolve_name(each, node.namespace, node.name) for each in names)
+        for names in (
+            options.get("topics", ()),
+            options.get("services", ()),
+            options.get("actions", ()),
+        )
+    )
+    if not (topics or services or actions):
+        return EVERYTHING
+    return Selection(topics=topics, services=services, actions=actions)
+
+
+def _message_class(type_name: str) -> type[Message] | None:
+    try:
+        found = get_interface(type_name)
+    except (UnknownInterface, InvalidInterface):
+        return None
+    return found if issubclass(found, Message) else None
+
+
+def _request(publishers: list[Endpoint]) -> QoS:
+    """The quality of service that gets all messages: latched ones too if a publisher keeps some."""
+    is_latched = any(each.qos.durability == "transient_local" for each in publishers)
+    is_lossy = any(each.qos.reliability == "best_effort" for each in publishers)
+    return QoS(
+        depth=max([10, *(each.qos.depth for each in publishers)]),
+        durability="transient_local" if is_latched else "volatile",
+        reliability="best_effort" if is_lossy else "reliable",
+    )

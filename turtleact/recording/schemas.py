@@ -1,0 +1,209 @@
+"""The schema of a topic: the text of its type and of all types in it. Pure.
+
+Types are called ``pkg/Name`` in fields and in headings alike. Other spellings are refused by one
+reader or another. The root comes first, without a heading. Each other type follows once, below a
+line of 80 equals signs and ``MSG: pkg/Name``.
+
+A message is read with the class of its name if that has the layout of the schema. Otherwise a class
+is made from the schema. It is not registered, so a file never changes what a program knows.
+
+Source: rosbag2 ``docs/message_definition_encoding.md``; what the readers accept was tried with
+rosbags, @foxglove/rosmsg and mcap-ros2-support.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final, cast
+
+import msgspec
+
+from turtleact.errors import InvalidInterface, UnknownInterface
+from turtleact.interfaces import Message, get_interface, type_hash
+from turtleact.interfaces.classes import make_message
+from turtleact.interfaces.definition import MessageDefinition, definition_text
+from turtleact.interfaces.parse import parse
+from turtleact.interfaces.types import REGISTRY, definition, fields, nested_classes
+
+__all__ = ["Schema", "class_of", "schema_of"]
+
+SEPARATOR: Final = "=" * 80
+
+SAME: Final = {"byte": "uint8", "char": "uint8"}
+"""Types that other writers replace by one with the same bytes."""
+
+FILLER: Final = "structure_needs_at_least_one_member"
+"""The field that ROS 2 gives to a message without fields."""
+
+UNDERSCORE: Final = "0x5f"
+"""Stands for ``_`` in names of types while they are parsed; the parser takes no such names."""
+
+_PART = re.compile(r"^\s*(?:\w+/)*[A-Z][A-Za-z0-9]*_\w+", re.MULTILINE)
+_HEADING = re.compile(rf"^{SEPARATOR}\r?\nMSG: *(\S+)[^\n]*\n?", re.MULTILINE)
+
+
+class Schema(msgspec.Struct, frozen=True):
+    """What a file says about a type.
+
+    Attributes:
+        name: The full name, ``pkg/kind/Name``.
+        encoding: ``"ros2msg"`` for a text that this module reads; empty if there is no text.
+        text: The text.
+    """
+
+    name: str
+    encoding: str = ""
+    text: str = ""
+
+
+def schema_of(cls: type[Message]) -> Schema:
+    """Return the schema of a message class.
+
+    >>> from turtleact.interfaces.standard import Time
+    >>> print(schema_of(Time).text)
+    int32 sec
+    uint32 nanosec
+    """
+    found = dict[str, type[Message]]()
+    _collect(cls, found)
+    [root, *others] = found.values()
+    texts = [_text(root)]
+    texts += [f"{SEPARATOR}\nMSG: {_short(each.type_name)}\n{_text(each)}" for each in others]
+    return Schema(cls.type_name, "ros2msg", "\n".join(texts))
+
+
+def class_of(schema: Schema, known_hash: str = "") -> type[Message] | None:
+    """Return the class with which to read messages of a schema; None if they cannot be read.
+
+    Args:
+        schema: The schema.
+        known_hash: The type hash in the file; it decides if there is no text that can be read.
+    """
+    known = _known(schema.name)
+    if schema.encoding == "ros2msg" and schema.text:
+        try:
+            return _from_text(schema, known)
+        except (InvalidInterface, UnknownInterface, RecursionError):
+            return None
+    if known is not None and known_hash and type_hash(known) != known_hash:
+        return None
+    return known
+
+
+def _short(name: str) -> str:
+    """A name without its kind.
+
+    >>> _short("geometry_msgs/msg/Point"), _short("Point")
+    ('geometry_msgs/Point', 'Point')
+    """
+    package, slash, rest = name.partition("/")
+    return f"{package}/{rest.rpartition('/')[2]}" if slash else name
+
+
+def _collect(cls: type[Message], found: dict[str, type[Message]]) -> None:
+    """Add a class and those of its fields, each once, in the order of their first use."""
+    if cls.type_name in found:
+        return
+    found[cls.type_name] = cls
+    for nested in nested_classes(cls):
+        if nested is not None:
+            _collect(nested, found)
+
+
+def _text(cls: type[Message]) -> str:
+    """The text of one type; a default that no text can hold is left out."""
+    said = definition(cls)
+    spelled = [
+        msgspec.structs.replace(
+            field, type=msgspec.structs.replace(field.type, name=_short(field.type.name))
+        )
+        for field in said.fields
+    ]
+    try:
+        return definition_text(msgspec.structs.replace(said, fields=tuple(spelled)))
+    except InvalidInterface:
+        bare = [msgspec.structs.replace(field, default=None) for field in spelled]
+        return definition_text(MessageDefinition(said.type_name, tuple(bare)))
+
+
+def _known(name: str) -> type[Message] | None:
+    """The known message class with a name, or None."""
+    try:
+        found = get_interface(name)
+    except (UnknownInterface, InvalidInterface):
+        return None
+    return found if issubclass(found, Message) else None
+
+
+def _from_text(schema: Schema, known: type[Message] | None) -> type[Message]:
+    """The known class if it has the layout of the text, otherwise one made from the text.
+
+    Raises:
+        InvalidInterface: if the text is malformed, or a type in it contains itself.
+        UnknownInterface: if a type in it is not defined anywhere.
+    """
+    root, *rest = _HEADING.split(schema.text)
+    texts = {_short(name): text for name, text in zip(rest[::2], rest[1::2], strict=True)}
+    with REGISTRY.isolated():
+        made = _Making(schema.name, texts).make(schema.name, root)
+    return known if known is not None and _layout(known) == _layout(made) else made
+
+
+class _Making:
+    """Makes the classes of one schema.
+
+    Args:
+        root: The full name of the root; it tells of which kind the types behind it are.
+        texts: The texts of the other types, by their short names.
+    """
+
+    def __init__(self, root: str, texts: dict[str, str]) -> None:
+        self._package, self._kind, own = root.split("/")
+        self._owner = own.partition("_")[0]
+        self._texts = texts
+        self._made = dict[str, type[Message]]()
+        self._making = set[str]()
+
+    def make(self, name: str, text: str) -> type[Message]:
+        """The class with a full name and its text."""
+        package, _, own = name.split("/")
+        # The parser reads a .msg, whatever the type belongs to.
+        plain = _PART.sub(lambda found: found[0].replace("_", UNDERSCORE), text)
+        said = cast("MessageDefinition", parse(plain, f"{package}/msg/{own}", source=name))
+        return make_message(msgspec.structs.replace(said, type_name=name), self._find)
+
+    def _find(self, name: str) -> type[Message]:
+        name = name.replace(UNDERSCORE, "_")
+        short = _short(name)
+        if short not in self._texts:
+            found = _known(name)
+            if found is None:
+                raise UnknownInterface(name, "")
+            return found
+        if short not in self._made:
+            if short in self._making:
+                raise InvalidInterface(f"a message contains itself: {short}", source=short)
+            self._making.add(short)
+            self._made[short] = self.make(self._full(short), self._texts[short])
+        return self._made[short]
+
+    def _full(self, short: str) -> str:
+        package, own = short.split("/")
+        is_part = package == self._package and own.startswith(f"{self._owner}_")
+        return f"{package}/{self._kind if is_part else 'msg'}/{own}"
+
+
+def _layout(cls: type[Message]) -> tuple[object, ...]:
+    """What decides how the bytes of a message are read, and under which names."""
+    pairs = zip(fields(cls), nested_classes(cls), strict=True)
+    return tuple(
+        (
+            field.name,
+            field.type.form,
+            field.type.size,
+            field.type.string_bound,
+            SAME.get(field.type.name, field.type.name) if nested is None else _layout(nested),
+        )
+        for field, nested in pairs
+        if field.name != FILLER
+    )

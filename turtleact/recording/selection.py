@@ -1,0 +1,150 @@
+"""Which topics, services and actions are recorded or played. Pure.
+
+An action consists of two topics and of the events of three services; a service, of its events.
+Users choose them by the name of the action or service.
+
+Source: rosbag2 ``record.py``, ``play.py`` and ``action_utils.cpp``.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final, Literal, NamedTuple, TypeAlias
+
+import msgspec
+
+from turtleact.errors import InvalidOption
+
+__all__ = ["EVENT", "Part", "Selection", "owner_of", "part_of"]
+
+EVENT: Final = "/_service_event"
+"""What the name of a service is followed by in the topic of its events."""
+
+Owner: TypeAlias = Literal["topic", "service", "action"]
+
+_ACTION = re.compile(
+    rf"(?P<name>.+)/_action/(?P<part>feedback|status|(send_goal|cancel_goal|get_result){EVENT})"
+)
+
+
+class Part(NamedTuple):
+    """What a topic belongs to.
+
+    Attributes:
+        owner: The kind of what it belongs to.
+        name: The name of the action, service or topic.
+        part: For an action, which part the topic is: ``"feedback"``, ``"send_goal"`` and so on.
+    """
+
+    owner: Owner
+    name: str
+    part: str = ""
+
+
+def part_of(topic: str) -> Part:
+    """Return what a topic belongs to.
+
+    >>> part_of("/patrol/_action/feedback")
+    Part(owner='action', name='/patrol', part='feedback')
+    >>> part_of("/reset/_service_event")
+    Part(owner='service', name='/reset', part='')
+    """
+    found = _ACTION.fullmatch(topic)
+    if found is not None:
+        return Part("action", found["name"], found["part"].removesuffix(EVENT))
+    if topic.endswith(EVENT):
+        return Part("service", topic.removesuffix(EVENT))
+    return Part("topic", topic)
+
+
+def owner_of(topic: str, type_name: str) -> str:
+    """Return the type of the action or service that a topic belongs to; empty if not known.
+
+    >>> owner_of("/patrol/_action/feedback", "lab/action/Patrol_FeedbackMessage")
+    'lab/action/Patrol'
+    >>> owner_of("/patrol/_action/status", "action_msgs/msg/GoalStatusArray")
+    ''
+    """
+    owner, _, part = part_of(topic)
+    if owner == "service":
+        return type_name.removesuffix("_Event")
+    suffix = {
+        "feedback": "_FeedbackMessage",
+        "send_goal": "_SendGoal_Event",
+        "get_result": "_GetResult_Event",
+    }.get(part, "")
+    is_known = owner == "action" and suffix and type_name.endswith(suffix)
+    return type_name.removesuffix(suffix) if is_known else ""
+
+
+class Selection(msgspec.Struct, frozen=True, kw_only=True):
+    """What to record or play.
+
+    Attributes:
+        topics: Topics by name.
+        services: Services by name.
+        actions: Actions by name.
+        types: Topics by type.
+        regex: Topics, services and actions whose name this expression finds.
+        all_topics: Whether to take all topics, except hidden ones.
+        all_services: Whether to take all services.
+        all_actions: Whether to take all actions.
+        hidden: Whether hidden topics are among all topics.
+        exclude: Names of topics, services and actions to leave out.
+        exclude_types: Types of topics to leave out.
+        exclude_regex: Leave out what this expression finds.
+
+    Raises:
+        InvalidOption: if an expression is not valid.
+    """
+
+    topics: frozenset[str] = frozenset()
+    services: frozenset[str] = frozenset()
+    actions: frozenset[str] = frozenset()
+    types: frozenset[str] = frozenset()
+    regex: str = ""
+    all_topics: bool = False
+    all_services: bool = False
+    all_actions: bool = False
+    hidden: bool = False
+    exclude: frozenset[str] = frozenset()
+    exclude_types: frozenset[str] = frozenset()
+    exclude_regex: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("regex", "exclude_regex"):
+            try:
+                re.compile(getattr(self, name))
+            except re.error as error:
+                raise InvalidOption(name, f"it is not a regular expression: {error}") from None
+
+    def wants(self, topic: str, type_name: str) -> bool:
+        """Whether to take a topic of this type."""
+        part = part_of(topic)
+        if {topic, part.name} & self.exclude or type_name in self.exclude_types:
+            return False
+        if self.exclude_regex and re.search(self.exclude_regex, part.name):
+            return False
+        return topic in self.topics or self._has(part, type_name)
+
+    def wants_owner(self, owner: Owner, name: str) -> bool:
+        """Whether to take an action or a service."""
+        if name in self.exclude:
+            return False
+        if self.exclude_regex and re.search(self.exclude_regex, name):
+            return False
+        return self._has(Part(owner, name), "")
+
+    def _has(self, part: Part, type_name: str) -> bool:
+        if self.regex and re.search(self.regex, part.name):
+            return True
+        if part.owner == "action":
+            return self.all_actions or part.name in self.actions
+        if part.owner == "service":
+            return self.all_services or part.name in self.services
+        is_listed = self.all_topics and (self.hidden or "/_" not in part.name)
+        return is_listed or part.name in self.topics or type_name in self.types
+
+
+EVERYTHING: Final = Selection(all_topics=True, all_services=True, all_actions=True)
+"""All that is not hidden."""

@@ -1,0 +1,236 @@
+"""Takes messages from any thread, and writes them to a bag in a thread of its own.
+
+What has come waits in a list, which the thread takes as a whole. If the thread falls behind, so
+that more than ``capacity`` bytes wait, further messages are dropped and counted. In virtual time
+nothing needs to be dropped: whoever brings a message waits until there is room, and time stands
+still.
+
+A message may come as bytes or as an object. Objects are encoded in the thread. That is safe because
+nobody changes a message once it is published.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Final, TypeAlias
+
+from turtleact.errors import InvalidMessage
+from turtleact.recording.bag_writer import BagWriter
+from turtleact.recording.storage import Channel
+
+__all__ = ["CAPACITY", "Spool"]
+
+logger = logging.getLogger("turtleact.recording")
+
+CAPACITY: Final = 100 * 1024 * 1024
+"""How many bytes may wait, as in rosbag2."""
+
+PAUSE: Final = 0.05
+"""How long the thread waits for messages to gather (s)."""
+
+FLUSH: Final = 0.5
+"""Messages are on disk after this time at the latest (s), unless the thread falls behind."""
+
+OVERHEAD: Final = 200
+"""What an entry takes beside its data (bytes)."""
+
+YIELD: Final = 64
+"""After so many messages the thread lets the others run. Python itself waits for 5 ms."""
+
+Entry: TypeAlias = tuple[int, int, object]
+Encode: TypeAlias = Callable[[object], bytes]
+
+
+class Spool:
+    """Writes messages to a bag.
+
+    Args:
+        writer: The bag; it is closed at the end.
+        on_end: Called in the thread when the bag has been closed, also because the disk is full.
+        capacity: How many bytes may wait.
+        is_patient: Whether `put` waits until there is room.
+
+    Attributes:
+        error: Why writing has ended early, or None.
+    """
+
+    def __init__(
+        self,
+        writer: BagWriter,
+        on_end: Callable[[], object],
+        *,
+        capacity: int = CAPACITY,
+        is_patient: bool = False,
+    ) -> None:
+        self.error: OSError | None = None
+        self._writer = writer
+        self._on_end = on_end
+        self._capacity = capacity
+        self._is_patient = is_patient
+        self._channels: list[Channel] = []
+        self._encoders: list[Encode | None] = []
+        self._sizes: list[int] = []  # of the last message of each topic, for those not yet encoded
+        self._lost: Counter[int] = Counter()
+        self._taken = 0
+        self._refused = 0
+        self._entries: list[Entry] = []
+        self._weight = 0
+        self._listed: list[int] = []  # topics to add to the bag
+        self._added: set[int] = set()  # topics that the bag has
+        self._is_closing = False
+        self._is_over = False
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._work, name=f"bag {writer.path}", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def add(self, channel: Channel, encode: Encode | None, *, is_there: bool) -> int:
+        """Add a topic and return its number.
+
+        Args:
+            channel: The topic.
+            encode: Encodes messages that come as objects; None if all come as bytes.
+            is_there: Whether the bag lists the topic even if no message comes.
+        """
+        with self._changed:
+            self._channels.append(channel)
+            if is_there:
+                self._listed.append(len(self._channels) - 1)
+            self._encoders.append(encode)
+            self._sizes.append(OVERHEAD)
+            return len(self._channels) - 1
+
+    def put(self, number: int, stamp: int, message: object) -> None:
+        """Take a message; may be called in any thread.
+
+        Args:
+            number: The number of its topic.
+            stamp: When it was received (ns).
+            message: The message, or its bytes.
+        """
+        size = len(message) if isinstance(message, bytes) else self._sizes[number]
+        with self._changed:
+            while self._weight > self._capacity and self._is_patient and not self._is_over:
+                self._changed.notify_all()
+                self._changed.wait()
+            if self._is_over or self._weight > self._capacity:
+                self._refused += 1
+                self._lose(number)
+                return
+            self._taken += 1
+            self._entries.append((number, stamp, message))
+            self._weight += size + OVERHEAD
+
+    def close(self) -> None:
+        """Write what is left, close the bag and wait for that. Blocks."""
+        with self._changed:
+            self._is_closing = True
+            self._changed.notify_all()
+        self._thread.join()
+
+    @property
+    def count(self) -> int:
+        """How many messages are in the bag or will be, as far as is known."""
+        with self._changed:
+            gone = self._lost.total() - self._refused + self._writer.lost.total()
+            return self._taken - gone
+
+    @property
+    def lost(self) -> dict[str, int]:
+        """How many messages of each topic were lost."""
+        with self._changed:
+            return dict(self._dropped() + self._writer.lost)
+
+    def _dropped(self) -> Counter[str]:
+        return Counter({self._channels[key].topic: count for key, count in self._lost.items()})
+
+    def _lose(self, number: int) -> None:
+        self._lost[number] += 1
+        if self._lost[number] == 1 and self.error is None and not self._is_closing:
+            topic = self._channels[number].topic
+            logger.warning("topic %s: the disk is too slow; messages are lost", topic)
+
+    # the thread
+
+    def _work(self) -> None:
+        entries: list[Entry] = []
+        try:
+            flushed = time.monotonic()
+            while not self._is_closing or self._entries:
+                entries = self._take()
+                while self._listed:
+                    self._add(self._listed.pop(0))
+                self._write(entries)
+                if time.monotonic() - flushed >= FLUSH:
+                    self._writer.flush()
+                    flushed = time.monotonic()
+        except OSError as error:
+            self.error = error
+        finally:
+            self._end(entries)
+
+    def _take(self) -> list[Entry]:
+        """Take all that waits, after a pause in which more may gather."""
+        with self._changed:
+            if not self._is_closing and self._weight <= self._capacity:
+                self._changed.wait(PAUSE)
+            entries, self._entries = self._entries, []
+            self._weight = 0
+            self._changed.notify_all()
+        return entries
+
+    def _add(self, number: int) -> None:
+        if number not in self._added:
+            self._writer.add(number, self._channels[number])
+            self._added.add(number)
+
+    def _write(self, entries: list[Entry]) -> None:
+        """Write entries, and take each from the list, so that the rest is known if this fails."""
+        entries.reverse()
+        write, turn = self._writer.write, 0
+        while entries:
+            number, stamp, message = entries.pop()
+            data = message if isinstance(message, bytes) else self._encoded(number, message)
+            if number not in self._added:
+                self._add(number)
+            if data is not None:
+                write(number, stamp, stamp, data)
+            turn += 1
+            if not turn % YIELD:
+                time.sleep(0)
+
+    def _encoded(self, number: int, message: object) -> bytes | None:
+        encode = self._encoders[number]
+        try:
+            data = None if encode is None else encode(message)
+        except InvalidMessage as error:
+            logger.error("topic %s: a message is lost: %s", self._channels[number].topic, error)
+            data = None
+        with self._changed:
+            if data is None:
+                self._lost[number] += 1
+            else:
+                self._sizes[number] = len(data)
+        return data
+
+    def _end(self, unwritten: list[Entry]) -> None:
+        """Close the bag, whatever has happened."""
+        with self._changed:
+            self._is_over = True
+            for number, _, _ in (*unwritten, *self._entries):
+                self._lost[number] += 1
+            self._entries = []
+            dropped = self._dropped()
+            self._changed.notify_all()
+        try:
+            self._writer.close(dict(dropped))
+        except OSError as error:
+            self.error = self.error or error
+        finally:
+            self._on_end()

@@ -1,0 +1,98 @@
+"""What the files of a bag have in common, whatever their format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import msgspec
+
+from turtleact.recording.metadata import Offer
+from turtleact.recording.schemas import Schema
+
+__all__ = ["BagStorage", "Channel", "Range", "Raw"]
+
+
+class Channel(msgspec.Struct, frozen=True, kw_only=True):
+    """A topic in a file.
+
+    Attributes:
+        topic: Its name.
+        schema: The schema of its messages.
+        offers: What its publishers offered.
+        type_hash: The hash of the type, if the file has it.
+        format: How messages are written.
+    """
+
+    topic: str
+    schema: Schema
+    offers: tuple[Offer, ...] = ()
+    type_hash: str = ""
+    format: str = "cdr"
+
+
+class Raw(NamedTuple):
+    """A message as it is in a file.
+
+    Attributes:
+        stamp: When it was received (ns since 1970).
+        sent: When it was published (ns since 1970).
+        channel: Its topic.
+        data: Its bytes.
+    """
+
+    stamp: int
+    sent: int
+    channel: Channel
+    data: bytes
+
+
+class Range(msgspec.Struct, frozen=True):
+    """Which messages to read.
+
+    Attributes:
+        start: The earliest stamp (ns).
+        end: The latest stamp (ns); None for no limit.
+        wants: Whether a topic is read; None for all.
+    """
+
+    start: int = 0
+    end: int | None = None
+    wants: Callable[[str], bool] | None = None
+
+    def has(self, topic: str) -> bool:
+        """Whether a topic is read."""
+        return self.wants is None or self.wants(topic)
+
+
+class BagStorage(Protocol):
+    """A file of a bag, open for reading.
+
+    Attributes:
+        path: The file.
+        start: The time of the earliest message (ns); 0 if there is none.
+        end: The time of the latest.
+        is_closed: Whether the recorder closed the file.
+        about: The text in it that describes the bag; empty if there is none.
+    """
+
+    path: Path
+    start: int
+    end: int
+    is_closed: bool
+    about: str
+
+    @property
+    def channels(self) -> Mapping[int, Channel]:
+        """The topics by number."""
+
+    @property
+    def counts(self) -> Mapping[int, int]:
+        """How many messages each topic has."""
+
+    def messages(self, wanted: Range) -> Iterator[Raw]:
+        """The messages of a range, ordered by stamp; raises BagError at a damaged place."""
+
+    def close(self) -> None:
+        """Close the file."""
