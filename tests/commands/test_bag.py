@@ -7,7 +7,7 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from turtleact import open_node
+from turtleact import open_node, recording
 from turtleact.commands import bag_recording
 from turtleact.interfaces import encode, get_message
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
@@ -137,14 +137,14 @@ def test_something_must_be_recorded(on_graph, tmp_path):
 def test_a_signal_ends_a_recording_with_status_0(
     on_graph, interrupts, monkeypatch, tmp_path, options, topics
 ):
-    taken = bag_recording.record
+    taken = recording.record
 
     @asynccontextmanager
     async def record(node, path, **options):
-        async with taken(node, path, **options) as recording:
+        async with taken(node, path, **options) as run:
             await node.clock.sleep(1)
             interrupts.end(signal.SIGINT)
-            yield recording
+            yield run
 
     monkeypatch.setattr(bag_recording, "record", record)
     ran = on_graph(talking, "bag", "record", *options, "-o", str(tmp_path / "run"))
@@ -160,7 +160,7 @@ def test_a_signal_ends_a_recording_with_status_0(
 
 def test_a_recording_names_what_was_lost(on_graph, interrupts, monkeypatch, tmp_path):
     lost = {f"/{number}": number for number in range(1, 9)}
-    monkeypatch.setattr(bag_recording.Recording, "lost_by_topic", lost)
+    monkeypatch.setattr(recording.Recording, "lost_by_topic", lost)
 
     async def tell(_):
         interrupts.end(signal.SIGTERM)

@@ -30,7 +30,6 @@ PYTHON = re.compile(
 )
 
 COMPLETE = {
-    "topic echo NAME --csv": "topic echo /turtle1/pose --csv",
     "serve --config FILE": "serve --config serve.toml",
     "node info NODE": "node info /turtlesim",
     "param set": "param set /turtlesim background_r 100",

@@ -109,7 +109,6 @@ USAGE = [
         "'--ros-args --remap __node:=my_turtle' is not taken: names cannot be remapped",
     ),
     (["run", "action_tutorials_py", "fibonacci_action_server", "-x"], "'-x' is not taken"),
-    (["bag", "record", "/turtle1/cmd_vel"], "turtleact has no 'bag': 'turtleact topic"),
     (["launch", "turtlesim", "multisim.launch.py"], "turtleact has no 'launch': start"),
     (["pkg", "prefix", "turtlesim"], "turtleact has no 'pkg prefix': 'turtleact pkg exec"),
     (["pkg", "build"], "turtleact has no 'pkg build': nothing has to be built or sourced"),

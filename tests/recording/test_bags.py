@@ -7,6 +7,7 @@ import sqlite3
 import subprocess
 import sys
 from pathlib import Path
+from typing import Literal
 
 import pytest
 from rosbags.interfaces import (
@@ -146,7 +147,7 @@ OFFER = Qos(
 )
 
 
-def write_by_rosbags(path: Path, plugin: StoragePlugin, version: int) -> None:
+def write_by_rosbags(path: Path, plugin: StoragePlugin, version: Literal[8, 9]) -> None:
     store = get_typestore(Stores.ROS2_JAZZY)
     with Writer(path, version=version, storage_plugin=plugin) as writer:
         one = writer.add_connection(

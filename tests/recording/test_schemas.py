@@ -1,5 +1,7 @@
 """Schemas: every type survives the way through its text, and files cannot change what is known."""
 
+from typing import Any
+
 import pytest
 
 from turtleact.interfaces import (
@@ -55,12 +57,14 @@ def test_a_type_that_is_not_known_is_made_from_its_schema_and_stays_unknown():
     made = class_of(Schema("lab_msgs/action/Count_FeedbackMessage", "ros2msg", text))
     assert made is not None
     bytes_of = encode(FEEDBACK(feedback=type(FEEDBACK().feedback)(sequence=[1, 2])))
-    assert decode(made, bytes_of).feedback.sequence == [1, 2]
+    read: Any = decode(made, bytes_of)
+    assert read.feedback.sequence == [1, 2]
     assert not [name for name in known_interfaces() if name.startswith("lab_msgs/")]
 
 
 def test_a_type_with_another_definition_is_read_as_the_file_says():
-    made = class_of(Schema("turtlesim/msg/Pose", "ros2msg", "float64 x\nfloat64 y\n"))
+    made: Any = class_of(Schema("turtlesim/msg/Pose", "ros2msg", "float64 x\nfloat64 y\n"))
+    assert made is not None
     assert made is not POSE
     assert made(x=1.5, y=2.0) == decode(made, encode(made(x=1.5, y=2.0)))
     assert get_interface("turtlesim/msg/Pose") is POSE

@@ -8,7 +8,7 @@ Record with a node, and read without one::
     async for message in recording.read("run"):
         print(message.topic, message.stamp, message.value)
 
-Needs the extra ``bag``: ``pip install 'turtleact[bag]'``.
+Needs the extra ``bag``.
 """
 
 from turtleact.recording.bag import Bag, Recorded, read

@@ -12,7 +12,7 @@ import re
 from collections.abc import AsyncIterator, Callable, Collection, Iterator
 from itertools import islice
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import anyio.to_thread
 import msgspec
@@ -59,7 +59,7 @@ class Recorded(msgspec.Struct, frozen=True):
     stamp: int
     type_name: str
     data: bytes
-    value: Message | None
+    value: Any  # each type has fields of its own
 
 
 class Bag:

@@ -25,9 +25,13 @@ from turtleact.errors import TurtleactError, UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
+    from turtleact.commands.settings import Reach
     from turtleact.recording import Selection
 
 __all__ = ["app"]
+
+SHORT = {"--max-size": "--max-bag-size", "--max-duration": "--max-bag-duration"}
+"""Other names of options."""
 
 WHAT = "What is recorded"
 FILES = "Files"
@@ -41,6 +45,7 @@ class ManyVerb(Verb):
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
         """Read the arguments; an option is repeated before each of its values."""
         many = {name for each in self.params if _is_list(each) for name in each.opts}
+        args = [SHORT.get(each, each) for each in args]
         return super().parse_args(ctx, _repeated(args, many))
 
 
@@ -156,7 +161,6 @@ MaxSize: TypeAlias = Annotated[
     int,
     typer.Option(
         "--max-bag-size",
-        "--max-size",
         "-b",
         metavar="BYTES",
         parser=whole,
@@ -168,7 +172,6 @@ MaxDuration: TypeAlias = Annotated[
     float,
     typer.Option(
         "--max-bag-duration",
-        "--max-duration",
         "-d",
         metavar="SECONDS",
         parser=seconds,
@@ -253,52 +256,42 @@ def record(
     config: Config = None,
 ) -> Job:
     """Record topics, services and actions to a bag, until Ctrl-C."""
-    names = [*(positional or ()), *(topics or ())]
-    if not (
-        names
-        or services
-        or actions
-        or types
-        or regex
-        or everything
-        or all_topics
-        or all_services
-        or all_actions
-    ):
+    named = {
+        "topics": [*(positional or ()), *(topics or ())],
+        "services": services,
+        "actions": actions,
+        "types": types,
+        "regex": regex,
+        "all_topics": everything or all_topics,
+        "all_services": everything or all_services,
+        "all_actions": everything or all_actions,
+    }
+    if not any(named.values()):
         raise UsageError(
             "nothing to record: name topics, or give --all, --actions, --services, --regex or "
             "another option of --help"
         )
-    where = reach(connect, domain, config)
+    left_out = [*(exclude_topics or ()), *(exclude_services or ()), *(exclude_actions or ())]
+    named |= {"exclude": left_out, "exclude_types": exclude_types, "exclude_regex": exclude_regex}
     path = output or Path(time.strftime("rosbag2_%Y_%m_%d-%H_%M_%S"))
+    files = path, max_size, max_duration, cache, "none" if preset == "fastwrite" else preset
+    return _recording(
+        reach(connect, domain, config), interfaces, {**named, "hidden": hidden}, files
+    )
+
+
+def _recording(
+    where: Reach, interfaces: Path | None, named: dict[str, Any], files: tuple[object, ...]
+) -> Job:
+    """A job that records what is named to files; see `turtleact.commands.bag_recording.Order`."""
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known
 
         bag_recording = _work("bag_recording")
         make_known(folder(interfaces))
-        selection = _selection(
-            topics=names,
-            services=services,
-            actions=actions,
-            types=types,
-            regex=regex,
-            all_topics=everything or all_topics,
-            all_services=everything or all_services,
-            all_actions=everything or all_actions,
-            hidden=hidden,
-            exclude=[*(exclude_topics or ()), *(exclude_services or ()), *(exclude_actions or ())],
-            exclude_types=exclude_types,
-            exclude_regex=exclude_regex,
-        )
-        order = bag_recording.Order(
-            path,
-            selection,
-            max_size=max_size,
-            max_duration=max_duration,
-            capacity=cache,
-            compression="none" if preset == "fastwrite" else preset,
-        )
+        path, *limits = files
+        order = bag_recording.Order(path, _selection(**named), *limits)
         status: int = bag_recording.run(where, order, interrupts)
         return status
 
