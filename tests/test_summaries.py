@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
-from turtleact.summaries import LONGEST, encodable, loggable, summary, text_of
+from turtleact import Action, Message
+from turtleact.interfaces import int32, string
+from turtleact.summaries import LONGEST, encodable, field_hint, loggable, summary, text_of
 
 
 def test_a_long_text_is_cut_and_its_length_said():
@@ -61,3 +65,55 @@ def test_a_huge_exception_is_logged_with_its_traceback_and_a_short_text(where):
     assert len(str(logged)) < LONGEST + 100
     assert logged.__traceback__ is error.__traceback__
     assert (logged.__cause__, logged.__context__) == (None, None)
+
+
+class Order(Action, type_name="hint_msgs/action/Order"):
+    class Goal(Message):
+        order: int32 = 0
+        name: string = ""
+
+    class Result(Message):
+        pass
+
+
+Made: Any = Order  # type checkers know the fields
+
+
+def made_with(call):
+    with pytest.raises(TypeError) as caught:
+        call()
+    return caught.value
+
+
+@pytest.mark.parametrize(
+    ("call", "hint"),
+    [
+        (lambda: Made.Goal(ordr=3), "did you mean 'order'?"),
+        (
+            lambda: Made.Goal(
+                order=1,
+                nome="ü",
+            ),
+            "did you mean 'name'?",
+        ),
+        (lambda: Made.Goal(x=3), "Order.Goal has 'order', 'name'"),
+        (lambda: Made.Result(x=3), "Order.Result has no fields"),
+        (lambda: (lambda goal: goal(ordr=3))(Made.Goal), "did you mean 'order'?"),
+        (lambda: [Made.Goal][0](ordr=3), ""),  # an expression that would have to be run
+        (lambda: Made.Goal(1, 2, 3), ""),
+        (lambda: Made(ordr=3), ""),
+        (lambda: eval("Made.Goal(ordr=3)"), ""),  # there is no source
+    ],
+)
+def test_an_unknown_field_of_a_message_is_answered_with_the_nearest(call, hint):
+    error = made_with(call)
+    assert field_hint(error) == hint
+    assert summary(error) == f"TypeError: {error}{f': {hint}' if hint else ''}"
+
+
+def test_a_file_that_has_changed_since_gives_no_hint(tmp_path):
+    file = tmp_path / "lab.py"
+    code = compile("Made.Goal(ordr=3)", str(file), "exec")
+    file.write_text("def (")
+    assert field_hint(made_with(lambda: exec(code, {"Made": Made}))) == ""
+    assert field_hint(TypeError("Unexpected keyword argument 'x'")) == ""

@@ -144,10 +144,15 @@ def _report(error: BaseException) -> int:
 
 def _advice(error: BaseException) -> str:
     """What to do about an interface that is not known; nothing for other errors."""
+    from pathlib import Path
+
     from turtleact.commands.output import ELSEWHERE
     from turtleact.errors import UnknownInterface
+    from turtleact.workspace import misnamed
 
     if isinstance(error, UnknownInterface):
+        if found := misnamed(Path(), error.type_name):
+            return f"{' Otherwise' if error.suggestion else ':'} rename {found[0]} to {found[1]}"
         if error.type_name.rpartition("/")[2][:1].islower():
             begins = "he name of an interface begins with a capital letter, and so does its file"
             return f" T{begins}" if error.suggestion else f": t{begins}"

@@ -2,7 +2,21 @@
 
 from __future__ import annotations
 
-__all__ = ["STOPPED", "STOPS", "encodable", "loggable", "shortened", "summary", "text_of"]
+import ast
+import linecache
+import re
+from types import TracebackType
+
+__all__ = [
+    "STOPPED",
+    "STOPS",
+    "encodable",
+    "field_hint",
+    "loggable",
+    "shortened",
+    "summary",
+    "text_of",
+]
 
 STOPS = (KeyboardInterrupt, SystemExit, GeneratorExit)
 """These exceptions stop the program or close a coroutine; a callback fails with any other."""
@@ -14,13 +28,17 @@ STOPPED = "the program was stopped"
 LONGEST = 10_000
 """The maximum length of an exception's text in logs and messages, in characters."""
 
+_UNKNOWN_FIELD = re.compile(r"Unexpected keyword argument '(\w+)'")
+"""What msgspec says if a message is created with a field that it does not have."""
+
 
 def summary(error: BaseException) -> str:
     """Describe an exception in one line; the members of a group are joined with semicolons."""
     if isinstance(error, BaseExceptionGroup):
         return shortened("; ".join(summary(each) for each in error.exceptions))
-    text = text_of(error)
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+    text, hint = text_of(error), field_hint(error)
+    said = f"{text}: {hint}" if hint else text
+    return f"{type(error).__name__}: {said}" if said else type(error).__name__
 
 
 def text_of(value: object) -> str:
@@ -30,6 +48,57 @@ def text_of(value: object) -> str:
     except Exception as failure:
         return f"({type(value).__name__}, whose text failed with {type(failure).__name__})"
     return " ".join(shortened(text).split("\n"))
+
+
+def field_hint(error: BaseException) -> str:
+    """Suggest a field, if a message was created with one that it does not have; else empty.
+
+    The error does not name the class. A check in Python would double what every message costs, so
+    the call is looked up in the source instead, after it has failed.
+    """
+    found = _UNKNOWN_FIELD.fullmatch(str(error)) if type(error) is TypeError else None
+    called = _called(error.__traceback__) if found else None
+    fields = getattr(called, "__struct_fields__", None)
+    if found is None or called is None or fields is None:
+        return ""
+    import difflib  # only errors need it
+
+    near = difflib.get_close_matches(found[1], fields, n=1)
+    if near:
+        return f"did you mean '{near[0]}'?"
+    return f"{called.__qualname__} has {', '.join(map(repr, fields)) or 'no fields'}"
+
+
+def _called(trace: TracebackType | None) -> type | None:
+    """The class whose call has raised an error; None if the source does not tell."""
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    if trace is None:
+        return None
+    frame = trace.tb_frame
+    place = list(frame.f_code.co_positions())[trace.tb_lasti // 2]
+    source = "".join(linecache.getlines(frame.f_code.co_filename, frame.f_globals))
+    try:
+        tree = ast.parse(source)
+    except SyntaxError:  # the file has changed since
+        return None
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and place == (
+            *(node.lineno, node.end_lineno),
+            *(node.col_offset, node.end_col_offset),
+        ):
+            found = _value_of(node.func, {**frame.f_globals, **frame.f_locals})
+            return found if isinstance(found, type) else None
+    return None
+
+
+def _value_of(expression: ast.expr, names: dict[str, object]) -> object:
+    """What a dotted name means; None if it is something else. It runs no code of the user's."""
+    if isinstance(expression, ast.Attribute):
+        import inspect
+
+        return inspect.getattr_static(_value_of(expression.value, names), expression.attr, None)
+    return names.get(expression.id) if isinstance(expression, ast.Name) else None
 
 
 def shortened(text: str) -> str:

@@ -16,7 +16,15 @@ from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
-__all__ = ["KINDS", "find_interfaces", "folders_near", "interface_files", "package_name"]
+__all__ = [
+    "KINDS",
+    "find_interfaces",
+    "folders_near",
+    "interface_files",
+    "misnamed",
+    "package_name",
+    "proper_name",
+]
 
 KINDS = ("msg", "srv", "action")
 
@@ -59,6 +67,41 @@ def interface_files(folder: Path) -> dict[str, Path]:
         for file in _sorted(_entries(path))
         if file.suffix == f".{kind}" and _INTERFACE.fullmatch(file.stem)
     }
+
+
+def misnamed(root: Path, type_name: str) -> tuple[Path, Path] | None:
+    """A file near a folder that is not found under its name or in its place, and how to call it.
+
+    ``action/count.action`` and ``actions/Count.action`` are no interfaces.
+    """
+    package, _, rest = type_name.partition("/")
+    name = rest.rpartition("/")[2]
+    for folder in folders_near(root):
+        if package_name(folder) != package:
+            continue
+        for place in _folders(folder):
+            kind = place.name.casefold().removesuffix("s")
+            for file in _sorted(_entries(place)) if kind in KINDS else ():
+                if file.suffix.casefold() == f".{kind}" and _alike(file.stem, name):
+                    proper = name if _INTERFACE.fullmatch(name) else proper_name(file.stem)
+                    wanted = folder / kind / f"{proper}.{kind}"
+                    if str(wanted) != str(file):
+                        return file, wanted
+    return None
+
+
+def proper_name(name: str) -> str:
+    """The name of an interface, from one that is not spelled as ROS 2 demands.
+
+    >>> proper_name("count_down"), proper_name("GoTo")
+    ('CountDown', 'GoTo')
+    """
+    parts = re.split(r"[^A-Za-z0-9]+", name)
+    return "".join(f"{part[:1].upper()}{part[1:]}" for part in parts)
+
+
+def _alike(one: str, other: str) -> bool:
+    return proper_name(one).casefold() == proper_name(other).casefold()
 
 
 def package_name(folder: Path) -> str:

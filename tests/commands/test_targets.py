@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import importlib
 import sys
 from pathlib import Path
 
@@ -227,6 +228,25 @@ def test_modules_are_imported_anew_with_what_they_import(folder):
     (folder / "targetlab.py").write_text(LAB.format(other="labelsewhere"))
     assert [each.name for each in modules.find_again().actions] == ["first", "second", "robot"]
     assert sys.modules["targetlab"].aside.name == "elsewhere"
+
+
+def test_a_module_that_the_program_itself_has_imported_is_loaded_again(folder, monkeypatch):
+    """The program of a package: ``run PACKAGE NODE --reload``."""
+    monkeypatch.syspath_prepend(folder)
+    importlib.import_module("targetlab")
+    modules = Modules(["targetlab"])
+    assert [each.name for each in modules.find().actions] == ["first", "second"]
+    assert folder / "targetlab.py" in modules.files
+    (folder / "targetlab.py").write_text(OTHER)
+    assert [each.name for each in modules.find_again().actions] == ["aside"]
+
+
+@pytest.mark.parametrize("target", ["targetlab", "targetlab.py"])
+def test_a_program_with_rclpy_is_told_how_to_be_run(folder, target, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rclpy", None)  # as if it were not installed
+    (folder / "targetlab.py").write_text("import rclpy\n")
+    with pytest.raises(TurtleactError, match="to run a program with rclpy: turtleact run target"):
+        find_actions(target)
 
 
 def test_a_file_that_would_have_to_be_there_is_watched(folder):

@@ -48,7 +48,18 @@ USAGE = [
     (["send-goal", "x", "--seed", "9" * 5000], "9{40} ?9+…' is not a whole number"),
     (["send-goal", "x", "--seed", "1.5"], "'1.5' is not a whole number"),
     (["send-goal", "x", "a/b", "1", "-5"], r"unexpected extra argument.*\(-5\)"),
-    (["send-goal", "x", "order:", "5"], 'quote the goal: "order: 5"'),
+    (
+        ["send-goal", "x", "order:", "5"],
+        'the shell splits the goal at spaces: quote it: turtleact send-goal x "order: 5"',
+    ),
+    (
+        ["action", "send_goal", "-f", "x", "a/b", "{order:", "5}", "--plain"],
+        'quote it: turtleact action send_goal -f x a/b "{order: 5}" --plain',
+    ),
+    (["send-goal", "x", "order:", "-f", "5"], 'turtleact send-goal x -f "order: 5"'),
+    (["send-goal", "x", "text:", "$HOME"], r"turtleact send-goal x 'text: \$HOME'"),
+    (["send-goal", "x", "order", "5"], "write the goal as one argument in quotes"),
+    (["send-goal", "x", "a/b", "c", "d"], r"Got unexpected extra argument\(s\) \(d\)"),
     (["send-goal", "x", "{}", "--stdin"], "the goal is given twice"),
     (["send-goal", "x", "--stdin", "--goal-file", "f"], "the goal is given twice"),
     (["send-goal", "x", "--json", "--plain"], "give one of --json and --plain"),
@@ -108,7 +119,19 @@ USAGE = [
         ["run", "turtlesim", "turtlesim_node", "--ros-args", "--remap", "__node:=my_turtle"],
         "'--ros-args --remap __node:=my_turtle' is not taken: names cannot be remapped",
     ),
-    (["run", "action_tutorials_py", "fibonacci_action_server", "-x"], "'-x' is not taken"),
+    (
+        ["run", "action_tutorials_py", "fibonacci_action_server", "-x"],
+        "fibonacci_action_server takes no '-x': it is built in and has no options",
+    ),
+    (
+        ["run", "turtlesim", "turtlesim_node", "--plain"],
+        "turtlesim_node takes no '--plain': it is built in and has no options. 'turtleact serve' "
+        "has some: see 'turtleact serve --help'",
+    ),
+    (
+        ["run", "turtlesim", "turtlesim_node", "--connect=tcp/127.0.0.1:7448"],
+        "'run', so it stands before the package: turtleact run --connect VALUE turtlesim turt",
+    ),
     (["launch", "turtlesim", "multisim.launch.py"], "turtleact has no 'launch': start"),
     (["pkg", "prefix", "turtlesim"], "turtleact has no 'pkg prefix': 'turtleact pkg exec"),
     (["pkg", "build"], "turtleact has no 'pkg build': nothing has to be built or sourced"),
@@ -172,7 +195,8 @@ USAGE = [
     ),
     (["topic", "pub", "x", "a/b", "{}", "-1", "-t", "2"], "give one of --once and --times"),
     (["topic", "pub", "x", "a/b", "{}", "--stdin"], "give one of VALUES and --stdin"),
-    (["topic", "pub", "x", "data:", "5"], 'quote the message: "data: 5"'),
+    (["topic", "pub", "x", "data:", "5"], 'quote it: turtleact topic pub x "data: 5"'),
+    (["service", "call", "x", "a/b", "x:", "1"], 'turtleact service call x a/b "x: 1"'),
     (["service", "call", "x", "a/b", "{}", "-r", "0"], "'0' is not a rate in Hz"),
     (["service", "call", "x", "a/b", "{}", "--stdin"], "the request is given twice"),
     (["cancel"], "give the ids of goals, or --all"),
@@ -309,7 +333,7 @@ def test_where_to_look_reaches_the_order(order):
     made = order("x", "--connect", "tcp/robot:7447,tcp/arm:7447", "--domain", "7", "--config=a b")
     assert made.place.reach == Reach(("tcp/robot:7447", "tcp/arm:7447"), 7, "a b")
     assert made.place.options == (
-        " --connect tcp/robot:7447,tcp/arm:7447 --domain 7 --config 'a b'"
+        " --connect tcp/robot:7447,tcp/arm:7447 --config 'a b' --domain 7"
     )
 
 

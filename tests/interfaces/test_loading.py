@@ -263,7 +263,13 @@ def test_a_folder_must_be_there(tmp_path):
 
 def test_a_file_with_a_name_of_no_interface_is_told(tmp_path):
     write(tmp_path, "example_msgs/msg/order", "int32 x")
-    with pytest.raises(InvalidInterface, match=r"order.msg: give its full name"):
+    with pytest.raises(InvalidInterface, match=r"order.msg: .*: rename the file to Order.msg$"):
+        load_interfaces(tmp_path)
+
+
+def test_a_file_in_a_package_with_a_name_of_no_package_is_told(tmp_path):
+    write(tmp_path, "Example/msg/Order", "int32 x")
+    with pytest.raises(InvalidInterface, match=r"Order.msg: give its full name"):
         load_interfaces(tmp_path)
 
 

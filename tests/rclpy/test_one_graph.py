@@ -8,7 +8,7 @@ import pytest
 import turtleact
 from turtleact.interfaces.standard import ExampleFibonacci
 from turtleact.rclpy import toplevel as rclpy
-from turtleact.rclpy.action import ActionClient
+from turtleact.rclpy.action import ActionClient, ActionServer
 from turtleact.rclpy.context import Context
 from turtleact.rclpy.executors import SingleThreadedExecutor
 from turtleact.rclpy.impl.settings import SETTINGS, Place
@@ -45,6 +45,36 @@ def send_a_goal():
         return sequences, list(ended.result().result.sequence)
     finally:
         context.shutdown()
+
+
+def serve_fibonacci():
+    """What an rclpy program with a server of its own does."""
+    context = Context()
+    context.init([])
+    try:
+        node = rclpy.create_node("guest", context=context)
+        ActionServer(node, Fibonacci, "fibonacci", lambda handle: Fibonacci.Result()).destroy()
+        ActionServer(node, Fibonacci, "other", lambda handle: Fibonacci.Result()).destroy()
+    finally:
+        context.shutdown()
+
+
+async def test_a_server_says_that_a_built_in_action_makes_way_for_it(monkeypatch, capfd):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    monkeypatch.setattr(SETTINGS, "place", Place((address,)))
+    async with (
+        turtleact.open_zenoh([], listen=[address], mode="router", config={}) as graph,
+        turtleact.open_node("turtle_actions", transport=graph) as node,
+    ):
+        node.action_server(ExampleFibonacci, "fibonacci", fibonacci, on_conflict="withdraw")
+        await graph.flush()
+        await anyio.to_thread.run_sync(serve_fibonacci)
+    told = [line for line in "".join(capfd.readouterr()).splitlines() if "guest" in line]
+    assert [line.partition("]: ")[2] for line in told] == [
+        "/fibonacci: the built-in action makes way for this one"
+    ]
 
 
 async def test_an_rclpy_client_calls_a_turtleact_server_of_its_own_process(monkeypatch):

@@ -214,6 +214,10 @@ def _told(error: BaseException) -> int:
     while trace is not None and _is_ours(trace.tb_frame.f_code.co_filename):
         trace = trace.tb_next
     error.__traceback__ = trace
+    from turtleact.summaries import field_hint  # help does without it
+
+    if hint := field_hint(error):
+        error.add_note(hint)
     traceback.print_exception(error)
     return FAILED
 

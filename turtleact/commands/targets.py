@@ -154,7 +154,9 @@ class Modules:
     def __init__(self, targets: Sequence[str]) -> None:
         self.targets = [read_target(each) for each in targets]
         self.files = frozenset(self._named_files())
-        self._others = frozenset(sys.modules)
+        # The program of a package has imported its own module before it serves it.
+        own = {each.module.partition(".")[0] for each in self.targets}
+        self._others = frozenset(each for each in sys.modules if each.partition(".")[0] not in own)
         self._folders = tuple(dict.fromkeys(each.folder for each in self.targets))
 
     def find(self) -> Found:
@@ -399,6 +401,9 @@ def _import_error(target: Target, error: BaseException) -> TurtleactError:
     if isinstance(error, TurtleactError):  # it says what is wrong
         return TurtleactError(f"{where}: {error}")
     what = f"SyntaxError: {error.msg}" if isinstance(error, SyntaxError) else summary(error)
+    if isinstance(error, ModuleNotFoundError) and error.name == "rclpy":
+        file = _nearby(str(target.file)) if target.file else f"{target.module.replace('.', '/')}.py"
+        what += f"; to run a program with rclpy: turtleact run {file}"
     return TurtleactError(f"{where}: module '{target.module}' cannot be imported: {what}")
 
 

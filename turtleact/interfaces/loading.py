@@ -33,7 +33,7 @@ from turtleact.interfaces.definition import (
 )
 from turtleact.interfaces.parse import parse
 from turtleact.interfaces.types import REGISTRY, SHIPPED, Action, Message, Service, definition
-from turtleact.workspace import interface_files
+from turtleact.workspace import interface_files, proper_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -190,7 +190,7 @@ def load_interfaces(folder: str | Path) -> tuple[str, ...]:
     if not root.is_dir():
         raise InvalidInterface("no such folder", source=str(folder))
     found = interface_files(root)
-    found |= {named(name_of(path), str(path)): path for path in files_in(root, *LAYOUTS)}
+    found |= {file_name(path): path for path in files_in(root, *LAYOUTS)}
     for name, path in found.items():
         # A built-in class is imported now; later it would not be compared with the file.
         held = REGISTRY.get(name) or shipped_class(name)
@@ -500,6 +500,20 @@ def name_of(path: Path) -> str:
     package, kind, _ = ("", "", "", *path.absolute().parts)[-3:]
     name = f"{package}/{kind}/{path.stem}"
     return name if type_name_pattern.fullmatch(name) and path.suffix == f".{kind}" else ""
+
+
+def file_name(path: Path) -> str:
+    """Return the full name that follows from a file's place, or raise with a better place."""
+    if name := name_of(path):
+        return name
+    if (proper := proper_name(path.stem)) != path.stem:
+        problem = (
+            "the name of an interface begins with a capital letter and has only letters and digits"
+        )
+        raise InvalidInterface(
+            f"{problem}: rename the file to {proper}{path.suffix}", source=str(path)
+        )
+    return named(name, str(path))
 
 
 def named(type_name: str, source: str) -> str:

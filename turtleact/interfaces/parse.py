@@ -222,6 +222,14 @@ def uncommented(text: str) -> str:
     return "".join(c for c in said.removeprefix(" ") if c.isprintable())
 
 
+_HAS = {
+    1: "a message has only 1",
+    2: "a service has 2 (request, response)",
+    3: "an action has 3 (goal, result, feedback)",
+}
+"""How many parts a kind of interface has."""
+
+
 def split(lines: list[Line], count: int) -> list[list[Line]]:
     """Split the lines into parts."""
     sections: list[list[Line]] = [[]]
@@ -229,12 +237,13 @@ def split(lines: list[Line], count: int) -> list[list[Line]]:
         if without_comment(line.text).rstrip() != "---":
             sections[-1].append(line)
         elif len(sections) == count:
-            line.refuse(f"one '---' too many: this kind of interface has {count - 1}")
+            line.refuse(f"this '---' begins part {count + 1}, but {_HAS[count]}")
         else:
             sections.append([])
     if len(sections) < count:
-        missing = count - len(sections)
-        lines[-1].refuse(f"{missing} '---' missing: this kind of interface has {count - 1}")
+        found = "1 part" if len(sections) == 1 else f"{len(sections)} parts"
+        marks = "a line '---' between each two of them, also if one is empty"
+        lines[-1].refuse(f"the file has {found}, but {_HAS[count]}: write {marks}")
     return sections
 
 

@@ -24,6 +24,7 @@ from turtleact.commands.verbs.options import (
     Flow,
     FullLength,
     Interfaces,
+    MessageVerb,
     NoArrays,
     NoStrings,
     Plain,
@@ -244,7 +245,7 @@ def _written(*, domain: int, **options: object) -> str:
     )
 
 
-@app.command("send-goal", cls=Verb, help=VERBS["send-goal"], epilog=EXAMPLES)
+@app.command("send-goal", cls=MessageVerb, help=VERBS["send-goal"], epilog=EXAMPLES)
 def send_goal(
     name: Name,
     type_name: Type = None,
@@ -437,7 +438,7 @@ def result(
     return on_known_graph(reach(connect, domain, config), interfaces, plan)
 
 
-action.command("send_goal", cls=Verb, help=VERBS["send-goal"], epilog=EXAMPLES)(send_goal)
+action.command("send_goal", cls=MessageVerb, help=VERBS["send-goal"], epilog=EXAMPLES)(send_goal)
 
 
 @action.command("list", cls=Verb)

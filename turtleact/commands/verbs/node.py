@@ -19,6 +19,7 @@ from turtleact.commands.verbs.options import (
     Flow,
     FullLength,
     Interfaces,
+    MessageVerb,
     NoArrays,
     NoStrings,
     Truncate,
@@ -411,7 +412,7 @@ def find(
     )
 
 
-@service.command(cls=Verb)
+@service.command(cls=MessageVerb)
 def call(
     name: ServiceName,
     type_name: AskedType = None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
@@ -13,7 +14,7 @@ import typer
 from turtleact.commands import completion
 from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.settings import Reach, quoted
-from turtleact.commands.verbs import Job
+from turtleact.commands.verbs import Job, Verb
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ __all__ = [
     "Domain",
     "Interfaces",
     "Look",
+    "MessageVerb",
     "Plain",
     "Plan",
     "folder",
@@ -65,7 +67,55 @@ MOST_DIGITS = 18
 _SPAN = re.compile(r"(?P<number>[0-9]{1,9}(?:\.[0-9]{1,9})?) *(?P<unit>s|min|h|d)")
 UNITS = {"s": 1, "min": 60, "h": 3600, "d": 86400}
 
+_IN_DOUBLE_QUOTES = re.compile(r'[^"$`\\!]*')
+"""Text that means itself between double quotes, in every shell."""
+
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+)+")
+
+
+class MessageVerb(Verb):
+    """A verb whose last argument is a message.
+
+    A shell splits a message without quotes into words. So words that look like one are answered
+    with the command line that was meant.
+    """
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # as in `Verb`
+        """Read the arguments, as `Verb` does."""
+        ctx.allow_extra_args = True
+        typed = list(args)
+        left = super().parse_args(ctx, args)
+        if ctx.resilient_parsing:
+            return left
+        name = [each for each in self.params if each.param_type_name == "argument"][-1].name or ""
+        first, text = ctx.params["type_name"], ctx.params[name]
+        is_type = first is None or _TYPE_NAME.fullmatch(first)
+        words = [each for each in ((text,) if is_type else (first, text)) if each is not None]
+        words += left
+        if len(words) > 1 and ":" in "".join(words) and not any(map(_is_option, words)):
+            what = "goal" if name == "goal" else "message"
+            meant = _quoted_in(typed, words)
+            ctx.fail(f"the shell splits the {what} at spaces: quote it: {ctx.command_path} {meant}")
+        if left:
+            ctx.fail(f"Got unexpected extra argument(s) ({' '.join(left)})")
+        return left
+
+
+def _is_option(word: str) -> bool:
+    return word.startswith("--") and len(word) > len("---")
+
+
+def _quoted_in(args: list[str], words: list[str]) -> str:
+    """The arguments with some words of them as one argument in quotes."""
+    text, count = " ".join(words), len(words)
+    starts = [i for i in range(len(args)) if args[i : i + count] == words]
+    if starts:
+        before, after = args[: starts[0]], args[starts[0] + count :]
+    else:  # there are options between the words
+        before, after = [each for each in args if each not in words], []
+    is_plain = _IN_DOUBLE_QUOTES.fullmatch(text)
+    in_quotes = f'"{text}"' if is_plain else shlex.quote(text)
+    return " ".join([*map(shlex.quote, before), in_quotes, *map(shlex.quote, after)])
 
 
 def ros_domain(given: str | int) -> int:
@@ -242,8 +292,8 @@ def type_and_text(
     if text is None:
         return None, type_name
     raise UsageError(
-        f"'{type_name}' is not a type such as pkg/kind/Name; "
-        f'if it belongs to the {what}, quote the {what}: "{type_name} {text}"'
+        f"'{type_name}' is not a type such as pkg/kind/Name; if it belongs to the {what}, write "
+        f"the {what} as one argument in quotes"
     )
 
 

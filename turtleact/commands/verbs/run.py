@@ -35,6 +35,10 @@ __all__ = ["app", "run"]
 
 FIBONACCI = "turtleact.actions.fibonacci"
 
+OWN_OPTIONS = ("--face", "--embedded", "--interfaces", "--connect", "--config")
+
+ROS_OPTIONS = ("--ros-args", "-p", "--param", "--params-file", "-r", "--remap", "__node", "__ns")
+
 MOST_LISTED = 40
 """How many programs the help lists; a sourced ROS has hundreds."""
 
@@ -138,7 +142,7 @@ def run(
     program = _chosen(runnable_here(), package, executable)
     if program is not None:
         return _running(program, rest, how)
-    return _built_in(package, executable, *_own_domain(rest, domain))
+    return _built_in(package, executable, *_own_domain(rest, how.reach))
 
 
 def _listed(known: Mapping[str, Mapping[str, object]]) -> list[str]:
@@ -200,41 +204,58 @@ def _running(program: Program, arguments: Sequence[str], how: How) -> Job:
     return job
 
 
-def _own_domain(arguments: Sequence[str], domain: int) -> tuple[list[str], int]:
-    """What is left of the arguments of a built-in program without ``--domain N``, and that N."""
+def _own_domain(arguments: Sequence[str], where: Reach) -> tuple[list[str], Reach]:
+    """The arguments of a built-in program without ``--domain N``, and its graph with that N."""
     rest = list(arguments)
     if "--domain" in rest[:-1]:
         place = rest.index("--domain")
-        domain = ros_domain(rest[place + 1])
+        where = where._replace(domain=ros_domain(rest[place + 1]))
         del rest[place : place + 2]
-    return rest, domain
+    return rest, where
 
 
-def _built_in(package: str, executable: str, arguments: Sequence[str], domain: int) -> Job:
+def _built_in(package: str, executable: str, arguments: Sequence[str], where: Reach) -> Job:
     """The job of running a program that is built in."""
     if executable == "turtle_teleop_key":
         from turtleact.commands.verbs.turtlesim import turtle_teleop_key
 
-        return turtle_teleop_key(arguments, domain)
+        return turtle_teleop_key(arguments, where)
     if arguments:
-        raise UsageError(
-            f"{quoted(' '.join(arguments))} is not taken: names cannot be remapped, and parameters "
-            "are for 'turtleact param set' and 'load', once it runs"
-        )
-    if package != "turtlesim":
-        from turtleact.commands.verbs.serve import serve
-
-        return serve([FIBONACCI], no_sim=True, node_name=executable, domain=domain)
-    where = reach(domain=domain)
+        raise UsageError(_not_taken(package, executable, arguments))
+    targets = () if package == "turtlesim" else (FIBONACCI,)
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known
         from turtleact.commands.serve import Service, run
 
         make_known(None)
-        turtlesim = Service(
-            (), (), where, Fleet(), None, where.locks().settings(), True, turtlesim_only=True
+        service = Service(
+            targets,
+            (),
+            where,
+            None if targets else Fleet(),
+            None,
+            where.locks().settings(),
+            True,
+            turtlesim_only=True,
+            node_name=executable if targets else "turtleact",
         )
-        return run(turtlesim, interrupts)
+        return run(service, interrupts)
 
     return job
+
+
+def _not_taken(package: str, executable: str, arguments: Sequence[str]) -> str:
+    """Why a built-in program takes none of these arguments, and what to do."""
+    first = arguments[0].partition("=")[0]
+    if first in OWN_OPTIONS:
+        said = first if first == "--embedded" else f"{first} VALUE"
+        right = f"turtleact run {said} {package} {executable}"
+        return f"{first} is an option of 'run', so it stands before the package: {right}"
+    if first in ROS_OPTIONS:
+        return (
+            f"{quoted(' '.join(arguments))} is not taken: names cannot be remapped, and parameters "
+            "are for 'turtleact param set' and 'load', once it runs"
+        )
+    problem = f"{executable} takes no {quoted(first)}: it is built in and has no options"
+    return f"{problem}. 'turtleact serve' has some: see 'turtleact serve --help'"

@@ -17,6 +17,7 @@ from turtleact.commands.verbs.options import (
     Flow,
     FullLength,
     Interfaces,
+    MessageVerb,
     NoArrays,
     NoStrings,
     Truncate,
@@ -359,7 +360,7 @@ def delay(
     )
 
 
-@app.command(cls=Verb)
+@app.command(cls=MessageVerb)
 def pub(
     name: Name,
     type_name: AskedType = None,

@@ -79,12 +79,12 @@ def teleop(
     return _driving(turtle, {}, speeds, where, is_plain=plain)
 
 
-def turtle_teleop_key(arguments: Sequence[str], domain: int) -> Job:
+def turtle_teleop_key(arguments: Sequence[str], where: Reach) -> Job:
     """``run turtlesim turtle_teleop_key``.
 
     Args:
         arguments: What ROS 2 takes after ``--ros-args``.
-        domain: As for ``teleop``.
+        where: The graph.
 
     Raises:
         UsageError: if they are malformed, or name something that this program does not have.
@@ -95,7 +95,7 @@ def turtle_teleop_key(arguments: Sequence[str], domain: int) -> Job:
             hint = " and ".join(known)
             raise UsageError(f"turtle_teleop_key has no {kind} {quoted(name)}: it has {hint}")
     speeds = {name: _speed(name, parameters.get(name, str(SCALE))) for name in SCALES}
-    return _driving(None, remaps, speeds, reach(None, domain), is_plain=False)
+    return _driving(None, remaps, speeds, where, is_plain=False)
 
 
 @app.command(cls=Verb, help=VERBS["snapshot"], epilog=_SNAPSHOTS)

@@ -78,6 +78,19 @@ class ActionKind:
         end = self._node.endpoint("service", name, type_name)
         return self._node.connection.serve(end, hash_of(type_name), handler)
 
+    def has_built_in(self) -> bool:
+        """Whether turtleact serves an action of this name, which makes way for others."""
+        nodes = {
+            each.node
+            for each in self._node.connection.endpoints(self.names.send_goal)
+            if each.kind == "service"
+        }
+        if not nodes:
+            return False
+        from turtleact.node.conflicts import BUILT_INS_NODE  # slow to import
+
+        return BUILT_INS_NODE in nodes
+
     def join(self, service: str) -> CallEnd:
         """Open the client's end of a service."""
         name, type_name = getattr(self.names, service), self.service(service).type_name
