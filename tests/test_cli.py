@@ -19,6 +19,8 @@ from turtleact.commands import VERBS, verbs
 from turtleact.commands.interrupts import Interrupts
 from turtleact.errors import InvalidGoal, InvalidName, ServerUnavailable, SimError, UsageError
 
+from . import warm
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -127,7 +129,7 @@ def test_an_error_of_the_system_without_an_output_is_told(ends, monkeypatch):
 
 def test_a_full_disk_is_an_error():
     with Path("/dev/full").open("w") as full:
-        outcome = subprocess.run(
+        outcome = warm.run(
             [sys.executable, "-m", "turtleact", "--version"],
             stdout=full,
             stderr=subprocess.PIPE,
@@ -186,7 +188,7 @@ def test_the_version_is_printed(capsys):
 def test_the_help_of_a_verb_may_lose_its_reader():
     reading, writing = os.pipe()
     os.close(reading)
-    ran = subprocess.run(
+    ran = warm.run(
         [sys.executable, "-m", "turtleact", "send-goal", "--help"],
         stdout=writing,
         stderr=subprocess.PIPE,

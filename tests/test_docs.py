@@ -37,6 +37,8 @@ import pytest
 
 from turtleact import server
 
+from . import warm
+
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
 RECORD_PATROL = ROOT / "scripts" / "record_patrol.py"
@@ -153,7 +155,7 @@ def run_session(session: doctest.DocTest) -> str:
 
 def run(arguments: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
     """Runs a program as a reader would who is in ``folder``; stderr goes with stdout."""
-    return subprocess.run(
+    return warm.run(
         arguments,
         cwd=folder,
         env=os.environ | {"PATH": f"{sysconfig.get_path('scripts')}:{os.environ['PATH']}"},
@@ -230,7 +232,12 @@ def test_a_python_block_is_python(block):
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.name)
 def test_a_command_of_a_page_does_what_it_shows(command, tmp_path):
-    outcome = run(["bash", "-c", command.line], tmp_path)
+    words = warm.words_of(command.line)
+    assert words is None or words[0] == "turtleact"
+    program = ["bash", "-c", command.line]
+    if words is not None:
+        program = [sys.executable, "-m", *words]
+    outcome = run(program, tmp_path)
     assert outcome.returncode == command.status, outcome.stdout
     assert not command.output or is_as_shown(outcome.stdout, command.output), outcome.stdout
 

@@ -17,6 +17,8 @@ from turtleact import cli
 from turtleact.commands import graph, send_goal
 from turtleact.commands.interrupts import SIGNALS, Interrupts
 
+from .. import warm
+
 STAGE = Path(__file__).with_name("stage.py")
 GRAPHS = Path(__file__).with_name("graphs.py")
 
@@ -40,12 +42,11 @@ class Program:
 
     def __init__(self, *arguments, module=False, script=STAGE, warnings="error"):
         program = ["-m", "turtleact"] if module else [script]
-        self.process = subprocess.Popen(
+        self.process = warm.start(
             [sys.executable, "-W", warnings, *program, *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # as on a terminal
             env=os.environ | {"PYTHONUNBUFFERED": ""},
         )
         assert self.process.stdout is not None

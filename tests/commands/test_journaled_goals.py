@@ -23,6 +23,8 @@ from turtleact.interfaces import WireFormat, type_hash
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.journal.database import Accept, Change, Database
 
+from .. import warm
+
 HOUR = 3600 * 10**9
 DAY = 24 * HOUR
 
@@ -304,7 +306,7 @@ async def steps(goal, handle):
 
 
 def start(folder, *arguments):
-    return subprocess.Popen(
+    return warm.start(
         [sys.executable, "-m", "turtleact", *arguments],
         cwd=folder,
         env={**os.environ, "ROS_DOMAIN_ID": "0"},

@@ -1,4 +1,4 @@
-"""The lecture of docs/tutorial.md in real shells: a terminal for each program, one graph.
+"""The lecture of docs/tutorial.md: a terminal for each program, one graph.
 
 What stands in a block below ``<!-- not run: a terminal of its own -->`` goes on until the end; the
 commands below ``<!-- not run: beside them -->`` run one after another, in the order of the page.
@@ -14,10 +14,15 @@ import signal
 import socket
 import subprocess
 import sys
+import sysconfig
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+
+import turtleact
+
+from .. import warm
 
 PAGE = Path(__file__).parents[2] / "docs" / "tutorial.md"
 PROGRAM = Path(__file__).with_name("lecture.py")
@@ -27,7 +32,7 @@ BLOCK = re.compile(
     re.MULTILINE | re.DOTALL,
 )
 OWN_SERVER = re.compile(r"^## 6\..*?^<!-- run -->\n```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-ALIAS = "shopt -s expand_aliases\nalias ros2=turtleact\n"
+ALIAS = "alias ros2=turtleact"
 SECONDS = 30
 
 
@@ -47,11 +52,11 @@ STEPS = [
 
 
 class Terminal:
-    """A bash with the lecture's alias, in which one command runs."""
+    """A terminal in which one command runs."""
 
-    def __init__(self, line, folder, environment):
-        self.process = subprocess.Popen(
-            ["bash", "--norc", "-c", f"{ALIAS}{line}\n"],
+    def __init__(self, command, folder, environment):
+        self.process = warm.start(
+            command,
             cwd=folder,
             env=environment,
             stdout=subprocess.PIPE,
@@ -91,15 +96,16 @@ def port():
 @pytest.fixture
 def open_terminal(tmp_path, port):
     """Opens terminals, and closes all that are left."""
-    program = tmp_path / "turtleact"
-    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{PROGRAM}" {port} "$@"\n')
-    program.chmod(0o755)
     (tmp_path / "lab.py").write_text(OWN_SERVER.search(PAGE.read_text("utf-8"))[1])  # type: ignore[index]
-    environment = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}", "ROS_DOMAIN_ID": "0"}
+    environment = os.environ | {"ROS_DOMAIN_ID": "0"}
     terminals = []
 
     def open_(line):
-        terminals.append(Terminal(line, tmp_path, environment))
+        words = warm.words_of(line)
+        assert words is not None, line
+        assert words[0] in ("ros2", "turtleact")
+        command = [sys.executable, PROGRAM, str(port), *words[1:]]
+        terminals.append(Terminal(command, tmp_path, environment))
         return terminals[-1]
 
     yield open_
@@ -123,6 +129,14 @@ def test_the_page_has_the_lecture():
     assert lines[0] == "ros2 run turtlesim turtlesim_node"
     assert sum(line.startswith("ros2 ") for line in lines) >= 15
     assert any("/my_patrol" in line for line in lines)
+
+
+def test_the_alias_of_the_page_runs_turtleact_in_a_shell():
+    assert f"\n{ALIAS}\n" in PAGE.read_text("utf-8")
+    environment = os.environ | {"PATH": f"{sysconfig.get_path('scripts')}:{os.environ['PATH']}"}
+    lines = f"shopt -s expand_aliases\n{ALIAS}\nros2 --version\n"
+    ran = subprocess.run(["bash", "--norc", "-c", lines], env=environment, stdout=subprocess.PIPE)
+    assert ran.stdout.decode() == f"turtleact {turtleact.__version__}\n"
 
 
 @pytest.mark.timeout(300)  # some twenty processes, on whatever machine

@@ -25,6 +25,7 @@ from turtleact.interfaces import Message, float64, int32, string
 from turtleact.interfaces.standard import Fibonacci, PatrolCommandInterface, Point, TurtlePose
 from turtleact.node import open_node
 
+from .. import warm
 from .ttys import open_terminal, read
 
 ESCAPE = re.compile(r"\x1b(\[[0-9;?]*[A-Za-z]|[78])")
@@ -251,7 +252,7 @@ def on_terminal(*arguments, columns=80, rows=24, **environment):
     main, other = open_terminal(columns, rows)
     settings = {"TERM": "xterm-256color", "PYTHONUTF8": "1"} | environment
     base = {name: each for name, each in os.environ.items() if name not in ("NO_COLOR", "COLUMNS")}
-    process = subprocess.Popen(
+    process = warm.start(
         [sys.executable, "-m", "turtleact", "send-goal", *arguments],
         stdin=other,
         stdout=other,
@@ -270,7 +271,7 @@ def on_terminal(*arguments, columns=80, rows=24, **environment):
 
 def test_a_signal_cancels_the_goal_and_its_result_stands():
     main, other = open_terminal()
-    process = subprocess.Popen(
+    process = warm.start(
         [sys.executable, "-m", "turtleact", "send-goal", "fibonacci", "order: 40"],
         stdout=other,
         stderr=subprocess.DEVNULL,

@@ -21,6 +21,7 @@ from turtleact.commands.verbs.pkg import spread
 from turtleact.interfaces import get_action, load_interfaces
 from turtleact.interfaces.types import REGISTRY
 
+from .. import warm
 from .test_serve import free_endpoint
 
 
@@ -83,7 +84,7 @@ def test_an_unbuilt_package_runs_from_beginning_to_end(turtleact, here):
     turtleact("pkg", "create", "lab")
     options = ["--listen", free_endpoint()]
     command = [sys.executable, "-m", "turtleact", "run", "lab", "server", *options]
-    with subprocess.Popen(command, cwd=here, stdout=subprocess.PIPE, text=True) as server:
+    with warm.start(command, cwd=here, stdout=subprocess.PIPE, text=True) as server:
         assert server.stdout is not None
         try:
             assert server.stdout.readline().endswith(": /countdown\n")

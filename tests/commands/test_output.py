@@ -11,6 +11,8 @@ import pytest
 
 from turtleact.commands.output import duration, note, printable
 
+from .. import warm
+
 
 @pytest.mark.parametrize(
     ("text", "shown"),
@@ -50,7 +52,7 @@ def test_a_note_to_a_reader_that_has_gone_is_dropped(monkeypatch):
 def test_a_stderr_that_is_full_does_not_stop_the_goal():
     with Path("/dev/full").open("w") as full:
         program = [sys.executable, "-m", "turtleact", "send-goal", "fibonacci", "--speed", "max"]
-        ran = subprocess.run(
+        ran = warm.run(
             program, stdout=subprocess.PIPE, stderr=full, text=True, check=False, timeout=30
         )
     assert ran.returncode == 0

@@ -27,6 +27,8 @@ from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.transports import QoS
 from turtleact.transports.base import Endpoint
 
+from .. import warm
+
 STAGE = Path(__file__).with_name("stage.py")
 GOLDEN = json.loads(Path(__file__).with_name("golden").joinpath("send_goal.json").read_text())
 EMBEDDED = [case for case in GOLDEN if case["case"] not in ("abort", "reject")]
@@ -486,11 +488,6 @@ def test_a_signal_behind_the_end_changes_nothing(on_stage, interrupts):
 # --- a reader that does not read ------------------------------------------------------------
 
 
-def take_signals():
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_DFL)
-
-
 @pytest.fixture
 def stuck():
     """Starts a goal whose output nobody reads, and waits until it is full."""
@@ -499,15 +496,7 @@ def stuck():
 
     def begin(*arguments):
         program = [sys.executable, STAGE, "send-goal", "flood", "--feedback", *arguments]
-        programs.append(
-            subprocess.Popen(
-                program,
-                stdout=writing,
-                stderr=subprocess.DEVNULL,
-                # A signal that is ignored here, as SIGHUP is under nohup, would be ignored there.
-                preexec_fn=take_signals,
-            )
-        )
+        programs.append(warm.start(program, stdout=writing, stderr=subprocess.DEVNULL))
         while select.select([], [writing], [], 0)[1]:
             assert programs[-1].poll() is None
             time.sleep(0.01)

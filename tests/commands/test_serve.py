@@ -27,6 +27,8 @@ from turtleact.errors import TurtleactError, UsageError
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.transports import MemoryTransport
 
+from .. import warm
+
 LAB = """
 import anyio
 import turtleact
@@ -192,7 +194,7 @@ def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
 
 
 def start_python(folder: Path, *arguments: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
+    return warm.start(
         [sys.executable, *arguments],
         cwd=folder,
         env={**os.environ, "ROS_DOMAIN_ID": "0"},

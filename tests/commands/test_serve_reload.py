@@ -11,6 +11,8 @@ from contextlib import contextmanager
 
 import pytest
 
+from .. import warm
+
 BROKEN = "def mine(:\n"
 LAB = """
 import anyio
@@ -29,7 +31,7 @@ STUCK = f"{LAB}\nprint('importing', flush=True)\nwhile True: pass\n"
 
 
 def command(folder, *arguments):
-    return subprocess.Popen(
+    return warm.start(
         [sys.executable, "-m", "turtleact", *arguments],
         cwd=folder,
         env={**os.environ, "ROS_DOMAIN_ID": "0"},

@@ -6,13 +6,13 @@ import os
 import re
 import signal
 import socket
-import subprocess
 import sys
 import termios
 from contextlib import contextmanager, suppress
 
 import pytest
 
+from .. import warm
 from .ttys import open_terminal, read
 
 PATIENCE = 30.0
@@ -27,7 +27,7 @@ class Served:
             self.at = f"tcp/127.0.0.1:{free.getsockname()[1]}"
         self.main, self.other = open_terminal(columns, rows)
         settings = {"TERM": "xterm-256color", "PYTHONUTF8": "1", "ROS_DOMAIN_ID": "0"}
-        self.process = subprocess.Popen(
+        self.process = warm.start(
             [sys.executable, "-m", "turtleact", "serve", "--listen", self.at, *arguments],
             stdin=self.other,
             stdout=self.other,
@@ -48,7 +48,7 @@ class Served:
     def send_goal(self):
         """The exit status of a goal that is sent to it, and what is said of it."""
         arguments = ["send-goal", "go_to", "{x: 7, y: 7}", "--plain", "--connect", self.at]
-        sent = subprocess.run(
+        sent = warm.run(
             [sys.executable, "-m", "turtleact", *arguments],
             env=os.environ | {"ROS_DOMAIN_ID": "0"},
             capture_output=True,
@@ -94,7 +94,7 @@ def test_a_terminal_shows_a_dashboard_and_is_given_back_with_what_has_happened()
         assert served.send_goal()[0] == 0
         served.wait_for("SUCCEEDED")
         served.process.send_signal(signal.SIGTSTP)
-        assert os.WIFSTOPPED(os.waitpid(served.process.pid, os.WUNTRACED)[1])
+        warm.wait_until_stopped(served.process)
         assert served.echoes
         served.process.send_signal(signal.SIGCONT)
         status, text = served.end()

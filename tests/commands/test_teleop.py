@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import signal
-import subprocess
 import sys
 import termios
 from contextlib import asynccontextmanager
@@ -18,6 +17,7 @@ from turtleact.commands import keys, teleop
 from turtleact.commands.terminal import Region
 from turtleact.interfaces.standard import RotateAbsolute, Twist
 
+from .. import warm
 from .ttys import open_terminal, read
 
 ARROWS = {"up": "\x1b[A", "down": "\x1b[B", "right": "\x1b[C", "left": "\x1b[D"}
@@ -308,13 +308,12 @@ class Terminal:
         self.main, other = open_terminal()
         self.before = termios.tcgetattr(self.main)
         settings = {"TERM": "xterm-256color", "PYTHONUTF8": "1"} | environment
-        self.process = subprocess.Popen(
+        self.process = warm.start(
             [sys.executable, "-m", "turtleact", *EMBEDDED, *arguments],
             stdin=other,
             stdout=other,
             stderr=other,
             process_group=0,
-            preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
             env=os.environ | settings,
         )
         os.close(other)
@@ -390,7 +389,7 @@ def test_a_program_that_is_stopped_and_continued_goes_on():
     with Terminal() as terminal:
         terminal.wait_for(LIVE)
         terminal.process.send_signal(signal.SIGTSTP)
-        assert os.WIFSTOPPED(os.waitpid(terminal.process.pid, os.WUNTRACED)[1])
+        warm.wait_until_stopped(terminal.process)
         assert not terminal.is_raw
         terminal.process.send_signal(signal.SIGCONT)
         typed(terminal.main, "up")

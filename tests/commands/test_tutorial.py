@@ -29,6 +29,8 @@ import pytest
 
 from turtleact.interfaces.types import REGISTRY
 
+from .. import warm
+
 DOCS = Path(__file__).parents[2] / "docs"
 BLOCK = re.compile(r"^<!-- (save|terminal) (.*?) -->\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 SECTION = re.compile(r"^## (.*?)\n(.*?)(?=^## |\Z)", re.MULTILINE | re.DOTALL)
@@ -128,7 +130,7 @@ class Terminals:
         return ["-m", "turtleact", verb, *arguments, "--listen", self.address]
 
     def start(self, program, shown):
-        process = subprocess.Popen(
+        process = warm.start(
             [sys.executable, *program],
             cwd=self.folder,
             env=os.environ | {"PYTHONUNBUFFERED": "1"},

@@ -6,12 +6,13 @@ import errno
 import fcntl
 import os
 import pty
-import signal
 import struct
 import subprocess
 import sys
 import termios
 from pathlib import Path
+
+from .. import warm
 
 STAGE = Path(__file__).with_name("stage.py")
 
@@ -47,13 +48,12 @@ class Screen:
 
     def __init__(self, *arguments):
         self.main, self.other = open_terminal()
-        self.process = subprocess.Popen(
+        self.process = warm.start(
             [sys.executable, STAGE, "send-goal", *arguments],
             stdin=self.other,
             stdout=self.other,
             stderr=subprocess.DEVNULL,
             process_group=0,
-            preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # as on a terminal
             env=os.environ | {"TERM": "xterm-256color", "PYTHONUTF8": "1"},
         )
         self.written = b""
@@ -73,7 +73,7 @@ class Screen:
             self.written += read(self.main)
 
     def wait_until_stopped(self):
-        assert os.WIFSTOPPED(os.waitpid(self.process.pid, os.WUNTRACED)[1])
+        warm.wait_until_stopped(self.process)
 
     def rest(self):
         """All that has been written; whoever writes must have ended or stopped."""

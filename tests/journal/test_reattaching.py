@@ -20,6 +20,7 @@ from turtleact.client import remote_goals
 from turtleact.errors import InvalidOption, ServerUnavailable, UnknownGoal
 from turtleact.transports import MemoryTransport, open_zenoh
 
+from .. import warm
 from ..client.test_remote_server import Apart
 from ..lab import Count, Gate, feedback, goal, result, running, settle
 
@@ -34,7 +35,7 @@ class Server:
         self._process: subprocess.Popen[str] | None = None
 
     async def start(self) -> None:
-        self._process = subprocess.Popen(self._command, stdout=subprocess.PIPE, text=True)
+        self._process = warm.start(self._command, stdout=subprocess.PIPE, text=True)
         stdout = self._process.stdout
         assert stdout is not None
         assert await anyio.to_thread.run_sync(stdout.readline) == "ready\n"

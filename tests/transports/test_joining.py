@@ -20,6 +20,8 @@ from turtleact.interfaces.standard import Twist
 from turtleact.transports import open_zenoh
 from turtleact.transports.rmw_zenoh.session import census
 
+from .. import warm
+
 PATIENCE = 60.0
 
 DOMAIN = int(os.environ["ROS_DOMAIN_ID"])
@@ -51,9 +53,7 @@ def free_endpoint() -> str:
 @contextmanager
 def process(*arguments: str) -> Iterator[subprocess.Popen[str]]:
     """A process of Python that has printed its first line."""
-    with subprocess.Popen(
-        [sys.executable, *arguments], stdout=subprocess.PIPE, text=True
-    ) as running:
+    with warm.start([sys.executable, *arguments], stdout=subprocess.PIPE, text=True) as running:
         try:
             assert running.stdout is not None
             assert running.stdout.readline()
@@ -65,7 +65,7 @@ def process(*arguments: str) -> Iterator[subprocess.Popen[str]]:
 def nodes_seen(at: str) -> set[str]:
     """What ``turtleact node list`` prints in a process of its own."""
     command = [sys.executable, "-m", "turtleact", "node", "list", "--connect", at]
-    ran = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True)
+    ran = warm.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True)
     return set(ran.stdout.split())
 
 

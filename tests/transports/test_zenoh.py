@@ -53,6 +53,7 @@ from turtleact.transports.rmw_zenoh.services import WireCaller
 from turtleact.transports.rmw_zenoh.session import Declared, Publisher, Query, Session
 from turtleact.transports.rmw_zenoh.topics import WirePublication
 
+from .. import warm
 from ..lab import Count, Gate, count, feedback, goal, result, running, settle
 from .conformance import (
     ASKING,
@@ -1329,7 +1330,7 @@ anyio.run(main)
 async def far_server(address: str) -> AsyncIterator[subprocess.Popen[str]]:
     """A process with a server that never answers."""
     command = [sys.executable, "-W", "error", "-c", SERVER, address]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with warm.start(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             yield process
         finally:
