@@ -138,6 +138,21 @@ async def test_a_client_is_greeted_once_and_before_the_server_is_there(pipes):
                 pipes.hang_up()
 
 
+async def test_a_client_that_says_hello_late_is_answered_by_the_sdk(pipes):
+    with pipes.in_place():
+        async with (
+            open_lab() as (_, _, server),
+            open_wire() as wire,
+            anyio.create_task_group() as serving,
+        ):
+            serving.start_soon(serve_stdio, server, wire)
+            await anyio.wait_all_tasks_blocked()
+            await pipes.send(HELLO)
+            assert (await pipes.answer())["id"] == 0
+            assert wire.greeting is None
+            pipes.hang_up()
+
+
 async def test_a_client_that_hangs_up_cancels_its_goal_and_ends_the_server(pipes):
     async with open_lab() as (lab, _, server), anyio.create_task_group() as serving:
         serving.start_soon(serve, pipes, server)

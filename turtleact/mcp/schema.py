@@ -171,7 +171,9 @@ def _element(kind: FieldType, nested: type[Message] | None, *, is_output: bool) 
     if kind.name == "bool":
         return {"type": "boolean"}
     if kind.name in FLOATS:  # null stands for nan and infinity
-        return {"type": ["number", "null"]} if is_output else {"type": "number"}
+        # Some clients do not know lists of types, so the two are branches.
+        number: Schema = {"type": "number"}
+        return {"anyOf": [number, {"type": "null"}]} if is_output else number
     if kind.is_string:
         bound = {} if kind.string_bound is None else {"maxLength": kind.string_bound}
         return {"type": "string", **bound}

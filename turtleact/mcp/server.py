@@ -155,7 +155,7 @@ class McpServer:
                 return asking
         if not issubclass(interface, Action):
             return await self._tools.call(entry.name, interface, message)
-        client = self._goals.client(entry.name, interface)
+        client = await self._goals.client(entry.name, interface)
         if declares_tasks(ctx):
             return await self._tasks.begin(client, message)
         return await self._goals.run(client, message, ctx.session.report_progress)

@@ -53,11 +53,13 @@ class Wire:
     Attributes:
         greeting: The answer that the first line has got; None if the SDK has to answer it.
         greeted: Set when that is known.
+        is_taken: Whether the SDK is there and answers; it also has stdout to itself then.
     """
 
     def __init__(self, reader: asyncio.StreamReader | None) -> None:
         self.greeting: Greeting | None = None
         self.greeted = anyio.Event()
+        self.is_taken = False
         self.lines = None if reader is None else _lines(reader)
         self._first: str | None = None
 
@@ -65,7 +67,7 @@ class Wire:
         """Read the first line, and answer it if it asks for nothing but a greeting."""
         if self.lines is not None:
             self._first = await anext(self.lines, None)
-        if self._first is not None:
+        if self._first is not None and not self.is_taken:
             self.greeting = greet(self._first, version("turtleact"))
         if self.greeting is not None:
             sys.stdout.buffer.write(self.greeting.line)
@@ -108,6 +110,7 @@ async def serve_stdio(server: McpServer, wire: Wire) -> None:
     """
     from mcp.server.stdio import stdio_server  # needs modules of the system's own
 
+    wire.is_taken = True
     sdk = server.sdk
     stdin = None if wire.lines is None else cast("anyio.AsyncFile[str]", wire)  # is only iterated
     async with stdio_server(stdin) as (read, write):

@@ -16,6 +16,7 @@ from turtleact.graph import graph_of, names_like
 from turtleact.interfaces import SECOND, Message, get_message
 from turtleact.interfaces.definition import did_you_mean
 from turtleact.interfaces.values import describe
+from turtleact.mcp.goals import REACHED
 from turtleact.mcp.replies import answer
 from turtleact.mcp.schema import plain
 from turtleact.names import resolve_name
@@ -91,6 +92,8 @@ class Tools:
             known = cast("ServiceType[Message, Message]", service_type)
             self._services[key] = self._node.service_client(known, name)
         with self._goals.place():
+            with anyio.move_on_after(REACHED):
+                await self._services[key].wait_for_service()
             return answer(plain(await self._services[key].call(request)))
 
     async def list_goals(self) -> CallToolResult:
@@ -145,7 +148,8 @@ class Tools:
         action_type = None if held is None else self._catalogue.actions().get(held.action)
         if held is None or action_type is None:
             raise UnknownGoal(f"no server of an offered action holds {text}")
-        return await self._goals.client(held.action, action_type).attach(held.goal_id)
+        client = await self._goals.client(held.action, action_type)
+        return await client.attach(held.goal_id)
 
 
 async def read_topic(node: Node, offer: Offer, topic: str) -> Message:
@@ -185,6 +189,7 @@ async def picture(node: Node) -> bytes:
     client = node.service_client(TakeSnapshot, names[0])
     try:
         with anyio.move_on_after(PICTURE_PATIENCE):
+            await client.wait_for_service()
             taken = await client.call(TakeSnapshot.Request("png"))
             if taken.problem:
                 raise TurtleactError(taken.problem)
