@@ -54,6 +54,7 @@ INSTALLS = sorted(
 )
 PUBLISHED = ["pip install turtleact", "pipx install turtleact", "uvx turtleact serve"]
 PUBLISHED += ["pip install 'turtleact[bag]'", "pip install 'turtleact[mcp]'"]
+PUBLISHED += ["pip install 'turtleact[otel-export]'"]
 OF_CLIENTS = ["uvx --from 'turtleact[mcp]'"]
 """Lines of configuration; the paragraph before them says what to write until then."""
 

@@ -100,6 +100,7 @@ async def open_world(
     journal: GoalJournal | None = None,
     on_restart: OnRestart = "abort",
     introspection: Introspection = "off",
+    on_node: Callable[[Node], object] | None = None,
 ) -> AsyncIterator[WorldNode]:
     """Open a world of turtles with the built-in actions, and a node to use them from.
 
@@ -124,6 +125,7 @@ async def open_world(
             turtles themselves start afresh.
         on_restart: As for `Node.action_server`.
         introspection: The introspection of all nodes of the world; see `Node`.
+        on_node: Called with each node of the world as soon as it is open.
 
     Raises:
         SimError: if the speed or the number of turtles is out of range, or the placing is unknown.
@@ -136,6 +138,8 @@ async def open_world(
         transport = await stack.enter_async_context(opened)
         home = await stack.enter_async_context(open_node("turtlesim", transport=transport))
         home.introspection = introspection
+        if on_node is not None:
+            on_node(home)
         beside = None
         if not turtlesim_only:
             beside = await stack.enter_async_context(open_node("world", transport=transport))
@@ -151,12 +155,16 @@ async def open_world(
             opening = open_node("turtle_actions", transport=transport)
             actions = await stack.enter_async_context(opening)
             actions.introspection = introspection
+            if on_node is not None:
+                on_node(actions)
             if on_transition is not None:
                 actions.on_transition(on_transition)
             serve_built_ins(actions, side=SIDE, journal=journal, on_restart=on_restart)
         name = "_turtleact" if turtlesim_only else "turtleact"  # turtlesim shows one node
         node = await stack.enter_async_context(aclosing(WorldNode(name, transport, sim, actions)))
         node.introspection = introspection
+        if on_node is not None:
+            on_node(node)
         yield node
 
 

@@ -473,7 +473,8 @@ def test_what_is_said_of_the_world_reaches_it(turtleact, monkeypatch):
     monkeypatch.setattr("turtleact.app.open_world", open_world)
     said = "--speed 2 --turtles 3 --placing ring --seed 5 --collide --paused"
     assert turtleact("serve", *said.split()).err == "turtleact: enough\n"
-    del asked["graph"], asked["on_transition"], asked["on_start"]
+    del asked["graph"], asked["on_transition"], asked["on_start"], asked["on_node"]
+    assert asked.pop("introspection") == "off"
     assert not asked.pop("turtlesim_only")
     assert asked == {
         "speed": 2.0,

@@ -20,8 +20,10 @@ import anyio
 
 from turtleact.body import ActionDeclaration
 from turtleact.commands import runner
+from turtleact.commands.observing import json_line, observing, set_up_logging
 from turtleact.commands.output import abandon, note, printable
 from turtleact.commands.reloading import Kept, Reloader, Watch
+from turtleact.commands.settings import Watched
 from turtleact.commands.targets import Found, Modules
 from turtleact.commands.terminal import can_move
 from turtleact.errors import ActionConflict, InvalidOption, TurtleactError, UsageError
@@ -44,6 +46,8 @@ if TYPE_CHECKING:
     from turtleact.transports import Transport, ZenohTransport
 
 __all__ = ["ServerLog", "Service", "listed", "run", "serve_declared"]
+
+logger = logging.getLogger("turtleact.serve")
 
 ROUTER = "tcp/127.0.0.1:7447"
 """Where the nodes of a machine look for a router."""
@@ -74,6 +78,7 @@ class Service(NamedTuple):
         node_name: The name of the node that serves the actions, if there is no world.
         keeping: The journal of the goals; None for no journal.
         introspection: The introspection of all actions and services of the process.
+        watched: How other programs can watch the goals.
     """
 
     targets: tuple[str, ...]
@@ -89,6 +94,7 @@ class Service(NamedTuple):
     node_name: str = "turtleact"
     keeping: Keeping | None = None
     introspection: Introspection = "off"
+    watched: Watched = Watched()
 
 
 def run(service: Service, interrupts: Interrupts) -> int:
@@ -100,9 +106,10 @@ def run(service: Service, interrupts: Interrupts) -> int:
     """
     if logging.lastResort is not None:  # it serves modules that configure no logging
         logging.lastResort.setFormatter(_Escaping())
+    set_up_logging(service.watched.log_format)
     modules = Modules(service.targets)
     work = Work(modules, Watch(modules), Found([], []))
-    log = ServerLog(_dashboard(service))
+    log = ServerLog(_dashboard(service), is_json=service.watched.log_format == "json")
     with interrupts.beginning(0):  # a module of the user's may take any time
         work = work._replace(found=_find(modules, service, log))
     if interrupts.received:
@@ -119,7 +126,8 @@ def run(service: Service, interrupts: Interrupts) -> int:
 
 def _dashboard(service: Service) -> Dashboard | None:
     """The dashboard, if the user wants one and the terminal can show it."""
-    if not (service.is_live and can_move(sys.stdout)):
+    is_live = service.is_live and service.watched.log_format != "json"
+    if not (is_live and can_move(sys.stdout)):
         return None
     from turtleact.commands.live import Dashboard
 
@@ -165,8 +173,9 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
                 await stack.enter_async_context(aclosing(drawing))
             graph = partial(_open_graph, service, opened)
             with interrupts.beginning(0):
+                on_node = await stack.enter_async_context(observing(service.watched, log.say))
                 options = await stack.enter_async_context(_open_journal(service.keeping))
-                opening = _open_node(service, graph, log, options)
+                opening = _open_node(service, graph, log, options, on_node)
                 node = await stack.enter_async_context(opening)
             if interrupts.received:
                 return 0
@@ -187,7 +196,7 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
             await interrupts.wait(1)
             goes_on = service.keeping is not None and service.keeping.resumes
             rest = "go on when the server is back" if goes_on else "are ended"
-            note(f"no more goals are accepted; running goals {rest}")
+            log.note(f"no more goals are accepted; running goals {rest}")
     return 0
 
 
@@ -310,10 +319,11 @@ async def _open_node(
     graph: Callable[[Clock], AbstractAsyncContextManager[Transport]],
     log: ServerLog,
     options: Kept,
+    on_node: Callable[[Node], None],
 ) -> AsyncIterator[Node]:
     """Open the node that serves the targets, on a graph with or without a world.
 
-    ``options`` has the journal for the built-in actions.
+    ``options`` has the journal for the built-in actions. ``on_node`` is called with each node.
     """
     async with AsyncExitStack() as stack:
         if service.fleet is not None:
@@ -326,6 +336,7 @@ async def _open_node(
                 on_transition=log.tell,
                 on_start=None if log.board is None else log.board.begin,
                 introspection=service.introspection,
+                on_node=on_node,
                 **options,
             )
             node: Node = await stack.enter_async_context(world)
@@ -336,6 +347,7 @@ async def _open_node(
             opening = open_node(service.node_name, transport=transport)
             node = await stack.enter_async_context(opening)
             node.introspection = service.introspection
+            on_node(node)
         node.on_transition(log.tell)
         yield node
 
@@ -410,10 +422,16 @@ class _Told(logging.Handler):
 
 
 class ServerLog:
-    """Tells the user what happens: by lines on stdout, or on a dashboard."""
+    """Tells the user what happens: by lines on stdout, or on a dashboard.
 
-    def __init__(self, board: Dashboard | None) -> None:
+    Args:
+        board: The dashboard; None for lines.
+        is_json: Whether each line is a JSON object.
+    """
+
+    def __init__(self, board: Dashboard | None, *, is_json: bool = False) -> None:
         self.board = board
+        self._is_json = is_json
 
     def tell(
         self, goal: ServerGoalHandle[Any, Any, Any], _old: GoalStatus, new: GoalStatus
@@ -427,18 +445,34 @@ class ServerLog:
         line = f"{time} {goal.action_name} {goal.goal_id.hex()} {new.name}{reason}"
         if self.board is not None:
             self.board.tell(goal, new, line, time)
+        elif self._is_json:
+            members = {"goal_id": goal.goal_id.hex(), "action": goal.action_name}
+            members |= {"node": goal.node.fully_qualified_name, "status": new.name}
+            if goal.reason:
+                members["reason"] = goal.reason
+            self.say(f"{goal.action_name} {new.name}{reason}", **members)
         else:
             self.say(line)
 
-    def say(self, line: str) -> None:
-        """Print a line at once; if stdout is closed, the server goes on without it."""
+    def note(self, text: str) -> None:
+        """Print a line on stderr."""
+        if self._is_json:
+            logger.info(text)
+        else:
+            note(text)
+
+    def say(self, line: str, **members: str) -> None:
+        """Print a line at once; if stdout is closed, the server goes on without it.
+
+        ``members`` are more members of the line in JSON.
+        """
         if self.board is not None:
             self.board.say(line)
             return
         if sys.stdout is None:
             return
         try:
-            print(line, flush=True)
+            print(json_line(line, **members) if self._is_json else line, flush=True)
         except BrokenPipeError:
             abandon(sys.stdout)
 
@@ -452,7 +486,7 @@ class ServerLog:
     def complain(self, problem: str) -> None:
         """Tell of modules that cannot be served yet. On a dashboard, a reload replaces it."""
         if self.board is None:
-            note(problem)
+            self.note(problem)
         else:
             self.reload(printable(problem))
 

@@ -21,12 +21,14 @@ __all__ = [
     "Durability",
     "Fleet",
     "Keeping",
+    "LogFormat",
     "Page",
     "Place",
     "Placing",
     "Policies",
     "Reach",
     "Reliability",
+    "Watched",
     "endpoints",
     "quoted",
 ]
@@ -34,6 +36,7 @@ __all__ = [
 Durability: TypeAlias = Literal["volatile", "transient_local"]
 Reliability: TypeAlias = Literal["reliable", "best_effort"]
 Placing: TypeAlias = Literal["random", "grid", "ring"]
+LogFormat: TypeAlias = Literal["text", "json"]
 
 LONGEST_SHOWN = 60
 """How many characters of an argument an error repeats at most."""
@@ -150,6 +153,20 @@ class Page(NamedTuple):
     token: str | None = None
     hosts: tuple[str, ...] = ()
     origins: tuple[str, ...] = ()
+
+
+class Watched(NamedTuple):
+    """How other programs can watch the goals of a server.
+
+    Attributes:
+        otel: Whether traces and metrics are exported by OpenTelemetry.
+        metrics: Where metrics are served, a host and a port; None for nowhere.
+        log_format: How log records are written; None leaves logging alone.
+    """
+
+    otel: bool = False
+    metrics: tuple[str, int] | None = None
+    log_format: LogFormat | None = None
 
 
 class Policies(NamedTuple):

@@ -13,6 +13,7 @@ Source: OpenTelemetry specification 1.45, "Environment Variable Specification".
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -34,6 +35,8 @@ from turtleact.tasks import current_tasks
 
 __all__ = ["FLUSH_WITHIN", "exporting"]
 
+logger = logging.getLogger("turtleact.telemetry")
+
 FLUSH_WITHIN: Final = 3.0
 """How long the last spans and measurements may take at the end (s, event loop time)."""
 
@@ -54,9 +57,7 @@ async def exporting(service: str) -> AsyncIterator[None]:
         TurtleactError: if an environment variable has a value that is not supported.
     """
     resource = Resource.create()
-    if "OTEL_SERVICE_NAME" not in os.environ and "service.name=" not in os.environ.get(
-        "OTEL_RESOURCE_ATTRIBUTES", ""
-    ):
+    if str(resource.attributes[SERVICE_NAME]).startswith("unknown_service"):
         resource = resource.merge(Resource({SERVICE_NAME: service}))
     ends: list[Callable[[], object]] = []
     try:
@@ -107,3 +108,6 @@ async def _run_all(ends: list[Callable[[], object]]) -> None:
     with anyio.move_on_after(FLUSH_WITHIN, shield=True):
         while left:
             await changed.wait()
+    if left:
+        problem = "the last spans or measurements could not be sent within %g s, and are lost"
+        logger.warning(problem, FLUSH_WITHIN)

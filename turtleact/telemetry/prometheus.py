@@ -19,14 +19,12 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterator
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 from turtleact.node import Node
 from turtleact.telemetry.measuring import BOUNDS, measure
 
-__all__ = ["CONTENT_TYPE", "GoalMetrics"]
-
-CONTENT_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
+__all__ = ["GoalMetrics"]
 
 Labels: TypeAlias = tuple[tuple[str, str], ...]
 

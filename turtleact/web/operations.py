@@ -133,12 +133,24 @@ class ServiceResponse(Base, tag="service_response", frozen=True, kw_only=True):
 
 
 class SendActionGoal(Base, tag="send_action_goal", frozen=True, kw_only=True):
-    """A goal."""
+    """A goal.
+
+    Attributes:
+        action: The name of the action.
+        action_type: Its type.
+        args: The goal message.
+        feedback: Whether the client wants feedback.
+        traceparent: The span in which the client sends the goal, as in W3C Trace Context. Other
+            bridges ignore this member.
+        tracestate: What the client's tracing system adds to it.
+    """
 
     action: str
     action_type: str
     args: Arguments = None
     feedback: bool | None = False
+    traceparent: str | None = None
+    tracestate: str | None = None
 
 
 class CancelActionGoal(Base, tag="cancel_action_goal", frozen=True, kw_only=True):

@@ -21,7 +21,7 @@ import logging
 import secrets
 import socket
 import time
-from collections.abc import AsyncIterator, Collection, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from typing import TYPE_CHECKING, Final, cast
 from urllib.parse import quote
@@ -38,13 +38,25 @@ from turtleact.tasks import Background
 from turtleact.web.access import Refusals, is_loopback
 from turtleact.web.bridge import Bridge, open_bridge
 from turtleact.web.connection import TRY_AGAIN_LATER
+from turtleact.web.mailbox import Budget
 from turtleact.web.shared import Limits
 
 if TYPE_CHECKING:
-    from starlette.types import Message
+    from starlette.types import ASGIApp, Message
     from websockets.frames import Frame
 
-__all__ = ["PORT", "READ_AHEAD", "Http", "Socket", "Web", "bound", "open_web"]
+__all__ = [
+    "PORT",
+    "READ_AHEAD",
+    "Config",
+    "Http",
+    "Socket",
+    "Web",
+    "address_of",
+    "bound",
+    "open_web",
+    "serving",
+]
 
 logger = logging.getLogger("turtleact.web")
 
@@ -93,10 +105,8 @@ class Web(msgspec.Struct, frozen=True):
     @property
     def url(self) -> str:
         """The address of the page; with ``ws:`` instead of ``http:``, that of rosbridge."""
-        host = ANY.get(self.host, self.host)
-        place = f"[{host}]" if ":" in host else host
         query = f"?token={quote(self.token, safe='')}" if self.token else ""
-        return f"http://{place}:{self.port}/{query}"
+        return f"{address_of(self.host, self.port)}{query}"
 
 
 ANY: Final = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104  # told, not bound
@@ -158,27 +168,31 @@ async def open_web(
             cancel_on_disconnect=cancel_on_disconnect,
         ) as bridge:
             address: tuple[str, int] = listener.getsockname()[:2]
-            async with _serving(bridge, listener, limits):
+            most = limits.connections + ROOM
+            config = Config(bridge, bridge.refusals, most, limits.message_size)
+            config.budget = bridge.budget
+            async with serving(config, listener, bridge.aclose):
                 yield Web(address[0], address[1], token, bridge)
 
 
+async def _nothing() -> None:
+    """Close nothing."""
+
+
 @asynccontextmanager
-async def _serving(bridge: Bridge, listener: socket.socket, limits: Limits) -> AsyncIterator[None]:
-    config = _Config(
-        bridge,
-        http=Http,
-        ws=Socket,
-        lifespan="off",
-        log_config=None,
-        access_log=False,
-        proxy_headers=False,
-        server_header=False,
-        limit_concurrency=limits.connections + ROOM,
-        ws_max_size=limits.message_size,
-        ws_per_message_deflate=False,
-        timeout_graceful_shutdown=LAST_ORDERS,
-    )
-    config.bridge = bridge
+async def serving(
+    config: Config, listener: socket.socket, close: Callable[[], Awaitable[None]] = _nothing
+) -> AsyncIterator[None]:
+    """Run uvicorn for the length of a block.
+
+    Args:
+        config: Its configuration.
+        listener: The socket.
+        close: Awaited at the end of the block, while clients can still be answered.
+
+    Raises:
+        TurtleactError: if uvicorn does not start.
+    """
     server = _Server(config)
     running = Background(server.serve([listener]), "the web server")
     try:
@@ -188,16 +202,50 @@ async def _serving(bridge: Bridge, listener: socket.socket, limits: Limits) -> A
         yield
     finally:
         with anyio.CancelScope(shield=True):
-            await bridge.aclose()
+            await close()
             server.should_exit = True
             await server.over.wait()
             await running.aclose()
 
 
-class _Config(uvicorn.Config):
-    """uvicorn's configuration, through which its protocols reach the bridge."""
+class Config(uvicorn.Config):
+    """uvicorn's configuration, through which its protocols reach what belongs to the app.
 
-    bridge: Bridge
+    Args:
+        app: The app.
+        refusals: Where refused connections are counted.
+        limit_concurrency: How many connections may be open.
+        ws_max_size: The longest message of a WebSocket (bytes).
+
+    Attributes:
+        refusals: As given.
+        budget: The memory of all WebSockets; only needed if the app has any.
+    """
+
+    budget: Budget
+
+    def __init__(
+        self,
+        app: ASGIApp,
+        refusals: Refusals,
+        limit_concurrency: int,
+        ws_max_size: int = READ_AHEAD,
+    ) -> None:
+        self.refusals = refusals
+        super().__init__(
+            app,
+            http=Http,
+            ws=Socket,
+            lifespan="off",
+            log_config=None,
+            access_log=False,
+            proxy_headers=False,
+            server_header=False,
+            limit_concurrency=limit_concurrency,
+            ws_max_size=ws_max_size,
+            ws_per_message_deflate=False,
+            timeout_graceful_shutdown=LAST_ORDERS,
+        )
 
 
 class _Log(logging.Logger):
@@ -255,7 +303,7 @@ class Http(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as in uvicorn
         """Take a connection, unless there are too many."""
-        self.logger = _Log(cast("_Config", self.config).bridge.refusals)
+        self.logger = _Log(cast("Config", self.config).refusals)
         super().connection_made(transport)
         if self.limit_concurrency is not None and len(self.connections) > self.limit_concurrency:
             self.logger.warning("%d connections are open", self.limit_concurrency)
@@ -286,9 +334,9 @@ class Socket(WebSocketsSansIOProtocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take over a connection."""
-        bridge = cast("_Config", self.config).bridge
-        self._budget = bridge.budget
-        self.logger = self.conn.logger = _Log(bridge.refusals)
+        config = cast("Config", self.config)
+        self._budget = config.budget
+        self.logger = self.conn.logger = _Log(config.refusals)
         super().connection_made(transport)
 
     async def run_asgi(self) -> None:
@@ -409,6 +457,12 @@ class Socket(WebSocketsSansIOProtocol):
             self.handle_parser_exception()
         else:
             super().send_receive_event_to_app()
+
+
+def address_of(host: str, port: int) -> str:
+    """The address of a server for a browser on this machine."""
+    host = ANY.get(host, host)
+    return f"http://[{host}]:{port}/" if ":" in host else f"http://{host}:{port}/"
 
 
 @contextmanager

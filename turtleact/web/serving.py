@@ -17,10 +17,12 @@ import anyio
 from turtleact.body import ActionType
 from turtleact.errors import Abort, Cancel, ServiceError, TurtleactError
 from turtleact.goal import GoalStatus
+from turtleact.goal_wire import GoalNote
 from turtleact.interfaces import Message
 from turtleact.node import Node, ServerGoalHandle
 from turtleact.services import ServiceType
 from turtleact.tasks import Signal, current_tasks
+from turtleact.transports.base import REQUEST_NOTE
 from turtleact.web.message_conversion import json_values, read_message, request
 from turtleact.web.name_lookup import absolute, action_class, service_class
 from turtleact.web.operations import (
@@ -167,6 +169,7 @@ class Serving:
                     action_type=action_type.type_name,
                     args=json_values(goal),
                     feedback=True,
+                    **_trace(),
                 )
             )
             try:
@@ -191,6 +194,13 @@ class Serving:
             if handle.is_cancel_requested:
                 raise
             raise Abort("the client canceled it without being asked", verdict.result) from None
+
+
+def _trace() -> dict[str, str]:
+    """The members that carry the span of the running goal, if it has one."""
+    note = GoalNote.read(REQUEST_NOTE.get())
+    members = {"traceparent": note.traceparent, "tracestate": note.tracestate}
+    return {name: value for name, value in members.items() if value}
 
 
 class _Question:

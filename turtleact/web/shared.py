@@ -26,6 +26,7 @@ from turtleact.body import ActionType
 from turtleact.client import ActionClient, ClientGoalHandle
 from turtleact.errors import GoalRejected, ServerUnavailable, TurtleactError
 from turtleact.goal_id import new_goal_id
+from turtleact.goal_wire import GoalNote
 from turtleact.interfaces import Message
 from turtleact.node import Node
 from turtleact.services import ServiceClient, ServiceType
@@ -33,6 +34,7 @@ from turtleact.summaries import summary
 from turtleact.tasks import Background, current_tasks
 from turtleact.topics import Subscription
 from turtleact.transports import QoS
+from turtleact.transports.base import REQUEST_NOTE
 from turtleact.web.mailbox import Budget
 from turtleact.web.message_conversion import Rendering, json_values, read_message, reply
 from turtleact.web.name_lookup import Directory, absolute, action_class
@@ -397,6 +399,9 @@ class Goals:
 
     async def _run(self, sent: _Sent) -> None:
         said = sent.said
+        if said.traceparent:  # only in the context of this task
+            note = GoalNote(traceparent=said.traceparent, tracestate=said.tracestate or "")
+            REQUEST_NOTE.set(note.write())
         name, action_type = absolute(said.action), action_class(said.action_type)
         goal = await read_message(action_type.Goal, said.args, root="goal")
         key = (name, cast("ActionType[Message, Message, Message]", action_type))

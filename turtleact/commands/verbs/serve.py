@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 import typer
 
 from turtleact.commands import VERBS, completion
-from turtleact.commands.settings import Fleet, Keeping, Page, Placing, Reach, endpoints, quoted
+from turtleact.commands.settings import (
+    Fleet,
+    Keeping,
+    LogFormat,
+    Page,
+    Placing,
+    Reach,
+    Watched,
+    endpoints,
+    quoted,
+)
 from turtleact.commands.verbs import SETTINGS, Job, Verb
 from turtleact.commands.verbs.options import (
     Config,
@@ -40,7 +50,7 @@ _WORLD_NODES = ("turtlesim", "turtle_actions", "world")
 
 NOTHING_TO_RELOAD = "--reload is for your own actions: name a module or a file, such as lab.py"
 
-WORLD, WEB, GOALS = "World", "Web", "Goals"
+WORLD, WEB, GOALS, WATCHING = "World", "Web", "Goals", "Watching"
 """The headings of options."""
 
 Targets: TypeAlias = Annotated[
@@ -163,6 +173,31 @@ Introspect: TypeAlias = Annotated[
         rich_help_panel="Graph",
     ),
 ]
+Otel: TypeAlias = Annotated[
+    bool,
+    typer.Option(
+        "--otel",
+        help="Export traces and metrics by OpenTelemetry, as its environment variables say.",
+        rich_help_panel=WATCHING,
+    ),
+]
+Metrics: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--metrics",
+        metavar="[HOST:]PORT",
+        help="Serve metrics for Prometheus at /metrics.",
+        rich_help_panel=WATCHING,
+    ),
+]
+LogAs: TypeAlias = Annotated[
+    LogFormat | None,
+    typer.Option(
+        "--log-format",
+        help="Write log records from level INFO up, with the goal they belong to.",
+        rich_help_panel=WATCHING,
+    ),
+]
 NoSim: TypeAlias = Annotated[
     bool,
     typer.Option(
@@ -252,9 +287,12 @@ def serve(
     allow_host: Hosts = None,
     allow_origin: Origins = None,
     introspection: Introspect = "off",
+    otel: Otel = False,
+    metrics: Metrics = None,
+    log_format: LogAs = None,
 ) -> Job:
     """``serve``."""
-    at = endpoints("--listen", listen)
+    at, watched = endpoints("--listen", listen), _watched(metrics, log_format, otel=otel)
     fleet = Fleet(speed, turtles, placing, seed, collide=collide, paused=paused)
     _check_use(targets, fleet, node_name, no_sim=no_sim, reload=reload)
     keeping = _keeping(journal, on_restart, max_starts, abort_goals=abort_goals)
@@ -267,18 +305,14 @@ def serve(
         make_known(folder(interfaces))
         access = _access(where, at, insecure=insecure)
         service = Service(
-            tuple(targets or ()),
-            at,
-            where,
-            None if no_sim else fleet,
-            page,
-            access,
+            *(tuple(targets or ()), at, where, None if no_sim else fleet, page, access),
             is_live=not (headless or plain),
             wait=wait,
             reload=reload,
             node_name=node_name or _node_name(targets, no_sim=no_sim),
             keeping=keeping,
             introspection=introspection,
+            watched=watched,
         )
         return run(service, interrupts)
 
@@ -337,7 +371,12 @@ def _page(web: str | None, token: str | None, host: str | None, origin: str | No
             raise UsageError(
                 f"--allow-origin takes an origin such as https://example.com, not {quoted(each)}"
             )
-    return None if web is None else Page(*_host_and_port(web), token, hosts, origins)
+    return None if web is None else Page(*_host_and_port("--web", web), token, hosts, origins)
+
+
+def _watched(metrics: str | None, log_format: LogFormat | None, *, otel: bool) -> Watched:
+    where = None if metrics is None else _host_and_port("--metrics", metrics)
+    return Watched(otel, where, log_format)
 
 
 def _check_use(
@@ -366,11 +405,11 @@ def _check_loopback(listen: tuple[str, ...]) -> None:
         )
 
 
-def _host_and_port(text: str) -> tuple[str, int]:
+def _host_and_port(option: str, text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
     if not (port.isascii() and port.isdigit() and len(port) <= 5 and int(port) <= 65535):
-        raise UsageError(f"the port of --web is a whole number, 0 to 65535, not {quoted(port)}")
+        raise UsageError(f"the port of {option} is a whole number, 0 to 65535, not {quoted(port)}")
     return host or "127.0.0.1", int(port)
 
 

@@ -1,0 +1,62 @@
+"""Metrics on a port, for Prometheus to read.
+
+On a loopback address, a request must name this machine as its host, so that no page of another site
+can read the metrics through DNS rebinding. On other addresses everybody who can reach the port can.
+
+Source: Prometheus, "Exposition formats", text format 0.0.4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING, Final
+
+from starlette.applications import Starlette
+from starlette.responses import PlainTextResponse, Response
+from starlette.routing import Route
+
+from turtleact.web.access import Access, Refusals, is_loopback
+from turtleact.web.server import Config, address_of, bound, serving
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+__all__ = ["CONTENT_TYPE", "open_metrics"]
+
+CONTENT_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
+
+MOST_CONNECTIONS: Final = 32
+"""How many connections there may be at once."""
+
+
+@asynccontextmanager
+async def open_metrics(text: Callable[[], str], host: str, port: int) -> AsyncIterator[str]:
+    """Serve a text at ``/metrics`` for the length of a block; gives its address.
+
+    Args:
+        text: Returns all metrics.
+        host: The address or name to bind.
+        port: The port, 1 to 65535, or 0 for any free one.
+
+    Raises:
+        InvalidOption: if the host or the port cannot be bound.
+    """
+    access = Access(frozenset({host.lower()}))
+
+    async def answer(request: Request) -> Response:
+        if is_loopback(host):
+            problem = access.problem(
+                host=request.headers.get("host", ""),
+                origin=request.headers.get("origin"),
+                token="",
+            )
+            if problem:
+                return PlainTextResponse(f"{problem}\n", 403)
+        return Response(text(), media_type=CONTENT_TYPE)
+
+    app = Starlette(routes=[Route("/metrics", answer)])
+    with bound(host, port) as listener:
+        config = Config(app, Refusals(), limit_concurrency=MOST_CONNECTIONS)
+        async with serving(config, listener):
+            yield f"{address_of(host, listener.getsockname()[1])}metrics"
