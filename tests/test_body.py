@@ -11,6 +11,7 @@ from turtleact.body import ActionDeclaration, Body, action
 from turtleact.errors import InvalidBody
 
 from .lab import Count, count, feedback, goal, lab, result
+from .tables import together
 
 
 async def plain(goal):
@@ -140,6 +141,7 @@ NO_BODIES = [
 ]
 
 
+@together
 @pytest.mark.parametrize(("execute", "is_generator", "wants_handle"), BODIES)
 def test_a_body_is_known_by_what_the_function_is(execute, is_generator, wants_handle):
     body = Body("count", execute)

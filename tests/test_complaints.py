@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from .tables import together
 from .test_conformance import PROOF, fault_of, tables_of
 
 PAGE = (Path(__file__).parents[1] / "docs" / "complaints.md").read_text("utf-8")
@@ -25,6 +26,7 @@ def test_all_tables_of_the_page_have_the_same_columns():
     assert len(ROWS) > 25
 
 
+@together
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row[0].partition(" (")[0])
 def test_a_row_names_issues_and_tests(row):
     complaint, answer, proofs = row
@@ -39,6 +41,7 @@ def test_a_link_leads_to_the_issue_that_it_names():
     assert len(THREAD.findall(PAGE)) == PAGE.count("](https://")
 
 
+@together
 @pytest.mark.parametrize("proof", PROOFS)
 def test_a_proof_is_a_test(proof):
     assert fault_of(proof, every_loop=False) == ""

@@ -16,6 +16,8 @@ import pytest
 
 from turtleact.goal import TRANSITIONS, GoalEvent, GoalStatus
 
+from .tables import together
+
 TESTS = Path(__file__).parent
 PAGE = (TESTS.parent / "docs" / "conformance.md").read_text("utf-8")
 COLUMNS = ["what", "rclpy", "rclcpp", "turtleact", "proved by"]
@@ -173,6 +175,7 @@ def test_the_page_shows_every_state_and_event():
     assert states == [status.name for status in GoalStatus if status is not GoalStatus.UNKNOWN]
 
 
+@together
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row[0])
 def test_a_row_is_full_and_names_nothing_but_proofs(row):
     assert len(row) == len(COLUMNS)
@@ -180,6 +183,7 @@ def test_a_row_is_full_and_names_nothing_but_proofs(row):
     assert all(PROOF.fullmatch(proof) for proof in row[-1].split("<br>"))
 
 
+@together
 @pytest.mark.parametrize("proof", PROOFS)
 def test_a_proof_is_a_test_that_holds_on_every_event_loop(proof):
     assert fault_of(proof) == ""

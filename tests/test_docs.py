@@ -38,6 +38,7 @@ import pytest
 from turtleact import server
 
 from . import warm
+from .tables import together
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
@@ -222,6 +223,7 @@ def test_a_program_of_a_page_does_what_it_shows(program, tmp_path):
     assert program.output is None or is_as_shown(outcome.stdout, program.output), outcome.stdout
 
 
+@together
 @pytest.mark.parametrize(
     "block", [block for block in BLOCKS if block.language == "python"], ids=lambda block: block.name
 )
@@ -330,11 +332,13 @@ def test_the_picture_of_the_patrol_shows_the_goal_of_the_readme():
     assert [(float(x), float(y)) for x, y in shown] == list(module.TARGETS)
 
 
+@together
 @pytest.mark.parametrize("block", BLOCKS, ids=lambda block: block.name)
 def test_every_block_is_checked(block):
     assert is_checked(block)
 
 
+@together
 @pytest.mark.parametrize(("page", "link"), LINKS, ids=lambda value: getattr(value, "name", value))
 def test_a_link_leads_to_a_file(page, link):
     assert (page.parent / link.partition("#")[0]).exists()

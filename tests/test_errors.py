@@ -12,6 +12,8 @@ from turtleact.errors import TurtleactError
 from turtleact.goal import GoalEvent, GoalStatus
 from turtleact.summaries import summary, text_of
 
+from .tables import together
+
 # Each exception with its facts, and the text that these make.
 SAID = [
     (
@@ -66,21 +68,25 @@ SAID = [
 KINDS = [getattr(errors, name) for name in errors.__all__ if name[0].isupper()]
 
 
+@together
 @pytest.mark.parametrize(("error", "text"), SAID, ids=lambda value: type(value).__name__)
 def test_an_exception_builds_its_text_from_its_facts(error, text):
     assert str(error) == text
 
 
+@together
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_exception_is_a_turtleact_error(kind):
     assert issubclass(kind, TurtleactError)
 
 
+@together
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_exception_stands_in_the_picture_of_the_tree(kind):
     assert f" {kind.__name__} " in f"{errors.__doc__} ".replace("\n", " ")
 
 
+@together
 @pytest.mark.parametrize("error", [error for error, _ in SAID], ids=lambda e: type(e).__name__)
 def test_an_exception_keeps_its_facts_when_it_is_copied(error):
     copied = copy.copy(error)
@@ -103,6 +109,7 @@ def test_an_exception_is_summed_up_in_a_line(error, line):
     assert summary(error) == line
 
 
+@together
 @pytest.mark.parametrize("error", [error for error, _ in SAID], ids=lambda e: type(e).__name__)
 def test_an_exception_can_be_sent_to_another_process(error):
     sent = pickle.loads(pickle.dumps(error))

@@ -25,6 +25,8 @@ from turtleact.goal import (
     transition,
 )
 
+from .tables import together
+
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND
 
@@ -77,6 +79,7 @@ def test_a_legal_event_leads_to(status, event, after):
     assert transition(status, event) is after
 
 
+@together
 @pytest.mark.parametrize(("status", "event", "after"), ILLEGAL)
 def test_an_illegal_event_raises(status, event, after):
     with pytest.raises(InvalidTransition, match=f"is {status.name}: {event.name} is not allowed"):
@@ -90,6 +93,7 @@ def test_a_goal_moves_with_a_legal_event(status, event, after):
     assert goal.status is after
 
 
+@together
 @pytest.mark.parametrize(("status", "event", "after"), ILLEGAL)
 def test_a_goal_stays_as_it_is_with_an_illegal_event(status, event, after):
     bell = Bell()

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from turtleact.errors import InvalidName
 from turtleact.names import action_names, resolve_name, validate_name, validate_node_name
 
+from .tables import together
+
 
 @pytest.mark.parametrize(
     "name", ["pose", "/pose", "/turtle1/pose", "~", "~/pose", "_hidden/_action", "A_b/c9", "/_"]
@@ -18,6 +20,7 @@ def test_a_name_of_tokens_is_legal(name):
     validate_name(name)
 
 
+@together
 @pytest.mark.parametrize(
     ("name", "position", "problem"),
     [

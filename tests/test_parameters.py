@@ -25,6 +25,8 @@ from turtleact.parameters import (
     value_of,
 )
 
+from .tables import together
+
 # --- values ---------------------------------------------------------------------------------
 
 VALUES = [
@@ -207,6 +209,7 @@ REFUSED = [
 ]
 
 
+@together
 @pytest.mark.parametrize(("name", "value", "reason"), REFUSED)
 def test_what_a_parameter_cannot_be_is_refused_in_rclcpps_words(name, value, reason):
     assert table().problem([Parameter(name, value)]) == reason

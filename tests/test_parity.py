@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from .tables import together
 from .test_conformance import PROOF, fault_of, tables_of
 
 PAGE = (Path(__file__).parents[1] / "docs" / "turtlesim.md").read_text("utf-8")
@@ -23,6 +24,7 @@ def test_all_tables_of_the_page_compare():
     assert len(ROWS) > 40
 
 
+@together
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row[0])
 def test_a_row_is_full_and_names_nothing_but_proofs(row):
     assert len(row) == len(COLUMNS)
@@ -30,6 +32,7 @@ def test_a_row_is_full_and_names_nothing_but_proofs(row):
     assert all(PROOF.fullmatch(proof) for proof in row[-1].split("<br>"))
 
 
+@together
 @pytest.mark.parametrize("proof", PROOFS)
 def test_a_proof_is_a_test(proof):
     assert fault_of(proof, every_loop=False) == ""

@@ -12,6 +12,8 @@ import pytest
 import turtleact
 from turtleact import errors
 
+from .tables import together
+
 PAGE = Path(__file__).parent.parent / "docs" / "architecture.md"
 
 
@@ -26,6 +28,7 @@ def run(code: str) -> list[str]:
     return ran.stdout.split()
 
 
+@together
 @pytest.mark.parametrize("name", turtleact.__all__)
 def test_a_public_name_can_be_imported(name):
     assert getattr(turtleact, name).__module__.startswith("turtleact.") or name == "Event"

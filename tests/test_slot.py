@@ -16,6 +16,8 @@ from turtleact.errors import InvalidOption
 from turtleact.goal import Goal
 from turtleact.slot import Admission, Rules, Slot, Slots
 
+from .tables import together
+
 START, WAIT, REFUSE = Admission.START, Admission.WAIT, Admission.REJECT
 
 PARALLEL = Rules()
@@ -172,6 +174,7 @@ TABLE = [
 ]
 
 
+@together
 @pytest.mark.parametrize(("situation", "rules", "admission"), TABLE)
 def test_a_new_goal(situation, rules, admission):
     slot, new = in_situation(situation, rules)

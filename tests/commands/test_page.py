@@ -15,6 +15,8 @@ import pytest
 
 from turtleact.commands import GROUPS, VERBS
 
+from ..tables import together
+
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = DOCS / "cli.md"
 BLOCK = re.compile(
@@ -53,6 +55,7 @@ def verbs():
         yield from (f"turtleact {name} {verb}".strip() for verb in inner)
 
 
+@together
 @pytest.mark.parametrize("verb", list(verbs()))
 def test_the_page_shows_every_verb(verb):
     assert re.search(rf"{verb}\b", PAGE.read_text("utf-8"))

@@ -18,6 +18,7 @@ import pytest
 
 from turtleact.commands import verbs
 
+from ..tables import together
 from .test_serve import PATIENCE, free_endpoint, serving, start
 
 ROOT = Path(__file__).parents[2]
@@ -173,6 +174,7 @@ ANSWERED = {"colcon build", "pkg build", "rosdep install"}
 """What these answer is an error with advice; ``test_verbs.py`` reads it."""
 
 
+@together
 @pytest.mark.parametrize("line", sorted(in_sentences() - ANSWERED))
 def test_a_command_in_a_sentence_is_understood(line, capsys):
     for word, stands_for in OPEN.items():
@@ -181,6 +183,7 @@ def test_a_command_in_a_sentence_is_understood(line, capsys):
     assert capsys.readouterr().err == ""
 
 
+@together
 @pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: page.name)
 def test_a_program_of_the_checkout_that_is_named_is_there(page):
     for named in PYTHON.findall(page.read_text("utf-8")):

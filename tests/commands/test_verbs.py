@@ -21,6 +21,7 @@ from turtleact.commands.verbs.topic import policies
 from turtleact.errors import UsageError
 from turtleact.sim.start_poses import PLACINGS
 
+from ..tables import together
 from .ttys import open_terminal, read
 
 USAGE = [
@@ -220,6 +221,7 @@ USAGE = [
 ]
 
 
+@together
 @pytest.mark.parametrize(("arguments", "problem"), USAGE, ids=lambda each: " ".join(each))
 def test_a_command_line_that_makes_no_sense_is_refused(turtleact, arguments, problem):
     ran = turtleact(*arguments)
@@ -380,6 +382,7 @@ def imports_of_verbs():
     return {verb: {*modules} for verb, *modules in map(str.split, said.splitlines())}
 
 
+@together
 @pytest.mark.parametrize("verb", list(VERBS))
 def test_only_the_verb_that_is_asked_for_is_imported(imports_of_verbs, verb):
     home = verbs.HOMES.get(verb, verb)
@@ -409,6 +412,7 @@ def test_the_help_of_a_verb_is_typers_and_shows_examples(turtleact):
     assert 'turtleact send-goal fibonacci "order: 5" --feedback' in out
 
 
+@together
 @pytest.mark.parametrize("width", [60, 80])
 @pytest.mark.parametrize(
     "line", [[], *([verb] for verb in VERBS), *([a, b] for a, each in GROUPS.items() for b in each)]

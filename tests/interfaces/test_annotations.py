@@ -23,9 +23,12 @@ from turtleact.interfaces.definition import PRIMITIVES, ArrayForm, FieldType
 from turtleact.interfaces.standard import Point
 from turtleact.interfaces.types import Message
 
+from ..tables import together
+
 HERE = ChainMap(globals())
 
 
+@together
 @pytest.mark.parametrize(
     ("annotation", "text"),
     [
@@ -55,6 +58,7 @@ def test_an_annotation_says_a_type(annotation, text):
     assert str(read(annotation, HERE).field_type) == text
 
 
+@together
 @pytest.mark.parametrize("name", PRIMITIVES)
 def test_each_primitive_has_an_annotation(name):
     assert read(SCALARS[name], HERE).field_type == FieldType(name)

@@ -57,6 +57,8 @@ from turtleact.interfaces.types import (
     wstring,
 )
 
+from ..tables import together
+
 if TYPE_CHECKING:
     from turtleact.interfaces.definition import FieldType
 
@@ -235,11 +237,13 @@ RCLPY = [pytest.param(entry, id=entry["type"]) for entry in recorded("cdr.json")
 FAST_CDR = recorded("cdr_fastcdr.json")
 
 
+@together
 @pytest.mark.parametrize("entry", RCLPY)
 def test_a_message_is_written_as_rclpy_writes_it(entry):
     assert encode(message_of(entry)).hex() == entry["cdr"].hex()
 
 
+@together
 @pytest.mark.parametrize("arrays", ARRAYS)
 @pytest.mark.parametrize("entry", RCLPY)
 def test_what_rclpy_has_written_is_read(entry, arrays):
@@ -247,6 +251,7 @@ def test_what_rclpy_has_written_is_read(entry, arrays):
     assert encode(read) == entry["cdr"]
 
 
+@together
 @pytest.mark.parametrize("type_name", sorted({entry["type"] for entry in FAST_CDR}))
 def test_what_fast_cdr_has_written_is_read_and_written_but_for_its_garbage(type_name):
     for entry in (entry for entry in FAST_CDR if entry["type"] == type_name):
@@ -351,6 +356,7 @@ SHIPPED = [cls for name in known_interfaces() for cls in message_classes(name)]
 ANY_MESSAGE = st.sampled_from([*OWN, *OWN, *SHIPPED]).flatmap(messages)
 
 
+@together
 @pytest.mark.parametrize("arrays", ARRAYS)
 @pytest.mark.parametrize("cls", [*OWN, *SHIPPED])
 def test_a_default_message_is_written_and_read_by_the_book(cls, arrays):
@@ -551,6 +557,7 @@ COUNTED: list[tuple[type[Message], str, int]] = [
 ]
 
 
+@together
 @pytest.mark.parametrize("arrays", ARRAYS)
 @pytest.mark.parametrize(("cls", "name", "before"), COUNTED)
 def test_a_length_that_the_data_cannot_hold_costs_no_memory(cls, name, before, arrays):
@@ -643,6 +650,7 @@ def test_a_fault_of_the_decoder_itself_is_not_hidden(monkeypatch):
 # --- what is written ------------------------------------------------------------------------
 
 
+@together
 @pytest.mark.parametrize(
     ("message", "text"),
     [

@@ -38,6 +38,8 @@ from turtleact.interfaces.standard import (
 )
 from turtleact.interfaces.types import REGISTRY, definition, fields, nested_classes
 
+from ..tables import together
+
 GOLDEN = Path(__file__).parent / "golden"
 
 # RIHS01 hashes by the official generator of ROS 2 Jazzy, recorded on 2026-11-21.
@@ -214,6 +216,7 @@ def ros_is_known(own_registry: None, recorded_files: dict[str, str]) -> None:
 # --- as in ROS ------------------------------------------------------------------------------
 
 
+@together
 @pytest.mark.parametrize(
     ("type_name", "digest"),
     [

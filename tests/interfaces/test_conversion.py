@@ -42,6 +42,8 @@ from turtleact.interfaces.types import (
     wstring,
 )
 
+from ..tables import together
+
 
 class Scalars(Message, type_name="example_msgs/msg/Scalars"):
     a: bool_ = False
@@ -127,6 +129,7 @@ def test_nan_is_kept():
     assert math.isnan(snapshot(Scalars(m=math.nan)).m)
 
 
+@together
 @pytest.mark.parametrize(
     ("message", "text"),
     [
@@ -308,6 +311,7 @@ def test_bytes_are_made_of_bytes_or_numbers(uuid):
     assert from_dict(UUID, {"uuid": uuid}) == UUID()
 
 
+@together
 @pytest.mark.parametrize(
     ("cls", "mapping", "text"),
     [

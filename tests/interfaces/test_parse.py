@@ -20,6 +20,8 @@ from turtleact.interfaces.definition import (
 )
 from turtleact.interfaces.parse import parse
 
+from ..tables import together
+
 GOLDEN = Path(__file__).parent / "golden"
 FILES = sorted(GOLDEN.glob("*/*/*.*"))
 NAME = "example_msgs/msg/Sample"
@@ -31,6 +33,7 @@ def message(text: str) -> MessageDefinition:
     return said
 
 
+@together
 @pytest.mark.parametrize("path", FILES, ids=[path.stem for path in FILES])
 def test_each_interface_of_ros_is_read(path):
     package, kind, _ = path.parts[-3:]
@@ -38,6 +41,7 @@ def test_each_interface_of_ros_is_read(path):
     assert parse(path.read_text(), name).type_name == name
 
 
+@together
 @pytest.mark.parametrize(
     ("text", "field"),
     [
@@ -135,6 +139,7 @@ def test_an_error_shows_the_line_and_a_caret():
     )
 
 
+@together
 @pytest.mark.parametrize(
     ("text", "column", "problem"),
     [

@@ -19,6 +19,8 @@ from turtleact.interfaces.generator import generate
 from turtleact.interfaces.parse import parse
 from turtleact.interfaces.types import REGISTRY, Action, Message, Service, definition
 
+from ..tables import together
+
 GOLDEN = Path(__file__).parent / "golden"
 HASHES: dict[str, str] = json.loads((GOLDEN / "type_hashes_kilted.json").read_text())
 """The hashes of interfaces of which there is no recorded text."""
@@ -51,27 +53,32 @@ def test_the_generated_modules_are_those_of_the_files():
     assert written == generate({name: text_of(name) for name in SHIPPED})
 
 
+@together
 @pytest.mark.parametrize("type_name", SHIPPED)
 def test_a_class_says_what_its_file_says(type_name):
     assert definition(declared(type_name)) == parse(text_of(type_name), type_name)
 
 
+@together
 @pytest.mark.parametrize("type_name", sorted(set(SHIPPED) - set(HASHES)))
 def test_a_file_says_what_ros_says(type_name):
     golden = (GOLDEN / place(type_name)).read_text()
     assert parse(text_of(type_name), type_name) == parse(golden, type_name)
 
 
+@together
 @pytest.mark.parametrize("type_name", HASHES)
 def test_a_file_has_the_hash_of_ros(type_name):
     assert type_hash(get_interface(type_name)) == HASHES[type_name]
 
 
+@together
 @pytest.mark.parametrize("type_name", SHIPPED)
 def test_a_class_is_what_its_name_gives(type_name):
     assert get_interface(type_name) is declared(type_name)
 
 
+@together
 @pytest.mark.parametrize("name", standard.__all__)
 def test_a_shortcut_gives_a_class(name):
     assert issubclass(getattr(standard, name), Message | Service | Action)

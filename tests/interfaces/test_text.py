@@ -32,6 +32,8 @@ from turtleact.interfaces.types import (
     string,
 )
 
+from ..tables import together
+
 Targets = PatrolCommandInterface.Goal
 
 
@@ -57,6 +59,7 @@ class Orders(Message, type_name="example_msgs/msg/Orders"):
     order: int32 = 0
 
 
+@together
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -97,6 +100,7 @@ def test_a_text_is_taken_as_meant(text, message):
     assert from_text(Sample, text) == expected
 
 
+@together
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
@@ -165,6 +169,7 @@ def test_malformed_text_is_told_with_line_column_and_caret():
     )
 
 
+@together
 @pytest.mark.parametrize(
     ("text", "place", "problem"),
     [
@@ -325,6 +330,7 @@ def test_a_float_is_one_in_any_yaml(value, text):
     assert isinstance(yaml.safe_load(text), float)
 
 
+@together
 @pytest.mark.parametrize(
     ("value", "text"),
     [

@@ -25,6 +25,8 @@ from turtleact.interfaces import (
 from turtleact.interfaces.standard import Fibonacci, Point
 from turtleact.interfaces.types import REGISTRY
 
+from ..tables import together
+
 GOLDEN = Path(__file__).parent / "golden"
 RECORDED: dict[str, str] = json.loads((GOLDEN / "type_hashes.json").read_text())
 
@@ -85,6 +87,7 @@ def recorded_interfaces():
         return {name: get_interface(name) for name in RECORDED}
 
 
+@together
 @pytest.mark.parametrize("type_name", RECORDED)
 def test_a_type_has_the_hash_that_ros_gives_it(recorded_interfaces, type_name):
     assert type_hash(recorded_interfaces[type_name]) == RECORDED[type_name]

@@ -35,6 +35,8 @@ from turtleact.interfaces.types import (
     uint8,
 )
 
+from ..tables import together
+
 
 class Count(Action, type_name="example_msgs/action/Count"):
     class Goal(Message):
@@ -274,6 +276,7 @@ def declare(annotation: object, *default: object) -> Any:
     return MessageMeta("Sample", (Message,), body)
 
 
+@together
 @pytest.mark.parametrize(
     ("annotation", "default", "value"),
     [

@@ -17,6 +17,8 @@ from turtleact.errors import InvalidMessage
 from turtleact.interfaces.definition import INTEGER_RANGES, ArrayForm, FieldType
 from turtleact.interfaces.values import FLOAT32_LIMIT, converter, describe, expected
 
+from ..tables import together
+
 
 class Level(enum.IntEnum):
     LOW = 1
@@ -30,6 +32,7 @@ def convert(name: str, value: object, **options: Any) -> Any:
     return converter(FieldType(name, **options))(value)
 
 
+@together
 @pytest.mark.parametrize(
     ("name", "value", "result"),
     [
@@ -65,6 +68,7 @@ def test_nan_is_a_float():
     assert math.isnan(convert("float32", math.nan))
 
 
+@together
 @pytest.mark.parametrize(
     ("name", "value", "problem"),
     [

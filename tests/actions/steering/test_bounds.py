@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from turtleact.actions.steering import Limits, Steering, rising_times, shortest_time, time_bound
 
+from ...tables import together
 from .track import (
     PATROL,
     START,
@@ -151,6 +152,7 @@ def test_nobody_who_keeps_to_the_speeds_is_faster_than_the_shortest_time(
     assert shortest_time((5.0, 5.0, 0.5), targets, steering, theta=theta) <= ticks * 0.016 + 1e-9
 
 
+@together
 @pytest.mark.parametrize("style", ["fastest", "forward", "rotate_then_drive"])
 @pytest.mark.parametrize("seed", range(20))
 def test_a_random_patrol_is_near_the_bound_of_its_own_style(style, seed):

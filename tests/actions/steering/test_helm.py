@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from turtleact.actions.steering import STILL, Area, Helm, Limits, Steering, time_bound
 from turtleact.actions.steering.law import LONGEST, OLDEST
 
+from ...tables import together
 from .track import (
     SIDE,
     START,
@@ -83,6 +84,7 @@ def course(seed):
     return pose, [(uniform(0.0, SIDE), uniform(0.0, SIDE)) for _ in range(4)]
 
 
+@together
 @pytest.mark.parametrize("style", STYLES)
 @pytest.mark.parametrize("seed", range(6))
 def test_it_takes_as_long_as_if_the_law_was_asked_in_each_tick(style, seed):

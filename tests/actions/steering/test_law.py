@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from turtleact.actions.steering import Area, Limits, Steering, shortest_time
 from turtleact.errors import InvalidMessage
 
+from ...tables import together
 from .track import (
     PATROL,
     SIDE,
@@ -60,6 +61,7 @@ def test_no_tour_ends_before_the_shortest_time(place, theta, targets, style, lim
     assert seconds(Steering(style, limits), pose, targets) >= least - 1e-5
 
 
+@together
 @pytest.mark.parametrize("seed", range(40))
 def test_a_random_patrol_takes_at_most_a_quarter_longer_than_the_shortest_time(seed):
     uniform = random.Random(seed).uniform
@@ -84,6 +86,7 @@ def test_a_tick_may_have_any_length(style, dt):
 # Always arriving
 
 
+@together
 @pytest.mark.parametrize("style", STYLES)
 @pytest.mark.parametrize("theta", [0.0, 1.0, math.pi / 2, -3.0, -math.pi])
 @pytest.mark.parametrize("away", [0.11, 0.3, 0.5, 0.99, 1.5, 2.0])
@@ -389,6 +392,7 @@ def test_an_eased_turtle_ends_at_rest_at_its_last_target(place, theta, targets, 
         assert (ticks[-1].linear, ticks[-1].angular) == (0.0, 0.0)
 
 
+@together
 @pytest.mark.parametrize("style", STYLES)
 @pytest.mark.parametrize("seed", range(20))
 def test_an_eased_turtle_stops_before_the_walls(style, seed):

@@ -11,7 +11,10 @@ import pytest
 from turtleact.actions.steering import Limits
 from turtleact.errors import InvalidMessage
 
+from ...tables import together
 
+
+@together
 @pytest.mark.parametrize(
     "name", ["max_linear", "max_angular", "tolerance", "heading_tolerance", "dt"]
 )
