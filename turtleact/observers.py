@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from typing import TypeAlias
+from collections.abc import Callable
+from typing import Final, TypeAlias
 
 import msgspec
 
@@ -88,6 +89,9 @@ class GoalObserver:
         """Called in a body's context before its first step, to set context variables for it."""
 
 
+_METHODS: Final = tuple(name for name in vars(GoalObserver) if not name.startswith("_"))
+
+
 class Observers:
     """The observers of one server or client.
 
@@ -104,6 +108,7 @@ class Observers:
     __slots__ = (
         "_action",
         "_is_telling",
+        "_listeners",
         "_observers",
         "_untold",
         "are_any",
@@ -114,11 +119,10 @@ class Observers:
     def __init__(self, action: str) -> None:
         self._action = action
         self._observers: tuple[GoalObserver, ...] = ()
+        self._listeners: dict[str, tuple[Callable[..., None], ...]] = {}
         self._untold: deque[_News] = deque()
         self._is_telling = False
-        self.are_any = False
-        self.want_bodies = False
-        self.want_feedback = False
+        self._set(())
 
     def __len__(self) -> int:
         return len(self._observers)
@@ -161,20 +165,20 @@ class Observers:
 
     def _set(self, observers: tuple[GoalObserver, ...]) -> None:
         self._observers = observers
+        self._listeners = {
+            method: tuple(
+                getattr(each, method)
+                for each in observers
+                if getattr(type(each), method) is not getattr(GoalObserver, method)
+            )
+            for method in _METHODS
+        }
         # Every server has an observer that only hears of pauses. It must not slow down all goals.
         self.are_any = any(
-            type(each).goal_changed is not GoalObserver.goal_changed
-            or type(each).feedback_published is not GoalObserver.feedback_published
-            or type(each).noted is not GoalObserver.noted
-            for each in observers
+            self._listeners[method] for method in ("goal_changed", "feedback_published", "noted")
         )
-        self.want_feedback = any(
-            type(each).feedback_published is not GoalObserver.feedback_published
-            for each in observers
-        )
-        self.want_bodies = any(
-            type(each).enter_body is not GoalObserver.enter_body for each in observers
-        )
+        self.want_feedback = bool(self._listeners["feedback_published"])
+        self.want_bodies = bool(self._listeners["enter_body"])
 
     def _tell(self, method: str, *news: object) -> None:
         """Tell all observers one piece of news, then whatever they cause meanwhile."""
@@ -191,9 +195,9 @@ class Observers:
             self._is_telling = False
 
     def _call(self, method: str, news: tuple[object, ...]) -> None:
-        for observer in self._observers:
+        for listener in self._listeners[method]:
             try:
-                getattr(observer, method)(*news)
+                listener(*news)
             except STOPS:
                 raise
             except BaseException as error:  # also a stray cancellation
