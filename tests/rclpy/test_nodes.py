@@ -84,8 +84,9 @@ def test_a_node_sees_nodes_topics_and_services(context, node):
         assert name in dict(getattr(node, method)("lab", "/"))
         with pytest.raises(rclpy_implementation.NodeNameNonExistentError):
             getattr(node, method)("nobody", "/")
+    node.create_service(AddTwoInts, "add", print)
     counted = [node.count_publishers("chatter"), node.count_subscribers("/chatter")]
-    assert [*counted, node.count_services("add"), node.count_clients("add")] == [1, 1, 1, 1]
+    assert [*counted, node.count_services("add"), node.count_clients("add")] == [1, 1, 2, 1]
     for method in ("count_publishers", "count_services", "get_publishers_info_by_topic"):
         with pytest.raises(ValueError, match="is invalid"):
             getattr(node, method)("42")
@@ -457,7 +458,7 @@ def test_a_message_that_cannot_be_read_is_logged_and_dropped(node, executor, cap
     publisher.publish(b"\0\1\0\0")
     publisher.publish(String(data="hi"))
     for _ in range(2):
-        executor.spin_once(timeout_sec=1)
+        executor.spin_once(timeout_sec=0)
     assert [each.data for each in heard] == ["hi"]
     assert "a message of /chatter cannot be read" in capsys.readouterr().err
 

@@ -164,6 +164,8 @@ def test_what_cannot_be_declared(context):
         node.declare_parameter("", 3)
     with pytest.raises(InvalidParameterTypeException, match="expecting type 'DOUBLE'"):
         node.declare_parameter("speed", Type.DOUBLE)
+    with pytest.raises(ValueError, match="can have no type"):
+        node.declare_parameter("any", Type.DOUBLE, Descriptor(dynamic_typing=True))
     with pytest.raises(ValueError, match="PARAMETER_NOT_SET"):
         node.declare_parameter("empty", descriptor=Descriptor())
     with pytest.raises(TypeError, match="length between 1 and 3"):

@@ -10,14 +10,15 @@ import threading
 import pytest
 
 from turtleact.interfaces.types import REGISTRY
-from turtleact.rclpy import __main__ as command
-from turtleact.rclpy import ament_index, program
+from turtleact.rclpy import ament_index, command, program
+from turtleact.rclpy.__main__ import main
 from turtleact.rclpy.impl.settings import SETTINGS
 
 
 @pytest.fixture
 def run(tmp_path, monkeypatch):
     """Runs a program with options as ``python -m turtleact.rclpy`` does."""
+    handler = signal.getsignal(signal.SIGINT)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.meta_path", list(sys.meta_path))
     monkeypatch.setattr("sys.path", ["", *sys.path])
@@ -25,9 +26,11 @@ def run(tmp_path, monkeypatch):
     def run(*arguments: str) -> None:
         monkeypatch.setattr("sys.argv", ["turtleact.rclpy", *arguments])
         with REGISTRY.isolated():
-            command.main()
+            main()
 
-    return run
+    yield run
+    monkeypatch.undo()
+    signal.signal(signal.SIGINT, handler)
 
 
 def test_a_file_is_run_with_its_arguments_and_folder(run, tmp_path, capsys):
@@ -125,7 +128,7 @@ def test_a_program_with_a_stuck_thread_is_left(run, tmp_path, monkeypatch, leavi
     (tmp_path / "arm.py").write_text("raise SystemExit(4)\n")
     with pytest.raises(Left):
         run("--face=turtleact", "arm.py")
-    assert leaving == [4]
+    assert leaving[-1] == 4
 
 
 def test_packages_are_found_where_they_are_installed_or_written(tmp_path, monkeypatch):
@@ -141,3 +144,15 @@ def test_packages_are_found_where_they_are_installed_or_written(tmp_path, monkey
     assert ament_index.get_package_share_directory("hand") == str(sources)
     with pytest.raises(ament_index.PackageNotFoundError, match="'leg' not found"):
         ament_index.get_package_prefix("leg")
+
+
+def test_a_signal_before_the_program_begins_ends_the_process_silently(run, tmp_path, monkeypatch):
+    handlers: list[object] = []
+    monkeypatch.setattr(signal, "signal", lambda number, handler: handlers.append(handler))
+    (tmp_path / "arm.py").write_text("")
+    run("--face=turtleact", "arm.py")
+    assert handlers == [signal.SIG_DFL, signal.default_int_handler]
+    handlers.clear()
+    monkeypatch.setattr(signal, "getsignal", lambda number: signal.SIG_IGN)
+    run("--face=turtleact", "arm.py")
+    assert handlers == [signal.SIG_IGN]

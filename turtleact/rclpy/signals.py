@@ -62,7 +62,9 @@ class _Handlers:
             self._thread.start()
         for option, number in SIGNALS.items():
             if option in options and option not in self.installed:
-                self._before[number] = signal.signal(number, self._receive)
+                # Known before the signal can come: it must reach the former handler, too.
+                self._before[number] = signal.getsignal(number)
+                signal.signal(number, self._receive)
                 self.installed |= option
 
     def uninstall(self) -> None:

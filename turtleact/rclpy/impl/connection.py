@@ -262,6 +262,17 @@ class Connection:
         """All endpoints on the graph, or those with a name."""
         return self.loop.call(partial(self._transport.endpoints, name))
 
+    def count_servers(self, name: str) -> int:
+        """Count the servers of a service. A node that serves it twice has only one endpoint."""
+        return self.loop.call(partial(self._count_servers, name))
+
+    def _count_servers(self, name: str) -> int:
+        ends = [each for each in self._transport.endpoints(name) if each.kind == "service"]
+        near = [each for each in self._transport.local_endpoints(name) if each.kind == "service"]
+        types = {each.type_name for each in near}
+        here = sum(len(self._transport.all_local(name, type_name)) for type_name in types)
+        return here + len(ends) - len(near)
+
     def nodes(self) -> tuple[str, ...]:
         """The names of all nodes."""
         return self.loop.call(self._transport.nodes)

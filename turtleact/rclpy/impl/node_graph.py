@@ -115,7 +115,7 @@ class NodeGraph:
 
     def count_services(self: Named, service_name: str) -> int:
         """Return how many servers a service has."""
-        return _count(self, _service(self, service_name), "service")
+        return self.connection.count_servers(_service(self, service_name))
 
     def get_publishers_info_by_topic(
         self: Named,

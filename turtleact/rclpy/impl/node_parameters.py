@@ -165,6 +165,10 @@ class NodeParameters:
                 f"Third element {descriptor} at index {index} in parameters list is not a "
                 "ParameterDescriptor."
             )
+        if descriptor.dynamic_typing and isinstance(value, Parameter.Type):
+            raise ValueError(
+                f"Parameter '{full}' has a descriptor with dynamic_typing, so it can have no type"
+            )
         if not descriptor.dynamic_typing:
             kind = value if isinstance(value, Parameter.Type) else None
             kind = kind or Parameter.Type.from_parameter_value(value)
