@@ -232,6 +232,8 @@ async def test_any_action_is_sent_from_a_form_made_from_its_type(devtools):
     def check(goal: Any) -> GoalResponse:
         if goal.many[0].x > 10:
             raise Reject("many[0].x is too far away")
+        if goal.label == "crowd":
+            raise Reject("many: these are too near each other")
         return GoalResponse.ACCEPT
 
     async with turtleact.open_node("lab") as node, open_web(node, port=0) as web:
@@ -270,7 +272,17 @@ async def test_any_action_is_sent_from_a_form_made_from_its_type(devtools):
             assert await page.run(f"{wrong}[0].textContent") == "many[0].x is too far away"
             assert await page.run("document.activeElement.getAttribute('aria-invalid')") == "true"
 
+            # a change of any field makes that out of date
+            await page.run(f"{fill} put('label', 'crowd')")
+            assert await page.run(f"{wrong}.length") == 0
             await page.run(f"{fill} put('x', '2.5')")
+            await page.click("#do-send")
+            await page.until(f"{wrong}.length === 1 && $('form-error').textContent")
+            assert await page.text("#form-error") == "many: these are too near each other"
+            await page.run(f"{fill} put('label', {markup!r})")
+            assert await page.run(f"{wrong}.length") == 0
+            assert await page.run("$('form-error').textContent + $('said').textContent") == ""
+
             await page.click("#copy")
             await page.until("!$('command').hidden")
             assert (await page.text("#command")).startswith(

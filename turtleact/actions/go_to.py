@@ -38,9 +38,9 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
             max_linear: Highest speed (m/s), above zero.
             max_angular: Highest turn rate (rad/s), above zero.
             style: ``natural``, ``fastest``, ``forward`` or ``rotate_then_drive``.
-            theta: The heading at the place (rad), if `heading_tolerance` is above zero; any angle
-                that is exact to that tolerance.
-            heading_tolerance: The largest error of the heading (rad); 0 allows any heading.
+            theta: The heading at the place (rad): 0 is to the right, 1.5708 is up. It has no effect
+                while ``heading_tolerance`` is 0.
+            heading_tolerance: How exact the heading has to be (rad). With 0, every heading will do.
         """
 
         x: float64 = 0.0

@@ -10,6 +10,7 @@ export class Draft extends EventTarget {
   #turtle = "";
   #isPicked = false;
   #sent = null;
+  #blamed = null;
   action = "";
 
   // Events: "change", and "accepted".
@@ -23,7 +24,7 @@ export class Draft extends EventTarget {
     connection.addEventListener("down", () => this.#changed());
     $("action").onchange = () => this.#choose($("action").value);
     $("form").onsubmit = event => { event.preventDefault(); this.send(); };
-    $("form").addEventListener("input", () => { this.#isPicked = true; this.#changed(); });
+    $("form").addEventListener("input", () => { this.#isPicked = true; this.#forgive(); this.#changed(); });
     $("defaults").onclick = () => { this.#controls.delete(this.action); this.#choose(this.action); };
     $("copy").onclick = () => this.#copy();
     $("draft-send").onclick = () => this.send();
@@ -69,12 +70,14 @@ export class Draft extends EventTarget {
       list.append(place);
     } else this.#placeGroup().write(place);
     this.#isPicked = true;
+    this.#forgive();
     this.#changed();
   }
 
   clearPlaces() {
     this.#placeList()?.write([]);
     this.#isPicked = false;
+    this.#forgive();
     this.#changed();
   }
 
@@ -116,7 +119,7 @@ export class Draft extends EventTarget {
   async #choose(action) {
     this.action = action;
     $("action").value = action;
-    setText($("form-error"), "");
+    this.#forgive();
     $("command").hidden = true;
     this.#isPicked = false;
     const type = this.watch.graph.actions[action] ?? "";
@@ -160,7 +163,7 @@ export class Draft extends EventTarget {
   // The values of the form; null if something does not fit, which is then said at the field.
   #read() {
     if (!this.control) return null;
-    setText($("form-error"), "");
+    this.#forgive();
     const problems = [], values = this.control.read(problems);
     if (!problems.length) return values;
     this.dispatchEvent(new Event("problem"));
@@ -180,9 +183,18 @@ export class Draft extends EventTarget {
     if (control && control !== this.control) {
       control.complain(text.replace(/^goal\./, ""));
       control.focus();
+      this.#blamed = control;
     }
     setText($("form-error"), control instanceof Leaf ? "" : text);
     if (control instanceof Leaf === false) say(text);
+  }
+
+  // The server judged a goal that the form does not hold any more.
+  #forgive() {
+    if ($("form-error").textContent) say("");
+    setText($("form-error"), "");
+    this.#blamed?.complain("");
+    this.#blamed = null;
   }
 
   // A new goal of the action is taken for the one that was sent.
