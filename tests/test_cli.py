@@ -127,6 +127,13 @@ def test_an_error_of_the_system_without_an_output_is_told(ends, monkeypatch):
     )
 
 
+def test_a_command_whose_output_was_closed_keeps_its_status(ends, monkeypatch):
+    closed = io.StringIO()
+    closed.close()
+    monkeypatch.setattr(sys, "stdout", closed)
+    assert ends(lambda _: 3) == (3, "")
+
+
 def test_a_full_disk_is_an_error():
     with Path("/dev/full").open("w") as full:
         outcome = warm.run(

@@ -88,7 +88,7 @@ def run(arguments: Sequence[str], interrupts: Interrupts) -> int:
         from turtleact.commands.verbs import parse
 
         status = parse(arguments)(interrupts)
-        if sys.stdout is not None:
+        if sys.stdout is not None and not sys.stdout.closed:
             sys.stdout.flush()
     except KeyboardInterrupt:
         _note("interrupted")

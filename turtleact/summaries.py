@@ -8,6 +8,7 @@ import re
 from types import TracebackType
 
 __all__ = [
+    "CUT_OFF",
     "STOPPED",
     "STOPS",
     "encodable",
@@ -24,6 +25,8 @@ STOPS = (KeyboardInterrupt, SystemExit, GeneratorExit)
 STOPPED = "the program was stopped"
 """The reason given for everything that ends because of it."""
 
+CUT_OFF = "canceled from within"
+"""The reason given for what the user's own code cancelled, for example with all tasks."""
 
 LONGEST = 10_000
 """The maximum length of an exception's text in logs and messages, in characters."""

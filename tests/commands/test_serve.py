@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import json
 import os
 import signal
@@ -22,7 +24,7 @@ import pytest
 
 import turtleact
 from turtleact import GoalStatus
-from turtleact.commands.serve import listed, serve_declared
+from turtleact.commands.serve import ServerLog, listed, serve_declared
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.transports import MemoryTransport
@@ -497,6 +499,27 @@ def test_what_is_said_of_the_world_reaches_it(turtleact, monkeypatch):
 )
 def test_a_server_tells_of_a_few_of_many_actions(count, said):
     assert listed([f"/{number}" for number in range(count)]) == said
+
+
+class Unwritable(io.StringIO):
+    def write(self, text: str) -> int:
+        raise OSError(errno.EBADF, "Bad file descriptor")
+
+
+@pytest.mark.parametrize(
+    ("stdout", "why"),
+    [(io.StringIO(), "it was closed by your code"), (Unwritable(), "Bad file descriptor")],
+)
+def test_a_stdout_that_a_body_has_closed_does_not_end_the_server(monkeypatch, capsys, stdout, why):
+    if why.startswith("it"):
+        stdout.close()
+    monkeypatch.setattr(sys, "stdout", stdout)
+    log = ServerLog(None)
+    log.say("one")
+    log.say("two")
+    assert capsys.readouterr().err == (
+        f"turtleact: stdout cannot be written ({why}), so goals are no longer listed\n"
+    )
 
 
 def test_the_world_is_served_with_its_actions(tmp_path):

@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 
 from turtleact.commands import GROUPS, VERBS, send_goal, serve, verbs
 from turtleact.commands.message_text import GoalText
-from turtleact.commands.settings import Fleet, Place, Placing, Policies, Reach
+from turtleact.commands.settings import Fleet, Place, Placing, Policies, Reach, endpoints
 from turtleact.commands.targets import Modules
 from turtleact.commands.verbs import without_daemon
 from turtleact.commands.verbs.goals import moment
@@ -75,6 +75,10 @@ USAGE = [
     (["send-goal", "--rate"], "No such option: --rate"),
     (["serve", "--listen", "tcp/127.0.0.1:99999"], "--listen takes an endpoint such as"),
     (["serve", "--turtles", "10001"], "'--turtles': Input should be less than or equal to 10000"),
+    (["topic", "list", "--connect", "tcp/[::1"], r"such as tcp/\[::1\]:7447, not 'tcp/\[::1'"),
+    (["topic", "list", "--connect", "tcp/::1:7447"], r"such as tcp/\[::1\]:7447, not 'tcp/::1:"),
+    (["topic", "list", "--connect", "tcp/a]:1"], "not 'tcp/a]:1'"),
+    (["topic", "list", "--connect", "tcp/robot"], "such as tcp/127.0.0.1:7447, not 'tcp/robot'"),
     (["serve", "--listen", "7447"], "--listen takes an endpoint such as tcp/127.0.0.1:7447"),
     (["serve", "--speed", "max"], "'--speed': 'max' is not a factor"),
     (["serve", "--speed", "0"], "'--speed': '0' is not a factor above 0 and at most 100"),
@@ -255,6 +259,20 @@ def test_the_node_of_a_server_without_a_world_has_the_name_of_the_module(
 ):
     monkeypatch.setattr(serve, "run", lambda service, _: service.node_name)
     assert verbs.parse(["serve", *line.split()])(interrupts) == name
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    [
+        "tcp/[::1]:7447",
+        "tls/[fe80::1%eth0]:7447",
+        "quic/robot.local:1",
+        "tcp/*:65535",
+        "unixsock-stream//tmp/a:b",
+    ],
+)
+def test_an_endpoint_of_any_kind_is_taken(endpoint):
+    assert endpoints("--connect", f"tcp/127.0.0.1:1,{endpoint}") == ("tcp/127.0.0.1:1", endpoint)
 
 
 @pytest.fixture

@@ -992,6 +992,43 @@ async def test_a_server_may_answer_at_once_or_in_a_while(address, numbers, total
         assert reply.message == Sum.Response(total=total)
 
 
+class CutOff:
+    """A handler with a task that somebody cancels; then it can answer without one, or not."""
+
+    def __init__(self, *, answers_then: bool) -> None:
+        self.begun = anyio.Event()
+        self._answers_then = answers_then
+
+    def reply_nowait(self, request: Any, caller: bytes, respond: Callable[[Reply], object]) -> bool:
+        if not (self.begun.is_set() and self._answers_then):
+            return False
+        respond(Reply(Sum.Response(total=7)))
+        return True
+
+    async def reply(self, request: Any, caller: bytes) -> Reply:
+        self.begun.set()
+        await anyio.sleep_forever()
+        raise AssertionError
+
+
+@pytest.mark.parametrize("answers_then", [True, False])
+async def test_a_request_is_answered_if_other_code_cancels_its_task(address, answers_then):
+    async with two(address) as peers:
+        handler = CutOff(answers_then=answers_then)
+        peers.here.serve(service(), SERVING, handler)
+        caller = peers.there.join(client(), ASKING)
+        await peers.settle()
+        async with running(lambda: caller.call(Sum.Request(numbers=[1]))) as calling:
+            await handler.begun.wait()
+            for task in tuple(peers.here.context.crew.running.values()):
+                task.cancel()
+            await calling.done.wait()
+        if answers_then:
+            assert calling.value.message == Sum.Response(total=7)
+        else:
+            assert "the server was closed" in str(calling.error)
+
+
 @pytest.mark.parametrize(
     "is_served", [pytest.param(True, id="served"), pytest.param(False, id="removed")]
 )

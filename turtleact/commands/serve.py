@@ -475,6 +475,10 @@ class ServerLog:
             print(json_line(line, **members) if self._is_json else line, flush=True)
         except BrokenPipeError:
             abandon(sys.stdout)
+        except (OSError, ValueError) as error:  # a closed object is a ValueError
+            sys.stdout = None
+            why = getattr(error, "strerror", None) or "it was closed by your code"
+            note(f"stdout cannot be written ({why}), so goals are no longer listed")
 
     def reload(self, line: str) -> None:
         """Print a line about a reload. On a dashboard, it replaces what the last reload said."""

@@ -41,8 +41,10 @@ LogFormat: TypeAlias = Literal["text", "json"]
 LONGEST_SHOWN = 60
 """How many characters of an argument an error repeats at most."""
 
-_PORT = re.compile(r"(tcp|udp|tls|quic|ws)/(.*:(?P<port>[0-9]{1,9})|.*)")
-_ENDPOINT = re.compile(r"[a-z][a-z0-9]*/\S+")
+_WITH_PORT = re.compile(r"(tcp|udp|tls|quic|ws)/(?P<address>.*)")
+_ADDRESS = re.compile(r"(\[[0-9A-Fa-f:.]+(%\w+)?\]|[^\s/:\[\]]+):(?P<port>[0-9]{1,9})")
+"""A host and its port; an IPv6 address stands in brackets."""
+_ENDPOINT = re.compile(r"[a-z][a-z0-9-]*/\S+")
 
 
 class Reach(NamedTuple):
@@ -201,11 +203,19 @@ def endpoints(option: str, text: str | None) -> tuple[str, ...]:
     """
     found = () if text is None else tuple(text.split(","))
     for each in found:
-        port = _PORT.fullmatch(each)
-        if not _ENDPOINT.fullmatch(each) or (port and not 0 < int(port["port"] or 0) < 65536):
-            problem = f"takes an endpoint such as tcp/127.0.0.1:7447, not {quoted(each)}"
-            raise UsageError(f"{option} {problem}")
+        if not (_ENDPOINT.fullmatch(each) and _is_reachable(each)):
+            example = "tcp/[::1]:7447" if each.count(":") > 1 else "tcp/127.0.0.1:7447"
+            raise UsageError(f"{option} takes an endpoint such as {example}, not {quoted(each)}")
     return found
+
+
+def _is_reachable(endpoint: str) -> bool:
+    """Whether an endpoint has a host and a port, if its protocol needs them."""
+    found = _WITH_PORT.fullmatch(endpoint)
+    if found is None:
+        return True
+    address = _ADDRESS.fullmatch(found["address"])
+    return address is not None and 0 < int(address["port"]) < 65536
 
 
 def quoted(text: str) -> str:

@@ -43,7 +43,7 @@ from turtleact.server.action_topics import FeedbackTopic, StatusTopic
 from turtleact.server.local_server import LocalActionServer
 from turtleact.server.pause_endpoints import PauseEndpoints
 from turtleact.services import LocalServiceServer, service_events
-from turtleact.summaries import STOPPED
+from turtleact.summaries import CUT_OFF, STOPPED
 from turtleact.tasks import GRACE, Tasks, wait_while
 from turtleact.transports.base import (
     STATUS_QOS,
@@ -163,7 +163,7 @@ class ActionEndpoints:
 
     def _is_expected(self) -> bool:
         """Whether a client in another process will soon ask how a goal has ended."""
-        reasons = (self._server.closing_reason, STOPPED)
+        reasons = (self._server.closing_reason, STOPPED, CUT_OFF)
         return any(_may_be_asked_for(goal, reasons) for goal in self._server.held())
 
 

@@ -27,7 +27,7 @@ from turtleact.observers import BodyFailed, Lost, Observers
 from turtleact.server.body_task import BodyTask
 from turtleact.server.durable import DurableGoals
 from turtleact.server.pausing import Pauses
-from turtleact.summaries import STOPPED, STOPS, loggable, summary, text_of
+from turtleact.summaries import CUT_OFF, STOPPED, STOPS, loggable, summary, text_of
 from turtleact.tasks import Home, Signal, Tasks, is_cancellation, wait_while
 
 __all__ = ["CURRENT_GOAL", "Execution", "FeedbackOutlet", "Served"]
@@ -449,7 +449,7 @@ class Execution:
         if goal.status is GoalStatus.CANCELING:
             self.end(goal, GoalEvent.CANCELED, None)
         else:
-            self.end(goal, GoalEvent.ABORT, None, goal.reason or "canceled from within")
+            self.end(goal, GoalEvent.ABORT, None, goal.reason or CUT_OFF)
 
     def _end_with(self, goal: Goal, event: GoalEvent, result: object, reason: str) -> None:
         """End a goal with the body's own result, if that fits its type."""

@@ -194,7 +194,11 @@ class WireService:
         except Exception as error:
             self._refuse(beside, self._failure(error))
         finally:
-            self._refuse(beside, self._closed())  # does nothing if the request was answered
+            # The user's code may cancel this task, as it may cancel any task of the loop. Some
+            # requests can still be answered without it, such as that for the result of a goal.
+            is_cut_off = self._context.is_open and (beside.gid, beside.sequence) in self._under_way
+            if not (is_cut_off and self._answer_nowait(offer, beside, request)):
+                self._refuse(beside, self._closed())  # does nothing if the request was answered
 
     def _respond(self, beside: Attachment, offer: _Offer, reply: Reply | TurtleactError) -> None:
         """Answer a request that is under way; never raises."""
