@@ -1,10 +1,12 @@
 """``bag``: recorded, inspected, and what is said about what is missing."""
 
+import json
 import signal
 import sys
 import time
 from contextlib import asynccontextmanager
 
+import anyio
 import pytest
 
 from turtleact import open_node, recording
@@ -15,9 +17,10 @@ from turtleact.interfaces.standard.std_msgs.msg import String
 from turtleact.recording import Bag
 from turtleact.recording.bag_writer import BagWriter, Split
 from turtleact.recording.metadata import Offer
-from turtleact.recording.schemas import schema_of
+from turtleact.recording.schemas import Schema, schema_of
 from turtleact.recording.storage import Channel
 from turtleact.tasks import Background
+from turtleact.transports import MemoryTransport
 
 START = 1_800_000_000_000_000_000
 
@@ -155,7 +158,8 @@ def test_a_signal_ends_a_recording_with_status_0(
     assert f"turtleact: recording to {tmp_path}/run; Ctrl-C ends it\n" in ran.err
     for topic in topics:
         assert f"turtleact: subscribed to topic '{topic}'\n" in ran.err
-    assert f"turtleact: {bag.info.count} messages recorded in {tmp_path}/run\n" in ran.err
+    assert f"turtleact: {bag.info.count} message" in ran.err
+    assert f" recorded in {tmp_path}/run\n" in ran.err
 
 
 def test_a_recording_names_what_was_lost(on_graph, interrupts, monkeypatch, tmp_path):
@@ -167,8 +171,8 @@ def test_a_recording_names_what_was_lost(on_graph, interrupts, monkeypatch, tmp_
 
     monkeypatch.setattr(bag_recording, "_tell", tell)
     ran = on_graph(talking, "bag", "record", "-a", "-o", str(tmp_path / "run"))
-    assert "8 messages of topic '/8' were lost\n" in ran.err
-    assert ran.err.endswith("and 36 messages in all, of 8 topics\n")
+    assert "lost: 8 messages of topic '/8'\n" in ran.err
+    assert ran.err.endswith("lost in all: 36 messages of 8 topics\n")
 
 
 def test_without_the_extra_the_package_is_named(turtleact, tmp_path, monkeypatch):
@@ -181,3 +185,172 @@ def test_without_the_extra_the_package_is_named(turtleact, tmp_path, monkeypatch
     assert ran.status == 1
     problem = "turtleact bag needs one more package: pip install 'mcap>=1.6,<2'"
     assert ran.err == f"turtleact: {problem}\n"
+
+
+# --- playing, goals, converting ------------------------------------------------------------------
+
+
+@asynccontextmanager
+async def counting(transport):
+    """A graph on which ``fibonacci`` is served, and nothing else."""
+
+    async def body(goal):
+        yield Fibonacci.Feedback([1])
+        yield Fibonacci.Result([goal.order])
+
+    async with open_node("server", transport=transport) as node:
+        node.action_server(Fibonacci, "fibonacci", body, introspection="contents")
+        yield
+
+
+@pytest.fixture
+def goals(tmp_path):
+    """A bag with two goals, and a message of ``/said``."""
+
+    async def main():
+        transport = MemoryTransport()
+        async with counting(transport), open_node("asker", transport=transport) as node:
+            client = node.action_client(Fibonacci, "fibonacci")
+            said = node.publisher(String, "/said")
+            async with recording.record(node, tmp_path / "goals"):
+                await client.send_goal(Fibonacci.Goal(order=7))
+                await client.send_goal(Fibonacci.Goal(order=8))
+                said.publish(String(data="x"))
+
+    anyio.run(main)
+    return str(tmp_path / "goals")
+
+
+def test_goals_are_listed(turtleact, goals):
+    ran = turtleact("bag", "goals", goals)
+    heading, first, second = ran.out.splitlines()
+    assert heading.split() == [
+        "id",
+        "action",
+        "state",
+        "took",
+        "feedback",
+        "goal",
+        "result",
+        "reason",
+    ]
+    assert first.split()[1:] == [
+        "/fibonacci",
+        "SUCCEEDED",
+        "0.0",
+        "s",
+        "1",
+        "{order:",
+        "7}",
+        "{sequence:",
+        "[7]}",
+    ]
+    assert "{order: 8}" in second
+    assert turtleact("bag", "goals", goals, "fibonacci").out == ran.out
+    assert turtleact("bag", "goals", goals, "/other").err == "turtleact: the bag has no goals\n"
+
+
+def test_goals_are_listed_as_json(turtleact, goals):
+    first, _ = map(json.loads, turtleact("bag", "goals", "--json", goals).out.splitlines())
+    assert first["goal"] == {"order": 7}
+    assert first["result"] == {"sequence": [7]}
+    assert [each["state"] for each in first["states"]] == ["ACCEPTED", "EXECUTING", "SUCCEEDED"]
+    assert (first["state"], first["feedback"], first["reason"]) == ("SUCCEEDED", 1, "")
+
+
+def test_goals_without_events_show_what_is_missing(turtleact, bag):
+    ran = turtleact("bag", "goals", str(bag))
+    _, only = ran.out.splitlines()
+    assert only.endswith("/patrol  UNKNOWN        2         ?     ?       its end was not recorded")
+    assert '"goal": null' in turtleact("bag", "goals", str(bag), "--json").out
+
+
+def test_a_bag_is_played(on_graph, goals):
+    ran = on_graph(talking, "bag", "play", goals, "-r", "max")
+    assert ran.status == 0
+    assert ran.err.startswith(f"turtleact: playing {goals}: ")
+    count = int(ran.err.split()[-2])
+    assert count == Bag(goals).info.count
+    ran = on_graph(talking, "bag", "play", goals, "--topics", "/said", "/none", "--rate", "100")
+    assert ran.err.endswith("turtleact: played 1 message\n")
+
+
+def test_goals_are_sent_again(on_graph, goals):
+    line = ["bag", "play", goals, "--actions", "/fibonacci", "--send-actions-as-client"]
+    ran = on_graph(counting, *line, "--delay", "3", "--disable-keyboard-controls")
+    assert (ran.status, ran.out) == (0, "")
+    assert ran.err.endswith(
+        "turtleact: 2 goals of '/fibonacci': SUCCEEDED\nturtleact: played 0 messages\n"
+    )
+    ran = on_graph(counting, *line, "--remap", "/fibonacci:=/other")
+    assert "2 goals of '/other': " in ran.err
+    assert "nobody serves it" in ran.err
+
+
+def test_what_cannot_be_played_is_said(on_graph, tmp_path):
+    writer = BagWriter(tmp_path / "odd", Split())
+    writer.add(0, Channel(topic="/odd", schema=Schema("lab_msgs/msg/Odd")))
+    writer.close({})
+    ran = on_graph(talking, "bag", "play", str(tmp_path / "odd"))
+    assert ran.status == 1
+    assert "'/odd' was not played: its type lab_msgs/msg/Odd is not known; give" in ran.err
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        (["--rate", "fast"], "--rate takes a factor above zero or max, not 'fast'"),
+        (["--rate", "0"], "--rate takes a factor above zero or max, not '0'"),
+        (["--remap", "/a"], "--remap takes rules such as /old:=/new, not '/a'"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(turtleact, options, problem):
+    ran = turtleact("bag", "play", "run", *options)
+    assert (ran.status, ran.problem) == (2, problem)
+
+
+def test_a_bag_is_cut(turtleact, bag, tmp_path):
+    out = tmp_path / "cut"
+    line = ["--start-offset", "1", "--playback-duration", "1", "--exclude-topics", "/said"]
+    ran = turtleact("bag", "convert", "-i", str(bag), "-o", str(out), *line)
+    assert (ran.status, ran.err) == (0, f"turtleact: 2 messages written to {out}\n")
+    ran = turtleact("bag", "convert", "-i", str(bag), "mcap", "-o", str(tmp_path / "all"))
+    assert ran.err == f"turtleact: 6 messages written to {tmp_path}/all\n"
+
+
+def test_a_bag_is_converted_as_a_file_for_ros2_bag_says(turtleact, bag, tmp_path):
+    options = tmp_path / "options.yaml"
+    options.write_text(
+        f"output_bags:\n- {{uri: {tmp_path}/a, all: true, storage_preset_profile: zstd_fast}}\n"
+        f"- {{uri: {tmp_path}/b, topics: [said], start_time_ns: {START}, end_time_ns: {START}}}\n"
+    )
+    ran = turtleact("bag", "convert", "-i", str(bag), "-o", str(options))
+    assert ran.err == (
+        f"turtleact: 6 messages written to {tmp_path}/a\n"
+        f"turtleact: 1 message written to {tmp_path}/b\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("[", "cannot be read"),
+        ("a: 1", "needs a list 'output_bags'"),
+        ("output_bags: [{uri: a, compression_mode: file}]", "no option compression_mode"),
+        ("output_bags: [{uri: a, storage_id: sqlite3}]", "needs a 'uri', and the storage_id mcap"),
+        ("output_bags: [{}]", "needs a 'uri', and the storage_id mcap"),
+    ],
+)
+def test_options_of_a_file_that_make_no_sense_are_refused(turtleact, bag, tmp_path, text, problem):
+    options = tmp_path / "options.yaml"
+    options.write_text(text)
+    ran = turtleact("bag", "convert", "-i", str(bag), "-o", str(options))
+    assert ran.status == 2
+    assert problem in ran.err
+
+
+def test_a_signal_ends_a_conversion(turtleact, bag, tmp_path, interrupts):
+    interrupts.received.append(signal.SIGINT)
+    ran = turtleact("bag", "convert", "-i", str(bag), "-o", str(tmp_path / "x"))
+    assert ran.status == 130
+    assert Bag(tmp_path / "x").info.count == 0

@@ -13,6 +13,7 @@ PACKAGES = [
     "@foxglove/roslibjs@0.0.3",
     "@foxglove/rosmsg@5.0.5",
     "@foxglove/rosmsg2-serialization@3.1.0",
+    "@mcap/core@2.2.2",
 ]
 INSTALL = ["--engine-strict", "--prefer-offline", "--ignore-scripts", "--no-audit", "--no-fund"]
 SECONDS = 20

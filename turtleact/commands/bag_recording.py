@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from turtleact.commands import graph
-from turtleact.commands.output import note
+from turtleact.commands.output import counted, note
 from turtleact.recording import Recording, Selection, record
 
 if TYPE_CHECKING:
@@ -89,8 +89,8 @@ async def _tell(recording: Recording) -> None:
 
 def _sum_up(recording: Recording) -> None:
     lost = recording.lost_by_topic
-    note(f"{recording.count} messages recorded in {recording.path}")
+    note(f"{counted(recording.count, 'message')} recorded in {recording.path}")
     for topic, count in sorted(lost.items(), key=lambda each: -each[1])[:MOST_NAMED]:
-        note(f"{count} messages of topic '{topic}' were lost")
+        note(f"lost: {counted(count, 'message')} of topic '{topic}'")
     if len(lost) > MOST_NAMED:
-        note(f"and {sum(lost.values())} messages in all, of {len(lost)} topics")
+        note(f"lost in all: {counted(sum(lost.values()), 'message')} of {len(lost)} topics")

@@ -13,6 +13,7 @@ from typing import TextIO
 __all__ = [
     "ELSEWHERE",
     "abandon",
+    "counted",
     "duration",
     "note",
     "printable",
@@ -46,6 +47,11 @@ def say_message(text: str) -> None:
 def say_names(text: str) -> None:
     """Print names of the graph, made printable."""
     say(printable(text))
+
+
+def counted(count: int, noun: str) -> str:
+    """A number of things, such as ``1 goal`` or ``2 goals``."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def duration(seconds: float) -> str:

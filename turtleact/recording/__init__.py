@@ -12,7 +12,9 @@ Needs the extra ``bag``.
 """
 
 from turtleact.recording.bag import Bag, Recorded, read
+from turtleact.recording.goals import RecordedGoal, goals
 from turtleact.recording.metadata import BagError, BagFile, BagInfo, BagTopic
+from turtleact.recording.player import Played, play
 from turtleact.recording.recorder import Recording, record
 from turtleact.recording.selection import Selection
 
@@ -22,9 +24,13 @@ __all__ = [
     "BagFile",
     "BagInfo",
     "BagTopic",
+    "Played",
     "Recorded",
+    "RecordedGoal",
     "Recording",
     "Selection",
+    "goals",
+    "play",
     "read",
     "record",
 ]

@@ -30,11 +30,11 @@ from turtleact.recording.metadata import (
     read_info,
     span,
 )
-from turtleact.recording.schemas import class_of
+from turtleact.recording.schemas import Schema, class_of
 from turtleact.recording.sqlite_reading import SqliteFile
 from turtleact.recording.storage import BagStorage, Channel, Range, Raw
 
-__all__ = ["METADATA", "Bag", "Reading", "Recorded", "read"]
+__all__ = ["METADATA", "Bag", "Reading", "Recorded", "read", "reader_of"]
 
 METADATA: Final = "metadata.yaml"
 
@@ -50,16 +50,21 @@ class Recorded(msgspec.Struct, frozen=True):
     Attributes:
         topic: The name of its topic.
         stamp: When it was recorded (ns since 1970).
-        type_name: Its type, ``pkg/kind/Name``.
+        schema: Its type, and what the bag says about it.
         data: Its bytes, as CDR.
         value: The message; None if its type is not known here or the bytes do not fit it.
     """
 
     topic: str
     stamp: int
-    type_name: str
+    schema: Schema
     data: bytes
     value: Any  # each type has fields of its own
+
+    @property
+    def type_name(self) -> str:
+        """Its type, ``pkg/kind/Name``."""
+        return self.schema.name
 
 
 class Bag:
@@ -224,7 +229,7 @@ class Reading:
             if read is None:
                 read = self._classes[channel] = reader_of(channel)
             value = read(raw.data)
-        return Recorded(channel.topic, raw.stamp, channel.schema.name, raw.data, value)
+        return Recorded(channel.topic, raw.stamp, channel.schema, raw.data, value)
 
 
 def reader_of(channel: Channel) -> Callable[[bytes], Message | None]:

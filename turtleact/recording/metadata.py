@@ -30,6 +30,7 @@ __all__ = [
     "offers_text",
     "read_info",
     "read_offers",
+    "read_yaml",
     "span",
     "write_info",
 ]
@@ -134,6 +135,19 @@ class BagInfo(msgspec.Struct, frozen=True, kw_only=True):
     is_closed: bool = True
 
 
+def read_yaml(text: str) -> object:
+    """Read a text as plain values.
+
+    Raises:
+        ValueError: if it is not YAML.
+    """
+    try:
+        value: object = yaml.load(text, Loader=_LOADER)  # noqa: S506  # a safe loader
+    except yaml.YAMLError as error:
+        raise ValueError(str(error)) from error
+    return value
+
+
 def span(files: Iterable[BagFile]) -> tuple[int, int]:
     """The first stamp and the duration of files together; files without messages do not count."""
     filled = [each for each in files if each.count]
@@ -160,9 +174,9 @@ def read_info(text: str, path: Path) -> BagInfo:
         BagError: if it is not such a text.
     """
     try:
-        said = yaml.load(text, Loader=_LOADER)  # noqa: S506  # a safe loader
+        said: Any = read_yaml(text)
         return _info(said[ROOT])
-    except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         problem = f"it is not readable as metadata.yaml of a bag: {error!r}"
         raise BagError(path, f"{problem}; without this file, the bag can be read") from error
 
@@ -181,8 +195,8 @@ def read_offers(given: object) -> tuple[Offer, ...]:
     """
     if isinstance(given, str):
         try:
-            given = yaml.load(given, Loader=_LOADER)  # noqa: S506  # as above
-        except yaml.YAMLError:
+            given = read_yaml(given)
+        except ValueError:
             return ()
     entries = given if isinstance(given, list) else []
     return tuple(_read_offer(each) for each in entries if isinstance(each, dict))

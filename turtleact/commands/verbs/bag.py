@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 import typer
 
 from turtleact.commands import completion
+from turtleact.commands.settings import quoted
 from turtleact.commands.verbs import Job, Verb, new_group
 from turtleact.commands.verbs.options import (
     Config,
@@ -17,6 +18,7 @@ from turtleact.commands.verbs.options import (
     Domain,
     Interfaces,
     folder,
+    hertz,
     reach,
     seconds,
     whole,
@@ -30,11 +32,16 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-SHORT = {"--max-size": "--max-bag-size", "--max-duration": "--max-bag-duration"}
+SHORT = {
+    "--max-size": "--max-bag-size",
+    "--max-duration": "--max-bag-duration",
+    "--output-options": "--output",
+}
 """Other names of options."""
 
-WHAT = "What is recorded"
+WHAT = "What is taken"
 FILES = "Files"
+PLAYING = "Playing"
 
 Preset: TypeAlias = Literal["none", "fastwrite", "zstd_fast", "zstd_small"]
 
@@ -221,6 +228,88 @@ Verbose: TypeAlias = Annotated[
     ),
 ]
 
+PlayRate: TypeAlias = Annotated[
+    str,
+    typer.Option(
+        "--rate",
+        "-r",
+        metavar="FACTOR",
+        help="How much faster than recorded; max waits for nothing.",
+        rich_help_panel=PLAYING,
+    ),
+]
+Loop: TypeAlias = Annotated[
+    bool, _flag("--loop", "-l", text="Start over at the end.", panel=PLAYING)
+]
+StartOffset: TypeAlias = Annotated[
+    float,
+    typer.Option(
+        "--start-offset",
+        metavar="SECONDS",
+        parser=seconds,
+        help="Leave out what was recorded before.",
+        rich_help_panel=PLAYING,
+    ),
+]
+PlayDuration: TypeAlias = Annotated[
+    float | None,
+    typer.Option(
+        "--playback-duration",
+        metavar="SECONDS",
+        parser=seconds,
+        help="Leave out what was recorded later.",
+        rich_help_panel=PLAYING,
+    ),
+]
+Delay: TypeAlias = Annotated[
+    float,
+    typer.Option(
+        "--delay",
+        "-d",
+        metavar="SECONDS",
+        parser=seconds,
+        help="Wait before playing.",
+        rich_help_panel=PLAYING,
+    ),
+]
+Remap: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--remap",
+        "-m",
+        metavar="OLD:=NEW...",
+        help="Give topics and actions other names.",
+        rich_help_panel=PLAYING,
+    ),
+]
+SendGoals: TypeAlias = Annotated[
+    bool,
+    _flag(
+        "--send-actions-as-client",
+        text="Send the goals and cancel requests again, with new ids, instead of publishing the "
+        "topics of actions.",
+        panel=PLAYING,
+    ),
+]
+Action: TypeAlias = Annotated[
+    str | None,
+    typer.Argument(metavar="ACTION", help="Only goals of this action.", show_default=False),
+]
+AsJson: TypeAlias = Annotated[bool, typer.Option("--json", help="Print one JSON object a line.")]
+Bags: TypeAlias = Annotated[
+    list[str],
+    typer.Option("--input", "-i", metavar="BAG...", help="The bags to read."),
+]
+ConvertOutput: TypeAlias = Annotated[
+    Path,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="NAME",
+        help="The folder to create, or a YAML file of 'ros2 bag convert'.",
+    ),
+]
+
 app = new_group("bag")
 
 
@@ -256,7 +345,7 @@ def record(
     config: Config = None,
 ) -> Job:
     """Record topics, services and actions to a bag, until Ctrl-C."""
-    named = {
+    named: dict[str, Any] = {
         "topics": [*(positional or ()), *(topics or ())],
         "services": services,
         "actions": actions,
@@ -315,6 +404,158 @@ def info(
         return status
 
     return job
+
+
+@app.command(cls=ManyVerb)
+def play(
+    bag: BagPath,
+    *,
+    topics: Topics = None,
+    services: Services = None,
+    actions: Actions = None,
+    regex: Regex = "",
+    exclude_regex: ExcludeRegex = "",
+    exclude_topics: ExcludeTopics = None,
+    exclude_services: ExcludeServices = None,
+    exclude_actions: ExcludeActions = None,
+    rate: PlayRate = "1.0",
+    loop: Loop = False,
+    offset: StartOffset = 0,
+    duration: PlayDuration = None,
+    delay: Delay = 0,
+    remap: Remap = None,
+    send_goals: SendGoals = False,
+    storage: ReadStorage = None,  # noqa: ARG001  # the file tells
+    keyboard: Ignored = False,  # noqa: ARG001  # there are none
+    interfaces: Interfaces = None,
+    connect: Connect = None,
+    domain: Domain = 0,
+    config: Config = None,
+) -> Job:
+    """Publish the messages of a bag again, or send its goals again."""
+    named: dict[str, Any] = {
+        "topics": topics,
+        "services": services,
+        "actions": actions,
+        "regex": regex,
+    }
+    is_all = not any(named.values())
+    left_out = [*(exclude_topics or ()), *(exclude_services or ()), *(exclude_actions or ())]
+    named |= {"exclude": left_out, "exclude_regex": exclude_regex, "hidden": True}
+    named |= dict.fromkeys(("all_topics", "all_services", "all_actions"), is_all)
+    options = {
+        "rate": _rate(rate),
+        "loop": loop,
+        "start_offset": offset,
+        "duration": duration,
+        "send_goals": send_goals,
+        "remap": dict(map(_renamed, remap or ())),
+    }
+    where = reach(connect, domain, config)
+
+    def job(interrupts: Interrupts) -> int:
+        from turtleact.commands.interfaces import make_known
+
+        bag_playing = _work("bag_playing")
+        make_known(folder(interfaces))
+        order = bag_playing.Order(bag, {**options, "selection": _selection(**named)}, delay)
+        status: int = bag_playing.run(where, order, interrupts)
+        return status
+
+    return job
+
+
+@app.command(cls=Verb)
+def goals(
+    bag: BagPath,
+    action: Action = None,
+    *,
+    as_json: AsJson = False,
+    interfaces: Interfaces = None,
+) -> Job:
+    """List the goals in a bag."""
+
+    def job(_: Interrupts) -> int:
+        from turtleact.commands.interfaces import make_known
+
+        bag_goals = _work("bag_goals")
+        make_known(folder(interfaces))
+        status: int = bag_goals.print_goals(bag, action, as_json=as_json)
+        return status
+
+    return job
+
+
+@app.command(cls=ManyVerb)
+def convert(
+    bags: Bags,
+    output: ConvertOutput,
+    *,
+    topics: Topics = None,
+    services: Services = None,
+    actions: Actions = None,
+    regex: Regex = "",
+    exclude_regex: ExcludeRegex = "",
+    exclude_topics: ExcludeTopics = None,
+    offset: StartOffset = 0,
+    duration: PlayDuration = None,
+    max_size: MaxSize = 0,
+    max_duration: MaxDuration = 0,
+    preset: PresetProfile = "none",
+) -> Job:
+    """Write bags anew: merged, cut by time or topic, split or compressed."""
+    named: dict[str, Any] = {
+        "topics": topics,
+        "services": services,
+        "actions": actions,
+        "regex": regex,
+    }
+    is_all = not any(named.values())
+    named |= {"exclude": exclude_topics, "exclude_regex": exclude_regex, "hidden": True}
+    named |= dict.fromkeys(("all_topics", "all_services", "all_actions"), is_all)
+    inputs = [Path(each) for each in bags if each not in ("mcap", "sqlite3")]  # ids of storages
+
+    def job(interrupts: Interrupts) -> int:
+        converting = _work("bag_converting")
+        if output.suffix in (".yaml", ".yml"):
+            outputs = converting.outputs_in(output)
+        else:
+            start, end = converting.cut(inputs[0], offset, duration)
+            split = converting.Split(
+                max_size=max_size,
+                max_duration=round(max_duration * 1e9),
+                compression="none" if preset == "fastwrite" else preset,
+            )
+            selection = _selection(**named)
+            outputs = [
+                converting.Output(
+                    path=output, selection=selection, start=start, end=end, split=split
+                )
+            ]
+        status: int = converting.run(inputs, outputs, interrupts)
+        return status
+
+    return job
+
+
+def _rate(text: str) -> float | str:
+    """How fast to play: a factor above zero, or ``max``."""
+    if text == "max":
+        return text
+    try:
+        return hertz(text)
+    except typer.BadParameter:
+        raise UsageError(f"--rate takes a factor above zero or max, not {quoted(text)}") from None
+
+
+def _renamed(rule: str) -> tuple[str, str]:
+    """A rule such as ``/old:=/new``."""
+    from turtleact.names import resolve_name
+
+    old, sign, new = rule.partition(":=")
+    if not sign:
+        raise UsageError(f"--remap takes rules such as /old:=/new, not {quoted(rule)}")
+    return resolve_name(old), resolve_name(new)
 
 
 def _work(module: str) -> Any:  # noqa: ANN401  # a module

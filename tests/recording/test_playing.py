@@ -1,0 +1,264 @@
+"""Playing: the same messages at the same distances, and the same goals with new ids."""
+
+from functools import partial
+from typing import Any
+
+import anyio
+import pytest
+
+import turtleact
+from turtleact import InvalidOption, TurtleactError, open_node, recording
+from turtleact.app import open_world
+from turtleact.clock import VirtualClock
+from turtleact.interfaces import encode
+from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
+from turtleact.interfaces.standard import TurtlePose, Twist, Vector3
+from turtleact.interfaces.standard.std_msgs.msg import String
+from turtleact.recording import Selection
+from turtleact.recording.bag_writer import BagWriter, Split
+from turtleact.recording.converting import Output, convert
+from turtleact.recording.schemas import Schema
+from turtleact.recording.storage import Channel
+from turtleact.tasks import Background
+from turtleact.transports import MemoryTransport
+from turtleact.transports.base import STATUS_QOS
+
+from .bags import POSE, START, STEP, by_rosbags, channel, write_bag
+
+
+@pytest.fixture
+async def node():
+    """A node in virtual time."""
+    transport = MemoryTransport(VirtualClock())
+    clock = Background(transport.clock.run(), "the clock")
+    async with open_node("lab", transport=transport) as node:
+        yield node
+    await clock.aclose()
+
+
+def write(path, *stamped, topic="/said"):
+    """A bag with strings at these times (s)."""
+    writer = BagWriter(path, Split())
+    writer.add(0, channel(topic, String))
+    for second in stamped:
+        stamp = START + round(second * 1e9)
+        writer.write(0, stamp, stamp, encode(String(data=str(second))))
+    writer.close({})
+    return path
+
+
+async def heard(node, path, **options):
+    """What is played on ``/said``, with the time since the start (s)."""
+    found = []
+    begun = node.clock.time()
+    subscription = node.subscription(String, "/said")
+    subscription.taker = lambda message: found.append(
+        (round(node.clock.time() - begun, 5), float(message.data))
+    )
+    played = await recording.play(node, path, **options)
+    assert played.messages == len(found)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({}, [(0, 0), (1, 1), (4, 4)]),
+        ({"rate": 2}, [(0, 0), (0.5, 1), (2, 4)]),
+        ({"rate": "max"}, [(0, 0), (0, 1), (0, 4)]),
+        ({"start_offset": 0.5}, [(0.5, 1), (3.5, 4)]),
+        ({"start_offset": 0.5, "duration": 1}, [(0.5, 1)]),
+        ({"topics": ["/said"]}, [(0, 0), (1, 1), (4, 4)]),
+        ({"topics": ["/other"]}, []),
+        ({"selection": Selection(regex="s.id", exclude=frozenset({"/said"}))}, []),
+    ],
+)
+async def test_messages_come_as_far_apart_as_recorded(node, tmp_path, options, expected):
+    path = write(tmp_path / "run", 0, 1, 4)
+    assert await heard(node, path, **options) == expected
+
+
+async def test_topics_can_be_renamed(node, tmp_path):
+    path = write(tmp_path / "run", 0, topic="/other")
+    assert len(await heard(node, path, remap={"/other": "/said"})) == 1
+
+
+async def test_a_loop_starts_over(node, tmp_path):
+    path = write(tmp_path / "run", 0, 1)
+    found = []
+    node.subscription(String, "/said").taker = lambda message: found.append(node.clock.time())
+    with anyio.CancelScope() as scope:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(partial(recording.play, node, path, loop=True, rate=10))
+            while len(found) < 5:
+                await node.clock.sleep(0.1)
+            scope.cancel()
+    assert len(found) >= 5
+
+
+async def test_a_loop_over_nothing_ends(node, tmp_path):
+    path = write(tmp_path / "run", 0)
+    assert (await recording.play(node, path, topics=[], loop=True)).messages == 0
+
+
+async def test_with_max_a_clock_that_stands_still_does_not_matter(node, tmp_path):
+    node.clock.stop_at(0)
+    assert len(await heard(node, write(tmp_path / "run", 0, 100), rate="max")) == 2
+
+
+async def test_what_was_latched_is_latched_again(node, tmp_path, monkeypatch):
+    node.publisher(String, "/said", STATUS_QOS).publish(String(data="1"))
+    async with recording.record(node, tmp_path / "run", topics=["/said"]):
+        pass
+    offered = []
+    advertise = MemoryTransport.advertise
+
+    def note(self, endpoint, *rest):
+        offered.append(endpoint.qos)
+        return advertise(self, endpoint, *rest)
+
+    monkeypatch.setattr(MemoryTransport, "advertise", note)
+    await recording.play(node, tmp_path / "run", rate="max")
+    assert offered == [STATUS_QOS]
+
+
+async def test_a_type_that_is_not_known_is_said(node, tmp_path):
+    writer = BagWriter(tmp_path / "run", Split())
+    writer.add(0, Channel(topic="/said", schema=Schema("lab_msgs/msg/Odd")))
+    writer.write(0, START, START, b"\0\1\0\0")
+    writer.close({})
+    played = await recording.play(node, tmp_path / "run")
+    assert played.messages == 0
+    assert played.skipped == {"/said": "its type lab_msgs/msg/Odd is not known"}
+
+
+@pytest.mark.parametrize("rate", [0, -1, "fast", None])
+async def test_a_rate_is_above_zero(node, tmp_path, rate):
+    with pytest.raises(InvalidOption, match="expected a number above zero or 'max'"):
+        await recording.play(node, write(tmp_path / "run"), rate=rate)
+
+
+async def test_an_option_that_does_not_exist_is_refused(node, tmp_path):
+    options: Any = {"speed": 2}
+    with pytest.raises(TypeError, match="play has no option 'speed'"):
+        await recording.play(node, tmp_path, **options)
+
+
+# --- the turtle ----------------------------------------------------------------------------------
+
+
+async def poses(path):
+    return [each.data async for each in recording.read(path, topics=["/turtle1/pose"])]
+
+
+async def test_cmd_vel_drives_the_turtle_to_the_same_poses_to_the_last_bit(tmp_path):
+    async with open_world(speed="max") as node, recording.record(node, tmp_path / "first"):
+        driver = node.publisher(Twist, "/turtle1/cmd_vel")
+        poses_seen = node.subscription(TurtlePose, "/turtle1/pose")
+        for number in range(20):
+            # Some come at the moment of a step of the world, before it or after it.
+            await node.clock.sleep((0.5, 0.016, 0.0131, 1.3)[number % 4])
+            if number % 3 == 0:
+                await anext(poses_seen)
+            driver.publish(Twist(Vector3(x=number / 7), Vector3(z=1 - number / 9)))
+        await node.clock.sleep(2)
+    async with open_world(speed="max") as node, recording.record(node, tmp_path / "second"):
+        await recording.play(node, tmp_path / "first", topics=["/turtle1/cmd_vel"])
+        await node.clock.sleep(3)
+    first, second = await poses(tmp_path / "first"), await poses(tmp_path / "second")
+    assert len(first) > 500
+    assert len(set(first)) > 100
+    assert second[: len(first)] == first
+
+
+# --- goals ---------------------------------------------------------------------------------------
+
+
+async def count(goal, handle):
+    for number in range(goal.order):
+        await handle.node.clock.sleep(1)
+        yield Fibonacci.Feedback([number])
+    yield Fibonacci.Result([goal.order])
+
+
+def refuse(goal):
+    if goal.order < 0:
+        raise turtleact.Reject("negative")
+    return turtleact.GoalResponse.ACCEPT
+
+
+async def record_goals(node, path):
+    node.action_server(
+        Fibonacci, "fibonacci", count, introspection="contents", goal_callback=refuse
+    )
+    client = node.action_client(Fibonacci, "fibonacci", introspection="contents")
+    async with recording.record(node, path, actions=["fibonacci"]):
+        await client.send_goal(Fibonacci.Goal(order=2))
+        async with client.send_goal(Fibonacci.Goal(order=9)) as goal:
+            await node.clock.sleep(1.5)
+            await goal.cancel()
+            await goal.outcome()
+        with pytest.raises(turtleact.GoalRejected):
+            await client.send_goal(Fibonacci.Goal(order=-1))
+
+
+async def test_goals_are_sent_again_with_new_ids(node, tmp_path):
+    await record_goals(node, tmp_path / "first")
+    async with recording.record(node, tmp_path / "second"):
+        played = await recording.play(node, tmp_path / "first", send_goals=True)
+    assert played.messages == 0
+    assert played.goals["/fibonacci", "SUCCEEDED"] == 1
+    assert played.goals["/fibonacci", "CANCELED"] == 1
+    assert played.goals.total() == 3
+    first = await recording.goals(tmp_path / "first")
+    second = await recording.goals(tmp_path / "second")
+    assert [each.status for each in second][-3:] == [each.status for each in first]
+    assert [each.goal for each in second][-3:] == [each.goal for each in first]
+    assert not {each.id for each in first} & {each.id for each in second[-3:]}
+
+
+async def test_goals_can_go_to_an_action_of_another_name(node, tmp_path):
+    await record_goals(node, tmp_path / "first")
+    node.action_server(Fibonacci, "other", count)
+    played = await recording.play(
+        node, tmp_path / "first", send_goals=True, rate="max", remap={"/fibonacci": "/other"}
+    )
+    assert {action for action, _ in played.goals} == {"/other"}
+
+
+async def test_without_a_server_the_reason_is_counted(node, tmp_path):
+    await record_goals(node, tmp_path / "first")
+    async with open_node("other") as other:
+        played = await recording.play(other, tmp_path / "first", send_goals=True, rate="max")
+    assert played.goals.total() == 3
+    assert all("/fibonacci" in reason for _, reason in played.goals)
+
+
+# --- converting ----------------------------------------------------------------------------------
+
+
+def test_bags_are_merged_and_cut(tmp_path):
+    first = write_bag(tmp_path / "first", 100)
+    other = write(tmp_path / "other", 0.01, 0.02, 0.5)
+    whole = Output(path=tmp_path / "whole", split=Split(compression="zstd_fast"))
+    part = Output(
+        path=tmp_path / "part.mcap",
+        selection=Selection(topics=frozenset({"/said", "/turtle1/pose"})),
+        start=START + 5 * STEP,
+        end=START + 20 * STEP,
+    )
+    assert convert([first, other], [whole, part]) == [103, 10]
+    stamps = [stamp for _, stamp, _ in by_rosbags(tmp_path / "whole")]
+    assert stamps == sorted(stamps)
+    assert len(stamps) == 103
+    found = by_rosbags(tmp_path / "part.mcap")
+    assert next(stamp for _, stamp, _ in found) == START + 5 * STEP
+    assert {topic for topic, _, _ in found} == {"/said", "/turtle1/pose"}
+    assert type(POSE()) is POSE
+
+
+def test_a_conversion_can_be_ended(tmp_path):
+    first = write_bag(tmp_path / "first", 100)
+    assert convert([first], [Output(path=tmp_path / "part")], lambda: False) == [0]
+    with pytest.raises(TurtleactError, match="it exists already"):
+        convert([first], [Output(path=tmp_path / "part")])

@@ -1,0 +1,118 @@
+"""Writes bags anew: merged, cut by time or topic, split, compressed, or with an index again.
+
+Source: rosbag2 ``bag_rewrite.cpp``.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Sequence
+from operator import attrgetter
+from pathlib import Path
+
+import msgspec
+
+from turtleact.recording.bag import Bag
+from turtleact.recording.bag_writer import BagWriter, Split
+from turtleact.recording.metadata import BagError
+from turtleact.recording.selection import EVERYTHING, Selection
+from turtleact.recording.storage import Channel, Range, Raw
+
+__all__ = ["Output", "convert"]
+
+CHECK = 1000
+"""After so many messages it is asked whether to go on."""
+
+
+class Output(msgspec.Struct, frozen=True, kw_only=True):
+    """A bag to write.
+
+    Attributes:
+        path: The folder to create, or a single file.
+        selection: What gets into it.
+        start: The earliest stamp (ns).
+        end: The latest stamp; None for no limit.
+        split: When to begin another file, and how to compress.
+    """
+
+    path: Path
+    selection: Selection = EVERYTHING
+    start: int = 0
+    end: int | None = None
+    split: Split = Split()
+
+
+def convert(
+    inputs: Sequence[Path], outputs: Sequence[Output], goes_on: Callable[[], bool] = lambda: True
+) -> list[int]:
+    """Read bags and write their messages to others, in the order of their stamps. Blocks.
+
+    Args:
+        inputs: The bags to read.
+        outputs: The bags to write.
+        goes_on: Asked now and then; if False, the bags are closed with what they have.
+
+    Returns:
+        How many messages each output has.
+
+    Raises:
+        BagError: if a bag cannot be read or written.
+    """
+    bags = [Bag(path) for path in inputs]
+    writers: list[_Writing] = []
+    try:
+        for each in outputs:
+            writers.append(_Writing(each))
+        merged = heapq.merge(*(bag.messages(Range()) for bag in bags), key=attrgetter("stamp"))
+        for count, raw in enumerate(merged):
+            if not count % CHECK and not goes_on():
+                break
+            for writer in writers:
+                writer.take(raw)
+    finally:
+        for writer in writers:
+            writer.close()
+        for bag in bags:
+            bag.close()
+    return [writer.count for writer in writers]
+
+
+class _Writing:
+    """One bag that is written."""
+
+    def __init__(self, output: Output) -> None:
+        self.count = 0
+        self._output = output
+        self._writer = BagWriter(output.path, output.split)
+        self._numbers: dict[Channel, int | None] = {}
+
+    def take(self, raw: Raw) -> None:
+        """Write a message, if it is wanted."""
+        output = self._output
+        if raw.stamp < output.start or (output.end is not None and raw.stamp > output.end):
+            return
+        number = self._number(raw.channel)
+        if number is not None:
+            try:
+                self._writer.write(number, raw.stamp, raw.sent, raw.data)
+            except OSError as error:
+                raise self._error(error) from error
+            self.count += 1
+
+    def close(self) -> None:
+        """Close the bag."""
+        try:
+            self._writer.close({})
+        except OSError as error:
+            raise self._error(error) from error
+
+    def _number(self, channel: Channel) -> int | None:
+        if channel not in self._numbers:
+            wanted = self._output.selection.wants(channel.topic, channel.schema.name)
+            self._numbers[channel] = len(self._numbers) if wanted else None
+            if wanted:
+                self._writer.add(len(self._numbers) - 1, channel)
+        return self._numbers[channel]
+
+    def _error(self, error: OSError) -> BagError:
+        return BagError(self._output.path, f"it cannot be written: {error.strerror}")

@@ -1,0 +1,184 @@
+"""The goals in a bag, put together from the five topics of their actions.
+
+Requests and responses come from service events: those of the server, of the client, or of both. A
+response names no goal; the client's gid and the sequence number lead to its request. A bag without
+service events has only states and feedback.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any, Final
+
+import anyio.to_thread
+import msgspec
+
+from turtleact.goal import GoalStatus
+from turtleact.interfaces import nanoseconds
+from turtleact.recording.bag import Bag, Reading, Recorded
+from turtleact.recording.selection import Selection, owner_of, part_of
+from turtleact.recording.storage import Range
+
+__all__ = ["ENDED", "RecordedGoal", "goals"]
+
+ENDED: Final = frozenset({GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED})
+
+REQUESTS: Final = frozenset({0, 1})
+"""The kinds of events, sent and received, that have a request."""
+
+
+class RecordedGoal(msgspec.Struct, kw_only=True):
+    """A goal in a bag.
+
+    Attributes:
+        action: The name of the action.
+        type_name: The type of the action; empty if the bag does not tell.
+        id: Its id, 16 bytes.
+        goal: The goal message; None without service events.
+        accepted: Whether the server accepted it; None if the bag does not tell.
+        stamp: When it was accepted, or when it was first seen (ns since 1970).
+        states: Each state with the time at which it was recorded (ns), in order.
+        feedback_count: How many feedback messages were recorded.
+        result: The result; None if it was not recorded.
+        is_begun_before: Whether it had been accepted before the recording began.
+    """
+
+    action: str
+    id: bytes
+    stamp: int
+    type_name: str = ""
+    goal: Any = None
+    accepted: bool | None = None
+    states: list[tuple[int, GoalStatus]] = []
+    feedback_count: int = 0
+    result: Any = None
+    is_begun_before: bool = False
+
+    @property
+    def status(self) -> GoalStatus:
+        """The last state that was recorded; UNKNOWN if there is none."""
+        return self.states[-1][1] if self.states else GoalStatus.UNKNOWN
+
+    @property
+    def ended(self) -> int:
+        """When it ended (ns); 0 if the bag has no end."""
+        return self.states[-1][0] if self.status in ENDED else 0
+
+    @property
+    def duration(self) -> float | None:
+        """The time from its acceptance to its end (s), if both were recorded."""
+        return (self.ended - self.stamp) / 1e9 if self.ended else None
+
+    @property
+    def reason(self) -> str:
+        """What is known about why it did not succeed.
+
+        ROS 2 has no field for the reason of an abort, so the bag has none either.
+        """
+        if self.accepted is False:
+            return "rejected"
+        return "" if self.status in ENDED else "its end was not recorded"
+
+
+async def goals(path: str | Path, *, actions: Collection[str] | None = None) -> list[RecordedGoal]:
+    """Return the goals in a bag, in the order in which they were first seen.
+
+    Args:
+        path: The folder of the bag, or a single file.
+        actions: The names of the actions; left out, all.
+
+    Raises:
+        BagError: if there is no bag, or a place in it is damaged.
+    """
+    wanted = Selection(actions=frozenset(actions or ()), all_actions=actions is None)
+    bag = await anyio.to_thread.run_sync(Bag, path)
+    found = Gathering(bag.info.start)
+    try:
+        reading = Reading(bag, Range(wants=lambda topic: wanted.wants(topic, "")))
+        async for batch in reading.batches():
+            for message in batch:
+                found.take(message)
+    finally:
+        bag.close()
+    return found.goals
+
+
+class Gathering:
+    """Puts goals together from messages.
+
+    Args:
+        start: When the recording began (ns).
+    """
+
+    def __init__(self, start: int) -> None:
+        self._start = start
+        self._goals: dict[tuple[str, bytes], RecordedGoal] = {}
+        self._asked: dict[tuple[str, bytes, int], RecordedGoal] = {}
+
+    @property
+    def goals(self) -> list[RecordedGoal]:
+        """The goals so far."""
+        return list(self._goals.values())
+
+    def take(self, message: Recorded) -> None:
+        """Take a message; those of other topics, and those that cannot be read, do not matter."""
+        owner, action, part = part_of(message.topic)
+        if owner != "action" or message.value is None:
+            return
+        if part == "feedback":
+            goal = self._goal(action, message.value.goal_id.uuid, message)
+            goal.feedback_count += 1
+        elif part == "status":
+            for each in message.value.status_list:
+                self._note_status(action, each, message)
+        elif part in ("send_goal", "get_result"):
+            self._note_event(action, part, message)
+
+    def _goal(self, action: str, goal_id: bytes, message: Recorded) -> RecordedGoal:
+        key = action, bytes(goal_id)
+        if key not in self._goals:
+            self._goals[key] = RecordedGoal(action=action, id=key[1], stamp=message.stamp)
+        goal = self._goals[key]
+        goal.type_name = goal.type_name or owner_of(message.topic, message.type_name)
+        return goal
+
+    def _note_status(self, action: str, entry: Any, message: Recorded) -> None:  # noqa: ANN401  # a message
+        goal = self._goal(action, entry.goal_info.goal_id.uuid, message)
+        if not goal.states:
+            accepted = nanoseconds(entry.goal_info.stamp)
+            goal.is_begun_before = 0 < accepted < self._start
+            goal.stamp = accepted or goal.stamp
+            goal.accepted = True
+        _add_state(goal, message.stamp, entry.status)
+
+    def _note_event(self, action: str, part: str, message: Recorded) -> None:
+        event = message.value
+        call = part, bytes(event.info.client_gid), event.info.sequence_number
+        if event.info.event_type in REQUESTS:
+            for request in event.request:
+                goal = self._asked[call] = self._goal(action, request.goal_id.uuid, message)
+                if part == "send_goal":
+                    goal.goal = request.goal
+            return
+        asked = self._asked.get(call)
+        if asked is None:  # the recording began in between
+            return
+        for response in event.response:
+            if part == "get_result":
+                asked.result = response.result
+                _add_state(asked, message.stamp, response.status)
+                continue
+            asked.accepted = response.accepted
+            if response.accepted:
+                asked.stamp = nanoseconds(response.stamp) or asked.stamp
+
+
+def _add_state(goal: RecordedGoal, stamp: int, number: int) -> None:
+    """Add a state, unless it is the one before, or comes after the end."""
+    try:
+        status = GoalStatus(number)
+    except ValueError:
+        return
+    if status not in (goal.status, GoalStatus.UNKNOWN) and goal.status not in ENDED:
+        goal.states.append((stamp, status))

@@ -1,0 +1,399 @@
+"""Plays a bag: publishes its messages again, and sends its goals again.
+
+Messages come as far apart as they were recorded, by the clock of the graph. Over a network they are
+sent as the bytes in the bag. Goals can be sent by a client instead of publishing the topics of
+their actions. They get new ids, because a server that still holds the old ones would refuse them.
+
+In virtual time, many things happen at the same moment, and their order matters. A message that was
+recorded before others of its moment comes a little earlier here, otherwise a little later. That is
+how the same messages drive a simulation to the same poses, to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Collection, Iterable, Mapping
+from contextlib import aclosing, contextmanager
+from itertools import groupby
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, Final, Literal, TypedDict, Unpack
+
+import anyio
+import anyio.to_thread
+import msgspec
+
+from turtleact.client import ActionClient, ClientGoalHandle
+from turtleact.clock import WallClock
+from turtleact.errors import InvalidInterface, InvalidOption, TurtleactError, UnknownInterface
+from turtleact.goal import GoalStatus
+from turtleact.interfaces import Message, WireFormat, get_action, type_hash
+from turtleact.names import resolve_name
+from turtleact.node import Node
+from turtleact.recording.bag import Bag, Reading, Recorded, reader_of
+from turtleact.recording.goals import REQUESTS
+from turtleact.recording.metadata import Offer
+from turtleact.recording.recorder import RawFormat
+from turtleact.recording.schemas import class_of
+from turtleact.recording.selection import EVERYTHING, Selection, owner_of, part_of
+from turtleact.recording.storage import Channel, Range
+from turtleact.tasks import current_tasks, thread_work
+from turtleact.transports.base import Endpoint, Publication, QoS
+
+__all__ = ["PlayOptions", "Played", "play"]
+
+NUDGE: Final = 1000
+"""How much earlier or later a message comes than others of its moment (ns)."""
+
+PATIENCE: Final = 2.0
+"""How long to wait until the readers that are known can be reached (s)."""
+
+TURN: Final = 32
+"""After so many messages without a pause, other tasks run."""
+
+Sender = Literal["service", "client"]
+
+
+class PlayOptions(TypedDict, total=False):
+    """The options of `play`."""
+
+    rate: float | Literal["max"]
+    loop: bool
+    start_offset: float
+    duration: float | None
+    topics: Collection[str]
+    selection: Selection
+    remap: Mapping[str, str]
+    send_goals: bool
+
+
+class Played(msgspec.Struct):
+    """What has been played.
+
+    Attributes:
+        messages: How many messages were published.
+        goals: How the goals that were sent have ended, by action and state or reason.
+        skipped: Why messages or goals of a topic could not be played, by topic.
+    """
+
+    messages: int = 0
+    goals: Counter[tuple[str, str]] = msgspec.field(default_factory=Counter)
+    skipped: dict[str, str] = {}
+
+
+async def play(node: Node, path: str | Path, **options: Unpack[PlayOptions]) -> Played:
+    """Play a bag on a graph, to its end.
+
+    Cancelling: safe. Goals that were sent are canceled.
+
+    Args:
+        node: A node on the graph.
+        path: The folder of the bag, or a single file.
+        **options: ``rate`` is how much faster than recorded; "max" waits for nothing, not even for
+            a clock that stands still. ``loop`` starts over at the end. Messages before
+            ``start_offset`` seconds are left out, and so are those later than ``duration`` seconds
+            after that. ``topics`` are the names to play; without them, everything is played.
+            ``selection`` is a `Selection` instead of these. ``remap`` gives topics and actions
+            other names. ``send_goals`` sends the recorded goals and cancel requests as a client,
+            instead of publishing the topics of actions, and waits for their end.
+
+    Raises:
+        BagError: if there is no bag, or a place in it is damaged.
+        InvalidOption: if the rate is neither a number above zero nor "max".
+        TypeError: if an option does not exist.
+    """
+    for unknown in options.keys() - PlayOptions.__annotations__.keys():
+        raise TypeError(f"play has no option '{unknown}'")
+    rate = options.get("rate", 1.0)
+    if rate != "max" and not (isinstance(rate, int | float) and rate > 0):
+        raise InvalidOption("rate", f"expected a number above zero or 'max', not {rate!r}")
+    bag = Bag(path)
+    player = _Player(node, bag, options)
+    try:
+        async with anyio.create_task_group() as goals:
+            player.prepare(goals)
+            await player.wait_for_readers()
+            while True:
+                await player.run(None if rate == "max" else float(rate))
+                if not options.get("loop") or player.is_idle:
+                    break
+    finally:
+        player.close()
+        bag.close()
+    return player.played
+
+
+class _Player:
+    """Plays one bag.
+
+    Args:
+        node: A node on the graph.
+        bag: The bag.
+        options: See `play`.
+    """
+
+    def __init__(self, node: Node, bag: Bag, options: PlayOptions) -> None:
+        self.played = Played()
+        self._node = node
+        self._bag = bag
+        self._remap = options.get("remap", {})
+        self._selection = _selection(node, options)
+        self._sends_goals = options.get("send_goals", False)
+        self._start = bag.info.start + round(options.get("start_offset", 0.0) * 1e9)
+        duration = options.get("duration")
+        self._end = None if duration is None else self._start + round(duration * 1e9)
+        self._outlets: dict[str, Callable[[bytes], None]] = {}
+        self._publications: dict[str, Publication] = {}
+        self._goals: _GoalSender | None = None
+
+    def prepare(self, tasks: anyio.abc.TaskGroup) -> None:
+        """Open what is needed to play the bag."""
+        if self._sends_goals:
+            self._goals = _GoalSender(self._node, tasks, self._remap, self.played)
+        for channel in self._bag.channels():
+            if self._selection.wants(channel.topic, channel.schema.name):
+                if self._goals is not None and part_of(channel.topic).owner == "action":
+                    continue
+                self._open(channel)
+
+    def close(self) -> None:
+        """Close it."""
+        for each in self._publications.values():
+            each.close()
+
+    async def wait_for_readers(self) -> None:
+        """Wait until the readers that are on the graph can be reached, for `PATIENCE` at most."""
+        transport = self._node.transport
+        read = {each.name for each in transport.endpoints() if each.kind == "subscription"}
+        waiting = [each for topic, each in self._publications.items() if self._name(topic) in read]
+        with anyio.move_on_after(PATIENCE):
+            while not all(each.has_readers for each in waiting):
+                await transport.wait_for_change()
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing in the bag can be played."""
+        return not (self._outlets or self.played.goals)
+
+    async def run(self, rate: float | None) -> None:
+        """Play the bag once; without a rate, wait for nothing."""
+        clock = self._node.clock
+        if self._goals is not None:
+            self._goals.start_over()
+        begun, count = clock.time(), 0
+        async with aclosing(self._messages()) as batches:
+            async for message, nudge in batches:
+                count += 1
+                if rate is not None:
+                    offset = message.stamp - self._start + nudge
+                    due = begun + offset / 1e9 / rate
+                    if due > clock.time():
+                        await clock.sleep_until(due)
+                if not count % TURN:
+                    await current_tasks().checkpoint()
+                await self._play(message)
+
+    async def _messages(self) -> AsyncGenerator[tuple[Recorded, int]]:
+        """The messages to play, and by how much each comes earlier or later than its stamp (ns)."""
+        is_exact = not isinstance(self._node.clock, WallClock)
+        # Messages that are not played tell what came first, where that matters.
+        wants = None if is_exact else self._is_wanted
+        reading = Reading(self._bag, Range(self._start, self._end, wants), is_decoded=False)
+        waiting: list[Recorded] = []
+        async for batch in _still(reading.batches()):
+            if not is_exact:
+                for message in batch:
+                    yield message, 0
+                continue
+            waiting += batch
+            *moments, last = [list(each) for _, each in groupby(waiting, attrgetter("stamp"))]
+            for moment in moments:
+                for pair in self._ordered(moment):
+                    yield pair
+            waiting = last
+        for pair in self._ordered(waiting):
+            yield pair
+
+    def _ordered(self, moment: list[Recorded]) -> Iterable[tuple[Recorded, int]]:
+        """The messages of one moment that are played, before or after the others of it."""
+        others = [place for place, each in enumerate(moment) if not self._is_wanted(each.topic)]
+        first = others[0] if others else -1
+        for place, each in enumerate(moment):
+            if self._is_wanted(each.topic):
+                yield each, -NUDGE if place < first else NUDGE
+
+    def _is_wanted(self, topic: str) -> bool:
+        return topic in self._outlets or (
+            self._goals is not None
+            and part_of(topic).owner == "action"
+            and self._selection.wants(topic, "")
+        )
+
+    async def _play(self, message: Recorded) -> None:
+        if message.topic not in self._outlets:
+            if self._goals is not None:
+                await self._goals.take(message)
+            return
+        self._outlets[message.topic](message.data)
+        self.played.messages += 1
+        publication = self._publications[message.topic]
+        if publication.is_congested:
+            await publication.drained()
+
+    def _open(self, channel: Channel) -> None:
+        """Open the publisher of a topic, unless nothing is known about its type."""
+        cls = class_of(channel.schema, channel.type_hash)
+        hash_of = channel.type_hash or ("" if cls is None else type_hash(cls))
+        if channel.format != "cdr" or not hash_of:
+            self.played.skipped[channel.topic] = f"its type {channel.schema.name} is not known"
+            return
+        endpoint = Endpoint(
+            "publisher",
+            self._name(channel.topic),
+            channel.schema.name,
+            self._node.fully_qualified_name,
+            _offered(channel.offers),
+        )
+        encode = None if cls is None else WireFormat(cls).encode
+        publication = self._node.transport.advertise(endpoint, RawFormat(hash_of, encode))
+        self._publications[channel.topic] = publication
+        read = reader_of(channel)
+
+        def publish(data: bytes) -> None:
+            message = read(data) if publication.has_near_readers else None
+            if message is None:
+                publication.send(data)
+            else:
+                publication.publish(message)
+
+        self._outlets[channel.topic] = publish
+
+    def _name(self, topic: str) -> str:
+        return self._remap.get(topic, topic)
+
+
+class _GoalSender:
+    """Sends the goals of a bag again, and cancels those that were canceled.
+
+    Args:
+        node: A node on the graph.
+        tasks: Where the goals are awaited.
+        remap: Other names of actions.
+        played: Where to count how they end.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        tasks: anyio.abc.TaskGroup,
+        remap: Mapping[str, str],
+        played: Played,
+    ) -> None:
+        self._node = node
+        self._tasks = tasks
+        self._remap = remap
+        self._played = played
+        self._clients: dict[str, ActionClient[Any, Any, Any]] = {}
+        self._handles: dict[bytes, ClientGoalHandle[Any, Any] | None] = {}
+        self._canceled: set[tuple[bytes, int]] = set()
+        self._readers: dict[str, Callable[[bytes], Message | None]] = {}
+
+    def start_over(self) -> None:
+        """Take all goals for new ones."""
+        self._handles.clear()
+        self._canceled.clear()
+
+    async def take(self, message: Recorded) -> None:
+        """Take a message of an action's topics; only events of requests matter."""
+        _, action, part = part_of(message.topic)
+        if part not in ("send_goal", "cancel_goal"):
+            return
+        event = self._decoded(message)
+        if event is None or event.info.event_type not in REQUESTS:
+            return
+        for request in event.request:
+            if part == "send_goal":
+                self._send(action, message, request)
+            else:
+                self._cancel(event.info, request)
+
+    def _decoded(self, message: Recorded) -> Any:  # noqa: ANN401  # an event of any service
+        read = self._readers.get(message.topic)
+        if read is None:
+            channel = Channel(topic=message.topic, schema=message.schema)
+            read = self._readers[message.topic] = reader_of(channel)
+        return read(message.data)
+
+    def _send(self, action: str, message: Recorded, request: Any) -> None:  # noqa: ANN401  # a message
+        old = bytes(request.goal_id.uuid)
+        if old in self._handles:  # the client's event and the server's are of one request
+            return
+        self._handles[old] = None
+        try:
+            client = self._client(action, owner_of(message.topic, message.type_name))
+        except (UnknownInterface, InvalidInterface) as error:
+            self._played.skipped[action] = str(error)
+            return
+        goal = msgspec.structs.astuple(request.goal)
+        self._tasks.start_soon(self._follow, client, client.action_type.Goal(*goal), old)
+
+    async def _follow(self, client: ActionClient[Any, Any, Any], goal: Message, old: bytes) -> None:
+        try:
+            async with client.send_goal(goal) as handle:
+                self._handles[old] = handle
+                status: GoalStatus = (await handle.outcome()).status
+            ended = status.name
+        except TurtleactError as error:
+            ended = str(error)
+        self._played.goals[client.name, ended] += 1
+
+    def _cancel(self, info: Any, request: Any) -> None:  # noqa: ANN401  # messages
+        call = bytes(info.client_gid), info.sequence_number
+        if call in self._canceled:
+            return
+        self._canceled.add(call)
+        old = bytes(request.goal_info.goal_id.uuid)
+        for each, handle in self._handles.items():
+            if handle is not None and (each == old or not any(old)):
+                handle.cancel_nowait()
+
+    def _client(self, action: str, type_name: str) -> ActionClient[Any, Any, Any]:
+        name = self._remap.get(action, action)
+        if name not in self._clients:
+            self._clients[name] = self._node.action_client(get_action(type_name), name)
+        return self._clients[name]
+
+
+async def _still(batches: AsyncIterator[list[Recorded]]) -> AsyncIterator[list[Recorded]]:
+    """The same batches; virtual time stands still while a thread reads them."""
+    while True:
+        with _at_work():
+            batch = await anext(batches, None)
+        if batch is None:
+            return
+        yield batch
+
+
+@contextmanager
+def _at_work() -> Any:  # noqa: ANN401  # a context manager
+    work = thread_work()
+    work.begin()
+    try:
+        yield
+    finally:
+        work.end()
+
+
+def _selection(node: Node, options: PlayOptions) -> Selection:
+    if "selection" in options:
+        return options["selection"]
+    if "topics" not in options:
+        return msgspec.structs.replace(EVERYTHING, hidden=True)
+    names = (resolve_name(each, node.namespace, node.name) for each in options["topics"])
+    return Selection(topics=frozenset(names))
+
+
+def _offered(offers: tuple[Offer, ...]) -> QoS:
+    """What to offer: what all publishers offered, or else the default."""
+    found = {each.qos for each in offers}
+    return found.pop() if len(found) == 1 else QoS()
