@@ -63,8 +63,8 @@ class ActionClient(Generic[G, R, F]):
         action_type: The action.
         is_open: Whether it can send goals.
         observers: Told of each change and feedback of the goals sent by this client.
-        around: Makes a block for each goal, in which it is sent and waited for, and gives the order
-            to send. None if nothing asks for that.
+        around: Makes a context manager for each goal, and gives it the order to send. The goal is
+            sent and awaited inside it. None if nothing asks for that.
     """
 
     def __init__(
@@ -107,8 +107,8 @@ class ActionClient(Generic[G, R, F]):
                 publishes it. If it raises, the exception is logged and nothing else happens.
             reattach: If the server goes away, wait so long (s, event loop time) for it to return,
                 and go on with the goal. If nobody serves the action yet, wait as long. Useful for
-                servers with a journal, which still have the goal after a restart. The handle of a
-                goal of a server in this process ends with the server.
+                servers with a journal, which still have the goal after a restart. If the server is
+                in this process, the handle of its goal ends with the server.
 
         Raises:
             InvalidOption: if the ``feedback_callback`` is a coroutine function, or ``reattach`` is
@@ -266,7 +266,7 @@ class ActionClient(Generic[G, R, F]):
     async def _reattach(
         self, order: GoalOrder, error: ServerUnavailable
     ) -> tuple[GoalServer, Goal]:
-        """Attach to a goal of this process whose server has gone, when the server is back.
+        """Wait until a server of this process is back, and attach to the goal again.
 
         `RemoteActionServer` waits for servers in other processes.
         """

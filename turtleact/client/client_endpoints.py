@@ -203,7 +203,7 @@ class ClientEndpoints:
         return self.is_ours
 
     def learn(self, reply: Reply) -> None:
-        """Learn from a reply whether the server belongs to turtleact: only those attach a note."""
+        """Learn from a reply whether the server belongs to turtleact, whose replies have a note."""
         if not reply.note:
             self.is_ours = False
         elif not self.is_ours:
@@ -219,7 +219,7 @@ class ClientEndpoints:
         return await self._goals.call(self.send_goal, request, note)
 
     async def ask_to_cancel(self, request: object) -> Reply:
-        """Send a cancel request and return the answer; as `ask_for_goal`. Needs `open` first."""
+        """Send a cancel request like `ask_for_goal`, and return the answer. Call `open` first."""
         if self.knows_ours():
             return await self._cancel_goal.call(request)
         return await self._cancels.call(self._cancel_goal, request)
@@ -259,8 +259,8 @@ class ClientEndpoints:
         """Open the other services and the feedback topic. A second call does nothing.
 
         Args:
-            goals: The goals whose feedback is wanted: any object for each goal id.
-            take_feedback: Called with that object and the feedback message.
+            goals: Has an object of any kind for the id of each goal whose feedback is wanted.
+                take_feedback: Called with that object and the feedback message.
         """
         if self.is_open:
             return
@@ -361,7 +361,7 @@ class _FeedbackOfGoals(FeedbackFormat, Generic[T]):
 
     Args:
         action: The action.
-        goals: The known goals: any object for each goal id.
+        goals: Has an object of any kind for the id of each known goal.
     """
 
     def __init__(self, action: type[Action], goals: Mapping[bytes, T]) -> None:

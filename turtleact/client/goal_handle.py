@@ -222,8 +222,8 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
                 request is withdrawn, and the goal goes on.
 
         Raises:
-            PauseRefused: if the goal cannot be paused, or not in time. The reason says why.
-            ServerUnavailable: if the server has gone.
+            PauseRefused: if the goal cannot be paused, or its body takes too long. The reason says
+                which. ServerUnavailable: if the server has gone.
         """
         await self._reader.pause(timeout)
 

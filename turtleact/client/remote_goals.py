@@ -3,14 +3,15 @@
 Each goal has a `Goal` object here, which messages from the server keep up to date. A goal takes two
 requests: one sends it, the other waits for its result. There are two ways to send them:
 
-- A server of turtleact gets both at once. It answers the second when the goal has ended, which
-  saves a round trip. No task waits for the replies; they are handled as they arrive. If the second
+- A server of turtleact gets both requests at once, which saves a round trip. It answers the second
+request when the goal has ended. No task waits for the replies: the client handles them as they
+arrive. If the second
   request arrives before the server knows the goal, the server says so. From then on the client
   sends the requests one after the other.
 - A ROS 2 server gets one request after the other, because ROS 2 services may answer in any order.
 
-If something must be awaited, a task of the client does it: for an unknown server, a cancel,
-feedback that arrives after the result, or a server that has gone.
+The client uses a task only where it has to wait: for a server of unknown kind, for the answer to a
+cancel, for feedback that arrives after the result, or for a server to return.
 
 Source: rcl_action ``action_client.c``, ``goal_state_machine.c``, and
 ``rcl_action_process_result_request``.
@@ -54,13 +55,13 @@ LATE_FEEDBACK: Final = 1.0
 """How long to wait for feedback that arrives after the goal's result (s, event loop time)."""
 
 BACK_WITHIN: Final = 0.5
-"""A server that returns within this time was only unreachable (s, event loop time)."""
+"""If a server returns within this time, it was only unreachable (s, event loop time)."""
 
 ATTEMPTS: Final = 3
 """How often to ask for a goal's result if the server seems to have returned."""
 
 SETTLED: Final = 1.0
-"""A server that leaves a request open for so long is back (s, event loop time)."""
+"""If a server leaves a request open for so long, it is back (s, event loop time)."""
 
 PAUSE: Final = 0.1
 """The pause between two attempts to reattach to a server that can be seen but does not answer."""
@@ -505,10 +506,10 @@ class RemoteGoals:
                 self._observers.goal_changed(goal, before, goal.status)
 
     def _show(self, remote: RemoteGoal) -> None:
-        """Tell the observers of a goal sent by this client before they hear more about it.
+        """Tell the observers that this client has sent a goal, before anything else of it.
 
-        Feedback may arrive before the acceptance, since it takes another way. Therefore this is
-        called for either.
+        Feedback does not travel with the acceptance and may arrive before it. So the first of the
+        two calls this.
         """
         if remote.is_sender and not remote.is_observed:
             remote.is_observed = True
@@ -577,10 +578,10 @@ class RemoteGoals:
 class _Patience:
     """Decides whether a request is sent again after its server has gone.
 
-    Without ``reattach``, the server may have been unreachable only for a moment. It is waited for
-    once, and asked `ATTEMPTS` times. With it, each absence may last ``reattach`` seconds. It
-    ends when feedback arrives, or when a request has been open for `SETTLED` seconds. A server
-    that is killed again and again may never live that long.
+    Without ``reattach``, the server may only have been unreachable for a moment: this waits for it
+    once, and allows `ATTEMPTS` requests. With ``reattach``, each absence of the server may last
+    that many seconds. An absence ends when feedback arrives, or when a request has been open for
+    `SETTLED` seconds. A server that is killed again and again may never live that long.
 
     Args:
         endpoints: The client's endpoints.

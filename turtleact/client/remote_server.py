@@ -71,7 +71,7 @@ class RemoteActionServer:
     # sending
 
     async def send_goal(self, order: GoalOrder) -> Goal:
-        """Send a goal and return it once it is accepted. Its status is followed from then on.
+        """Send a goal, return it once it is accepted, and follow its status from then on.
 
         Cancelling: the goal is canceled, even if it is accepted late. The caller waits for its end,
         at most ``order.cancel_timeout`` seconds.
@@ -125,7 +125,8 @@ class RemoteActionServer:
 
         The sender must end cancelled, whatever the server does. The server may die while it is
         asked to cancel, or never answer. If the goal is not accepted yet, the task that follows it
-        cancels it when it is. That task continues after the ``timeout``, until the client closes.
+        cancels it as soon as it is accepted. That task continues after the ``timeout``, until the
+        client closes.
         """
         remote.is_abandoned = not remote.is_accepted
         with anyio.move_on_after(timeout, shield=True):
@@ -142,7 +143,7 @@ class RemoteActionServer:
     # goals that already exist
 
     async def attach(self, goal_id: bytes) -> Goal | None:
-        """Return a goal that somebody else sent, found in the status; None if it is not held."""
+        """Find a goal that somebody else sent in the status; return None if no server holds it."""
         remote = self._goals.by_id.get(goal_id)
         if remote is not None:
             return remote.goal

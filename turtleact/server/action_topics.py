@@ -44,7 +44,7 @@ class FeedbackTopic(Source):
         self._server.execution.outlet = self if has_readers else None
 
     def expect_readers(self) -> None:
-        """Publish from now on: a client that sends goals reads feedback, discovered yet or not."""
+        """Publish from now on, because a client that sends goals reads feedback."""
         self._publication.expect_readers()
 
     def close(self) -> None:

@@ -64,8 +64,8 @@ class BodyTask(Coroutine[object, object, None]):
     def start(self, name: str, context: Context | None) -> None:
         """Start the task in ``context``, or in a copy of the current context.
 
-        An eager task takes its first step in here. That step may end the goal, or lead to its
-        cancellation while `_task` is not known yet; the cancellation is then made up for.
+        An eager task takes its first step in here. That step may end the goal. It may also cancel
+        the goal while `_task` is not set yet; then this cancels the task afterwards.
         """
         self._task = self._tasks.spawn(self, name, context, is_eager=True)
         if self._is_cancel_due and not self._goal.is_decided:

@@ -69,7 +69,7 @@ class DurableGoals:
 
     @property
     def suspends(self) -> bool:
-        """Whether goals go on after the server was closed."""
+        """Whether goals stay unfinished when the server closes, and go on later."""
         return self.resumes and not self._journal.aborts_at_close
 
     # accepting
@@ -77,7 +77,8 @@ class DurableGoals:
     async def accept(self, goal: Goal, status: GoalStatus) -> GoalRecord | None:
         """Put a new goal on disk; if its id is known, return the record of that goal instead.
 
-        Its status is EXECUTING if it starts at once, and ACCEPTED if it may have to wait.
+        The status on disk is EXECUTING if the goal starts at once, and ACCEPTED if it may have to
+        wait.
 
         Cancelling: takes effect only after this.
 

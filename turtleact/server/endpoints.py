@@ -70,7 +70,7 @@ OURS = GoalNote().write()
 """An empty note, attached to every answer: it shows that the server is one of turtleact's."""
 
 LATE_REQUEST = 0.5
-"""How long a closing server waits for other processes that have yet to ask for a result (s)."""
+"""How long a closing server waits for other processes to ask for their results (s)."""
 
 
 class ActionEndpoints:
@@ -255,8 +255,8 @@ class _SendGoal(_ActionService):
 
     Attributes:
         goal_server: The server, for clients in the same process; see `turtleact.goal_server`. It is
-            missing if requests are observed: then those of such clients travel as messages, too.
-        expect_readers: Called with the first goal from another process, whose client reads
+            missing if an observer watches the requests: then these clients send messages, too.
+            expect_readers: Called with the first goal from another process, whose client reads
             feedback.
     """
 
@@ -409,13 +409,13 @@ class _GetResult(_ActionService):
 def _unlisted(
     endpoint: MakeEndpoint, kind: EndpointKind, name: str, type_name: str, qos: QoS | None = None
 ) -> Endpoint:
-    """Describe an endpoint that ROS 2's actions do not have, so that lists show those alone."""
+    """Describe an endpoint that actions of ROS 2 do not have; lists leave it out."""
     described = endpoint(kind, name, type_name, qos)
     return msgspec.structs.replace(described, on_demand=True, is_unlisted=True)
 
 
 def _joined(answers: list[CancelGoal.Response]) -> CancelGoal.Response:
-    """Join the answers of servers that share a cancel service; at most one knows a goal."""
+    """Join the answers of servers that share a cancel service; only one of them knows each goal."""
     codes = [each.return_code for each in answers]
     known = [code for code in codes if code != CancelCode.UNKNOWN_GOAL_ID]
     return CancelGoal.Response(
@@ -425,7 +425,7 @@ def _joined(answers: list[CancelGoal.Response]) -> CancelGoal.Response:
 
 
 def _may_be_asked_for(goal: Goal, reasons: tuple[str, ...]) -> bool:
-    """Whether a client elsewhere will soon ask how a goal ended that the closing server aborted."""
+    """Whether another process will soon ask for the result of a goal that was aborted."""
     is_sent_from_elsewhere = isinstance(goal.sender, bytes) and bool(goal.sender)
     is_ended_late = goal.reason in reasons
     return is_sent_from_elsewhere and is_ended_late and not goal.is_asked_for

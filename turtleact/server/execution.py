@@ -2,8 +2,8 @@
 
 Generators are never iterated with ``async for``. If a cancellation arrived while the generator is
 suspended at a ``yield``, the generator would only see GeneratorExit, and a timeout or task group
-around that ``yield`` would break. Here one task drives the generator. It throws whatever arrives
-between two steps in at the ``yield``, and closes the generator on every path.
+around that ``yield`` would break. Here one task steps the generator. Whatever arrives between two
+steps is raised at the ``yield``. The task closes the generator on every path.
 
 Source: PEP 525; PEP 789 for the hazards of generators.
 """
@@ -354,7 +354,7 @@ class Execution:
                 self._forget(task)
 
     def end(self, goal: Goal, event: GoalEvent, result: object, reason: str = "") -> None:
-        """Decide how a goal ends, and announce it, with a journal as soon as it is on disk.
+        """Decide how a goal ends, and announce the end; with a journal, once the end is on disk.
 
         Does nothing if its end is decided already, for example because its body was given up. While
         the server is suspended, only a success and a client's cancel count.
@@ -379,7 +379,7 @@ class Execution:
             self.durable.end(goal, event, reason, partial(self._announce_end, goal, event, reason))
 
     def lose(self, goal: Goal, error: TurtleactError) -> None:
-        """Tell whoever waits for a goal that its server has stopped before its end."""
+        """Tell everybody who waits for a goal that its server has stopped before the goal ended."""
         goal.is_decided = True
         before = goal.status
         goal.error, goal.status = error, GoalStatus.UNKNOWN
@@ -518,7 +518,7 @@ async def _finish(steps: Steps) -> None:
 
 
 def _stop_in(error: BaseException) -> BaseException | None:
-    """The `SystemExit` or `KeyboardInterrupt` that ends the program, be it in a group.
+    """The `SystemExit` or `KeyboardInterrupt` that ends the program, alone or in a group.
 
     asyncio's task groups raise such an exception as it is; trio's nurseries wrap it.
     """

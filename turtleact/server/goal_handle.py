@@ -82,18 +82,21 @@ class GoalHandle(Generic[G, R, F]):
     def paused_time(self) -> float:
         """How long the goal has been paused until now (s, by the graph's clock).
 
-        Subtract it where a body measures time that a pause should not count.
+        If your body measures a time, subtract this, so that pauses do not count.
         """
         return self._execution.pauses.paused_time(self._goal)
 
     async def pause(self, timeout: float = 5.0) -> None:
-        """Pause the goal, and return when its body stands still; not for the body itself.
+        """Pause the goal, and return when its body stands still.
+
+        The body itself must not call this.
 
         Args:
-            timeout: How long to wait for the body (s, event loop time); then the goal goes on.
+            timeout: How long the body may take (s, event loop time). If it takes longer, the goal
+                goes on.
 
         Raises:
-            PauseRefused: if the goal cannot be paused, or not in time.
+            PauseRefused: if the goal cannot be paused, or its body takes too long.
         """
         self._execution.served.home.check()
         await self._execution.pauses.pause(self._goal, timeout)

@@ -223,9 +223,9 @@ class LocalActionServer:
             raise
 
     def take_nowait(self, order: GoalOrder, *, is_streamed: bool) -> Goal | None:
-        """Accept a goal without waiting, or do nothing and return None if that needs waiting.
+        """Accept a goal without waiting, or return None if accepting it may take time.
 
-        It does if there is a ``goal_callback`` or a journal.
+        With a ``goal_callback`` or a journal, it may.
         """
         if self._callbacks.ask_about_goals or self.durable is not None:
             return None
@@ -282,7 +282,7 @@ class LocalActionServer:
         return goal
 
     def _find_known(self, record: GoalRecord, durable: DurableGoals) -> Goal:
-        """Return the goal of a record; one whose result has expired is held once more."""
+        """Return the goal of a record. A goal whose result has expired is held again."""
         goal = self.find(record.id)
         if goal is None:
             if not durable.owns(record) or not record.ended:
@@ -323,7 +323,7 @@ class LocalActionServer:
             raise GoalRejected(f"the server of '{self.name}' is shutting down")
 
     def _new_goal(self, order: GoalOrder, request: object, *, is_streamed: bool = False) -> Goal:
-        """Make a goal that starts at once, or whose state is set back when it must wait.
+        """Make a goal that starts at once. If it has to wait, its state is set back later.
 
         Raises:
             InvalidGoal: if the request does not fit the action.
@@ -397,7 +397,7 @@ class LocalActionServer:
                 each.evict(entry.reason)
 
     def _release(self, goal: Goal) -> Callable[[], None] | None:
-        """Give the place of an ended goal to the next; return a function that starts that one."""
+        """Give the place of an ended goal to the next goal; return a function that starts it."""
         slot = self.slot
         if slot is None:  # the server is closed
             return None
@@ -488,7 +488,10 @@ class LocalActionServer:
         return CancelGoal.Response(CancelCode.REJECTED if is_kept else CancelCode.GOAL_TERMINATED)
 
     def cancel_goal_nowait(self, goal: Goal) -> None:
-        """Cancel a goal without waiting; a ``cancel_callback`` is asked at most once at a time."""
+        """Cancel a goal without waiting.
+
+        A ``cancel_callback`` that is still deciding is not asked again.
+        """
         if not self._callbacks.ask_about_cancels:
             self._cancel(goal)
         elif goal.status.is_active and goal not in self._cancels:
@@ -645,9 +648,10 @@ class LocalActionServer:
 def restore_all(servers: list[LocalActionServer]) -> None:
     """Let servers go on with the goals that their journals hold.
 
-    Servers may share a slot. Therefore the goals of all of them come in one order: first those that
-    ran, then those that waited for their turn. Of servers with the same name, the one of the goal's
-    type takes the goal. If there is none, any of them ends it, because its type has changed.
+    Servers may share a slot. Therefore the goals of all servers are restored in one order: first
+    the goals that ran, then those that waited for their turn. If several servers have the name of a
+    goal's action, the one with the goal's type takes the goal. If none has that type, any of them
+    aborts the goal, because its type has changed.
     """
     durable = [(server, server.durable) for server in servers if server.durable is not None]
     found: dict[bytes, tuple[GoalRecord, LocalActionServer]] = {}

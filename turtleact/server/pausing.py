@@ -1,8 +1,9 @@
 """Pausing goals: their bodies stand still until they are resumed.
 
 A generator stands still at a ``yield``, where it is not stepped any more. A coroutine body stands
-still at ``await handle.checkpoint()``, if it is declared with ``pausable=True``. An action with
-``on_pause`` brings its robot to rest there; without the two others, that alone pauses it.
+still at ``await handle.checkpoint()``, if it is declared with ``pausable=True``. Then ``on_pause``,
+if there is one, brings the robot to rest. A body that can do neither runs on, and ``on_pause``
+alone pauses its goal.
 
 ROS 2 has no state for this: a paused goal is EXECUTING. It keeps its place in its slot. A cancel, a
 preemption and the end of the server reach it at once.
@@ -38,12 +39,12 @@ CLEANING = 5.0
 
 
 class Hold:
-    """A request that a goal's body stands still.
+    """A request to the body of a goal to stand still.
 
     Attributes:
         is_standing: Whether the body stands still.
         is_before_start: Whether the body has not begun.
-        changed: Fires when that changes, and when the request is withdrawn.
+        changed: Fires when one of these two changes, and when the request is withdrawn.
     """
 
     __slots__ = ("changed", "is_before_start", "is_standing")
@@ -107,8 +108,8 @@ class Pauses:
             timeout: How long to wait for the body to stand still (s, event loop time).
 
         Raises:
-            PauseRefused: if it cannot be paused, or its body does not stand still in time. Then it
-                goes on.
+            PauseRefused: if the goal cannot be paused, or its body does not stand still in time.
+                The goal then goes on.
         """
         async with self._switch(goal):
             if goal.is_paused:
@@ -150,9 +151,10 @@ class Pauses:
                 await hold.changed.wait()
         finally:
             hold.is_standing = False
-        # A cancel lets the body go and then cancels its task, both in one step. asyncio raises that
-        # in the `wait` above. trio has already ended the `wait` and would raise it only at the next
-        # checkpoint, so a body that had not begun would begin.
+        # A cancel lets the body go and then cancels its task, both in one step. asyncio raises the
+        # cancellation in the `wait` above. On trio the `wait` has ended by then, and the
+        # cancellation would be raised only at the next checkpoint: a body that had not begun would
+        # begin.
         if _is_ending(goal):
             await self._tasks.checkpoint()
 
@@ -171,7 +173,7 @@ class Pauses:
         return max(0, self._now() - moment)  # the clock may have been set back
 
     def let_go(self, goal: Goal) -> None:
-        """Let the body go on, or withdraw the request that it stands still."""
+        """Let the body go on, or withdraw the request to stand still."""
         hold, goal.hold = goal.hold, None
         if isinstance(hold, Hold):
             hold.changed.fire()
@@ -217,8 +219,8 @@ class Pauses:
                 raise PauseRefused("it is being canceled or has ended")
         except BaseException:
             self.let_go(goal)
-            # If the goal is being canceled, its children may be, too. What is left of them goes on
-            # when it has ended (`leave`).
+            # If the goal is being canceled, its children may be canceled, too. Those that are not
+            # go on when the goal has ended (`leave`).
             if goal.is_decided or not _is_ending(goal):
                 with anyio.move_on_after(CLEANING, shield=True):
                     await self._free(_paused_children(goal))
@@ -228,7 +230,8 @@ class Pauses:
     def enter(self, goal: Goal, parent: Goal) -> None:
         """Make a new goal the child of the one whose body has sent it.
 
-        If the parent is paused, or is to be, the goal begins paused. They are resumed together.
+        If the parent is paused, or is being paused, the goal begins paused. Both are resumed
+        together.
         """
         goal.enter_parent(parent, self)
         if parent.is_paused or parent.hold is not None:
@@ -261,10 +264,10 @@ class Pauses:
                 await pauses.resume(child)
 
     async def pause_unless_ended(self, goal: Goal, timeout: float) -> bool:
-        """Pause a goal like `pause`; return False if it is ending, so that it need not be paused.
+        """Pause a goal like `pause`; return False if the goal is ending anyway.
 
         Raises:
-            PauseRefused: if it cannot be paused, or not in time, and goes on.
+            PauseRefused: if the goal cannot be paused in time. It then goes on.
         """
         try:
             await self.pause(goal, timeout)
@@ -275,7 +278,10 @@ class Pauses:
         return True
 
     async def _bring_to_rest(self, goal: Goal) -> None:
-        """Call ``on_pause``. If that is cancelled, the robot may rest already: start it again."""
+        """Call ``on_pause``.
+
+        If that is cancelled, start the robot again, as it may rest already.
+        """
         try:
             await self._call(self._on_pause, goal, "on_pause")
         except self._tasks.cancelled:

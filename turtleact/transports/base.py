@@ -84,8 +84,8 @@ class QoS(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         depth: How many messages are kept for a reader that lags (keep last), at least 1.
-        durability: ``"transient_local"`` keeps them for readers that come later too.
-        reliability: ``"best_effort"`` allows the transport to lose messages.
+        durability: ``"transient_local"`` also keeps messages for readers that come later.
+            reliability: ``"best_effort"`` allows the transport to lose messages.
 
     Raises:
         InvalidMessage: if an attribute has another value.
@@ -225,7 +225,7 @@ class Owner(Protocol):
             opened: The transport's object, closed together with it.
 
         Returns:
-            The object that closes both sides; ``thing`` closes it when it is closed itself.
+            An object that closes both. ``thing`` closes that object when the user closes ``thing``.
         """
 
     def add_server(
@@ -259,7 +259,10 @@ class Publication(Closeable, Protocol):
         """Send from now on, because a reader exists even if it has not been discovered yet."""
 
     def refresh(self) -> None:
-        """Publish the source's current state. Other processes get many calls in a row as one."""
+        """Publish the source's current state.
+
+        Other processes get one message for many calls in a row.
+        """
 
     async def drained(self) -> None:
         """Wait until the publication is no longer congested. Cancelling: safe."""
@@ -276,7 +279,7 @@ class Source(Protocol):
         return ()
 
     def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:  # noqa: ARG002
-        """Return the same as bytes, for readers in other processes."""
+        """Return the messages of `current` as bytes, for readers in other processes."""
         return ()
 
     def readers_changed(self, *, has_readers: bool) -> None:
@@ -307,8 +310,8 @@ class Target(msgspec.Struct, frozen=True, gc=False):
 
     Attributes:
         servers: ``"all"``, as in ROS 2, or ``"one"``: the nearest. With all, the first reply wins.
-        counts: Decides by a reply's bytes whether it may win. Another reply is used only if no
-            server sends one that may. May be called in any thread.
+        counts: Decides by the bytes of a reply whether it may win. A reply that may not win is used
+            only if no other server sends a better one. May be called in any thread.
     """
 
     servers: Literal["one", "all"] = "all"
@@ -344,8 +347,8 @@ class CallObserver(Protocol):
 
     A call is identified by the gid of its client and by its sequence number. The methods must not
     raise. They are called where the call is handled: in the event loop, unless the client or the
-    server works in other threads. The handler of a service names its observer in the attribute
-    ``observer``, before it is offered.
+    server works in other threads. A handler has its observer in the attribute ``observer``, which
+    must be set before the handler is offered.
     """
 
     def requested(self, request: object, gid: bytes, sequence: int) -> None:
@@ -362,7 +365,7 @@ class Caller(Closeable, Protocol):
     """The client end of a service.
 
     Attributes:
-        observer: Watches the calls; None, as at first, for no observer.
+        observer: Watches the calls; None for no observer, which is the default.
     """
 
     observer: CallObserver | None
@@ -400,8 +403,9 @@ class Caller(Closeable, Protocol):
         Args:
             request: The request.
             note: As for `call`.
-            on_end: Called once with the call when it is over, in the thread that brings the reply
-                or in the event loop. A client that uses it may ask in any thread, one at a time.
+            on_end: Called once, with the call, when the call is over: in the thread that brings the
+                reply, or in the event loop. A client that passes this may call `ask` in any thread,
+                one at a time.
 
         Raises:
             InvalidMessage: if the request does not fit its type. Nothing was sent.
@@ -487,9 +491,9 @@ class Transport(Protocol):
     ) -> Closeable:
         """Open the receiving end of a topic; ``deliver`` gets each message.
 
-        With ``in_any_thread``, it is called in the thread that brings the message, without a detour
-        through the event loop: it must be quick and safe in any thread. If all subscriptions in
-        this process do so, any thread may publish to the topic, one at a time.
+        With ``in_any_thread``, ``deliver`` is called in the thread that brings the message, without
+        a detour through the event loop. So it must be quick, and safe in any thread. If all
+        subscriptions in this process do so, any thread may publish to the topic, one at a time.
         """
 
     def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
@@ -499,8 +503,8 @@ class Transport(Protocol):
         finish; closing the transport cancels them.
 
         If a node serves the same name and type several times, other processes see one service, so
-        that no client gets two replies. The oldest handler answers. It finds the others with
-        `all_local`, in case it must answer for them.
+        that no client gets two replies. The oldest handler answers. If it has to answer for the
+        others too, it finds them with `all_local`.
         """
 
     def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
@@ -589,7 +593,7 @@ def why_not_served(servers: Sequence[Endpoint], wanted: Endpoint, suffix: str = 
     Args:
         servers: All endpoints with the service's name, clients included.
         wanted: The client; its type hash is compared if it has one.
-        suffix: The end of the type names that users do not write.
+        suffix: The ending of the type names, which is not shown to users.
     """
     others = [each for each in servers if each.kind == "service" and each.name == wanted.name]
     hashes = {each.type_hash for each in others if each.type_name == wanted.type_name}

@@ -178,7 +178,7 @@ def why_not_open(config: SessionConfig, said: str) -> str:
 
     Args:
         config: The session's configuration.
-        said: Zenoh's message, after `words`.
+        said: Zenoh's message, as `words` returns it.
     """
     if "listener" in said or (config.listen and not config.connect):
         at = ", ".join(config.listen) or "the configured endpoints"

@@ -180,9 +180,9 @@ class Presence:
     Args:
         context: The transport's context.
         token: The token.
-        declare: Makes the other declarations; called in the outbox.
-        undeclare: Undoes them; called in the outbox.
-        on_demand: If not empty, the endpoint is declared only once another process has an endpoint
+        declare: Declares everything but the token; called in the outbox. undeclare: Undeclares the
+            same; called in the outbox. on_demand: If not empty, the endpoint is declared only once
+            another process has an endpoint
             with this name.
         on_wake: Called when it is declared on demand.
 
@@ -214,7 +214,7 @@ class Presence:
             self._appear()
 
     def wake(self) -> None:
-        """Declare it now, because another process has an endpoint with its name."""
+        """Declare the endpoint now, because another process has one with the same name."""
         self._appear()
         if self._on_wake is not None:
             self._on_wake()

@@ -199,7 +199,7 @@ def endpoint_token(domain: int, zid: str, node_id: int, number: int, endpoint: E
 def parse_token(key: str) -> Token | None:
     """Return the meaning of a token; None if it cannot be understood.
 
-    An endpoint gets the gid that its peers know it by.
+    If the token describes an endpoint, the endpoint gets the gid by which its peers know it.
     """
     chunks = key.split("/", ENDPOINT_CHUNKS) if len(key) <= LONGEST else []
     if len(chunks) < NODE_CHUNKS or chunks[0] != PREFIX or not all(chunks[:NODE_CHUNKS]):

@@ -371,7 +371,7 @@ class WireCaller:
             call.end()
 
     def doubt(self, server: str) -> None:
-        """Handle the loss of a server: calls may still be answered by another one for a moment."""
+        """Handle the loss of a server. For a moment, another server may still answer the calls."""
         if server != self._endpoint.name:
             return
         for call in self._calls.copy():  # since finished calls remove themselves
@@ -509,8 +509,8 @@ class WireCall:
         error: The text and the kind of an error.
         is_over: Whether a reply or error has arrived, or neither ever will.
         is_observed: Whether an observer has been told of the response.
-        on_end: The function to call in any thread when it is over, taken out before it is called:
-            the last reply and the loss of the server may be noticed at the same moment.
+        on_end: The function to call, in any thread, when the call is over. It is removed before it
+            is called, because two threads may notice the end at the same moment.
     """
 
     answer: tuple[bytes, bytes] | None = None
@@ -587,7 +587,7 @@ class WireCall:
         self._end_here()
 
     def _end_here(self) -> bool:
-        """Call the function for any thread, if there is one left; return whether there was."""
+        """Call `on_end` if it is still there; return whether it was."""
         try:
             on_end = self.on_end.pop()
         except IndexError:

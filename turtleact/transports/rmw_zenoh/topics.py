@@ -258,7 +258,7 @@ class WirePublication:
         return sum(map(len, payloads))
 
     def _grow_stale(self) -> None:
-        """Have the source's state sent, once for all changes until the loop's next turn."""
+        """Send the source's state at the loop's next turn, once for all changes until then."""
         if self.presence.is_asleep:  # it is refreshed when it wakes
             return
         self.is_stale = True

@@ -120,7 +120,7 @@ class ZenohTransport:
         """Open the receiving end of a topic; raises like `advertise`.
 
         With ``in_any_thread``, one of Zenoh's threads decodes and delivers messages from other
-        processes, and must not be kept: no other message arrives in the meantime.
+        processes. ``deliver`` must return quickly, because no other message arrives meanwhile.
         """
         named = self._name(endpoint, format)
         made = DirectSubscription if in_any_thread else WireSubscription
@@ -231,7 +231,9 @@ class ZenohTransport:
             del self._gone_since[found]
 
     async def domains(self) -> tuple[int, ...]:
-        """The ROS domains in which other sessions have nodes, but hidden ones. Cancelling: safe.
+        """The ROS domains in which other sessions have nodes; hidden nodes do not count.
+
+        Cancelling: safe.
 
         Raises:
             TurtleactError: if the transport is closed, now or while this waits.
