@@ -103,6 +103,7 @@ class Observers:
             it calls anything else.
         want_feedback: Whether any observer overrides `feedback_published`.
         want_bodies: Whether any observer overrides `enter_body`.
+        want_goals: Whether any observer hears of each goal: its changes, feedback or pauses.
     """
 
     __slots__ = (
@@ -114,6 +115,7 @@ class Observers:
         "are_any",
         "want_bodies",
         "want_feedback",
+        "want_goals",
     )
 
     def __init__(self, action: str) -> None:
@@ -123,9 +125,6 @@ class Observers:
         self._untold: deque[_News] = deque()
         self._is_telling = False
         self._set(())
-
-    def __len__(self) -> int:
-        return len(self._observers)
 
     def add(self, observer: GoalObserver) -> None:
         """Tell ``observer`` of every change from now on."""
@@ -179,6 +178,10 @@ class Observers:
         )
         self.want_feedback = bool(self._listeners["feedback_published"])
         self.want_bodies = bool(self._listeners["enter_body"])
+        self.want_goals = any(
+            self._listeners[method]
+            for method in ("goal_changed", "feedback_published", "pause_changed")
+        )
 
     def _tell(self, method: str, *news: object) -> None:
         """Tell all observers one piece of news, then whatever they cause meanwhile."""

@@ -427,37 +427,43 @@ class _ClientObservers(Observers):
     """The observers of one client.
 
     The client follows goals in other processes itself and reports on them. A server in the same
-    process reports on its goals through its own observers. While the client has observers, a relay
-    among the server's observers passes on what concerns this client's goals.
+    process reports on its goals through its own observers. While the client has observers of goals,
+    a relay among the server's observers passes on what concerns this client's goals.
     """
 
-    __slots__ = ("_relay", "_theirs")
+    __slots__ = ("_relay", "_relayed", "_theirs")
 
     def __init__(self, client: ActionClient[Any, Any, Any]) -> None:
         super().__init__(client.name)
         self._relay = _Relay(client, self)
         self._theirs: Observers | None = None
+        self._relayed: Observers | None = None
 
     def add(self, observer: GoalObserver) -> None:
         """Tell ``observer`` of every change from now on."""
-        if not len(self) and self._theirs is not None:
-            self._theirs.add(self._relay)
         super().add(observer)
+        self._set_relay()
 
     def remove(self, observer: GoalObserver) -> None:
         """Stop telling ``observer``; an unknown observer is ignored."""
         super().remove(observer)
-        if not len(self) and self._theirs is not None:
-            self._theirs.remove(self._relay)
+        self._set_relay()
 
     def watch(self, server: object | None) -> None:
         """Relay from this server from now on, instead of another one; None for no server."""
-        if len(self) and self._theirs is not None:
-            self._theirs.remove(self._relay)
         theirs = getattr(server, "observers", None)
         self._theirs = theirs if isinstance(theirs, Observers) else None
-        if len(self) and self._theirs is not None:
-            self._theirs.add(self._relay)
+        self._set_relay()
+
+    def _set_relay(self) -> None:
+        """Have the relay among the observers of the server if, and only if, it is needed."""
+        wanted = self._theirs if self.want_goals else None
+        if wanted is not self._relayed:
+            if self._relayed is not None:
+                self._relayed.remove(self._relay)
+            if wanted is not None:
+                wanted.add(self._relay)
+            self._relayed = wanted
 
 
 class _Relay(GoalObserver):

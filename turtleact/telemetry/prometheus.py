@@ -19,14 +19,68 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterator
-from typing import TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 from turtleact.node import Node
 from turtleact.telemetry.measuring import BOUNDS, measure
 
 __all__ = ["GoalMetrics"]
 
-Labels: TypeAlias = tuple[tuple[str, str], ...]
+Labels: TypeAlias = tuple[str, ...]
+"""The values of the labels of a metric, in the order of their names."""
+
+
+class _Metric(NamedTuple):
+    """A metric.
+
+    Attributes:
+        name: Its name.
+        kind: Its kind in Prometheus.
+        about: What it tells.
+        labels: The names of its labels.
+    """
+
+    name: str
+    kind: str
+    about: str
+    labels: tuple[str, ...] = ()
+
+    def head(self) -> Iterator[str]:
+        """The lines before the samples."""
+        yield f"# HELP {self.name} {self.about}"
+        yield f"# TYPE {self.name} {self.kind}"
+
+    def written(self, values: Labels, **more: str) -> str:
+        """The labels of a sample. Names of actions and states need no escaping."""
+        labels = {**dict(zip(self.labels, values, strict=True)), **more}
+        return "{" + ",".join(f'{name}="{each}"' for name, each in labels.items()) + "}"
+
+
+GOALS: Final = _Metric(
+    "ros_action_goals_total", "counter", "Goals that have ended.", ("action", "status")
+)
+DURATION: Final = _Metric(
+    "ros_action_duration_seconds",
+    "histogram",
+    "From a goal's acceptance to its end.",
+    ("action", "status"),
+)
+WAIT: Final = _Metric(
+    "ros_action_wait_seconds",
+    "histogram",
+    "From a goal's acceptance to the start of its body.",
+    ("action",),
+)
+ACTIVE: Final = _Metric(
+    "ros_action_active", "gauge", "Goals that have not ended.", ("action", "state")
+)
+LOST: Final = _Metric(
+    "ros_action_feedback_lost_total",
+    "counter",
+    "Feedback that has not reached a client.",
+    ("action",),
+)
+LAG: Final = _Metric("turtleact_loop_lag_seconds", "histogram", "How late the event loop is.")
 
 
 class GoalMetrics:
@@ -56,25 +110,12 @@ class GoalMetrics:
     def text(self) -> str:
         """All metrics in Prometheus's text format."""
         told = (
-            _counts("ros_action_goals_total", "counter", "Goals that have ended.", self._goals),
-            _histograms(
-                "ros_action_duration_seconds",
-                "From a goal's acceptance to its end.",
-                self._durations,
-            ),
-            _histograms(
-                "ros_action_wait_seconds",
-                "From a goal's acceptance to the start of its body.",
-                self._waits,
-            ),
-            _counts("ros_action_active", "gauge", "Goals that have not ended.", self._active),
-            _counts(
-                "ros_action_feedback_lost_total",
-                "counter",
-                "Feedback that has not reached a client.",
-                self._lost,
-            ),
-            _histograms("turtleact_loop_lag_seconds", "How late the event loop is.", self._lags),
+            _counts(GOALS, self._goals),
+            _histograms(DURATION, self._durations),
+            _histograms(WAIT, self._waits),
+            _counts(ACTIVE, self._active),
+            _counts(LOST, self._lost),
+            _histograms(LAG, self._lags),
         )
         return "".join(f"{line}\n" for lines in told for line in lines)
 
@@ -82,26 +123,33 @@ class GoalMetrics:
 
     def ended(self, action: str, status: str, seconds: float | None) -> None:
         """Count a goal that has ended."""
-        labels = ("action", action), ("status", status)
+        labels = action, status
         self._goals[labels] += 1
         if seconds is not None:
-            self._durations.setdefault(labels, _Histogram()).add(seconds)
+            self._add(self._durations, labels, seconds)
 
     def waited(self, action: str, seconds: float) -> None:
         """Record how long a goal has waited."""
-        self._waits.setdefault((("action", action),), _Histogram()).add(seconds)
+        self._add(self._waits, (action,), seconds)
 
     def active_changed(self, action: str, state: str, change: int) -> None:
         """Count goals that have entered or left a state."""
-        self._active[("action", action), ("state", state)] += change
+        self._active[action, state] += change
 
     def feedback_lost(self, action: str, count: int) -> None:
         """Count lost feedback."""
-        self._lost[(("action", action),)] += count
+        self._lost[action,] += count
 
     def lagged(self, seconds: float) -> None:
         """Record how late the event loop was."""
         self._lags[()].add(seconds)
+
+    @staticmethod
+    def _add(histograms: dict[Labels, _Histogram], labels: Labels, value: float) -> None:
+        histogram = histograms.get(labels)
+        if histogram is None:
+            histogram = histograms[labels] = _Histogram()
+        histogram.add(value)
 
 
 class _Histogram:
@@ -124,25 +172,18 @@ class _Histogram:
         self.sum += value
 
 
-def _counts(name: str, kind: str, about: str, counts: Counter[Labels]) -> Iterator[str]:
-    yield f"# HELP {name} {about}"
-    yield f"# TYPE {name} {kind}"
+def _counts(metric: _Metric, counts: Counter[Labels]) -> Iterator[str]:
+    yield from metric.head()
     for labels, count in sorted(counts.items()):
-        yield f"{name}{_written(labels)} {count}"
+        yield f"{metric.name}{metric.written(labels)} {count}"
 
 
-def _histograms(name: str, about: str, histograms: dict[Labels, _Histogram]) -> Iterator[str]:
-    yield f"# HELP {name} {about}"
-    yield f"# TYPE {name} histogram"
+def _histograms(metric: _Metric, histograms: dict[Labels, _Histogram]) -> Iterator[str]:
+    yield from metric.head()
     for labels, histogram in sorted(histograms.items()):
         count = 0
         for bound, more in zip((*BOUNDS, "+Inf"), histogram.counts, strict=True):
             count += more
-            yield f"{name}_bucket{_written((*labels, ('le', str(bound))))} {count}"
-        yield f"{name}_sum{_written(labels)} {histogram.sum!r}"
-        yield f"{name}_count{_written(labels)} {count}"
-
-
-def _written(labels: Labels) -> str:
-    # Names of actions and states have no character that would need escaping.
-    return "{" + ",".join(f'{name}="{value}"' for name, value in labels) + "}" if labels else ""
+            yield f"{metric.name}_bucket{metric.written(labels, le=str(bound))} {count}"
+        yield f"{metric.name}_sum{metric.written(labels)} {histogram.sum!r}"
+        yield f"{metric.name}_count{metric.written(labels)} {count}"

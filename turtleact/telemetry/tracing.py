@@ -62,6 +62,8 @@ LONGEST_STATE: Final = 512
 
 PROPAGATOR: Final = TraceContextTextMapPropagator()
 
+NO_NOTE: Final = GoalNote()
+
 ENDS: Final = {GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED}
 
 
@@ -93,9 +95,9 @@ class Tracing:
 
     def add_client(self, client: AnyClient) -> None:
         """Trace the goals of a client."""
-        spans = _ClientSpans(client, self._tracer, self._attributes(client), self._node)
-        client.observers.add(spans)
-        client.around = spans.around
+        client.around = _ClientSpans(
+            client, self._tracer, self._attributes(client), self._node
+        ).around
 
     def _attributes(self, end: AnyServer | AnyClient) -> dict[str, str | int]:
         return {
@@ -227,7 +229,8 @@ class _ServerSpans(_Spans):
         """Called after a goal has changed its state."""
         if after is GoalStatus.ACCEPTED:
             self._begin(goal)
-        super().goal_changed(goal, before, after)
+        if self.records:
+            super().goal_changed(goal, before, after)
 
     def noted(self, goal: Goal, news: News) -> None:
         """Called when something else happens to a goal."""
@@ -238,17 +241,20 @@ class _ServerSpans(_Spans):
 
     def enter_body(self, goal: Goal) -> None:
         """Make the goal's span the current one of its body."""
-        record = self.records.get(goal.id)
+        record = self.records.get(goal.id) if self.records else None
         if record is not None:
             contexts.attach(trace.set_span_in_context(record.span))
             REQUEST_NOTE.set(_note(record.span, is_detached=False))
             NEW_TRACES.set(False)
 
     def _begin(self, goal: Goal) -> None:
-        context, is_new = _sent_in(goal)
+        is_far = isinstance(goal.sender, bytes)  # the gid of a client in another process
+        note = _request_note() if is_far else NO_NOTE
+        context = _context_in(note) if is_far else _current()
         sender = trace.get_current_span(context).get_span_context()
         if sender.is_valid and not sender.is_remote and not sender.trace_flags.sampled:
             return
+        is_new = note.is_detached if is_far else NEW_TRACES.get()
         links = [Link(sender)] if is_new and sender.is_valid else None
         span = self._tracer.start_span(
             self._name,
@@ -263,19 +269,18 @@ class _ServerSpans(_Spans):
             span.set_attribute("ros.goal.id", goal_id.hex())
 
 
-def _sent_in(goal: Goal) -> tuple[Context, bool]:
-    """The context in which a goal was sent, and whether the goal gets a trace of its own."""
-    if isinstance(goal.sender, bytes):  # the gid of a client in another process
-        note = GoalNote.read(REQUEST_NOTE.get())
-        return _context_in(note), note.is_detached
-    return _current(), NEW_TRACES.get()
-
-
 def _current() -> Context:
     """The current context; without a current span, that of the request being handled."""
-    if trace.get_current_span().get_span_context().is_valid:
-        return contexts.get_current()
-    return _context_in(GoalNote.read(REQUEST_NOTE.get()))
+    context = contexts.get_current()
+    if trace.get_current_span(context).get_span_context().is_valid:
+        return context
+    return _context_in(_request_note())
+
+
+def _request_note() -> GoalNote:
+    """The note of the request being handled."""
+    text = REQUEST_NOTE.get()
+    return GoalNote.read(text) if text else NO_NOTE
 
 
 def _context_in(note: GoalNote) -> Context:
@@ -308,6 +313,9 @@ class _ClientSpans(_Spans):
         tracer: Makes the spans.
         attributes: What all of them have.
         node: The client's node.
+
+    Attributes:
+        is_observing: Whether it hears of goals: from the first goal on that is recorded.
     """
 
     def __init__(
@@ -318,7 +326,9 @@ class _ClientSpans(_Spans):
         node: Node,
     ) -> None:
         super().__init__()
+        self.is_observing = False
         self._name = f"send_goal {client.name}"
+        self._observers = client.observers
         self._tracer = tracer
         self._attributes = attributes
         self._transport = node.transport
@@ -336,12 +346,25 @@ class _ClientSpans(_Spans):
             record.end("")
         self.records.clear()
 
-    def start(self) -> tuple[Span, Context]:
+    @property
+    def is_near(self) -> bool:
+        """Whether the server is in this process."""
+        return self._transport.local(*self._service) is not None
+
+    def start(self, context: Context, *, is_near: bool) -> Span:
         """Start the span of a goal."""
-        is_near = self._transport.local(*self._service) is not None
-        context = _current()
         kind = SpanKind.INTERNAL if is_near else SpanKind.CLIENT
-        return self._tracer.start_span(self._name, context, kind, self._attributes), context
+        return self._tracer.start_span(self._name, context, kind, self._attributes)
+
+    def record(self, span: Span, goal_id: bytes) -> _Record:
+        """Write what happens to a goal to its span."""
+        if not self.is_observing:
+            self.is_observing = True
+            self._observers.add(self)
+        record = _Record(span)
+        span.set_attribute("ros.goal.id", goal_id.hex())
+        self.records.setdefault(goal_id, record)
+        return record
 
 
 class _Sending:
@@ -368,17 +391,19 @@ class _Sending:
 
     def _begin(self) -> GoalOrder:
         order = self._order
-        span, context = self._spans.start()
+        context, is_near = _current(), self._spans.is_near
+        span = self._spans.start(context, is_near=is_near)
         self._token = contexts.attach(trace.set_span_in_context(span, context))
-        note = _note(span, is_detached=NEW_TRACES.get())
-        self._note_before = REQUEST_NOTE.set(note)
-        if not span.is_recording():
+        is_recorded = span.is_recording()
+        if is_recorded or not is_near:  # the server must know of a goal that is not sampled, too
+            note = _note(span, is_detached=NEW_TRACES.get())
+            self._note_before = REQUEST_NOTE.set(note)
+        if not is_recorded:
             return order
-        self._record = _Record(span)
+        goal_id = order.goal_id or new_goal_id()
+        self._record = self._spans.record(span, goal_id)
         if order.goal_id is None:
-            order = self._order = msgspec.structs.replace(order, goal_id=new_goal_id())
-        span.set_attribute("ros.goal.id", (order.goal_id or b"").hex())
-        self._spans.records.setdefault(order.goal_id, self._record)
+            order = self._order = msgspec.structs.replace(order, goal_id=goal_id)
         return order
 
     def __exit__(
