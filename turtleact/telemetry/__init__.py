@@ -7,7 +7,8 @@ program that does not import this module pays nothing for it. `instrument` needs
 Source: OpenTelemetry's semantic conventions 1.44, "RPC" and "Recording errors"; W3C Trace Context.
 """
 
-from turtleact.telemetry.instrumentation import instrument, new_traces
+from turtleact.telemetry.instrumentation import instrument
+from turtleact.telemetry.linking import new_traces
 from turtleact.telemetry.logs import GoalFilter, JsonFormatter, TextFormatter
 from turtleact.telemetry.prometheus import GoalMetrics
 

@@ -6,9 +6,7 @@ The program chooses what happens to them: it sets up an SDK with exporters, or u
 
 from __future__ import annotations
 
-from collections.abc import Coroutine, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Coroutine
 from typing import TYPE_CHECKING
 
 from turtleact.errors import TurtleactError
@@ -20,10 +18,7 @@ if TYPE_CHECKING:
     from opentelemetry.metrics import MeterProvider
     from opentelemetry.trace import TracerProvider
 
-__all__ = ["NEW_TRACES", "instrument", "new_traces"]
-
-NEW_TRACES: ContextVar[bool] = ContextVar("NEW_TRACES", default=False)
-"""Whether goals sent now get traces of their own."""
+__all__ = ["instrument"]
 
 
 def instrument(
@@ -61,20 +56,6 @@ def instrument(
     watch(node, tracing.add_server, tracing.add_client)
     measure(node, instruments)
     node.resources.add(_Instrumentation(watch_loop(instruments)), _Nothing())
-
-
-@contextmanager
-def new_traces() -> Iterator[None]:
-    """A block in which each goal that is sent gets a trace of its own, linked to the current one.
-
-    Use it for goals that you detach. Otherwise the server's span is a child of the client's, which
-    suits a client that waits for the end.
-    """
-    token = NEW_TRACES.set(True)
-    try:
-        yield
-    finally:
-        NEW_TRACES.reset(token)
 
 
 class _Instrumentation:

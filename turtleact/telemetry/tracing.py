@@ -49,7 +49,7 @@ from turtleact.observers import (
     Lost,
     News,
 )
-from turtleact.telemetry.instrumentation import NEW_TRACES
+from turtleact.telemetry.linking import NEW_TRACES
 from turtleact.telemetry.measuring import AnyClient, AnyServer
 from turtleact.transports.base import REQUEST_NOTE
 
