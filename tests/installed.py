@@ -72,6 +72,8 @@ class Hidden(MetaPathFinder):
 if __name__ == "__main__":
     HIDDEN = frozenset(sys.argv[1].split(","))
     sys.meta_path.insert(0, Hidden())
+    for name in [each for each in sys.modules if each.partition(".")[0] in HIDDEN]:
+        del sys.modules[name]  # the one that forked this process has imported it
     sys.argv = sys.argv[2:]
     sys.path[0] = str(Path(sys.argv[0]).parent)
     runpy.run_path(sys.argv[0], run_name="__main__")

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from . import installed
+from . import installed, warm
 
 EXAMPLES = sorted(Path(__file__).parents[1].joinpath("examples").glob("[0-9][0-9]_*.py"))
 SECONDS = 50
@@ -45,12 +45,11 @@ def named(path: Path) -> list[str]:
 @pytest.fixture(scope="module", params=EXAMPLES, ids=lambda path: path.name)
 def example(request):
     """An example and how its run ended: warnings are errors, and nobody types anything."""
-    outcome = subprocess.run(
+    outcome = warm.run(
         installed.only(named(request.param), "-W", "error", script=request.param),
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        check=False,
         timeout=SECONDS,
     )
     return request.param, outcome

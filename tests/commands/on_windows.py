@@ -12,6 +12,7 @@ import pkgutil
 import runpy
 import signal
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 MODULES = ("fcntl", "grp", "pty", "pwd", "readline", "resource", "syslog", "termios", "tty")
@@ -25,10 +26,6 @@ FUNCTIONS = (
 def hide() -> None:
     """Hide what Windows lacks."""
     import asyncio  # noqa: F401  # is made for the system that it runs on
-    from contextlib import suppress
-
-    with suppress(ImportError):  # the same, where it is installed
-        import mcp.server.stdio  # noqa: F401
 
     for name in MODULES:
         sys.modules[name] = None  # type: ignore[assignment]  # makes an import fail
@@ -52,10 +49,13 @@ def import_all() -> None:
 
 
 if __name__ == "__main__":
-    hide()
     if len(sys.argv) == 1:
+        with suppress(ImportError):  # is made for the system that it runs on, if it is installed
+            import mcp.server.stdio  # noqa: F401
+        hide()
         import_all()
     else:
+        hide()
         from turtleact.commands import interrupts
 
         interrupts.WAITS_FOR_FILES = False
