@@ -42,7 +42,7 @@ def open_graph(nodes, clock=VirtualClock):
     """What opens the graph of these nodes for a verb."""
 
     @asynccontextmanager
-    async def open_transport(reach):
+    async def open_transport(reach, mode=None):
         transport = MemoryTransport(clock())
         async with aclosing(Background(transport.clock.run(), "the clock")), nodes(transport):
             yield transport

@@ -54,7 +54,7 @@ def test_names_are_listed_in_their_order_and_once():
 
 def test_a_signal_ends_the_opening_of_a_graph(turtleact, interrupts, monkeypatch):
     @asynccontextmanager
-    async def open_transport(reach):
+    async def open_transport(reach, mode=None):
         signal.raise_signal(signal.SIGTERM)
         await anyio.sleep_forever()
         yield

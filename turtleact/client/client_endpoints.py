@@ -49,6 +49,7 @@ from turtleact.transports.base import (
 )
 
 if TYPE_CHECKING:
+    from turtleact.fault_reports import FaultReports
     from turtleact.interfaces import Service
     from turtleact.introspection import Introspection
 
@@ -167,6 +168,8 @@ class ClientEndpoints:
         self._goals, self._cancels = RequestLimiter(), RequestLimiter()
         self._servers: list[Endpoint] = []  # the servers that existed when `is_ours` was learned
         self._seen = 0  # the graph's change count when `_servers` was last compared
+        self._lost = 0  # how many feedback messages have not arrived
+        self._reports: FaultReports | None = None
         self.send_goal = self._join(
             names.send_goal,
             f"{action_type.type_name}_SendGoal",
@@ -320,6 +323,20 @@ class ClientEndpoints:
         name, type_name = paused_topic(self.name), PausedGoals.type_name
         self._subscribe(name, type_name, WireFormat(PausedGoals), deliver, STATUS_QOS)
 
+    def report_lost(self, count: int) -> None:
+        """Report to the doctor that so many more feedback messages have not arrived."""
+        from turtleact.fault_reports import FaultReports  # few programs need it
+
+        if self._reports is None:
+            self._reports = FaultReports(self.transport, self._node)
+            self._opened.append(self._reports)
+        self._lost += count
+        self._reports.report(
+            f"lost-feedback {self.name}",
+            f"{self._lost} feedback messages of action {self.name} did not reach {self._node}",
+            "publish feedback less often, or on a network that loses less",
+        )
+
     def close(self) -> None:
         """Leave the graph."""
         for opened in reversed(self._opened):
@@ -335,6 +352,7 @@ class ClientEndpoints:
         self, name: str, type_name: str, find_type: Callable[[], type[Service]], target: Target
     ) -> Caller:
         endpoint = self._endpoint("client", name, type_name)
+        self._node = endpoint.node
         mode, maker = self._introspection, self._endpoint
         events = service_events(self.transport, maker, endpoint, find_type, mode)
         if events is not None:

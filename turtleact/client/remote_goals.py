@@ -407,6 +407,7 @@ class RemoteGoals:
         if remote.received < count:
             lost = count - remote.received
             logger.warning("%d feedback messages of goal %s were lost", lost, remote.goal.hex)
+            self._endpoints.report_lost(lost)
             if remote.is_observed:
                 self._observers.noted(remote.goal, FeedbackLost(lost))
 

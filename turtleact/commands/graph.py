@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
@@ -17,7 +17,7 @@ import anyio
 from turtleact.commands import runner
 from turtleact.commands.absence import note_empty
 from turtleact.commands.locks import mode_of
-from turtleact.commands.output import ELSEWHERE
+from turtleact.commands.output import ELSEWHERE, note
 from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface, UsageError
 from turtleact.graph import Kind, names_like, types_by_name
 from turtleact.interfaces import get_interface
@@ -30,12 +30,15 @@ if TYPE_CHECKING:
     from turtleact.commands.settings import Reach
     from turtleact.interfaces import Action, Message, Service
     from turtleact.transports import Transport
+    from turtleact.transports.base import Endpoint
+    from turtleact.transports.rmw_zenoh.config import Mode
 
 __all__ = [
     "Look",
     "chosen_class",
     "enter_if_there",
     "interface_class",
+    "note_differing",
     "open_graph",
     "open_transport",
     "run",
@@ -50,8 +53,12 @@ Look: TypeAlias = Callable[[Node], Awaitable[int]]
 
 
 @asynccontextmanager
-async def open_transport(reach: Reach) -> AsyncIterator[Transport]:
+async def open_transport(reach: Reach, mode: Mode | None = None) -> AsyncIterator[Transport]:
     """Open the graph that other processes are on; it has been explored when the block begins.
+
+    Args:
+        reach: Which graph.
+        mode: How to join it; by default as `mode_of` says.
 
     Raises:
         TurtleactError: if no graph is in reach.
@@ -59,7 +66,7 @@ async def open_transport(reach: Reach) -> AsyncIterator[Transport]:
     from turtleact.transports import open_zenoh
 
     locks = reach.locks()
-    mode, config = mode_of(reach.connect, locks), locks.settings()
+    mode, config = mode or mode_of(reach.connect, locks), locks.settings()
     opened = open_zenoh(reach.connect or None, mode=mode, domain=reach.domain, config=config)
     async with AsyncExitStack() as stack:
         try:
@@ -73,10 +80,10 @@ async def open_transport(reach: Reach) -> AsyncIterator[Transport]:
 
 
 @asynccontextmanager
-async def open_graph(reach: Reach) -> AsyncIterator[Node]:
+async def open_graph(reach: Reach, mode: Mode | None = None) -> AsyncIterator[Node]:
     """Open a hidden node on that graph. Raises as `open_transport` does."""
     async with (
-        open_transport(reach) as transport,
+        open_transport(reach, mode) as transport,
         open_node(f"_turtleact_cli_{os.getpid()}", transport=transport) as node,
     ):
         yield node
@@ -201,6 +208,23 @@ def chosen_class(
         hint = names_like(name, [each for each in found if "/_" not in each])
         raise TurtleactError(f"{kind} '{name}' is not there{hint}; give its type to go ahead")
     return interface_class(base, found[name][0], f"{kind} '{name}'")
+
+
+def note_differing(node: Node, endpoints: Iterable[Endpoint], known: Mapping[str, str]) -> None:
+    """Note which nodes have different definitions of a type, and so do not hear each other.
+
+    Args:
+        node: The node that looks; it does not count.
+        endpoints: The endpoints to compare.
+        known: Type hashes here that are compared too, by type name.
+    """
+    from turtleact.doctor.checks import differing_definitions
+    from turtleact.doctor.snapshot import EndpointSeen, Snapshot
+
+    own = node.fully_qualified_name
+    seen = tuple(EndpointSeen(each) for each in endpoints if each.node != own)
+    for fault in differing_definitions(Snapshot(endpoints=seen, known=known)):
+        note(f"{fault.problem}; {fault.advice}")
 
 
 async def _heed_interrupts(interrupts: Interrupts, scope: anyio.CancelScope) -> None:

@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
+from turtleact.commands.graph import note_differing
 from turtleact.commands.output import note, say_names
 from turtleact.errors import TurtleactError, UnknownInterface
 from turtleact.graph import Kind, is_hidden_node, names_like, types_by_name
@@ -234,6 +235,8 @@ async def print_node_info(node: Node, name: str, *, hidden: bool) -> int:
         say_names(f"  {title}:\n")
         found = types_by_name(own, kind, end, hidden=hidden)
         _say_lines([f"    {each}: {', '.join(types)}" for each, types in found.items()] or [""])
+    names_here = {each.name for each in own}
+    note_differing(node, [e for e in node.transport.endpoints() if e.name in names_here], {})
     return FOUND
 
 

@@ -14,6 +14,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import AsyncExitStack, aclosing, asynccontextmanager, contextmanager
 from datetime import datetime
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
 import anyio
@@ -190,6 +191,12 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
                 url = await stack.enter_async_context(_open_web(service.page, node))
                 log.say(f"web page, and rosbridge, at {url}")
             (transport, where), *_ = opened
+            if service.keeping is not None:
+                from turtleact.fault_reports import watching_disk
+
+                at, file = node.fully_qualified_name, Path(service.keeping.path)
+                watching = watching_disk(transport, at, file, "journal")
+                await stack.enter_async_context(watching)
             await transport.flush()
             actions = listed(list(types_by_name(transport.local_endpoints(), "action")))
             log.say(f"ready at {where}, domain {service.reach.domain}: {actions}")

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import anyio
 
 from turtleact.clock import within
-from turtleact.commands.graph import chosen_class
+from turtleact.commands.graph import chosen_class, note_differing
 from turtleact.commands.message_style import Style
 from turtleact.commands.output import note, say, say_message, say_names
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.graph import names_like, types_by_name
-from turtleact.interfaces import Message, encode, nanoseconds
+from turtleact.interfaces import Message, encode, nanoseconds, type_hash
 from turtleact.interfaces.definition import did_you_mean
 from turtleact.interfaces.types import fields, nested_classes
 from turtleact.names import resolve_name
@@ -92,6 +92,9 @@ async def echo(node: Node, order: Order) -> int:
     _check_path(message_type, order.path)
     qos = order.policies.qos(durability=_durability(node, name), depth=ECHO_DEPTH)
     subscription = node.subscription(message_type, name, qos)
+    endpoints = node.transport.endpoints()
+    publishers = [each for each in endpoints if each.kind == "publisher" and each.name == name]
+    note_differing(node, publishers, {message_type.type_name: type_hash(message_type)})
     async with anyio.create_task_group() as beside:
         beside.start_soon(note_absence, node, name)
         status = await _print(node, subscription, message_type, order)

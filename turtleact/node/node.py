@@ -28,6 +28,7 @@ from turtleact.names import ActionNames, action_names, resolve_name, validate_no
 from turtleact.node.arguments import check_declaration, check_server_options, expect
 from turtleact.node.conflicts import OnConflict, Rivals, tell_of_built_in
 from turtleact.node.hooks import Hook
+from turtleact.node.membership import Membership
 from turtleact.node.resources import Resources
 from turtleact.node.timers import Timer
 from turtleact.server.endpoints import ActionEndpoints
@@ -102,7 +103,7 @@ class Node:
         self._hooks: list[Transition] = []
         self._to_restore: list[LocalActionServer] = []
         self._parameters: NodeParameters | None = None
-        self._membership = transport.enter(self.fully_qualified_name)
+        self._membership = Membership(transport, self.fully_qualified_name)
 
     @property
     def fully_qualified_name(self) -> str:

@@ -18,6 +18,7 @@ import anyio.to_thread
 
 from turtleact.clock import WallClock
 from turtleact.errors import InvalidInterface, UnknownInterface
+from turtleact.fault_reports import watching_disk
 from turtleact.graph import SEND_GOAL
 from turtleact.interfaces import Message, WireFormat, get_interface, type_hash
 from turtleact.names import resolve_name
@@ -286,8 +287,10 @@ async def record(
     try:
         await recording.look()
         watch = Background(recording.watch(), f"recording {path}")
+        own, folder = node.fully_qualified_name, Path(path)
         try:
-            yield recording
+            async with watching_disk(node.transport, own, folder, "recording"):
+                yield recording
         finally:
             await watch.aclose()
     finally:

@@ -329,6 +329,10 @@ class PendingCall(Protocol):
     def is_over(self) -> bool:
         """Whether a reply has arrived, or none ever will."""
 
+    @property
+    def stamp(self) -> int | None:
+        """When the reply was sent, by the clock of its sender (ns since the epoch), if known."""
+
     def tell(self, told: Callable[[], object]) -> None:
         """Call ``told`` in the event loop, at least once, when the call is over."""
 

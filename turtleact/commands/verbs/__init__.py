@@ -61,7 +61,6 @@ _ELSEWHERE: Final = {
     "colcon": _NO_BUILD,
     "component": "each node is a program of its own, such as 'turtleact serve'",
     "control": "there are no controllers; 'turtleact action list' lists actions",
-    "doctor": "'turtleact node list' tells whether a graph is in reach",
     "extension_points": "there are no plug-ins; 'turtleact pkg list' lists packages",
     "extensions": "there are no plug-ins; 'turtleact pkg list' lists packages",
     "launch": "start each program in a terminal of its own, such as 'turtleact serve'",
@@ -78,7 +77,7 @@ _ELSEWHERE: Final = {
     "rqt_graph": "'turtleact node list' lists the nodes, 'turtleact node info NODE' describes one",
     "rviz2": "'turtleact serve --web 9090' shows the turtles in a browser",
     "test": _TEST,
-    "wtf": "'turtleact node list' tells whether a graph is in reach",
+    "wtf": "'turtleact doctor' finds out what is wrong",
 }
 """Verbs of ``ros2`` that turtleact does not have, and what to use instead."""
 
@@ -101,6 +100,7 @@ PANELS: Final = {
     **dict.fromkeys(("serve", "run", "mcp", "teleop", "snapshot"), "Turtles"),
     **dict.fromkeys(GROUPS, "Verbs of ros2"),
     "journal": "Goals",
+    "doctor": "Verbs of ros2",
 }
 """The heading of each verb in ``turtleact --help``."""
 

@@ -63,6 +63,11 @@ DEFAULTS: dict[str, object] = {
     "listen/exit_on_failure": True,
 }
 
+#: The settings of a router: like that of rmw_zenoh, it tells who asks what it is and whom it knows.
+ROUTER_DEFAULTS: dict[str, object] = {
+    "adminspace": {"enabled": True, "permissions": {"read": True, "write": False}},
+}
+
 #: More settings, where Zenoh has other defaults.
 TIGHTER: dict[str, object] = {
     # How long to wait for a peer's greeting (ms). On a connection that loses one packet in ten,
@@ -136,6 +141,8 @@ def session_config(
     to = _endpoints("connect", connect, () if text else CONNECT[mode])
     at = _endpoints("listen", listen, () if text else LISTEN[mode])
     defaults: dict[str, object] = {"mode": mode, **DEFAULTS, **TIGHTER}
+    if mode == "router":
+        defaults |= ROUTER_DEFAULTS
     settings: dict[str, object] = {}
     if connect is not None or not text:
         settings["connect/endpoints"] = to

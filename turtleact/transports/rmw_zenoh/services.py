@@ -543,6 +543,14 @@ class WireCall:
         """The sequence number of the request."""
         return read_attachment(self._attachment).sequence
 
+    @property
+    def stamp(self) -> int | None:
+        """When the reply was sent (ns since the epoch); None before, or if it does not say."""
+        try:
+            return None if self.answer is None else read_attachment(self.answer[1]).stamp
+        except InvalidMessage:
+            return None
+
     def tell(self, told: Callable[[], object]) -> None:
         """Have a function called when it is over; see `turtleact.transports.base.PendingCall`."""
         self._told = told

@@ -47,6 +47,9 @@ TIMEOUT = "Timeout"
 #: How long others have to answer which tokens they know (s).
 ANSWER = 2.0
 
+#: How long routers have to tell about themselves (s).
+ADMIN = 1.0
+
 #: How soon after the last message its number is repeated for readers that missed it (s).
 HEARTBEAT = 0.5
 
@@ -167,6 +170,28 @@ class Session:
         asked = self._ask(key)
         watched.undeclare()
         return list(dict.fromkeys([*asked, *tuple(found)]))
+
+    def routers(self) -> dict[str, str]:
+        """Return the routers in reach: the id of each, and what it says about itself as JSON.
+
+        A router says nothing if its admin space is off. Blocks for `ADMIN` seconds at most.
+        """
+        found = {str(zid): "" for zid in self._session.info.routers_zid()}
+        ended = threading.Event()
+
+        def take(reply: zenoh.Reply) -> None:
+            sample = reply.ok
+            if sample is not None:
+                zid = str(sample.key_expr).split("/")[1]
+                if zid in found:
+                    found[zid] = sample.payload.to_bytes().decode(errors="replace")
+
+        with _mapped("ask the routers"):
+            self._session.get(
+                "@/*/router", Callback(take, ended.set, indirect=False), timeout=ADMIN
+            )
+        ended.wait()
+        return found
 
     def _ask(self, key: str) -> list[str]:
         # Zenoh delivers tokens that it knows inside `get`. Its own channel holds 256 and then waits

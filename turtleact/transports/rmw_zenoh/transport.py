@@ -255,6 +255,26 @@ class ZenohTransport:
         await self._wait_unless_closed(answered)
         return tuple(sorted(found))
 
+    async def routers(self) -> dict[str, str]:
+        """The routers in reach, and what each says about itself as JSON. Cancelling: safe.
+
+        Raises:
+            TurtleactError: if the transport is closed, now or while this waits.
+        """
+        self._check_open()
+        context, answered = self.context, anyio.Event()
+        found: dict[str, str] = {}
+
+        def ask() -> None:
+            try:
+                found.update(context.session.routers())
+            finally:
+                context.tasks.from_anywhere(answered.set)
+
+        context.outbox.post(ask)
+        await self._wait_unless_closed(answered)
+        return found
+
     async def aclose(self) -> None:
         """Close the session: calls under way end, and handlers are cancelled.
 

@@ -1,0 +1,122 @@
+"""Faults that a process reports: published when there are some, and taken back when they go."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+import turtleact
+from turtleact import fault_reports
+from turtleact.client import remote_goals
+from turtleact.fault_reports import ROOM, TOPIC, FaultReports, disk_fault, watching_disk
+from turtleact.interfaces.standard.diagnostic_msgs.msg import DiagnosticArray
+from turtleact.testing import FaultyTransport
+from turtleact.transports import MemoryTransport, QoS
+
+from .lab import Count, count, goal, settle
+
+LATCHED = QoS(depth=10, durability="transient_local")
+
+
+class Usage(NamedTuple):
+    """What a disk looks like."""
+
+    total: int
+    used: int
+    free: int
+
+
+def told(message: DiagnosticArray) -> list[tuple[str, str]]:
+    return [(each.name, each.message) for each in message.status]
+
+
+async def test_the_topic_exists_from_the_first_fault_on():
+    async with turtleact.open_node("lab") as node:
+        reports = FaultReports(node.transport, "/lab")
+        assert not node.transport.endpoints(TOPIC)
+        reports.report("disk /a", "it is full", "free some space")
+        reader = node.subscription(DiagnosticArray, TOPIC, LATCHED)
+        [message] = reader.drain()
+        assert told(message) == [("disk /a", "it is full")]
+        assert [(each.key, each.value) for each in message.status[0].values] == [
+            ("advice", "free some space")
+        ]
+        reports.close()
+        assert not [each for each in node.transport.endpoints(TOPIC) if each.kind == "publisher"]
+
+
+async def test_a_fault_replaces_an_earlier_one_and_is_taken_back():
+    async with turtleact.open_node("lab") as node:
+        reports = FaultReports(node.transport, "/lab")
+        reader = node.subscription(DiagnosticArray, TOPIC, LATCHED)
+        reports.report("a", "one", "")
+        reports.report("b", "two", "")
+        reports.report("a", "three", "")
+        reports.report("a", "three", "")  # nothing new, so nothing is published
+        reports.clear("b")
+        reports.clear("c")
+        assert [told(each) for each in reader.drain()] == [
+            [("a", "one")],
+            [("a", "one"), ("b", "two")],
+            [("a", "three"), ("b", "two")],
+            [("a", "three")],
+        ]
+        reports.close()
+
+
+@pytest.mark.parametrize(
+    ("total", "free", "is_fault"),
+    [
+        (10**12, ROOM - 1, True),
+        (10**12, ROOM, False),
+        (10**9, 49_000_000, True),  # a small disk may be nearly full with less
+        (10**9, 51_000_000, False),
+    ],
+)
+def test_a_disk_is_nearly_full_by_its_size(monkeypatch, total, free, is_fault):
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(total, 0, free))
+    problem = disk_fault(Path("/data/goals.db"), "journal")
+    assert bool(problem) is is_fault
+    if is_fault:
+        assert problem == (
+            f"the disk of the journal /data/goals.db is nearly full: {free / 1e6:.0f} MB are free"
+        )
+
+
+def test_a_disk_that_cannot_be_looked_at_is_no_fault():
+    assert not disk_fault(Path("/no/such/folder/goals.db"), "journal")
+
+
+async def test_a_disk_is_looked_at_again_and_again(monkeypatch, tmp_path):
+    free = [0]
+    monkeypatch.setattr(fault_reports, "LOOK_EVERY", 0.0)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(10**12, 0, free[0]))
+    async with turtleact.open_node("lab") as node:
+        reader = node.subscription(DiagnosticArray, TOPIC, LATCHED)
+        async with watching_disk(node.transport, "/lab", tmp_path, "recording"):
+            assert told(await anext(reader))[0][0] == f"disk {tmp_path}"
+            free[0] = 10**12
+            assert told(await anext(reader)) == []
+
+
+async def test_a_client_reports_feedback_that_has_not_arrived(monkeypatch):
+    monkeypatch.setattr(remote_goals, "LATE_FEEDBACK", 0.01)
+    graph = MemoryTransport()
+    async with (
+        FaultyTransport(graph, seed=1) as faulty,
+        turtleact.open_node("server", transport=graph) as far,
+        turtleact.open_node("client", transport=faulty) as near,
+    ):
+        far.action_server(Count, "count", count, introspection="metadata")  # goals as messages
+        client = near.action_client(Count, "count")
+        await client.send_goal(goal(1))
+        faulty.drop = 1.0
+        await client.send_goal(goal(3))
+        reader = far.subscription(DiagnosticArray, TOPIC, LATCHED)
+        await settle()
+        [(name, problem)] = told(reader.drain()[-1])
+        assert name == "lost-feedback /count"
+        assert problem == "3 feedback messages of action /count did not reach /client"

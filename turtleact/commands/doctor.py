@@ -1,0 +1,127 @@
+"""``doctor``: what is wrong with the graph, one line for each fault, with what to do about it."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import AsyncIterator, Iterator
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import TYPE_CHECKING
+
+from turtleact.commands import graph, runner
+from turtleact.commands.output import say_names
+from turtleact.doctor.checks import Fault, find_faults
+from turtleact.doctor.gathering import take_snapshot
+from turtleact.errors import TurtleactError, UsageError
+
+if TYPE_CHECKING:
+    from turtleact.commands.interrupts import Interrupts
+    from turtleact.commands.settings import Reach
+    from turtleact.doctor.snapshot import Snapshot
+    from turtleact.node import Node
+
+__all__ = ["run"]
+
+HEALTHY, FAULTY = 0, 1
+"""Exit statuses."""
+
+
+def run(reach: Reach, interrupts: Interrupts, *, as_json: bool, verbose: bool) -> int:
+    """Print the faults of a graph and return the exit status: 1 if there is any.
+
+    Args:
+        reach: Which graph.
+        interrupts: The signals.
+        as_json: Whether to print a line of JSON for each fault.
+        verbose: Whether to print facts about the graph, too.
+
+    Raises:
+        UsageError: if the ``--config`` file is at fault.
+    """
+
+    async def look(node: Node) -> int:
+        snapshot = await take_snapshot(node, with_domains=verbose)
+        facts = _facts(snapshot) if verbose else {}
+        return _print(find_faults(snapshot), facts, as_json=as_json)
+
+    async def act(found: Node | Fault) -> int:
+        return (
+            _print([found], {}, as_json=as_json) if isinstance(found, Fault) else await look(found)
+        )
+
+    return runner.run(graph.until_interrupted(_open(reach), act, interrupts), interrupts)
+
+
+@asynccontextmanager
+async def _open(reach: Reach) -> AsyncIterator[Node | Fault]:
+    """Open a node on the graph, or give the fault that keeps it from being opened.
+
+    The node talks through the router only. It therefore also sees nodes that hang: the router shows
+    them until their lease ends, while a peer would have to connect to them first.
+
+    Raises:
+        UsageError: if the ``--config`` file is at fault.
+    """
+    async with AsyncExitStack() as stack:
+        try:
+            node = await stack.enter_async_context(graph.open_graph(reach, "client"))
+        except UsageError:
+            raise
+        except TurtleactError as error:
+            yield _unreachable(str(error))
+        else:
+            yield node
+
+
+def _unreachable(problem: str) -> Fault:
+    problem, _, advice = problem.partition("; ")
+    return Fault("no-router", (), problem, advice)
+
+
+def _print(faults: list[Fault], facts: dict[str, object], *, as_json: bool) -> int:
+    if as_json:
+        lines = [json.dumps(_as_dict(each)) for each in faults]
+        lines += [json.dumps({"facts": facts})] * bool(facts)
+    else:
+        found = list(map(str, faults)) or ["no faults found"]
+        lines = [*found, *_fact_lines(facts)]
+    say_names("".join(f"{line}\n" for line in lines))
+    return FAULTY if faults else HEALTHY
+
+
+def _as_dict(fault: Fault) -> dict[str, object]:
+    return {
+        "fault": fault.kind,
+        "names": list(fault.names),
+        "problem": fault.problem,
+        "advice": fault.advice,
+    }
+
+
+def _facts(snapshot: Snapshot) -> dict[str, object]:
+    """What the snapshot says about a graph, whether it is at fault or not."""
+    sessions = Counter(each.session for each in snapshot.nodes)
+    return {
+        "domain": snapshot.domain,
+        "domains in use": list(snapshot.domains),
+        "routers": [
+            {"zid": each.zid, "zenoh": each.version, "sessions": each.sessions}
+            for each in snapshot.routers or ()
+        ],
+        "zenoh": snapshot.zenoh,
+        "sessions with nodes": len(sessions),
+        "nodes": len(snapshot.nodes),
+        "endpoints": len(snapshot.endpoints),
+        "clocks": {
+            each.node: round(each.offset, 4) for each in snapshot.answers if each.offset is not None
+        },
+    }
+
+
+def _fact_lines(facts: dict[str, object]) -> Iterator[str]:
+    for name, value in facts.items():
+        if isinstance(value, list | dict):
+            text = json.dumps(value).strip("[]") or "none"
+        else:
+            text = str(value)
+        yield f"{name}: {text}"

@@ -1,0 +1,353 @@
+"""The checks of the doctor: each finds one kind of fault in a snapshot. Pure.
+
+Source: rmw ``qos_profiles.h`` and the compatibility tables of the ROS 2 documentation;
+rmw_zenoh_cpp ``liveliness_utils.cpp`` for what peers write into their tokens.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from itertools import product
+from typing import Final
+
+import msgspec
+
+from turtleact.doctor.snapshot import EndpointSeen, Fields, Snapshot
+from turtleact.graph import SEND_GOAL, is_hidden_node
+from turtleact.transports.base import Endpoint
+
+__all__ = ["CLOCKS_APART", "Fault", "differing_definitions", "find_faults"]
+
+CLOCKS_APART: Final = 0.1
+"""Clocks that differ by more are a fault (s)."""
+
+HASHED: Final = re.compile(r"RIHS[0-9]+_[0-9a-f]+")
+"""A type hash. ROS 2 Humble writes another word, because its types have no hashes."""
+
+MOST_FIELDS: Final = 4
+"""How many differing fields are named."""
+
+
+class Fault(msgspec.Struct, frozen=True):
+    """Something that is wrong with a graph.
+
+    Attributes:
+        kind: The kind of fault, such as "duplicate-node".
+        names: What is concerned: nodes, topics, services, actions or types.
+        problem: What is wrong.
+        advice: What to do.
+    """
+
+    kind: str
+    names: tuple[str, ...]
+    problem: str
+    advice: str
+
+    def __str__(self) -> str:
+        """One line."""
+        return f"{self.kind}: {self.problem}{f'; {self.advice}' if self.advice else ''}"
+
+
+def find_faults(snapshot: Snapshot) -> list[Fault]:
+    """Return all faults, in the order of the checks below."""
+    return [fault for check in CHECKS for fault in check(snapshot)]
+
+
+# the session and its router
+
+
+def missing_router(snapshot: Snapshot) -> Iterator[Fault]:
+    """No router is in reach."""
+    if snapshot.routers == ():
+        yield Fault(
+            "no-router",
+            (),
+            "no router is in reach, so nodes that start later are not found",
+            "start one with 'turtleact serve' or with rmw_zenohd",
+        )
+
+
+def unfitting_versions(snapshot: Snapshot) -> Iterator[Fault]:
+    """A router has another major version of Zenoh, or a peer a release of ROS 2 without hashes."""
+    for router in snapshot.routers or ():
+        theirs, ours = _major(router.version), _major(snapshot.zenoh)
+        if theirs and ours and theirs != ours:
+            yield Fault(
+                "version",
+                (router.zid,),
+                f"router {router.zid} has Zenoh {router.version}, this program {snapshot.zenoh}",
+                "use the same major version on both sides",
+            )
+    found = {
+        each.endpoint.node
+        for each in snapshot.endpoints
+        if each.endpoint.type_hash and not HASHED.fullmatch(each.endpoint.type_hash)
+    }
+    for node in sorted(found):
+        yield Fault(
+            "version",
+            (node,),
+            f"node {node} sends no type hashes, as in ROS 2 Humble, so only nodes of that release "
+            "can talk to it",
+            "run it with ROS 2 Jazzy or later",
+        )
+
+
+def clocks_apart(snapshot: Snapshot) -> Iterator[Fault]:
+    """The clock of a process differs from ours."""
+    for answer in snapshot.answers:
+        offset = answer.offset
+        if offset is not None and abs(offset) - answer.uncertainty > CLOCKS_APART:
+            where = "ahead of" if offset > 0 else "behind"
+            yield Fault(
+                "clock",
+                (answer.node,),
+                f"the clock of node {answer.node} is {abs(offset):.2g} s {where} the clock here",
+                "synchronise the clocks of the machines, for example with chrony",
+            )
+
+
+def silent_nodes(snapshot: Snapshot) -> Iterator[Fault]:
+    """A process is on the graph but does not answer."""
+    for answer in snapshot.answers:
+        if not answer.is_answered:
+            names = _nodes_of(snapshot, answer.session) or (answer.node,)
+            yield Fault(
+                "silent-node",
+                names,
+                f"{_list('node', names)} {_do(names)} not answer: the process hangs, or has died "
+                "and stays on the graph until its lease ends",
+                "stop that process and start it again",
+            )
+
+
+# names
+
+
+def duplicate_nodes(snapshot: Snapshot) -> Iterator[Fault]:
+    """Several nodes have one name."""
+    counts = Counter(each.name for each in snapshot.nodes)
+    for name, count in sorted(counts.items()):
+        if count > 1:
+            yield Fault(
+                "duplicate-node",
+                (name,),
+                f"{count} nodes are called {name}",
+                "give each node a name of its own; 'turtleact serve' has --node-name",
+            )
+
+
+def several_servers(snapshot: Snapshot) -> Iterator[Fault]:
+    """Several nodes serve one action, so that a goal of a ROS 2 client runs several times."""
+    servers: dict[str, set[tuple[str, str]]] = {}
+    for each in snapshot.endpoints:
+        if each.endpoint.kind == "service" and each.endpoint.name.endswith(SEND_GOAL):
+            action = each.endpoint.name.removesuffix(SEND_GOAL)
+            servers.setdefault(action, set()).add((each.endpoint.node, each.session))
+    for action, found in sorted(servers.items()):
+        if len(found) > 1:
+            nodes = sorted(node for node, _ in found)
+            yield Fault(
+                "several-servers",
+                (action, *nodes),
+                f"{len(found)} nodes serve action {action}: {', '.join(nodes)}",
+                "stop all but one: clients of ROS 2 send each goal to all of them",
+            )
+
+
+# types
+
+
+def differing_definitions(snapshot: Snapshot) -> Iterator[Fault]:
+    """Nodes have different definitions of one type, so they do not hear each other.
+
+    Of the topics and services of an action, only the first that differs is named.
+    """
+    told: set[tuple[str, str]] = set()
+    for (name, type_name), found in sorted(_by_name_and_type(snapshot).items()):
+        subject = _plain(name), _owner(type_name)
+        holders = _holders(snapshot, type_name, found)
+        if len(holders) < 2 or subject in told:
+            continue
+        told.add(subject)
+        who = " and ".join(
+            f"{_short(type_hash)} {'' if nodes == ['here'] else 'at '}{', '.join(nodes)}"
+            for type_hash, nodes in sorted(holders.items())
+        )
+        nodes = sorted({node for nodes in holders.values() for node in nodes} - {"here"})
+        yield Fault(
+            "type-hash",
+            (subject[0], subject[1], *nodes),
+            f"the definitions of {subject[1]} on {subject[0]} differ: {who}"
+            f"{_why_differing(snapshot, type_name, sorted(holders))}",
+            "use the same interface files everywhere, and build them again",
+        )
+
+
+def _holders(
+    snapshot: Snapshot, type_name: str, found: Iterable[EndpointSeen]
+) -> dict[str, list[str]]:
+    """Who has which definition: the nodes by type hash; this process counts as ``here``."""
+    holders: dict[str, set[str]] = {}
+    for each in found:
+        if HASHED.fullmatch(each.endpoint.type_hash):
+            holders.setdefault(each.endpoint.type_hash, set()).add(each.endpoint.node)
+    ours = snapshot.known.get(type_name, "")
+    if ours and holders and ours not in holders:
+        holders[ours] = {"here"}
+    return {type_hash: sorted(nodes) for type_hash, nodes in holders.items()}
+
+
+def unknown_interfaces(snapshot: Snapshot) -> Iterator[Fault]:
+    """A type on the graph is not known here."""
+    where: dict[str, set[str]] = {}
+    for each in snapshot.endpoints:
+        if each.endpoint.type_name not in snapshot.known and not is_hidden_node(each.endpoint.node):
+            owner = _owner(each.endpoint.type_name)
+            where.setdefault(owner, set()).add(_plain(each.endpoint.name))
+    for type_name, names in sorted(where.items()):
+        yield Fault(
+            "unknown-interface",
+            (type_name, *sorted(names)),
+            f"{type_name} of {', '.join(sorted(names))} is not known here",
+            "source the ROS workspace that has it, or give --interfaces DIR",
+        )
+
+
+# quality of service
+
+
+def incompatible_qos(snapshot: Snapshot) -> Iterator[Fault]:
+    """A subscription asks for more than a publisher of its topic offers."""
+    for (name, _), found in sorted(_by_name_and_type(snapshot).items()):
+        ends = {each.endpoint for each in found if not is_hidden_node(each.endpoint.node)}
+        publishers = sorted((e for e in ends if e.kind == "publisher"), key=_order)
+        readers = sorted((e for e in ends if e.kind == "subscription"), key=_order)
+        for publisher, reader in product(publishers, readers):
+            if misfits := list(_misfits(publisher, reader)):
+                yield Fault(
+                    "qos",
+                    (name, publisher.node, reader.node),
+                    f"on topic {name}, {reader.node} asks for {' and '.join(misfits)} than "
+                    f"{publisher.node} offers",
+                    "choose the same quality of service on both sides",
+                )
+
+
+def _misfits(publisher: Endpoint, reader: Endpoint) -> Iterator[str]:
+    offered, asked = publisher.qos, reader.qos
+    if (offered.reliability, asked.reliability) == ("best_effort", "reliable"):
+        yield "more reliability (reliable, not best_effort)"
+    if (offered.durability, asked.durability) == ("volatile", "transient_local"):
+        yield "more durability (transient_local, not volatile)"
+    for policy, most in (
+        ("deadline", reader.times.deadline),
+        ("lease duration", reader.times.lease),
+    ):
+        least = publisher.times.deadline if policy == "deadline" else publisher.times.lease
+        if most is not None and (least is None or least > most):
+            yield f"a shorter {policy} ({most / 1e9:g} s)"
+
+
+# what processes report themselves
+
+
+def reported(snapshot: Snapshot) -> Iterator[Fault]:
+    """A process has found a fault in itself, such as a full disk."""
+    for report in snapshot.reports:
+        kind, _, subject = report.name.partition(" ")
+        yield Fault(kind, (subject,), report.problem, report.advice)
+
+
+CHECKS: Final[tuple[Callable[[Snapshot], Iterable[Fault]], ...]] = (
+    missing_router,
+    unfitting_versions,
+    silent_nodes,
+    clocks_apart,
+    duplicate_nodes,
+    several_servers,
+    differing_definitions,
+    unknown_interfaces,
+    incompatible_qos,
+    reported,
+)
+"""All checks, the most fundamental faults first."""
+
+
+def _major(version: str) -> str:
+    return version.lstrip("v").partition(".")[0]
+
+
+def _nodes_of(snapshot: Snapshot, session: str) -> tuple[str, ...]:
+    return tuple(sorted({each.name for each in snapshot.nodes if each.session == session}))
+
+
+def _list(what: str, names: tuple[str, ...]) -> str:
+    return f"{what if len(names) == 1 else f'{what}s'} {', '.join(names)}"
+
+
+def _do(names: tuple[str, ...]) -> str:
+    return "does" if len(names) == 1 else "do"
+
+
+def _by_name_and_type(snapshot: Snapshot) -> dict[tuple[str, str], list[EndpointSeen]]:
+    found: dict[tuple[str, str], list[EndpointSeen]] = {}
+    for each in snapshot.endpoints:
+        found.setdefault((each.endpoint.name, each.endpoint.type_name), []).append(each)
+    return found
+
+
+def _short(type_hash: str) -> str:
+    return f"{type_hash[:14]}…"
+
+
+def _plain(name: str) -> str:
+    """The name that users know: that of the action, or of the service whose events these are."""
+    return name.partition("/_action/")[0].removesuffix("/_service_event")
+
+
+def _owner(type_name: str) -> str:
+    """The interface that users write: without the parts that an action or service implies."""
+    package, _, rest = type_name.partition("/")
+    kind, _, name = rest.partition("/")
+    if kind in ("action", "srv"):
+        name = name.partition("_")[0]
+    return f"{package}/{kind}/{name}"
+
+
+def _order(endpoint: Endpoint) -> tuple[str, bytes]:
+    return endpoint.node, endpoint.gid
+
+
+def _why_differing(snapshot: Snapshot, type_name: str, hashes: list[str]) -> str:
+    """Name the fields in which the definitions differ, if they are known."""
+    known = [
+        (each, fields)
+        for each in hashes
+        if (fields := snapshot.fields.get((type_name, each))) is not None
+    ]
+    if len(known) < 2:
+        return ""
+    is_implied = "/action/" in type_name
+    differences = [
+        f"{_shown(path, is_implied=is_implied)} is {' and '.join(words)}"
+        for path, words in _differences([fields for _, fields in known])
+    ]
+    more = len(differences) - MOST_FIELDS
+    shown = [*differences[:MOST_FIELDS], *([f"and {more} more"] if more > 0 else [])]
+    return f" ({', '.join(shown)})" if shown else " (the fields have another order)"
+
+
+def _shown(path: str, *, is_implied: bool) -> str:
+    """The path of a field as users know it: an action's services are not theirs."""
+    return path.removeprefix("request.").removeprefix("response.") if is_implied else path
+
+
+def _differences(definitions: list[Fields]) -> Iterator[tuple[str, list[str]]]:
+    paths = list(dict.fromkeys(path for each in definitions for path in each))
+    for path in paths:
+        words = [each.get(path, "missing") for each in definitions]
+        if len(set(words)) > 1:
+            yield path, words

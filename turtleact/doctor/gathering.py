@@ -1,0 +1,284 @@
+"""Takes a snapshot of a running graph: looks at tokens, and asks each process a harmless question.
+
+A process is asked through a service that it offers anyway: it is to cancel a goal that does not
+exist, to list no parameters, or to describe a type. The answer shows that it is alive, and the
+time at which it was sent shows how far its clock is off. A process without such a service is not
+asked.
+
+Source: action_msgs/srv/CancelGoal, rcl_interfaces/srv/ListParameters,
+type_description_interfaces/srv/GetTypeDescription.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any, Final
+
+import anyio
+import msgspec
+
+from turtleact.doctor.definitions import described_fields, own_fields
+from turtleact.doctor.snapshot import (
+    Answer,
+    EndpointSeen,
+    Fields,
+    NodeSeen,
+    Report,
+    Router,
+    Snapshot,
+)
+from turtleact.errors import TurtleactError
+from turtleact.fault_reports import ADVICE, TOPIC
+from turtleact.interfaces import WireFormat, get_interface, type_hash
+from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
+from turtleact.interfaces.standard.diagnostic_msgs.msg import DiagnosticArray
+from turtleact.transports import QoS, ZenohTransport
+from turtleact.transports.base import Endpoint
+
+if TYPE_CHECKING:
+    from turtleact.node import Node
+    from turtleact.transports.base import Caller, PendingCall, Transport
+
+__all__ = ["take_snapshot"]
+
+PATIENCE: Final = 1.5
+"""How long processes have to answer (s, event loop time)."""
+
+REPORTING: Final = 1.0
+"""How long to wait for the faults that processes report (s, event loop time)."""
+
+READ_QOS: Final = QoS(depth=1000, durability="transient_local")
+
+LIST_PARAMETERS: Final = "rcl_interfaces/srv/ListParameters"
+GET_DESCRIPTION: Final = "type_description_interfaces/srv/GetTypeDescription"
+
+QUESTIONS: Final = (CancelGoal.type_name, LIST_PARAMETERS, GET_DESCRIPTION)
+"""The types of services that can be asked without doing harm, the preferred one first."""
+
+
+async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
+    """Look at the graph of a node, ask its processes, and collect what they report.
+
+    Takes about `PATIENCE` seconds if a process does not answer. Cancelling: safe.
+
+    Args:
+        node: A node on the graph. It is left out of the snapshot.
+        with_domains: Whether to find out which other ROS domains are in use.
+    """
+    nodes, endpoints = _seen(node)
+    answers: list[Answer] = []
+    reports: list[Report] = []
+    around: list[Snapshot] = []
+    async with anyio.create_task_group() as group:
+        for session, asked in _to_ask(endpoints).items():
+            group.start_soon(_ask, node, session, asked, answers)
+        group.start_soon(_collect_reports, node, reports)
+        group.start_soon(_look_around, node, around, with_domains)
+    known = _known({each.endpoint.type_name for each in endpoints})
+    left = {each.session for each in _seen(node)[0]}  # a process that has just gone is not silent
+    return msgspec.structs.replace(
+        around[0],
+        nodes=nodes,
+        endpoints=endpoints,
+        answers=tuple(sorted((a for a in answers if a.session in left), key=lambda a: a.node)),
+        reports=tuple(sorted(set(reports), key=lambda each: each.name)),
+        known=known,
+        fields=await _fields_of_differing(node, endpoints, known),
+    )
+
+
+def _seen(node: Node) -> tuple[tuple[NodeSeen, ...], tuple[EndpointSeen, ...]]:
+    """The nodes and endpoints on the graph, without those of the node that looks."""
+    transport, own = node.transport, node.fully_qualified_name
+    near: Transport = transport
+    if isinstance(transport, ZenohTransport):
+        tokens = list(transport.graph.tokens.values())
+        zid, near = transport.context.session.zid, transport.context.near
+    else:
+        tokens, zid = [], ""
+    nodes = [NodeSeen(name, zid) for name in near.nodes() if name != own]
+    ends = [EndpointSeen(each, zid) for each in near.endpoints() if each.node != own]
+    nodes += [NodeSeen(each.node, each.zid) for each in tokens if each.endpoint is None]
+    ends += [EndpointSeen(t.endpoint, t.zid) for t in tokens if t.endpoint is not None]
+    return tuple(nodes), tuple(ends)
+
+
+# questions to processes
+
+
+def _to_ask(endpoints: Iterable[EndpointSeen]) -> dict[str, Endpoint]:
+    """Which service to ask of each session, if it has one that can be asked."""
+    best: dict[str, Endpoint] = {}
+    for each in endpoints:
+        endpoint = each.endpoint
+        if endpoint.kind == "service" and endpoint.type_name in QUESTIONS:
+            other = best.get(each.session)
+            if other is None or _rank(endpoint) < _rank(other):
+                best[each.session] = endpoint
+    return best
+
+
+def _rank(service: Endpoint) -> int:
+    return QUESTIONS.index(service.type_name)
+
+
+async def _ask(node: Node, session: str, service: Endpoint, answers: list[Answer]) -> None:
+    """Ask a process twice: whether it answers, and then what its clock says."""
+    caller, request = _join(node, service)
+    pending: PendingCall | None = None
+    sent = received = 0
+    is_answered = False
+    try:
+        with anyio.move_on_after(PATIENCE):
+            await caller.call(request)  # the first call takes longer, because it finds the way
+            is_answered = True
+            sent = time.time_ns()
+            pending = caller.ask(request)
+            if pending is not None:
+                await pending.reply()
+                received = time.time_ns()
+    except TurtleactError:
+        is_answered = True  # with an error, or it has just gone
+    finally:
+        caller.close()
+    stamp = None if pending is None or not received else pending.stamp
+    offset = None if stamp is None else (stamp - (sent + received) / 2) / 1e9
+    doubt = (received - sent) / 2e9
+    answers.append(Answer(session, service.node, is_answered, offset, doubt))
+
+
+def _join(node: Node, service: Endpoint) -> tuple[Caller, object]:
+    """A client of a service, and a request that does no harm."""
+    interface: Any = get_interface(service.type_name)
+    described = Endpoint("client", service.name, service.type_name, node.fully_qualified_name)
+    caller = node.transport.join(described, WireFormat(interface, asks=True))
+    if interface is CancelGoal:
+        return caller, CancelGoal.Request(GoalInfo(UUID(os.urandom(16))))
+    if service.type_name == GET_DESCRIPTION:
+        return caller, interface.Request(type_name=CancelGoal.type_name)
+    return caller, interface.Request(prefixes=["nothing.like.this"])
+
+
+# what processes report
+
+
+async def _collect_reports(node: Node, reports: list[Report]) -> None:
+    """Collect what has been reported; each publisher's last message is latched."""
+    left = node.count_publishers(TOPIC)
+    if not left:
+        return
+    subscription = node.subscription(DiagnosticArray, TOPIC, READ_QOS)
+    try:
+        with anyio.move_on_after(REPORTING):
+            async for message in subscription:
+                for status in message.status:
+                    advice = next((v.value for v in status.values if v.key == ADVICE), "")
+                    reports.append(Report(status.name, status.message, advice))
+                left -= 1
+                if left <= 0:
+                    return
+    finally:
+        await subscription.aclose()
+
+
+# the session and its routers
+
+
+async def _look_around(node: Node, around: list[Snapshot], with_domains: bool) -> None:
+    transport = node.transport
+    if not isinstance(transport, ZenohTransport):
+        around.append(Snapshot())
+        return
+    routers = [_router(zid, said) for zid, said in sorted((await transport.routers()).items())]
+    around.append(
+        Snapshot(
+            domain=transport.context.domain,
+            routers=tuple(routers),
+            zenoh=_own_zenoh(),
+            domains=await transport.domains() if with_domains else (),
+        )
+    )
+
+
+def _router(zid: str, said: str) -> Router:
+    """A router, from what its admin space says about it."""
+    try:
+        told = msgspec.json.decode(said, type=_Told)
+    except msgspec.DecodeError:
+        return Router(zid)
+    number = told.version.lstrip("v").partition("-")[0]
+    return Router(zid, number, len(told.sessions))
+
+
+class _Told(msgspec.Struct):
+    """What a router says about itself, as far as it is needed here."""
+
+    version: str = ""
+    sessions: list[object] = []
+
+
+def _own_zenoh() -> str:
+    try:
+        return version("eclipse-zenoh")
+    except PackageNotFoundError:
+        return ""
+
+
+# definitions of types
+
+
+def _known(type_names: Iterable[str]) -> dict[str, str]:
+    """The hash here of each type that is known here."""
+    known: dict[str, str] = {}
+    for name in type_names:
+        try:
+            known[name] = type_hash(get_interface(name))
+        except TurtleactError:
+            continue
+    return known
+
+
+async def _fields_of_differing(
+    node: Node, endpoints: Sequence[EndpointSeen], known: Mapping[str, str]
+) -> dict[tuple[str, str], Fields]:
+    """Find out the fields of types that have several definitions on the graph."""
+    holders: dict[str, dict[str, str]] = {}  # type name to hash to one node that has it
+    for each in endpoints:
+        end = each.endpoint
+        if end.type_hash:
+            holders.setdefault(end.type_name, {}).setdefault(end.type_hash, end.node)
+    fields: dict[tuple[str, str], Fields] = {}
+    async with anyio.create_task_group() as group:
+        for type_name, found in holders.items():
+            ours = known.get(type_name, "")
+            if len({*found, ours} - {""}) < 2:
+                continue
+            if ours:
+                fields[type_name, ours] = own_fields(get_interface(type_name))
+            for type_hash_, holder in found.items():
+                if type_hash_ != ours:
+                    wanted = type_name, type_hash_
+                    group.start_soon(_ask_for_fields, node, holder, wanted, fields)
+    return fields
+
+
+async def _ask_for_fields(
+    node: Node, holder: str, wanted: tuple[str, str], fields: dict[tuple[str, str], Fields]
+) -> None:
+    """Ask a node what a type of its consists of."""
+    service: Any = get_interface(GET_DESCRIPTION)
+    client = node.service_client(service, f"{holder}/get_type_description")
+    request = service.Request(*wanted, include_type_sources=False)
+    try:
+        with anyio.move_on_after(PATIENCE):
+            if await client.wait_for_service():
+                response: Any = await client.call(request)
+                if response.successful:
+                    fields[wanted] = described_fields(response.type_description)
+    except TurtleactError:
+        return
+    finally:
+        await client.aclose()

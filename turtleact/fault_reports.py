@@ -1,0 +1,140 @@
+"""Faults that only one process can see, such as a full disk, published for the doctor.
+
+Each node with a fault publishes a ``diagnostic_msgs/msg/DiagnosticArray`` on the latched topic
+`TOPIC`, with one status for each fault. The topic is opened when the first fault is reported, so
+that a program without faults pays nothing. A fault that has gone is taken out of the message.
+
+In a ``DiagnosticStatus``, ``name`` says what is at fault, ``message`` what is wrong, and the value
+``advice`` what to do.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING, Final
+
+import anyio
+
+from turtleact.interfaces import WireFormat, stamp_of
+from turtleact.interfaces.standard.diagnostic_msgs.msg import (
+    DiagnosticArray,
+    DiagnosticStatus,
+    KeyValue,
+)
+from turtleact.interfaces.standard.std_msgs.msg import Header
+from turtleact.tasks import Background
+from turtleact.transports.base import STATUS_QOS, Endpoint
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from turtleact.transports.base import Publication, Transport
+
+__all__ = ["ADVICE", "TOPIC", "FaultReports", "disk_fault", "watching_disk"]
+
+TOPIC: Final = "/_turtleact/faults"
+"""The name of the topic."""
+
+ADVICE: Final = "advice"
+"""The key of the value that says what to do."""
+
+ROOM: Final = 1_000_000_000
+"""A disk with less room is nearly full (bytes), unless it is a small disk."""
+
+SMALL: Final = 0.05
+"""A small disk is nearly full if less than this share of it is free."""
+
+LOOK_EVERY: Final = 10.0
+"""How often to look at the room on a disk (s, event loop time)."""
+
+
+class FaultReports:
+    """Publishes the faults of one node.
+
+    Args:
+        transport: The transport to publish on.
+        node: The fully qualified name of the node.
+    """
+
+    def __init__(self, transport: Transport, node: str) -> None:
+        self._transport = transport
+        self._node = node
+        self._faults: dict[str, DiagnosticStatus] = {}
+        self._publication: Publication | None = None
+
+    def report(self, name: str, problem: str, advice: str) -> None:
+        """Report a fault; it replaces an earlier one of that name.
+
+        Args:
+            name: The kind of fault, a space and what is at fault, such as "disk /data/goals.db".
+            problem: What is wrong.
+            advice: What to do.
+        """
+        values = [KeyValue(ADVICE, advice)]
+        fault = DiagnosticStatus(DiagnosticStatus.WARN, name, problem, values=values)
+        if self._faults.get(name) != fault:
+            self._faults[name] = fault
+            self._publish()
+
+    def clear(self, name: str) -> None:
+        """Report that a fault has gone; an unknown name is ignored."""
+        if self._faults.pop(name, None) is not None:
+            self._publish()
+
+    def close(self) -> None:
+        """Leave the topic."""
+        if self._publication is not None:
+            self._publication.close()
+
+    def _publish(self) -> None:
+        if self._publication is None:
+            type_name = DiagnosticArray.type_name
+            described = Endpoint("publisher", TOPIC, type_name, self._node, STATUS_QOS)
+            self._publication = self._transport.advertise(described, WireFormat(DiagnosticArray))
+        header = Header(stamp=stamp_of(self._transport.clock.now()))
+        self._publication.publish(DiagnosticArray(header, list(self._faults.values())))
+
+
+@asynccontextmanager
+async def watching_disk(
+    transport: Transport, node: str, path: Path, what: str
+) -> AsyncIterator[None]:
+    """A block in which a fault is reported while the disk of a file is nearly full.
+
+    Args:
+        transport: The transport to publish on.
+        node: The fully qualified name of the node that uses the file.
+        path: The file or folder.
+        what: What it is, such as "journal".
+    """
+    reports = FaultReports(transport, node)
+    watch = Background(_watch_disk(reports, path, what), f"the disk of {path}")
+    try:
+        yield
+    finally:
+        await watch.aclose()
+        reports.close()
+
+
+async def _watch_disk(reports: FaultReports, path: Path, what: str) -> None:
+    name = f"disk {path}"
+    while True:
+        if problem := disk_fault(path, what):
+            reports.report(name, problem, "free some space, or move it to another disk")
+        else:
+            reports.clear(name)
+        await anyio.sleep(LOOK_EVERY)
+
+
+def disk_fault(path: Path, what: str) -> str:
+    """Describe the disk of a file if it is nearly full; an empty text otherwise."""
+    try:
+        usage = shutil.disk_usage(path if path.exists() else path.parent)
+    except OSError:
+        return ""
+    if usage.free >= min(ROOM, SMALL * usage.total):
+        return ""
+    megabytes = usage.free / 1e6
+    return f"the disk of the {what} {path} is nearly full: {megabytes:.0f} MB are free"

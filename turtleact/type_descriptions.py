@@ -1,0 +1,82 @@
+"""The service ``NODE/get_type_description``: what a type that a node uses consists of.
+
+Nodes of ROS 2 offer it too. Here it is declared only when somebody asks for it, and its message
+classes are loaded only then. Within a process nobody needs it.
+
+Source: ``type_description_interfaces/srv/GetTypeDescription``; REP 2016.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from turtleact.errors import TurtleactError
+from turtleact.interfaces import WireFormat, get_interface
+from turtleact.transports.base import Closeable, Endpoint, Reply, Transport
+
+__all__ = ["GET_TYPE_DESCRIPTION", "TYPE_HASH", "offer_descriptions"]
+
+GET_TYPE_DESCRIPTION: Final = "type_description_interfaces/srv/GetTypeDescription"
+
+TYPE_HASH: Final = "RIHS01_69b9c19c1021405984cc60dbbb1edceb147a6538b411d812ba6afabeed962cd5"
+"""The hash of the service, written down because computing it takes as long as opening a node."""
+
+
+def offer_descriptions(transport: Transport, node: str) -> Closeable:
+    """Offer the service of a node, given by its fully qualified name, on demand."""
+    name = f"{node}/get_type_description"
+    endpoint = Endpoint(
+        "service", name, GET_TYPE_DESCRIPTION, node, on_demand=True, is_unlisted=True
+    )
+    return transport.serve(endpoint, _Format(), _Describer())
+
+
+class _Format(WireFormat):
+    """The format of the service; its classes are loaded with the first request."""
+
+    type_hash: str = TYPE_HASH
+
+    def __init__(self) -> None:
+        super().__init__(lambda: get_interface(GET_TYPE_DESCRIPTION))
+
+
+class _Describer:
+    """Answers requests."""
+
+    async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002
+        """Describe the type that a request names."""
+        return Reply(_described(request))
+
+
+def _described(request: Any) -> object:  # noqa: ANN401  # the classes are loaded on demand
+    from turtleact.interfaces.type_hash import description, referenced, type_hash
+
+    response = _made("srv/GetTypeDescription").Response
+    try:
+        found = get_interface(request.type_name)
+    except TurtleactError as error:
+        return response(failure_reason=str(error))
+    if request.type_hash not in ("", type_hash(found)):
+        return response(failure_reason=f"{request.type_name} has another hash here")
+    others = referenced(found)
+    return response(
+        successful=True,
+        type_description=_made("msg/TypeDescription")(
+            type_description=_individual(description(found)),
+            referenced_type_descriptions=[
+                _individual(description(others[name])) for name in sorted(others)
+            ],
+        ),
+    )
+
+
+def _individual(said: Any) -> object:  # noqa: ANN401  # a dict, as it is hashed
+    fields = [
+        _made("msg/Field")(name=each["name"], type=_made("msg/FieldType")(**each["type"]))
+        for each in said["fields"]
+    ]
+    return _made("msg/IndividualTypeDescription")(type_name=said["type_name"], fields=fields)
+
+
+def _made(name: str) -> Any:  # noqa: ANN401  # a class
+    return get_interface(f"type_description_interfaces/{name}")
