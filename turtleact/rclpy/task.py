@@ -78,11 +78,6 @@ class Future(Subscriptable):
     def _is_pending(self) -> bool:
         return not self._done and not self._cancelled
 
-    @property
-    def is_awaited(self) -> bool:
-        """Whether a done callback, or a task of an executor, waits for it."""
-        return bool(self._callbacks or self._parked)
-
     def cancel(self) -> None:
         """Cancel it, unless it is done."""
         with self._lock:

@@ -328,7 +328,7 @@ class ActionClient(Waitable):
             opened.close()
         self._node.remove_waitable(self)
 
-    async def _answered(
+    def _answered(
         self,
         future: Future,
         response_class: Anything,
@@ -344,25 +344,7 @@ class ActionClient(Waitable):
             return
         # From now on the executor runs the done callbacks.
         future.set_executor(self._node.executor)
-        is_awaited = future.is_awaited
         future.set_result(handle(response))
-        if not is_awaited:
-            await self._go_on()
-
-    async def _go_on(self) -> None:
-        """Handle what came with an answer: a new state, and one feedback message.
-
-        In rclpy that belongs to the same turn of the executor. But if a callback or coroutine waits
-        for the answer, it must be the first to know.
-        """
-        event: Event | None = None
-        while event is None or event[0] != self._feedback:
-            with self._lock:
-                is_answer = not self._events or self._events[0][0] == self._answered
-                event = None if is_answer else self._events.popleft()
-            if event is None:
-                return
-            await self.execute(event)
 
     def _goal_answered(self, goal_id: Anything, response: Anything) -> ClientGoalHandle:
         handle = ClientGoalHandle(self, goal_id, response)
