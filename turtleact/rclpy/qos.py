@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from enum import Enum, IntEnum
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 from turtleact.rclpy.duration import Duration
 from turtleact.rclpy.impl.typing import Anything
@@ -46,6 +46,7 @@ __all__ = [
 ]
 
 P = TypeVar("P", bound="QoSPolicyEnum")
+T = TypeVar("T")
 
 UNSPECIFIED = Duration()
 """The duration of a policy in time that is not set."""
@@ -146,6 +147,30 @@ QoSDurabilityPolicy = DurabilityPolicy
 QoSLivelinessPolicy = LivelinessPolicy
 
 
+class _Policy(Generic[T]):
+    """An attribute of a profile that checks its type. A number becomes the policy it stands for.
+
+    Args:
+        kind: The type.
+    """
+
+    def __init__(self, kind: type[T]) -> None:
+        self._kind = kind
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._slot = f"_{name}"
+
+    def __get__(self, profile: QoSProfile, owner: type | None = None) -> T:
+        value: T = getattr(profile, self._slot)
+        return value
+
+    def __set__(self, profile: QoSProfile, value: T | int) -> None:
+        if issubclass(self._kind, IntEnum) and isinstance(value, int):
+            value = self._kind(value)
+        assert isinstance(value, self._kind)  # noqa: S101  # as in rclpy
+        setattr(profile, self._slot, value)
+
+
 class QoSProfile:
     """A quality of service.
 
@@ -179,6 +204,15 @@ class QoSProfile:
         "_reliability",
     )
 
+    history = _Policy(HistoryPolicy)
+    reliability = _Policy(ReliabilityPolicy)
+    durability = _Policy(DurabilityPolicy)
+    lifespan = _Policy(Duration)
+    deadline = _Policy(Duration)
+    liveliness = _Policy(LivelinessPolicy)
+    liveliness_lease_duration = _Policy(Duration)
+    avoid_ros_namespace_conventions = _Policy(bool)
+
     def __init__(self, **kwargs: Anything) -> None:
         names = {slot[1:] for slot in self.__slots__}
         if unknown := kwargs.keys() - names:
@@ -200,15 +234,6 @@ class QoSProfile:
         self.avoid_ros_namespace_conventions = kwargs.get("avoid_ros_namespace_conventions", False)
 
     @property
-    def history(self) -> HistoryPolicy:
-        """How many messages are kept."""
-        return self._history
-
-    @history.setter
-    def history(self, value: HistoryPolicy | int) -> None:
-        self._history = HistoryPolicy(_number(value))
-
-    @property
     def depth(self) -> int:
         """How many messages are kept with KEEP_LAST."""
         return self._depth
@@ -226,70 +251,6 @@ class QoSProfile:
                 stacklevel=2,
             )
         self._depth = value
-
-    @property
-    def reliability(self) -> ReliabilityPolicy:
-        """Whether messages may be lost."""
-        return self._reliability
-
-    @reliability.setter
-    def reliability(self, value: ReliabilityPolicy | int) -> None:
-        self._reliability = ReliabilityPolicy(_number(value))
-
-    @property
-    def durability(self) -> DurabilityPolicy:
-        """Whether late subscriptions get the last messages."""
-        return self._durability
-
-    @durability.setter
-    def durability(self, value: DurabilityPolicy | int) -> None:
-        self._durability = DurabilityPolicy(_number(value))
-
-    @property
-    def lifespan(self) -> Duration:
-        """How long a message is valid."""
-        return self._lifespan
-
-    @lifespan.setter
-    def lifespan(self, value: Duration) -> None:
-        self._lifespan = _duration(value)
-
-    @property
-    def deadline(self) -> Duration:
-        """The longest time between two messages."""
-        return self._deadline
-
-    @deadline.setter
-    def deadline(self, value: Duration) -> None:
-        self._deadline = _duration(value)
-
-    @property
-    def liveliness(self) -> LivelinessPolicy:
-        """Who asserts that a publisher is alive."""
-        return self._liveliness
-
-    @liveliness.setter
-    def liveliness(self, value: LivelinessPolicy | int) -> None:
-        self._liveliness = LivelinessPolicy(_number(value))
-
-    @property
-    def liveliness_lease_duration(self) -> Duration:
-        """How long a publisher counts as alive."""
-        return self._liveliness_lease_duration
-
-    @liveliness_lease_duration.setter
-    def liveliness_lease_duration(self, value: Duration) -> None:
-        self._liveliness_lease_duration = _duration(value)
-
-    @property
-    def avoid_ros_namespace_conventions(self) -> bool:
-        """Ignored."""
-        return self._avoid_ros_namespace_conventions
-
-    @avoid_ros_namespace_conventions.setter
-    def avoid_ros_namespace_conventions(self, value: bool) -> None:
-        assert isinstance(value, bool)  # noqa: S101  # as in rclpy
-        self._avoid_ros_namespace_conventions = value
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, QoSProfile):
@@ -345,20 +306,10 @@ SYSTEM_DEPTH = 10
 """The depth if a profile leaves it to the system."""
 
 
-def _number(value: Anything) -> int:
-    assert isinstance(value, int)  # noqa: S101  # as in rclpy
-    return int(value)
-
-
 def _limit(duration: Duration) -> int | None:
     """Return a duration in nanoseconds; None if there is no limit."""
     is_none = duration == UNSPECIFIED or duration == Duration.Infinite
     return None if is_none else duration.nanoseconds
-
-
-def _duration(value: Anything) -> Duration:
-    assert isinstance(value, Duration)  # noqa: S101  # as in rclpy
-    return value
 
 
 def profile_of(given: QoSProfile | int) -> QoSProfile:

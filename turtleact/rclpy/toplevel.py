@@ -10,6 +10,7 @@ from typing import Self
 
 from turtleact.rclpy.context import Context
 from turtleact.rclpy.executors import Executor, SingleThreadedExecutor
+from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.node import Node
 from turtleact.rclpy.parameter import Parameter
 from turtleact.rclpy.signals import (
@@ -141,39 +142,9 @@ def _drop_executor() -> None:
         executor.shutdown(0)
 
 
-def create_node(
-    node_name: str,
-    *,
-    context: Context | None = None,
-    cli_args: list[str] | None = None,
-    namespace: str | None = None,
-    use_global_arguments: bool = True,
-    enable_rosout: bool = True,
-    rosout_qos_profile: object = None,
-    start_parameter_services: bool = True,
-    parameter_overrides: list[Parameter] | None = None,
-    allow_undeclared_parameters: bool = False,
-    automatically_declare_parameters_from_overrides: bool = False,
-    enable_logger_service: bool = False,
-) -> Node:
-    """Make a node; see `Node`."""
-    from turtleact.rclpy.qos import profile_of, qos_profile_rosout_default
-
-    qos = rosout_qos_profile
-    return Node(
-        node_name,
-        context=context,
-        cli_args=cli_args,
-        namespace=namespace,
-        use_global_arguments=use_global_arguments,
-        enable_rosout=enable_rosout,
-        rosout_qos_profile=qos_profile_rosout_default if qos is None else profile_of(qos),  # type: ignore[arg-type]  # it checks that
-        start_parameter_services=start_parameter_services,
-        parameter_overrides=parameter_overrides,
-        allow_undeclared_parameters=allow_undeclared_parameters,
-        automatically_declare_parameters_from_overrides=automatically_declare_parameters_from_overrides,
-        enable_logger_service=enable_logger_service,
-    )
+def create_node(node_name: str, **options: Anything) -> Node:
+    """Make a node; see `Node` for the options."""
+    return Node(node_name, **options)
 
 
 class _Borrowed:

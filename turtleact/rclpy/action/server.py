@@ -264,10 +264,12 @@ class ActionServer(Waitable):
             )
         self._feedback = self._kind.advertise_feedback(feedback_pub_qos_profile)
         self._status = StatusTopic(node, self._kind, status_pub_qos_profile, self._held)
-        self._opened = [
-            self._kind.serve(service, RequestHandler(partial(self._receive, service)))
+        self._handlers = {
+            service: RequestHandler(partial(self._receive, service))
             for service in ("cancel_goal", "get_result", "send_goal")
-        ]
+        }
+        self._opened = [self._kind.serve(*each) for each in self._handlers.items()]
+        self._expects_readers = False
         node.add_waitable(self)
 
     @property
@@ -378,6 +380,7 @@ class ActionServer(Waitable):
         if accepted:
             handle = self._goal_handles[goal_id] = ServerGoalHandle(self, info, request.goal)
             self._result_futures[goal_id] = Future()
+            self._expect_readers()
         response = self._kind.service("send_goal").Response(accepted=accepted, stamp=info.stamp)
         respond(encode(response, type(response)), NOTE)
         if handle is None:
@@ -386,6 +389,15 @@ class ActionServer(Waitable):
         self._logger.debug(f"New goal accepted: {goal_id.hex()}")
         self._status.publish()
         await await_or_execute(self._handle_accepted_callback, handle)
+
+    def _expect_readers(self) -> None:
+        """Publish feedback from now on: a client of another process has sent a goal.
+
+        Its subscription may not have been discovered yet.
+        """
+        if self._handlers["send_goal"].has_far_callers and not self._expects_readers:
+            self._expects_readers = True
+            self._feedback.expect_readers()
 
     async def _is_wanted(self, goal: Anything) -> bool:
         response = await await_or_execute(self._goal_callback, goal)

@@ -93,6 +93,10 @@ class Sender:
         with self._lock:
             self._publication.publish(data)
 
+    def expect_readers(self) -> None:
+        """Send from now on, because a reader exists even if it has not been discovered yet."""
+        self._connection.loop.call(self._publication.expect_readers)
+
     def refresh_soon(self, delay: float, begin: Callable[[], object]) -> None:
         """Publish the state of the topic's source after some seconds.
 
@@ -120,6 +124,7 @@ class RequestHandler:
 
     Attributes:
         take: As given.
+        has_far_callers: Whether another process has sent a request.
         is_threaded: True: transports need not use the event loop for it.
     """
 
@@ -127,6 +132,7 @@ class RequestHandler:
 
     def __init__(self, take: Callable[[bytes, Respond], None]) -> None:
         self.take = take
+        self.has_far_callers = False
 
     def reply_nowait(
         self,
@@ -135,6 +141,7 @@ class RequestHandler:
         respond: Callable[[Reply | TurtleactError], object],
     ) -> bool:
         """Take a request from another process."""
+        self.has_far_callers = True
         self.take(cast("bytes", request), lambda data, note: respond(Reply(data, note)))
         return True
 
