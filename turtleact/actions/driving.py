@@ -158,7 +158,7 @@ class Drive:
         self._held = None
         if self._helm.steering.limits.is_eased:
             self._helm.stop()  # the law starts from rest, with the next pose
-        elif not self._is_standing:  # otherwise the driver has a pose that needs a new command
+        elif not self._is_standing:  # else a pose has come that needs a new command
             self._publish(self._helm.speeds)
 
     async def checkpoint(self) -> None:
@@ -521,7 +521,7 @@ class Turtles:
             self._drives[goal.goal_id].release()
 
     def _topic(self, turtle: str) -> str:
-        """The full name of its pose: a turtle may be called by several names."""
+        """The full name of a turtle's pose topic; a turtle may be called by several names."""
         poses, _ = self._robot.topics(turtle)
         return resolve_name(poses, self._node.namespace, self._node.name)
 

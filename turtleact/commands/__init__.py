@@ -1,4 +1,4 @@
-"""The commands: one module for each that does something, and `verbs`, where Typer reads them.
+"""The commands: modules with what they do, and `verbs`, which declares them for Typer.
 
 These tables are all that ``turtleact --help`` and the completion of a verb need, so that neither
 has to import the verbs themselves.

@@ -47,7 +47,7 @@ READ_QOS: Final = QoS(depth=1000)
 """Messages that are kept while the output is stuck."""
 
 UNHEARD: Final = 1.0
-"""How long nobody publishes events before that is noted (s, by the clock of the graph)."""
+"""If nobody publishes events for so long, a note says so (s, by the clock of the graph)."""
 
 EVENTS: Final = {
     ServiceEventInfo.REQUEST_SENT: "REQUEST_SENT",

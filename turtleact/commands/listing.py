@@ -93,7 +93,7 @@ async def print_action_info(node: Node, name: str, *, types: bool, count: bool) 
 def _nodes_of_action(
     node: Node, name: str, kind: EndpointKind
 ) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """The nodes on one side of an action, with the types; a node name that occurs twice, twice."""
+    """The nodes on one side of an action, with the types; two nodes may share a name."""
     for who in sorted(set(node.transport.nodes())):
         own = _endpoints_of(node, who)
         types = types_by_name(own, "action", kind, hidden=True).get(name, ())

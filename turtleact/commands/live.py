@@ -1,7 +1,8 @@
 """The live displays on a terminal: of one goal, and of a server.
 
-`LiveTranscript` redraws a region at the end of the screen while a goal runs. What stays is printed
-above the region as plain text. When the goal ends, its last frame stays too, above the result.
+`LiveTranscript` redraws a region at the end of the screen while a goal runs. Lines that stay are
+printed above the region as plain text. When the goal ends, its last frame stays too, above the
+result.
 
 `Dashboard` shows what ``serve`` does: the world, the goals and what has happened.
 
@@ -185,7 +186,7 @@ class GoalPicture:
 
     Attributes:
         shown: The goal.
-        has_ended: Whether the goal has ended; its progress is then no longer put into words.
+        has_ended: Whether the goal has ended; the display then has no words about its progress.
     """
 
     def __init__(self, shown: Followed) -> None:

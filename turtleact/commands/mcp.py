@@ -33,8 +33,8 @@ PATIENCE = 10.0
 """How long goals have to end after a signal (s, wall clock)."""
 
 FIRST_LINE = 0.02
-"""How long the client's first message may take, if it is to be answered before the graph is opened,
-which holds up the event loop (s)."""
+"""How long to wait for the client's first message before the graph is opened (s). Opening the graph
+holds up the event loop, and so would delay the answer."""
 
 
 class Order(NamedTuple):
@@ -98,7 +98,7 @@ def _check_sdk() -> None:
 
 @asynccontextmanager
 async def _open(order: Order) -> AsyncIterator[tuple[Node, Wire | None]]:
-    """Open stdin and then the graph; the client is greeted, and the SDK imported, meanwhile."""
+    """Open stdin and then the graph. Meanwhile, greet the client and import the SDK."""
     async with AsyncExitStack() as stack:
         wire: Wire | None = None
         if not order.is_empty:

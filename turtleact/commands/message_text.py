@@ -35,7 +35,7 @@ class GoalText(NamedTuple):
 
     Attributes:
         text: YAML or JSON.
-        source: What an error calls it before line and column.
+        source: The name of the text in errors, before line and column.
     """
 
     text: str

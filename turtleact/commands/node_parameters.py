@@ -208,7 +208,7 @@ async def load(
         node: A node on the graph.
         owner: The node to set them on.
         parameters: What `parameter_values.read_file` has read.
-        source: What an error calls the file.
+        source: The name of the file in errors.
 
     Raises:
         UsageError: if the file has none for that node.

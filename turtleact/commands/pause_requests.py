@@ -36,7 +36,8 @@ TOLD_WITHIN: Final = 0.2
 of ROS 2 have none."""
 
 ROUND_TRIPS: Final = 5
-"""To ask for the topic, to find its publisher, and to get its latched message."""
+"""How many round trips to wait for the topic: to ask for it, to find its publisher, and to get its
+latched message."""
 
 LATCHED: Final = QoS(depth=1, durability="transient_local")
 

@@ -158,7 +158,7 @@ def _tell_how_to_serve(file: Path, names: Mapping[str, object]) -> None:
 
 
 def _only_declares(statement: ast.stmt) -> bool:
-    """Whether a statement at the top of a file is none that could be meant to run a program."""
+    """Whether a statement at the top of a file only declares something, and runs nothing."""
     if isinstance(statement, ast.Expr):
         return isinstance(statement.value, ast.Constant)
     if isinstance(statement, ast.If):

@@ -78,8 +78,8 @@ class Watch:
         self._last = stamps
         if not is_at_rest:
             return []
-        # An import after this reads the files as they are now. A change during that import, or
-        # while the old goals end, differs from it, so that a later look notices it.
+        # The next import reads the files as they are now. If a file changes during that import, or
+        # while the old goals end, a later look notices the change.
         before, self._seen = self._seen, stamps
         return [file for file, stamp in stamps.items() if stamp != before.get(file)]
 

@@ -194,8 +194,8 @@ class Sending:
         """Open a node on the graph in reach, or in an embedded world if it has no actions.
 
         Raises:
-            TurtleactError: if an embedded world would be of no use: the goal waits for a server
-                that has not come, or is to outlive this command.
+            TurtleactError: if an embedded world cannot help: the goal waits for a server that has
+                not come, or must outlive this command.
         """
         order, place, reach = self._order, self._order.place, self._order.place.reach
         why = ""
@@ -244,7 +244,7 @@ class Sending:
     async def _try_graph(
         self, stack: AsyncExitStack, reach: Reach, *, is_last: bool
     ) -> Node | None:
-        """Enter the graph; None if nobody lets this command in, unless it is the last attempt."""
+        """Enter the graph. If nobody lets this command in, return None; the last attempt raises."""
         try:
             return await graph.enter_if_there(stack, reach, graph.open_graph(reach))
         except UsageError:

@@ -136,7 +136,7 @@ def _dashboard(service: Service) -> Dashboard | None:
 
 
 def _find(modules: Modules, service: Service, log: ServerLog) -> Found:
-    """Import the modules; with ``--reload``, a module that fails is waited for."""
+    """Import the modules. With ``--reload``, a module that fails can be corrected later."""
     if not service.reload:
         return modules.find()
     sys.dont_write_bytecode = True  # a change within the same second could be taken for no change
@@ -244,9 +244,10 @@ async def serve_declared(
 ) -> list[ActionServer[Any, Any, Any]]:
     """Serve actions, and return once all of them are on the graph.
 
-    One node serves an action name; `turtleact.node.conflicts` has the rules. A node of this node's
-    own name may be its predecessor, which was killed a moment ago, and is waited for in any case.
-    It may also be another ``turtleact serve``, which lives: so without ``wait`` it gets `LEASE`.
+    One node serves an action name; `turtleact.node.conflicts` has the rules. A node with this
+    node's own name may be its predecessor, which was killed a moment ago, so this waits for that
+    node in any case. But the node may also belong to another ``turtleact serve`` that still runs,
+    so without ``wait`` this waits `LEASE` seconds at most.
 
     Args:
         node: Serves the actions.
@@ -363,7 +364,7 @@ async def _open_node(
 async def _open_graph(
     service: Service, opened: list[tuple[ZenohTransport, str]], clock: Clock
 ) -> AsyncIterator[Transport]:
-    """Open the graph that the user asked for, else as router, else as a peer of the router.
+    """Open the graph that the user asked for; by default as a router, or as a peer of the router.
 
     Args:
         service: What the user wants.

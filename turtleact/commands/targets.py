@@ -144,8 +144,8 @@ class Modules:
         targets: The targets, as the user has written them.
 
     Attributes:
-        files: The files of the user's modules, and those that an import has not found. When one of
-            them changes, it is time to import anew.
+        files: The files of the user's modules, and those that an import has not found. If one of
+            them changes, the modules have to be imported again.
 
     Raises:
         UsageError: if one of them is not a target.
@@ -349,8 +349,8 @@ def _import_module(target: Target) -> ModuleType:
 def _programs_skipped() -> Iterator[None]:
     """A block in which ``asyncio.run`` and ``anyio.run`` do nothing but warn.
 
-    A file with actions often ends with ``asyncio.run(main())``. Served, it would run that program
-    while it is imported, perhaps for ever, and at a reload within an event loop.
+    A file with actions often ends with ``asyncio.run(main())``. If such a file is served, importing
+    it would run that program, perhaps for ever; at a reload, even inside the event loop.
     """
     is_importing = True
 

@@ -124,7 +124,7 @@ def run(order: Order, interrupts: Interrupts) -> int:
 
 @asynccontextmanager
 async def _find_node(order: Order) -> AsyncIterator[tuple[Node, str]]:
-    """Open a node, on the graph in reach or in an embedded world; gives the turtle's name too."""
+    """Open a node on the graph in reach or in an embedded world; gives node and turtle's name."""
     why = ""
     async with AsyncExitStack() as stack:
         if order.reach is not None:

@@ -55,11 +55,11 @@ __all__ = [
 
 STOPPING: Final = signals("SIGTSTP", "SIGQUIT")
 CONTINUING: Final = signals("SIGCONT")
-"""The signals before and after which the terminal may belong to another process."""
+"""The signals that stop and continue the process; in between, another one may have the terminal."""
 
 GIVE_BACK: Final = "\r\x1b[K\x1b7\x1b[B\x1b[J\x1b8\x1b[?25h"
-"""Removes the lines and shows the cursor. The first line is erased by itself: if the screen is
-erased from its very top, some terminals keep what stood there in their history."""
+"""Removes the lines and shows the cursor. The first line is erased separately: some terminals copy
+a screen that is erased from its very top into their history."""
 
 
 def can_move(stream: TextIO | None) -> bool:
@@ -75,9 +75,9 @@ def can_move(stream: TextIO | None) -> bool:
 class Outlet:
     """Writes to a terminal without waiting: what the terminal does not take yet is kept.
 
-    The terminal is opened a second time, because non-blocking mode belongs to the opened file, and
-    the process shares its own with the shell. If the terminal cannot be opened, a frame is written
-    only if the terminal takes something, and may then wait.
+    The terminal is opened a second time, because non-blocking mode belongs to the open file, and
+    the process shares its open file with the shell. If the terminal cannot be opened again, a frame
+    is written only while the terminal accepts text, and the writing may wait.
 
     Attributes:
         is_writing: Whether text is being written right now. What a signal handler writes would end
@@ -170,9 +170,9 @@ class Region:
     def is_ready(self) -> bool:
         """Whether a frame would be drawn now.
 
-        None is drawn after the last one, while the process runs in the background, where the
-        terminal belongs to another one, or while the terminal has not taken all of the previous
-        text.
+        No frame is drawn after the last one, while the process runs in the background (then the
+        terminal belongs to another process), or while the terminal has not taken all of the
+        previous text.
         """
         if self._is_over or not self.is_in_foreground():
             return False
@@ -297,10 +297,11 @@ SHARE: Final = 0.2
 """The share of processor time that drawing may take."""
 
 SMALLEST: Final = 14
-"""Lines of a last frame, if what is printed below it needs more room: enough for a small map."""
+"""The fewest lines of a last frame, enough for a small map. It shrinks to make room for the text
+below it."""
 
 FULL: Final = 2
-"""Lines of a frame that fill the width of the window; each becomes two if the window shrinks."""
+"""How many lines of a frame fill the width of the window. If it gets narrower, each becomes two."""
 
 
 class Compose(Protocol):
@@ -369,7 +370,7 @@ class LogLine(NamedTuple):
     Attributes:
         short: As the display shows it.
         full: As it is printed in the end.
-        subject: What it is about, if a later line about the same is to replace it.
+        subject: What the line is about, if a later line about the same subject replaces it.
     """
 
     short: str

@@ -141,7 +141,7 @@ async def _print(
 
 
 def _durability(node: Node, name: str) -> Durability:
-    """The durability that gets all messages: latched ones too if a publisher keeps some."""
+    """The durability with which all messages come: latched ones too, if a publisher has some."""
     endpoints = node.transport.endpoints()
     publishers = [each for each in endpoints if each.kind == "publisher" and each.name == name]
     is_latched = any(each.qos.durability == "transient_local" for each in publishers)
@@ -373,7 +373,7 @@ async def _wait_for_topic(node: Node, name: str) -> None:
 
 
 def _spread(seconds: list[float]) -> str:
-    """The line on how much the times differ."""
+    """The line that says how much the times between messages differ."""
     mean = math.fsum(seconds) / len(seconds)
     deviation = math.sqrt(math.fsum((each - mean) ** 2 for each in seconds) / len(seconds))
     return (
@@ -383,7 +383,7 @@ def _spread(seconds: list[float]) -> str:
 
 
 def _sizes(first: float, *more: float) -> list[str]:
-    """Sizes in bytes, all in the unit that suits the first."""
+    """Format sizes in bytes, all in the unit that suits the first one."""
     if first < 1000:
         return [f"{each:.0f} B" for each in (first, *more)]
     unit, size = ("KB", 1e3) if first < 1e6 else ("MB", 1e6)

@@ -37,7 +37,7 @@ NEAR: Final = 0.15
 
 STILL: Final = 1e-4
 JUMP: Final = 1.0
-"""A pose that differs by less is the same place, and by more another one: a teleport (m)."""
+"""Below the first distance, two poses are one place; above the second, it was a teleport (m)."""
 
 MOST_TURTLES: Final = 32
 """How many turtles are followed; a map could not show more."""

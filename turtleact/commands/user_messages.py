@@ -119,7 +119,7 @@ async def _wait_for_subscriptions(
 
 
 def _suggest(node: Node, kind: EndpointKind, name: str, type_name: str) -> None:
-    """Say what has a similar name, because the wait may be for a typing error."""
+    """Suggest a similar name, because the user may have mistyped this one."""
     endpoints = node.transport.endpoints()
     known = {each.name for each in endpoints if (each.kind, each.type_name) == (kind, type_name)}
     if near := nearest(name, known):

@@ -131,7 +131,7 @@ class FieldType(msgspec.Struct, frozen=True):
 
 
 def zero(field_type: FieldType) -> Primitive | tuple[Primitive, ...] | None:
-    """Return a field's value without a default; None for messages, which make their own."""
+    """Return the value of a field that has no default; None for a message, which makes its own."""
     if field_type.is_nested:
         return None
     element = PRIMITIVES[field_type.name]

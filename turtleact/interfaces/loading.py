@@ -362,7 +362,7 @@ def look_up(type_name: str, making: tuple[str, ...]) -> Interface | None:
 
 
 def may_be_replaced(found: Interface, type_name: str) -> bool:
-    """Whether a file in a workspace may replace a class: if it is built in and was not compared."""
+    """Whether a file may replace a class: one that is built in and was not compared yet."""
     if not (REGISTRY.prefixes or REGISTRY.nearby) or type_name in REGISTRY.settled:
         return False
     return found.__module__.startswith(SHIPPED)
@@ -373,8 +373,8 @@ def other_file(type_name: str, held: Interface | None) -> Traversable | None:
 
     Args:
         type_name: The full name.
-        held: The built-in class. If the file has the same definition, the class stays, and None is
-            returned. Otherwise it is forgotten.
+        held: The built-in class. If the file has the same definition, the class stays, and this
+            returns None. Otherwise the class is forgotten.
 
     Raises:
         InvalidInterface: if there is a built-in class, and the file is malformed.

@@ -230,7 +230,7 @@ def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
 
 
 def sounded(document: Document, value: object, depth: int) -> object:
-    """Return a JSON value after checking its depth; null keeps its spelling."""
+    """Check how deep a JSON value is nested, and return it; null becomes a value of its own."""
     if depth > DEEPEST:
         document.refuse(TOO_DEEP)
     if isinstance(value, dict):

@@ -51,7 +51,7 @@ AT_ONCE = 1000
 """So many goals are deleted in one transaction, during which a server cannot write."""
 
 PAUSE = 0.002
-"""How long the file is left to a server after that (s)."""
+"""After each such transaction, the file is left to a server for this time (s)."""
 
 _COLUMNS = GoalRecord.__struct_fields__
 

@@ -4,8 +4,8 @@ Everything to be written goes to one thread, in order. The thread writes all tha
 in one transaction. While it waits for the disk, more comes; so a hundred goals at once cost a few
 waits, not a hundred.
 
-If the disk cannot take it, new goals are refused with the reason, running goals go on, and what
-belongs to them is kept in memory and tried again until it can be written.
+If the disk takes no more, new goals are rejected with the reason. Running goals go on: their
+changes stay in memory, and the thread tries again until it can write them.
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ class Rivals:
         return next((node for node in self._nodes() if node not in own), None)
 
     def holder(self) -> str | None:
-        """Return the node that must go before this one can serve the action; None if it is free.
+        """Return the node that must go before this one can serve; None if the name is free.
 
         The holder may have this node's own name if it is in another process: a predecessor.
         """
@@ -93,7 +93,7 @@ class Rivals:
         return self.first()
 
     def has_built_in(self, *, is_local: bool | None = None) -> bool:
-        """Whether a built-in action must withdraw for this server: any, a local or a remote one.
+        """Whether a built-in action, local or remote, must withdraw for this server.
 
         Ask about remote servers before this server is open: afterwards, a server of the same type
         always counts as local.
@@ -101,7 +101,7 @@ class Rivals:
         return self._node != BUILT_INS_NODE and BUILT_INS_NODE in self._nodes(is_local=is_local)
 
     async def look_for_built_in(self, action: str, seconds: float) -> None:
-        """Tell of a built-in action that discovery shows within some seconds. Cancelling: safe."""
+        """Log it if discovery shows a built-in action within some seconds. Cancelling: safe."""
         with anyio.move_on_after(seconds):
             await self.wait_until(self.has_built_in)
             tell_of_built_in(action)

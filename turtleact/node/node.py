@@ -555,8 +555,8 @@ class ActionServer(Generic[G, R, F]):
         action_type: The action.
         node: The node that serves it.
         local: Holds and runs its goals.
-        is_serving: Whether it is on the graph under its name. It is not while it waits for another
-            node to stop serving the name, nor after it has made way for one.
+        is_serving: Whether it is on the graph under its name: not while it waits for another node
+            to give up the name, and not after it has made way for another node.
     """
 
     def __init__(
@@ -650,9 +650,9 @@ class ActionServer(Generic[G, R, F]):
     async def _make_way(self, rivals: Rivals, again: Callable[[], object]) -> None:
         """Withdraw when another node serves the name; serve again when none does any more.
 
-        A server that has closed cannot open again, so ``again`` opens another one, which watches
-        for rivals in turn. Until then this one belongs to the node, so that a node that closes ends
-        this watch too.
+        A closed server cannot open again, so ``again`` opens another one, which watches for rivals
+        in turn. Until then the node keeps track of the old server, so that closing the node also
+        ends this watch.
 
         Args:
             rivals: The other servers of the name.

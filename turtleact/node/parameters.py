@@ -333,9 +333,9 @@ class Parameter(Generic[P]):
         self._changed.fire()
 
     async def wait_for_change(self, count: int) -> int:
-        """Wait until it has changed more often than ``count``; returns the number of changes.
+        """Wait until there were more than ``count`` changes; return the number of changes.
 
-        Returns ``count`` if there will be no further change. Cancelling: safe.
+        If there will be no more changes, this returns ``count``. Cancelling: safe.
         """
         resources = self._parameters.resources
         while self._count == count and self.is_declared and resources.is_open:
@@ -363,7 +363,7 @@ class Changes(Generic[P]):
 
 
 def _checker(declaration: ParameterDeclaration[P]) -> Callable[[ParameterValue], str] | None:
-    """A function that says why a value is refused, from the user's function."""
+    """Turn the user's ``validate`` into a function that says why a value is refused."""
     validate = declaration.validate
     if validate is None:
         return None

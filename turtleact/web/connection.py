@@ -176,8 +176,8 @@ class Connection:
 
     async def _send(self, frame: Frame) -> None:
         """Send a frame; end if the client is gone, or takes nothing."""
-        # Servers take a frame before the one before it has left the machine. So the wait here is
-        # mostly for the frame before, and the size of that frame tells how long the wait may be.
+        # Servers take a frame while the previous one is still being sent. So this mostly waits for
+        # the previous frame, whose size tells how long that may take.
         with anyio.move_on_after(PATIENCE + self._last_size / SLOWEST) as scope:
             try:
                 if isinstance(frame, str):
@@ -250,8 +250,8 @@ class Connection:
         try:
             await action()
         except TurtleactError as error:
-            # The protocol noted it as open when it asked for it; a client that tries again must not
-            # be told that it is open already.
+            # The protocol has noted this as open. A client that tries again must not be told that
+            # it is open already.
             if forget is not None:
                 self._protocol.forget(*forget)
             self._complain(str(error), id)

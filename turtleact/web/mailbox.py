@@ -112,7 +112,7 @@ class Mailbox:
 
     @property
     def is_overfull(self) -> bool:
-        """Whether more is waiting than for any client that still reads."""
+        """Whether so much is waiting that the client cannot be reading any more."""
         return len(self._kept) > MOST_KEPT or self._kept_bytes > MOST_KEPT_BYTES
 
     def keep(self, frame: Frame) -> None:
@@ -181,7 +181,7 @@ class Mailbox:
 
 
 class Throttle:
-    """How often a client wants a topic's messages, and which of the early ones it gets later.
+    """How often a client wants a topic's messages, and which early messages it gets later.
 
     Args:
         topic: The topic, as the client spells it.

@@ -1,12 +1,13 @@
 """rosbridge's rules for one connection, without I/O: frames in, effects out.
 
-It knows what a client has opened and under which ids, how much that may be, and what the client
-wants to be told. It knows no graph, no loop and no time. The effects it returns must be carried out
-in order.
+A `Protocol` knows what a client has opened and under which ids, how much the client may open, and
+what it wants to be told. It knows no graph, no loop and no time. The effects that it returns must
+be carried out in order.
 
 - Several subscriptions of one topic, with different ids, share one subscription on the graph. The
   shortest ``throttle_rate`` and the newest ``compression`` apply to all of them.
-- Without an id, ``unsubscribe`` and ``unadvertise`` mean all of them.
+- Without an id, ``unsubscribe`` and ``unadvertise`` end everything that the client has opened for
+the topic.
 - Only clients that have sent ``set_level`` get ``status``: the libraries fail on operations that
   they do not expect.
 

@@ -11,8 +11,10 @@ tick it therefore loses 1 - cos(e) of its speed. The error changes no faster tha
 turning from an error e to zero loses F(e) over the turn rate. The loss of a leg depends on the
 errors at both ends:
 
-- if they are on different sides, F of both; plus the rest, if the leg is too short for that turn;
-- if they are on one side, the same, minus the part below the error at which the distance is done.
+- If they are on different sides, it is F of both. If the leg is too short for that turn, the rest
+of the turn is added.
+- If they are on the same side, it is F of both, too. On a short leg, the turtle arrives before its
+error is zero; what it would lose below that error is subtracted.
 
 A leg may lose more than this shows. Measured in another direction, the distance also takes a
 certain time, and for a short leg both times are similar. Short legs are therefore measured in

@@ -91,7 +91,7 @@ HOMES: Final = {
     **dict.fromkeys(("param", "service"), "node"),
     **dict.fromkeys(("teleop", "snapshot"), "turtlesim"),
 }
-"""Where to find the verbs that have no module of their own name."""
+"""The modules of the verbs that are not in a module of the same name."""
 
 PANELS: Final = {
     **dict.fromkeys(
@@ -121,7 +121,7 @@ class Verb(TyperCommand):
         return left
 
     def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]  # as above
-        """The options, and for switches no type in the help."""
+        """The options; the help shows no type for switches."""
         return _without_type(super().get_params(ctx))
 
     def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]  # noqa: ANN401  # as above; the job
@@ -156,8 +156,8 @@ class Group(TyperGroup):
 class LazyGroup(Group):
     """The whole command line; a verb is imported when it is chosen, not when it is listed.
 
-    Its help option is declared by `_root`. Typer's own has no default, and Typer imports pydantic
-    to find out that a missing value is missing, which takes longer than importing Typer.
+    `_root` declares the help option. Typer's own help option has no default, and Typer imports
+    pydantic to recognize a missing value, which takes longer than importing Typer.
     """
 
     def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]  # noqa: ARG002  # as in `Group`

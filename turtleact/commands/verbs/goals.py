@@ -235,7 +235,7 @@ action = new_group("action")
 
 
 def _written(*, domain: int, **options: object) -> str:
-    """Return the options that say which graph is meant, as they are written in a command."""
+    """Return the options that select the graph, as text for a command line."""
     if str(domain) != (os.environ.get("ROS_DOMAIN_ID") or "0"):
         options["domain"] = domain
     return "".join(
@@ -387,7 +387,7 @@ def resume(
 
 
 def _switch(given: list[str], *, is_all: bool, is_paused: bool, timeout: float) -> Look:
-    """What pauses or resumes goals, by the beginnings of their ids or all of an action."""
+    """Make the job that pauses or resumes goals: those named by their ids, or all of an action."""
     if is_all and len(given) > 1:
         raise UsageError("--all takes one action; without one, it means all actions")
     if not is_all and not given:

@@ -213,7 +213,7 @@ def folder(interfaces: Path | None) -> str | None:
 
 
 def journal_in(panel: str | None, text: str) -> Any:  # noqa: ANN401  # as typer.Option
-    """The option ``--journal``, below a heading and with its help."""
+    """Declare the option ``--journal`` with a heading and a help text."""
     return typer.Option("--journal", metavar="FILE", help=text, rich_help_panel=panel)
 
 
@@ -242,7 +242,7 @@ def on_known_graph(where: Reach, interfaces: Path | None, plan: Plan) -> Job:
 
 
 def type_of(kind: Kind, *, is_asked: bool = False) -> Any:  # noqa: ANN401  # as typer.Argument
-    """The argument TYPE; if it is optional, the graph is asked for a missing one."""
+    """Declare the argument TYPE. If it is optional, the graph is asked for a missing type."""
     name = f"pkg/{completion.SUFFIXES[kind]}/Name"
     return typer.Argument(
         metavar="TYPE",
