@@ -47,22 +47,17 @@ class GoalRecord(msgspec.Struct, kw_only=True):
         type_hash: The hash of that type.
         request: The goal message.
         stamp: When the server accepted it (ns since the epoch, by the graph's clock).
-        accepted: The same by the wall clock. The graph's clock may be virtual.
-        status: Its state.
-        is_built_in: Whether a built-in action took it, which makes way for others of its name.
-        is_nested: Whether another goal's body has sent it.
-        sender: The gid of the client that sent it, if that is in another process.
-        number: Its place in the order of acceptance; the journal counts.
-        crashes: How often its server has crashed since its newest feedback.
-        is_stopped: Whether its server has shut down properly since its last start.
-        is_paused: Whether it is paused.
-        feedback: The newest feedback; empty if there is none.
-        feedback_count: How many feedback messages there have been.
-        partial_result: The partial result; empty if there is none.
-        result: The result; empty until the end.
-        reason: Why it was aborted.
-        ended: When it ended (ns, wall clock); 0 before.
-        expires: Until when its result can be asked for (ns, wall clock); 0 for ever.
+        accepted: When the server accepted it, by the wall clock (ns): the graph's clock may be
+            virtual. status: Its state. is_built_in: Whether a built-in action has accepted it.
+            is_nested: Whether another goal's body has sent it. sender: The gid of the client that
+            sent it, if that is in another process. number: Its place in the order of acceptance;
+            the journal counts. crashes: How often its server has crashed since its newest feedback.
+            is_stopped: Whether its server has shut down properly since its last start. is_paused:
+            Whether it is paused. feedback: The newest feedback; empty if there is none.
+            feedback_count: How many feedback messages there have been. partial_result: The partial
+            result; empty if there is none. result: The result; empty until the end. reason: Why it
+            was aborted. ended: When it ended (ns, wall clock); 0 before. expires: Until when its
+            result can be asked for (ns, wall clock); 0 for ever.
     """
 
     id: bytes
@@ -123,7 +118,7 @@ class GoalChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class GoalJournal(Protocol):
-    """Keeps goals on disk. What is written in order is on disk in that order.
+    """Keeps goals on disk. Changes reach the disk in the order in which they are made.
 
     Attributes:
         max_starts: After so many crashes of its server without feedback in between, a goal is not
@@ -153,7 +148,7 @@ class GoalJournal(Protocol):
     ) -> None:
         """Write a change soon, and call ``then`` when a killed process would not lose it.
 
-        If the disk cannot take it, ``then`` is called nevertheless, because the goal goes on.
+        If the disk takes no more, ``then`` is called all the same, because the goal goes on.
         """
 
     def end(self, goal_id: bytes, change: GoalChange, then: Callable[[], object]) -> None:

@@ -184,7 +184,7 @@ class Observers:
         )
 
     def _tell(self, method: str, *news: object) -> None:
-        """Tell all observers one piece of news, then whatever they cause meanwhile."""
+        """Tell all observers one piece of news, and then the news that they cause meanwhile."""
         if self._is_telling:  # an observer has caused this; the call below tells it next
             self._untold.append((method, news))
             return

@@ -356,8 +356,7 @@ class Watch:
                 self.history.change(record)
 
     def _lose(self, ids: set[str], reason: str) -> None:
-        """Note that nothing more will be heard of these goals, except for those that are
-        followed."""
+        """Note that no more will be heard of these goals, except for those that are followed."""
         for id in ids - self._following.keys():
             record = self.history.find(id)
             if record is not None and not record.has_ended:
