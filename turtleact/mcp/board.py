@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["Board", "HeldGoal"]
 
 PATIENCE: Final = 0.5
-"""How long latched messages are waited for (s, event loop time), besides some round trips."""
+"""How long to wait for latched messages, besides some round trips (s, event loop time)."""
 
 ROUND_TRIPS: Final = 5
 
@@ -82,7 +82,7 @@ class Board:
         return next((goal for goal in await self.goals() if goal.goal_id == goal_id), None)
 
     async def _join(self) -> None:
-        """Read the topics of new actions, and wait for their latched messages; leave old ones."""
+        """Read the topics of new actions, wait for their latched messages, and leave old topics."""
         actions = self._actions()
         for gone in self._topics.keys() - set(actions):
             self._topics.pop(gone).close()

@@ -127,7 +127,7 @@ FIXED: Final = (
     ),
     _fixed("resume_goal", "Let a paused goal go on.", _object(goal_id=GOAL_ID), STATUS, ACTS),
 )
-"""The tools that are there whatever the graph has, if the offer has a use for them."""
+"""The tools that do not depend on the graph; the offer may have no use for some of them."""
 
 
 class Catalogue:
@@ -198,7 +198,7 @@ class Catalogue:
 def _known(
     served: Mapping[str, tuple[str, ...]], kind: type[Any], names: set[str] | frozenset[str]
 ) -> dict[str, Any]:
-    """The classes of those names; of a name with several types, the first that is known here."""
+    """The classes of these names. If a name has several types, the first one known here counts."""
     found: dict[str, Any] = {}
     for name in sorted(names):
         for type_name in served.get(name, ()):
@@ -237,6 +237,6 @@ def _service_tool(name: str, service_type: type[Service]) -> Tool:
 
 
 def _said(interface: type[Action] | type[Service]) -> str:
-    """What the author says about an interface; generated classes only repeat their name."""
+    """What the author says about an interface; empty for generated text that repeats the name."""
     text = introduction(interface)
     return "" if interface.type_name in text else text.replace("``", "`")

@@ -34,7 +34,7 @@ FIRST_VERSION: Final = "2026-07-28"
 """The first version of the protocol in which the server answers with the question."""
 
 MOST_ASKED: Final = 256
-"""How many questions may be open; of more, the oldest are forgotten."""
+"""How many questions may be open. If there are more, the oldest are forgotten."""
 
 FORM: Final = {"type": "object", "properties": {}}
 """The form that the user fills in: it has no fields, only yes and no."""

@@ -31,7 +31,7 @@ Report: TypeAlias = Callable[[float, float | None, str | None], Awaitable[None]]
 """Sends a progress message: a number that grows, a total, and a text."""
 
 KEPT: Final = 64
-"""How many feedback messages wait to be reported; of more, the oldest are skipped."""
+"""How many feedback messages wait to be reported. If there are more, the oldest are skipped."""
 
 BURST: Final = 20
 """How many progress messages may come at once, before their rate is limited."""

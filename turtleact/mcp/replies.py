@@ -27,7 +27,7 @@ LONGEST_LINE: Final = 500
 
 DECIMALS: Final = 3
 MOST_SHOWN: Final = 100
-"""How many items of a list are looked at for such a message; it is cut after fewer."""
+"""How many items of a list such a message is made from; its text is cut after fewer."""
 
 ENDS: Final = [GoalStatus.SUCCEEDED.name, GoalStatus.CANCELED.name, GoalStatus.ABORTED.name]
 

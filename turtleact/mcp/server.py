@@ -67,7 +67,8 @@ PICTURE_URI: Final = "ros://world.png"
 TOPIC_URI: Final = "ros://topic"
 
 MOST_SESSIONS: Final = 64
-"""How many sessions of the older protocol are told of changes; of more, the oldest are not."""
+"""How many sessions of the older protocol are told of changes. If there are more, the oldest are
+not told."""
 
 TELLING: Final = 1.0
 """How long a session may take to be told of a change (s, event loop time)."""

@@ -52,8 +52,8 @@ class Wire:
 
     Attributes:
         greeting: The answer that the first line has got; None if the SDK has to answer it.
-        greeted: Set when that is known.
-        is_taken: Whether the SDK is there and answers; it also has stdout to itself then.
+        greeted: Set when it is known whether there is a greeting. is_taken: Whether the SDK is
+            there and answers; it also has stdout to itself then.
     """
 
     def __init__(self, reader: asyncio.StreamReader | None) -> None:
@@ -171,7 +171,7 @@ def _can_be_waited_for(file: int) -> bool:
 
 
 async def _lines(reader: asyncio.StreamReader) -> AsyncIterator[str]:
-    """The lines; in place of one that is too long comes its beginning, which is no JSON."""
+    """The lines. Of a line that is too long, only the beginning is given, which is no JSON."""
     held = bytearray()
     while chunk := await reader.read(CHUNK):
         *lines, rest = chunk.split(b"\n")

@@ -73,7 +73,7 @@ PAUSE: Final = 0.5
 
 
 class TaskParams(RequestParams):
-    """What the three requests about a task share."""
+    """The parameters of the three requests about a task."""
 
     task_id: str
 
@@ -144,7 +144,7 @@ class Tasks:
         self._tasks: dict[bytes, _Task] = {}
 
     def install(self, server: Server[Any]) -> None:
-        """Serve the requests about tasks, and say so."""
+        """Serve the requests about tasks, and announce the extension."""
         server.extensions[EXTENSION] = {}
         for method, handler in zip(METHODS, (self._get, self._update, self._cancel), strict=True):
             server.add_request_handler(method, TaskParams, handler)
@@ -168,7 +168,7 @@ class Tasks:
         return {"resultType": "task", **task.told()}
 
     async def aclose(self) -> None:
-        """Follow no goal any more; the goals go on."""
+        """Stop following goals; the goals go on."""
         for task in self._tasks.values():
             if task.following is not None:
                 await task.following.aclose()

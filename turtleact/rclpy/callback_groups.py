@@ -13,7 +13,7 @@ class Member(Protocol):
     """What a group knows of an entity."""
 
     def describe(self) -> str:
-        """Name it in a diagnostic."""
+        """Describe this entity for a diagnostic message."""
 
 
 class CallbackGroup:

@@ -187,7 +187,7 @@ class Client(Subscriptable, Entity):
             future.set_result(decode(data, self.srv_type.Response))
 
     def describe(self) -> str:
-        """Name it in a diagnostic."""
+        """Describe this entity for a diagnostic message."""
         return f"the client of {self._full_name}"
 
     def _answered(self, number: int, data: bytes, note: str) -> None:  # noqa: ARG002  # no note

@@ -40,7 +40,7 @@ class ClockChange(IntEnum):
 
 
 class JumpThreshold:
-    """Which jumps of a clock a callback is told of.
+    """The jumps of a clock that a callback hears of.
 
     Args:
         min_forward: The smallest forward jump to report; None reports none.
@@ -71,7 +71,7 @@ class JumpThreshold:
         self.on_clock_change = on_clock_change
 
     def is_met_by(self, jump: TimeJump) -> bool:
-        """Whether a callback is told of a jump."""
+        """Whether a callback hears of this jump."""
         if jump.clock_change in (
             ClockChange.ROS_TIME_ACTIVATED,
             ClockChange.ROS_TIME_DEACTIVATED,

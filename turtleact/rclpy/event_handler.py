@@ -160,13 +160,13 @@ class Event(Protocol):
 
 
 class _Late(Event):
-    """Notices that no message was noted for some time, beginning with the first message.
+    """Notices that no message was noted for some time after the first one.
 
     Args:
         limit: The time (ns); None never ends.
         info: The class of the facts.
-        repeats: Whether each further period without a message counts too. If not, it also counts
-            as a message that the publisher asserts that it is alive.
+        repeats: Whether each further period without a message counts, too. If not, a publisher that
+            asserts that it is alive counts like one that sends a message.
     """
 
     def __init__(self, limit: int | None, info: type[_Counted], *, repeats: bool) -> None:

@@ -5,9 +5,9 @@ executor goes in rounds: first all tasks that can go on, then each entity that i
 waitables of all nodes, then for each node its timers, subscriptions, guard conditions, clients and
 services.
 
-Threads: `_wake` protects only the flag of the same name and its condition. Nodes, tasks and groups
-have locks of their own, which no callback is called under. The thread that waits takes from the
-entity and holds its group; the callback may run in another thread.
+Threads: `_wake` protects only its own flag and condition. Nodes, tasks and groups have locks of
+    their own, and no callback runs while one of those is held. The waiting thread takes the data
+    from an entity and reserves its group; the callback itself may run in another thread.
 """
 
 from __future__ import annotations

@@ -55,5 +55,5 @@ class GuardCondition(Entity):
                 await result
 
     def describe(self) -> str:
-        """Name it in a diagnostic."""
+        """Describe this entity for a diagnostic message."""
         return "a guard condition"

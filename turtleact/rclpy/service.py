@@ -108,7 +108,7 @@ class Service(Subscriptable, Entity):
         header(encode(response, self.srv_type.Response), "")
 
     def describe(self) -> str:
-        """Name it in a diagnostic."""
+        """Describe this entity for a diagnostic message."""
         return f"the service {self._full_name}"
 
     def _close(self) -> None:

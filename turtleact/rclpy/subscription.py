@@ -136,7 +136,7 @@ class Subscription(Subscriptable, Entity):
             await result
 
     def describe(self) -> str:
-        """Name it in a diagnostic."""
+        """Describe this entity for a diagnostic message."""
         return f"the subscription of {self._full_name}"
 
     def get_publisher_count(self) -> int:

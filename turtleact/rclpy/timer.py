@@ -190,7 +190,7 @@ class Timer(Entity):
             await result
 
     def describe(self) -> str:
-        """Name it in a diagnostic."""
+        """Describe this entity for a diagnostic message."""
         return f"the timer of {self._period / 1e9:g} s"
 
 

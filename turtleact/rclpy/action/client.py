@@ -300,7 +300,7 @@ class ActionClient(Waitable):
         return bool(self._events)
 
     def get_num_entities(self) -> NumberOfEntities:
-        """Return how many entities it stands for."""
+        """Return how many entities this one counts as."""
         return NumberOfEntities(num_subs=2, num_clients=3)
 
     def take_data(self) -> Anything:
@@ -314,7 +314,7 @@ class ActionClient(Waitable):
         await await_or_execute(handle, *arguments)
 
     def describe(self) -> str:
-        """Name it in a diagnostic."""
+        """Describe this entity for a diagnostic message."""
         return f"the action client of {self._kind.names.name}"
 
     def destroy(self) -> None:

@@ -332,7 +332,7 @@ class ActionServer(Waitable):
         return max(0.0, (self._first_expiry() - time.monotonic_ns()) / 1e9)
 
     def get_num_entities(self) -> NumberOfEntities:
-        """Return how many entities it stands for."""
+        """Return how many entities this one counts as."""
         return NumberOfEntities(num_timers=1, num_services=3)
 
     def take_data(self) -> Anything:
@@ -354,7 +354,7 @@ class ActionServer(Waitable):
             self._execute_get_result_request(message, respond)
 
     def describe(self) -> str:
-        """Name it in a diagnostic."""
+        """Describe this entity for a diagnostic message."""
         return f"the action server of {self._kind.names.name}"
 
     def destroy(self) -> None:

@@ -68,7 +68,7 @@ class StatusTopic(Source):
         return (write_states(packed),)
 
     def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:
-        """Return the same for readers in other processes."""
+        """Return the same message for readers in other processes."""
         return [encode(message) for message in self.current()]
 
     def readers_changed(self, *, has_readers: bool) -> None:

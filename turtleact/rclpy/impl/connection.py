@@ -43,7 +43,7 @@ CLOSING = 2.0
 """How long to wait for a graph to close (s)."""
 
 ENDING = 0.02
-"""How long a closed endpoint's last messages have to leave before the graph is closed (s)."""
+"""How long to wait for a closed endpoint's last messages before the graph is closed (s)."""
 
 
 class Encoded(msgspec.Struct, frozen=True):

@@ -1,4 +1,4 @@
-"""What everything that an executor serves has in common: a handle, readiness, and a callback."""
+"""The base of everything that an executor serves: a handle, readiness, and a callback."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ class Entity(Destroyable):
         raise NotImplementedError
 
     def describe(self) -> str:
-        """Name it in a diagnostic, such as "the timer of 0.5 s"."""
+        """Describe this entity for a diagnostic message, such as "the timer of 0.5 s"."""
         return type(self).__name__.lower()
 
     def destroy(self) -> None:

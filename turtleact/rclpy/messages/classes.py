@@ -157,8 +157,8 @@ def shape_of(message_class: Anything) -> Shape:
 def maker(message_class: Anything) -> Callable[..., object]:
     """Return a function that makes a message of decoded values, in the order of the fields.
 
-    turtleact's decoder uses it like a message class: it has a shape too, with such functions for
-    the messages inside.
+    turtleact's decoder uses this function like a message class. So the function has a shape, too,
+    which holds such functions for the nested messages.
     """
     shape = shape_of(message_class)
     names: dict[str, object] = {"new": message_class.__new__, "cls": message_class}
