@@ -204,6 +204,7 @@ PresetProfile: TypeAlias = Annotated[
     Preset,
     typer.Option(
         "--storage-preset-profile",
+        metavar="NAME",
         help="Whether to compress: zstd_fast or zstd_small.",
         rich_help_panel=FILES,
     ),
