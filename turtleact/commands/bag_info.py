@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from turtleact.commands.output import say_names
-from turtleact.recording import Bag, BagInfo, BagTopic
+from turtleact.recording.bag import Bag
+from turtleact.recording.metadata import BagInfo, BagTopic
 from turtleact.recording.selection import EVENT, owner_of, part_of
 from turtleact.recording.storage import Range
 
@@ -172,8 +173,9 @@ def _remarks(info: BagInfo) -> list[str]:
 def _lacks_goals(action: _Action) -> bool:
     """Whether an action had goals, but none of them was recorded."""
     counts = {part: topic.count for part, topic in action.parts.items()}
-    # The first status comes when the recorder subscribes, and may list no goal.
-    was_active = counts.get("feedback", 0) or counts.get("status", 0) > 1
+    # One status of each server comes when the recorder subscribes, and may list no goal. A goal has
+    # three: accepted, executing, ended.
+    was_active = counts.get("feedback", 0) or counts.get("status", 0) > 2
     return bool(was_active and not (counts.get("send_goal") or counts.get("get_result")))
 
 

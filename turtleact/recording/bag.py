@@ -14,12 +14,10 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
-import anyio.to_thread
 import msgspec
 
 from turtleact.errors import InvalidMessage
 from turtleact.interfaces import Message
-from turtleact.interfaces.cdr import decode
 from turtleact.recording.mcap_reading import McapFile
 from turtleact.recording.metadata import (
     ROOT,
@@ -212,6 +210,8 @@ class Reading:
 
     async def batches(self) -> AsyncIterator[list[Recorded]]:
         """The messages, several at once. Cancelling: safe."""
+        import anyio.to_thread  # slow to import, and not needed to look at a bag
+
         while True:
             batch = await anyio.to_thread.run_sync(self._read)
             if not batch:
@@ -234,6 +234,8 @@ class Reading:
 
 def reader_of(channel: Channel) -> Callable[[bytes], Message | None]:
     """Return a function that decodes the messages of a topic, or gives None."""
+    from turtleact.interfaces.cdr import decode  # slow to import
+
     cls = class_of(channel.schema, channel.type_hash) if channel.format == "cdr" else None
 
     def read(data: bytes) -> Message | None:
@@ -266,6 +268,8 @@ async def read(
     Raises:
         BagError: if there is no bag, or a place in it is damaged.
     """
+    import anyio.to_thread  # as above
+
     wants = None if topics is None else frozenset(topics).__contains__
     bag = await anyio.to_thread.run_sync(Bag, path)
     try:

@@ -24,9 +24,8 @@ from mcap.records import Chunk, Metadata
 from mcap.records import Schema as SchemaRecord
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.summary import Summary
-from mcap.writer import MCAP0_MAGIC
 
-from turtleact.recording.mcap_writing import MESSAGE
+from turtleact.recording.mcap_writing import MAGIC, MESSAGE
 from turtleact.recording.metadata import BagError, read_offers
 from turtleact.recording.schemas import Schema
 from turtleact.recording.storage import Channel, Range, Raw
@@ -118,7 +117,7 @@ class McapFile:
     # opening
 
     def _look_through(self) -> None:
-        if self._file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+        if self._file.read(len(MAGIC)) != MAGIC:
             raise BagError(self.path, "it is not an MCAP file")
         summary = self._summary()
         if summary is None or not _is_complete(summary):
@@ -129,8 +128,8 @@ class McapFile:
 
     def _summary(self) -> Summary | None:
         """The index at the end of the file; None if there is none that can be read."""
-        self._file.seek(-len(MCAP0_MAGIC), 2)
-        self.is_closed = self._file.read() == MCAP0_MAGIC and self._file.tell() > 16
+        self._file.seek(-len(MAGIC), 2)
+        self.is_closed = self._file.read() == MAGIC and self._file.tell() > 16
         if not self.is_closed:
             return None
         self._file.seek(0)
@@ -168,7 +167,7 @@ class McapFile:
     def _scan(self) -> None:
         """Look through the whole file, up to the first record that is cut off or damaged."""
         size = self._file.seek(0, 2)
-        place = len(MCAP0_MAGIC)
+        place = len(MAGIC)
         while place + _HEAD.size <= size:
             self._file.seek(place)
             opcode, length = _HEAD.unpack(self._file.read(_HEAD.size))

@@ -39,11 +39,10 @@ from mcap.records import (
     SummaryOffset,
 )
 from mcap.records import Schema as SchemaRecord
-from mcap.writer import MCAP0_MAGIC
 
 from turtleact.recording.schemas import Schema
 
-__all__ = ["CHUNK", "Compression", "McapWriter"]
+__all__ = ["CHUNK", "MAGIC", "MESSAGE", "Compression", "McapWriter"]
 
 Compression: TypeAlias = Literal["none", "zstd_fast", "zstd_small"]
 """How chunks are compressed; rosbag2 has presets of these names."""
@@ -52,6 +51,9 @@ CHUNK: Final = 768 * 1024
 """A chunk is written once it has this many bytes: as many as in rosbag2."""
 
 LEVELS: Final[Mapping[Compression, int]] = {"zstd_fast": 1, "zstd_small": 19}
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+"""How a file begins and ends. (``mcap.writer`` has it too, but takes long to import.)"""
 
 HELD_BACK: Final = 64
 """How many of the last chunks can be given up to make room for the index."""
@@ -95,7 +97,7 @@ class McapWriter:
         self._metadata: list[MetadataIndex] = []
         self._last: deque[_Written] = deque(maxlen=HELD_BACK)
         self._begin_chunk()
-        self._append(MCAP0_MAGIC + _bytes_of(Header("ros2", "turtleact")))
+        self._append(MAGIC + _bytes_of(Header("ros2", "turtleact")))
 
     @property
     def size(self) -> int:
@@ -284,7 +286,7 @@ class McapWriter:
         foot = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, behind)
         crc = zlib.crc32(foot, zlib.crc32(body + offsets))
         footer = Footer(summary_start=start, summary_offset_start=behind, summary_crc=crc)
-        return head + bytes(body + offsets) + _bytes_of(footer) + MCAP0_MAGIC
+        return head + bytes(body + offsets) + _bytes_of(footer) + MAGIC
 
     def _statistics(self) -> Statistics:
         return Statistics(

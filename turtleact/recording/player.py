@@ -31,8 +31,8 @@ from turtleact.interfaces import Message, WireFormat, get_action, type_hash
 from turtleact.names import resolve_name
 from turtleact.node import Node
 from turtleact.recording.bag import Bag, Reading, Recorded, reader_of
-from turtleact.recording.goals import REQUESTS
 from turtleact.recording.metadata import Offer
+from turtleact.recording.recorded_goals import REQUESTS
 from turtleact.recording.recorder import RawFormat
 from turtleact.recording.schemas import class_of
 from turtleact.recording.selection import EVERYTHING, Selection, owner_of, part_of

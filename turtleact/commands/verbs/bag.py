@@ -216,7 +216,7 @@ BagPath: TypeAlias = Annotated[
     Path, typer.Argument(metavar="BAG", help="The folder of the bag, or one of its files.")
 ]
 ReadStorage: TypeAlias = Annotated[
-    Literal["mcap", "sqlite3"] | None,
+    str | None,
     typer.Option("--storage", "-s", hidden=True, help="Not needed: the file tells."),
 ]
 NamesOnly: TypeAlias = Annotated[
