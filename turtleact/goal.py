@@ -150,7 +150,7 @@ class Cancelable(Protocol):
     """Something running that can be asked to stop."""
 
     def cancel(self) -> object:
-        """Ask it to stop; this may take a while."""
+        """Ask this to stop; it may take a while."""
 
 
 OnFeedback: TypeAlias = Callable[[object], object]

@@ -47,7 +47,7 @@ class GoalServer(Protocol):
 
     @property
     def is_open(self) -> bool:
-        """Whether it accepts goals."""
+        """Whether the server accepts goals."""
 
     async def send_goal(self, order: GoalOrder) -> Goal:
         """Send a goal and return it once it is accepted.

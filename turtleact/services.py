@@ -112,7 +112,7 @@ class ServiceServer(Generic[Req, Res]):
 
     @property
     def is_open(self) -> bool:
-        """Whether it takes requests."""
+        """Whether the server takes requests."""
         return self._local.is_open
 
     @property

@@ -120,7 +120,7 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def keeps_commands(self) -> bool:
-        """Whether it keeps a command for a second, so that the same one need not be repeated.
+        """Whether the robot keeps a command for a second, so that no command need be repeated.
 
         turtlesim's turtles do; for other robots it is not known when they stop.
         """

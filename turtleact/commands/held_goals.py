@@ -503,11 +503,11 @@ class WatchedGoal:
             self.is_paused = self.goal_id in paused
 
     async def pause(self) -> None:
-        """Pause it; raises as `set_paused`."""
+        """Pause the goal; raises as `set_paused`."""
         await set_paused(self._node, self._action, self.goal_id, is_paused=True)
 
     async def resume(self) -> None:
-        """Let it go on; raises as `set_paused`."""
+        """Let the goal go on; raises as `set_paused`."""
         await set_paused(self._node, self._action, self.goal_id, is_paused=False)
 
 

@@ -64,7 +64,7 @@ class Order(NamedTuple):
 
     @property
     def is_empty(self) -> bool:
-        """Whether it names nothing to offer."""
+        """Whether the order names nothing to offer."""
         names = self.actions, self.services, self.topics
         return not self.read_only and all(each is not None and not each for each in names)
 

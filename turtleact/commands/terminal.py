@@ -308,7 +308,7 @@ class Compose(Protocol):
     """Composes the current picture."""
 
     def __call__(self, *, width: int, height: int) -> render.Picture:
-        """Compose it for a number of columns and lines."""
+        """Compose the picture for a number of columns and lines."""
 
 
 def draw(region: Region, compose: Compose) -> None:

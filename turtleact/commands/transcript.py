@@ -98,13 +98,13 @@ class Held(Protocol):
 
     @property
     def is_paused(self) -> bool:
-        """Whether it is paused."""
+        """Whether the goal is paused."""
 
     async def pause(self) -> None:
-        """Pause it; raises `PauseRefused` if it cannot be paused."""
+        """Pause the goal; raises `PauseRefused` if it cannot be paused."""
 
     async def resume(self) -> None:
-        """Let it go on."""
+        """Let the goal go on."""
 
 
 class Followed(NamedTuple):

@@ -578,7 +578,7 @@ class ActionServer(Generic[G, R, F]):
 
     @property
     def is_open(self) -> bool:
-        """Whether it accepts goals, or will when the name is free."""
+        """Whether the server accepts goals, or will when the name is free."""
         return self._local.is_open
 
     @property

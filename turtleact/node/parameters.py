@@ -268,7 +268,7 @@ class Parameter(Generic[P]):
 
     @property
     def is_declared(self) -> bool:
-        """Whether it is still declared; closing the node changes nothing."""
+        """Whether the parameter is still declared; closing the node changes nothing."""
         return self._parameters.is_declared(self)
 
     @property

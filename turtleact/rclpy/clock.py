@@ -189,7 +189,7 @@ class Clock:
 
     @property
     def handle(self) -> Handle:
-        """Whether it may be used."""
+        """Whether the clock may be used."""
         return self._handle
 
     @property

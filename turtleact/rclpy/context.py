@@ -28,7 +28,7 @@ class Tracked(Protocol):
     """What a context knows of a node."""
 
     def destroy_node(self) -> None:
-        """Destroy it. A second call does nothing."""
+        """Destroy the node. A second call does nothing."""
 
 
 class Context:
@@ -88,7 +88,7 @@ class Context:
             apply_levels(arguments.log_levels)
 
     def ok(self) -> bool:
-        """Whether it is initialised and not shut down."""
+        """Whether the context is initialised and not shut down."""
         return self._is_ok
 
     @property

@@ -85,7 +85,7 @@ class Duration:
         return self.__mul__(factor)
 
     def to_msg(self) -> Anything:
-        """Return it as a ``builtin_interfaces.msg.Duration``."""
+        """Return the duration as a ``builtin_interfaces.msg.Duration``."""
         seconds, rest = divmod(self._nanoseconds, S_TO_NS)
         message: Anything = interface_class("builtin_interfaces/msg/Duration")
         return message(sec=seconds, nanosec=rest)

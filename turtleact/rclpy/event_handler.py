@@ -350,7 +350,7 @@ class EventHandler(Waitable):
         await await_or_execute(self.callback, taken_data)
 
     def destroy(self) -> None:
-        """Destroy it. A second call does nothing."""
+        """Destroy the handler. A second call does nothing."""
         self._connection.unwatch(self.wake)
         super().destroy()
 

@@ -37,7 +37,7 @@ class GuardCondition(Entity):
         self.wake()
 
     def is_ready_now(self) -> bool:
-        """Whether it was triggered."""
+        """Whether the condition was triggered."""
         return self._is_triggered and not self._handle.is_destroyed
 
     def take(self) -> Anything:

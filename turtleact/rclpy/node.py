@@ -278,16 +278,16 @@ class Node(NodeParameters, NodeGraph):
 
     @property
     def handle(self) -> Handle:
-        """Whether it may be used."""
+        """Whether the node may be used."""
         return self._handle
 
     def get_name(self) -> str:
-        """Return its name."""
+        """Return the node's name."""
         with self._handle:
             return self._name
 
     def get_namespace(self) -> str:
-        """Return its namespace."""
+        """Return the node's namespace."""
         with self._handle:
             return self._namespace
 
@@ -296,11 +296,11 @@ class Node(NodeParameters, NodeGraph):
         return f"{self._namespace.rstrip('/')}/{self._name}"
 
     def get_clock(self) -> Clock:
-        """Return its clock, which tells ROS time."""
+        """Return the node's clock, which tells ROS time."""
         return self._clock
 
     def get_logger(self) -> RcutilsLogger:
-        """Return its logger."""
+        """Return the node's logger."""
         return self._logger
 
     # names
@@ -589,7 +589,7 @@ class Node(NodeParameters, NodeGraph):
         self._wake_executor()
 
     def remove_waitable(self, waitable: Waitable) -> None:
-        """Run it no more."""
+        """Stop running a waitable."""
         self._waitables = [each for each in self._waitables if each is not waitable]
         self._wake_executor()
 

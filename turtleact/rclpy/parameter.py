@@ -139,7 +139,7 @@ class Parameter(Subscriptable):
         return hash((self._name, self._type))
 
     def get_parameter_value(self) -> Anything:
-        """Return its value as a ``rcl_interfaces.msg.ParameterValue``."""
+        """Return the parameter's value as a ``rcl_interfaces.msg.ParameterValue``."""
         made: Anything = interface_class("rcl_interfaces/msg/ParameterValue")
         message = made(type=self._type.value)
         field = FIELDS[self._type.value]
@@ -148,7 +148,7 @@ class Parameter(Subscriptable):
         return message
 
     def to_parameter_msg(self) -> Anything:
-        """Return it as a ``rcl_interfaces.msg.Parameter``."""
+        """Return the parameter as a ``rcl_interfaces.msg.Parameter``."""
         made: Anything = interface_class("rcl_interfaces/msg/Parameter")
         return made(name=self._name, value=self.get_parameter_value())
 

@@ -58,7 +58,7 @@ class Publisher(Subscriptable, Destroyable):
 
     @property
     def handle(self) -> Handle:
-        """Whether it may be used."""
+        """Whether the publisher may be used."""
         return self._handle
 
     @property
@@ -102,7 +102,7 @@ class Publisher(Subscriptable, Destroyable):
             return True
 
     def destroy(self) -> None:
-        """Destroy it. A second call does nothing."""
+        """Destroy the publisher. A second call does nothing."""
         for each in self.event_handlers:
             each.destroy()
         self._handle.destroy_when_not_in_use()

@@ -282,7 +282,7 @@ class QoSProfile:
         )
 
     def times(self) -> TimePolicies:
-        """Return its policies in time, as peers are shown them."""
+        """Return the profile's policies in time, as peers are shown them."""
         manual = self.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC
         return TimePolicies(
             deadline=_limit(self.deadline),

@@ -145,7 +145,7 @@ class Subscription(Subscriptable, Entity):
             return self._count_publishers()
 
     def destroy(self) -> None:
-        """Destroy it. A second call does nothing."""
+        """Destroy the subscription. A second call does nothing."""
         for each in self.event_handlers:
             each.destroy()
         super().destroy()

@@ -79,7 +79,7 @@ class Future(Subscriptable):
         return not self._done and not self._cancelled
 
     def cancel(self) -> None:
-        """Cancel it, unless it is done."""
+        """Cancel the future, unless it is done."""
         with self._lock:
             if self._done or self._cancelled:
                 return
@@ -87,11 +87,11 @@ class Future(Subscriptable):
         self._tell()
 
     def cancelled(self) -> bool:
-        """Whether it was cancelled."""
+        """Whether the future was cancelled."""
         return self._cancelled
 
     def done(self) -> bool:
-        """Whether it has a result or an exception."""
+        """Whether the future has a result or an exception."""
         return self._done
 
     def result(self) -> Anything:
@@ -212,7 +212,7 @@ class Task(Future):
         super().__del__()
 
     def __call__(self) -> None:
-        """Run it, or its next step. Does nothing if it is done, cancelled or running."""
+        """Run the task, or its next step. Does nothing if it is done, cancelled or running."""
         if not self._is_pending or self._executing or not self._task_lock.acquire(blocking=False):
             return
         before, RUNNING.task, self.awaited = RUNNING.task, self, None
@@ -260,7 +260,7 @@ class Task(Future):
         return self._executing
 
     def cancel(self) -> None:
-        """Cancel it, unless it is done. A coroutine does not run any further."""
+        """Cancel the task, unless it is done. A coroutine does not run any further."""
         super().cancel()
         if self._is_coroutine and self.cancelled() and not self._executing:
             with contextlib.suppress(Exception):

@@ -115,7 +115,7 @@ class Time:
         return NotImplemented
 
     def to_msg(self) -> Anything:
-        """Return it as a ``builtin_interfaces.msg.Time``."""
+        """Return the time as a ``builtin_interfaces.msg.Time``."""
         seconds, rest = self.seconds_nanoseconds()
         message: Anything = interface_class("builtin_interfaces/msg/Time")
         return message(sec=seconds, nanosec=rest)

@@ -39,7 +39,7 @@ class Timed(Protocol):
         """Ask ``callback(parameters)`` before parameters are set."""
 
     def get_logger(self) -> RcutilsLogger:
-        """Return its logger."""
+        """Return the node's logger."""
 
     def create_subscription(
         self, msg_type: Anything, topic: str, callback: Anything, qos_profile: QoSProfile

@@ -117,12 +117,12 @@ class Timer(Entity):
         self.wake()
 
     def is_ready(self) -> bool:
-        """Whether it is due."""
+        """Whether the timer is due."""
         with self.handle:
             return not self._is_canceled and self._next_call <= self._clock.now_ns()
 
     def is_canceled(self) -> bool:
-        """Whether it was canceled."""
+        """Whether the timer was canceled."""
         with self.handle:
             return self._is_canceled
 
@@ -157,7 +157,7 @@ class Timer(Entity):
     # for executors
 
     def is_ready_now(self) -> bool:
-        """Whether it is due; False after `destroy`."""
+        """Whether the timer is due; False after `destroy`."""
         if self._is_canceled or self._handle.is_destroyed:
             return False
         return self._next_call <= self._clock.now_ns()
@@ -246,7 +246,7 @@ class Rate:
             self._beat.notify_all()
 
     def destroy(self) -> None:
-        """Destroy it and its timer; whoever sleeps wakes up."""
+        """Destroy the rate and its timer; whoever sleeps wakes up."""
         with self._beat:
             self._is_destroyed = True
             self._beat.notify_all()

@@ -85,7 +85,7 @@ class Bag:
         self.info = self._look()
 
     def close(self) -> None:
-        """Close its files."""
+        """Close the bag's files."""
         while self._open:
             self._open.popitem()[1].close()
 

@@ -157,7 +157,7 @@ class _Player:
                 self._open(channel)
 
     def close(self) -> None:
-        """Close it."""
+        """Close the player."""
         for each in self._publications.values():
             each.close()
 

@@ -62,7 +62,7 @@ class RecordedGoal(msgspec.Struct, kw_only=True):
 
     @property
     def ended(self) -> int:
-        """When it ended (ns); 0 if the bag has no end."""
+        """When the goal ended (ns); 0 if the bag has no end."""
         return self.states[-1][0] if self.status in ENDED else 0
 
     @property

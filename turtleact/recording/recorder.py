@@ -136,7 +136,7 @@ class Recording:
 
     @property
     def is_over(self) -> bool:
-        """Whether it has ended early."""
+        """Whether the recording has ended early."""
         return self._is_over
 
     def end(self) -> None:

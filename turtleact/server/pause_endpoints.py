@@ -55,7 +55,7 @@ class PauseEndpoints(Source, GoalObserver):
         self._publication: Publication | None = None
 
     def open(self) -> None:
-        """Offer them."""
+        """Offer the endpoints."""
         name = self._server.name
         self._serve(SetPaused, set_paused_service(name), self._set_paused)
         self._serve(Trigger, f"{name}/pause", self._pause_all)

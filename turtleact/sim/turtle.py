@@ -289,7 +289,7 @@ class _Turn:
         return omega
 
     def abort(self, reason: str) -> None:
-        """End it without success."""
+        """End the goal without success."""
         self._reason = reason
         self.ended.set()
 

@@ -462,18 +462,18 @@ class _Sent:
             handle.cancel_nowait()
 
     def cancel(self) -> None:
-        """Cancel it as soon as it is accepted."""
+        """Cancel the goal as soon as it is accepted."""
         # Without a handle the server has not answered yet: `accept` cancels it then.
         self._is_canceled = True
         if self._handle is not None:
             self._handle.cancel_nowait()
 
     def tell_feedback(self, feedback: Message) -> None:
-        """Send its client a feedback message."""
+        """Send the goal's client a feedback message."""
         self.tell("action_feedback", feedback)
 
     def tell(self, op: str, message: Message, **members: object) -> None:
-        """Send its client a frame, if the client is still there."""
+        """Send the goal's client a frame, if the client is still there."""
         if self.teller is None or self.is_over:
             return
         frame = reply(
@@ -490,7 +490,7 @@ class _Sent:
             self.teller.keep(frame)
 
     def fail(self, problem: str) -> None:
-        """Tell its client that there is no result."""
+        """Tell the goal's client that there is no result."""
         if self.teller is not None and not self.is_over:
             _tell_failure(self.said, self.teller, problem)
 

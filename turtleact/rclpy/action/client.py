@@ -85,12 +85,12 @@ class ClientGoalHandle(Subscriptable):
 
     @property
     def stamp(self) -> Anything:
-        """When it was accepted."""
+        """When the goal was accepted."""
         return self._goal_response.stamp
 
     @property
     def accepted(self) -> bool:
-        """Whether it was accepted."""
+        """Whether the goal was accepted."""
         accepted: bool = self._goal_response.accepted
         return accepted
 
@@ -100,7 +100,7 @@ class ClientGoalHandle(Subscriptable):
         return self._status
 
     def update_status(self, status: int) -> None:
-        """Note its state. A goal that has ended stays as it is."""
+        """Note the goal's state. A goal that has ended stays as it is."""
         if self._status < 4 or status >= 4:
             self._status = status
 
@@ -309,7 +309,7 @@ class ActionClient(Waitable):
             return self._events.popleft() if self._events else None
 
     async def execute(self, taken_data: Event) -> None:
-        """Handle it."""
+        """Handle what has arrived."""
         handle, arguments = taken_data
         await await_or_execute(handle, *arguments)
 
@@ -318,7 +318,7 @@ class ActionClient(Waitable):
         return f"the action client of {self._kind.names.name}"
 
     def destroy(self) -> None:
-        """Destroy it. A second call does nothing."""
+        """Destroy the client. A second call does nothing."""
         if self._handle.is_destroyed:
             return
         super().destroy()

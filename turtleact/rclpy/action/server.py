@@ -129,12 +129,12 @@ class ServerGoalHandle(Subscriptable):
 
     @property
     def is_active(self) -> bool:
-        """Whether it has not ended."""
+        """Whether the goal has not ended."""
         return not self._is_destroyed and self.goal.status.is_active
 
     @property
     def is_cancel_requested(self) -> bool:
-        """Whether it is being canceled."""
+        """Whether the goal is being canceled."""
         return self.status == GoalStatus.CANCELING
 
     @property
@@ -143,7 +143,7 @@ class ServerGoalHandle(Subscriptable):
         return int(GoalStatus.UNKNOWN if self._is_destroyed else self.goal.status)
 
     def update(self, event: GoalEvent) -> None:
-        """Change its state.
+        """Change the goal's state.
 
         Raises:
             RCLError: if the state does not allow that.
@@ -183,19 +183,19 @@ class ServerGoalHandle(Subscriptable):
             self._action_server.publish_feedback(self.goal.id or b"", feedback)
 
     def succeed(self, response: Anything = None) -> None:
-        """End it as SUCCEEDED, perhaps with its result."""
+        """End the goal as SUCCEEDED, perhaps with its result."""
         self._end(GoalEvent.SUCCEED, response)
 
     def abort(self, response: Anything = None) -> None:
-        """End it as ABORTED, perhaps with its result."""
+        """End the goal as ABORTED, perhaps with its result."""
         self._end(GoalEvent.ABORT, response)
 
     def canceled(self, response: Anything = None) -> None:
-        """End it as CANCELED, perhaps with its result."""
+        """End the goal as CANCELED, perhaps with its result."""
         self._end(GoalEvent.CANCELED, response)
 
     def destroy(self) -> None:
-        """Forget it: from now on its state is UNKNOWN."""
+        """Forget the goal: from now on its state is UNKNOWN."""
         self._is_destroyed = True
 
     def _end(self, event: GoalEvent, response: Anything) -> None:
@@ -358,7 +358,7 @@ class ActionServer(Waitable):
         return f"the action server of {self._kind.names.name}"
 
     def destroy(self) -> None:
-        """Destroy it and its goal handles. A second call does nothing."""
+        """Destroy the server and its goal handles. A second call does nothing."""
         if self._handle.is_destroyed:
             return
         super().destroy()

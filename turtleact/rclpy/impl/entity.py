@@ -36,7 +36,7 @@ class Handle:
 
     @property
     def is_destroyed(self) -> bool:
-        """Whether it was destroyed."""
+        """Whether the object was destroyed."""
         return self._is_destroyed
 
     def check(self) -> None:
@@ -49,7 +49,7 @@ class Handle:
             raise InvalidHandle("cannot use Destroyable because destruction was requested")
 
     def destroy_when_not_in_use(self) -> None:
-        """Destroy it. A second call does nothing."""
+        """Destroy the object. A second call does nothing."""
         with self._lock:
             is_first = not self._is_destroyed
             self._is_destroyed = True
@@ -80,7 +80,7 @@ class Destroyable:
     """Something that can be destroyed; a context manager that does so at its end."""
 
     def destroy(self) -> None:
-        """Destroy it. A second call does nothing."""
+        """Destroy the object. A second call does nothing."""
         raise NotImplementedError
 
     def __enter__(self) -> Self:
@@ -124,7 +124,7 @@ class Entity(Destroyable):
 
     @property
     def handle(self) -> Handle:
-        """Whether it may be used."""
+        """Whether the entity may be used."""
         return self._handle
 
     def wake(self) -> None:
@@ -153,5 +153,5 @@ class Entity(Destroyable):
         return type(self).__name__.lower()
 
     def destroy(self) -> None:
-        """Destroy it. A second call does nothing."""
+        """Destroy the entity. A second call does nothing."""
         self._handle.destroy_when_not_in_use()

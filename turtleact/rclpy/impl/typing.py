@@ -29,7 +29,7 @@ class ServiceHost(Protocol):
     """What the services of a node know of it."""
 
     def get_name(self) -> str:
-        """Return its name."""
+        """Return the node's name."""
 
     def create_service(
         self, srv_type: Anything, srv_name: str, callback: Anything, *, qos_profile: Anything = ...

@@ -74,7 +74,7 @@ class Declared(Protocol):
     """Something declared on a session."""
 
     def undeclare(self) -> object:
-        """Undeclare it."""
+        """Undeclare this."""
 
 
 class Session:
@@ -360,7 +360,7 @@ class _LatchedSubscriber:
         self._subscriber = subscriber
 
     def undeclare(self) -> None:
-        """Undeclare it once, by dropping it, for the same reason as `Publisher.undeclare`."""
+        """Undeclare the subscriber by dropping it, once; `Publisher.undeclare` says why."""
         del self._subscriber
 
 
@@ -443,7 +443,7 @@ class Query:
         self._key = key
 
     def reply(self, payload: bytes, attachment: bytes) -> None:
-        """Answer it."""
+        """Answer the query."""
         try:
             with self._query:
                 self._query.reply(self._key, payload, attachment=attachment)
