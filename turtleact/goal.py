@@ -179,18 +179,20 @@ class Goal(msgspec.Struct, eq=False):
         body: The running body, while it can be canceled.
         ended: When it ended (ns since the epoch); 0 before.
         is_decided: Whether its end is settled. With a journal, the end is announced a little later,
-            and only then has the goal ended. resumed: What an earlier process has left of it; None
-            if it began in this one. is_paused: Whether it is paused: its body stands still until
-            the goal is resumed.
-            is_paused_by_parent: Whether it is paused only because its parent is. hold: The request
-                to its body to stand still; see `turtleact.server.pausing`. paused_ns: How long it
-                was paused before (ns), by the server's clock. children: The active goals that its
-                body has sent; each with an object that can pause it. waiters: How many callers wait
-                for its result. The table keeps the goal while there are any. parent: The goal whose
-                body sent this one, if any. sender: The client that sent it. published: How many
-                feedback messages were published for it on the topic. is_asked_for: Whether a client
-                in another process has asked for its result. error: Why contact with the goal was
-                lost; its state is then UNKNOWN. runner: What runs its body; None before it begins.
+            and only then has the goal ended.
+        resumed: What an earlier process has left of it; None if it began in this one.
+        is_paused: Whether it is paused: its body stands still until the goal is resumed.
+        is_paused_by_parent: Whether it is paused only because its parent is.
+        hold: The request to its body to stand still; see `turtleact.server.pausing`.
+        paused_ns: How long it was paused before (ns), by the server's clock.
+        children: The active goals that its body has sent; each with an object that can pause it.
+        waiters: How many callers wait for its result. The table keeps the goal while there are any.
+        parent: The goal whose body sent this one, if any.
+        sender: The client that sent it.
+        published: How many feedback messages were published for it on the topic.
+        is_asked_for: Whether a client in another process has asked for its result.
+        error: Why contact with the goal was lost; its state is then UNKNOWN.
+        runner: What runs its body; None before it begins.
     """
 
     request: object

@@ -48,16 +48,22 @@ class GoalRecord(msgspec.Struct, kw_only=True):
         request: The goal message.
         stamp: When the server accepted it (ns since the epoch, by the graph's clock).
         accepted: When the server accepted it, by the wall clock (ns): the graph's clock may be
-            virtual. status: Its state. is_built_in: Whether a built-in action has accepted it.
-            is_nested: Whether another goal's body has sent it. sender: The gid of the client that
-            sent it, if that is in another process. number: Its place in the order of acceptance;
-            the journal counts. crashes: How often its server has crashed since its newest feedback.
-            is_stopped: Whether its server has shut down properly since its last start. is_paused:
-            Whether it is paused. feedback: The newest feedback; empty if there is none.
-            feedback_count: How many feedback messages there have been. partial_result: The partial
-            result; empty if there is none. result: The result; empty until the end. reason: Why it
-            was aborted. ended: When it ended (ns, wall clock); 0 before. expires: Until when its
-            result can be asked for (ns, wall clock); 0 for ever.
+            virtual.
+        status: Its state.
+        is_built_in: Whether a built-in action has accepted it.
+        is_nested: Whether another goal's body has sent it.
+        sender: The gid of the client that sent it, if that is in another process.
+        number: Its place in the order of acceptance; the journal counts.
+        crashes: How often its server has crashed since its newest feedback.
+        is_stopped: Whether its server has shut down properly since its last start.
+        is_paused: Whether it is paused.
+        feedback: The newest feedback; empty if there is none.
+        feedback_count: How many feedback messages there have been.
+        partial_result: The partial result; empty if there is none.
+        result: The result; empty until the end.
+        reason: Why it was aborted.
+        ended: When it ended (ns, wall clock); 0 before.
+        expires: Until when its result can be asked for (ns, wall clock); 0 for ever.
     """
 
     id: bytes

@@ -223,7 +223,8 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
 
         Raises:
             PauseRefused: if the goal cannot be paused, or its body takes too long. The reason says
-                which. ServerUnavailable: if the server has gone.
+                which.
+            ServerUnavailable: if the server has gone.
         """
         await self._reader.pause(timeout)
 

@@ -112,7 +112,8 @@ def writer_behind(
     Args:
         cls: The class.
         place: Where the message begins: at the end of the header, or a multiple of eight bytes
-            after it. is_strict: Whether to accept only what ``snapshot`` would copy unchanged.
+            after it.
+        is_strict: Whether to accept only what ``snapshot`` would copy unchanged.
     """
     return encoder(cls, place, is_strict=is_strict)
 

@@ -180,9 +180,9 @@ class Presence:
     Args:
         context: The transport's context.
         token: The token.
-        declare: Declares everything but the token; called in the outbox. undeclare: Undeclares the
-            same; called in the outbox. on_demand: If not empty, the endpoint is declared only once
-            another process has an endpoint
+        declare: Declares everything but the token; called in the outbox.
+        undeclare: Undeclares the same; called in the outbox.
+        on_demand: If not empty, the endpoint is declared only once another process has an endpoint
             with this name.
         on_wake: Called when it is declared on demand.
 
