@@ -43,7 +43,7 @@ class Detached(msgspec.Struct, frozen=True):
 
 
 class FeedbackLost(msgspec.Struct, frozen=True):
-    """The goal has ended, and so many of its feedback messages have not arrived."""
+    """So many feedback messages have not reached a client, or were never sent by the server."""
 
     count: int
 

@@ -38,6 +38,13 @@ async def test_a_missing_package_is_named(monkeypatch):
             instrument(node)
 
 
+async def test_a_closed_node_cannot_be_instrumented():
+    async with turtleact.open_node("lab") as node:
+        pass
+    with pytest.raises(TurtleactError, match="node '/lab' is closed: open another"):
+        instrument(node)
+
+
 async def test_without_a_program_that_sets_up_opentelemetry_goals_run_as_ever():
     from ..lab import Count, count, goal, result
 

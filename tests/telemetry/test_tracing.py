@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextvars
 import subprocess
 import sys
 from collections import Counter
@@ -208,6 +209,7 @@ async def test_pauses_are_events(collector):
     assert events(collector.the("execute /count"))[2:] == ["paused", "resumed"]
 
 
+@pytest.mark.loops("asyncio", "uvloop", "trio")
 @WHERE
 async def test_goals_that_a_body_sends_are_children_of_its_span(collector, where, kind):
     with exporting_to(collector) as provider:
@@ -421,6 +423,17 @@ async def test_a_goal_that_is_sent_twice_is_joined_and_leaves_no_span_open(colle
                     await handle.result()
     names = Counter(each.name for each in collector.spans)
     assert names == {"send_goal /count": 2, "execute /count": 1}
+
+
+async def test_a_goal_whose_coroutine_is_thrown_away_ends_its_span(collector, caplog):
+    with exporting_to(collector) as provider:
+        async with lab(provider, Gate().wait) as made:
+            sending = made.client.send_goal(goal())
+            sending.send(None)  # one step of the coroutine
+            contextvars.Context().run(sending.close)
+    assert [each.name for each in collector.spans if each.status.code == 0]
+    assert len(collector.spans) == 2
+    assert "Failed to detach" not in caplog.text
 
 
 GOALS = 1_000

@@ -44,7 +44,7 @@ from turtleact.interfaces.standard import UUID, CancelGoal, Fibonacci, GoalStatu
 from turtleact.interfaces.types import REGISTRY
 from turtleact.tasks import current_tasks
 from turtleact.transports import QoS, ZenohTransport, open_zenoh
-from turtleact.transports.base import Endpoint, Reply, Target
+from turtleact.transports.base import REQUEST_NOTE, Endpoint, Reply, Target
 from turtleact.transports.rmw_zenoh import services
 from turtleact.transports.rmw_zenoh.attachment import read_attachment, write_attachment
 from turtleact.transports.rmw_zenoh.config import session_config
@@ -469,6 +469,33 @@ async def test_a_request_that_is_under_way_is_refused_a_second_time(address, cap
         assert len(other.replies) == 1
         await anyio.to_thread.run_sync(other.ask, *twice)
         assert len(other.replies) == 2
+
+
+async def test_a_note_follows_the_attachment_of_a_request(address):
+    heard: list[str] = []
+
+    class Handler:
+        async def reply(self, request: object, caller: bytes) -> Reply:
+            heard.append(REQUEST_NOTE.get())
+            return Reply(Sum.Response(total=5))
+
+    async with two(address) as (here, there, _):
+        there.serve(service(), SERVING, Handler())
+        caller = here.join(client(), ASKING)
+        await until(here, lambda: caller.is_served)
+        await caller.call(numbers(2, 3), "a note")
+        await caller.call(numbers(2, 3))
+    assert heard == ["a note", ""]
+    async with beside(address) as (transport, other):
+        caller = transport.join(client(), ASKING)
+        await anyio.to_thread.run_sync(other.serve, ADD_KEY)
+        await until(transport, lambda: caller.is_served)
+        async with running(lambda: caller.call(numbers(2, 3), "a note")):
+            await anyio.to_thread.run_sync(other.came.wait, 10)
+            (query,) = other.queries
+            assert (query.payload, query.attachment[33:]) == (REQUEST, b"a note")
+            assert len(query.attachment) == 39
+            query.reply(SERVING.encode(Sum.Response(total=5)), query.attachment)
 
 
 async def test_a_server_of_ros_is_called(address):

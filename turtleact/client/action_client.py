@@ -330,6 +330,8 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
     _calling: Coroutine[object, object, R] | None = None
 
     def __await__(self) -> Generator[object, object, R]:
+        if self._client.around is None:
+            return self._client._run(self._take_order()).__await__()
         return self._start().__await__()
 
     def send(self, value: object) -> object:

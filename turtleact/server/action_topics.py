@@ -14,7 +14,7 @@ from turtleact.goal import Goal, GoalStatus
 from turtleact.goal_wire import pack_state, write_states
 from turtleact.interfaces import SECOND, Action, FeedbackFormat, Message, WireFormat, implied
 from turtleact.interfaces.standard import UUID, GoalStatusArray, GoalStatusMessage
-from turtleact.observers import GoalObserver
+from turtleact.observers import FeedbackLost, GoalObserver
 from turtleact.server.local_server import LocalActionServer
 from turtleact.transports.base import Endpoint, Publication, Source, Transport
 
@@ -38,6 +38,7 @@ class FeedbackTopic(Source):
         self._action = cast("type[Action]", server.served.action_type)
         self._format = FeedbackFormat(self._action)
         self._publication = transport.advertise(endpoint, self._format, self)
+        self._dropped = 0
 
     def readers_changed(self, *, has_readers: bool) -> None:
         """Publish feedback while somebody reads the topic."""
@@ -71,6 +72,8 @@ class FeedbackTopic(Source):
         goal.published += 1
         goal.last_feedback = data  # `LocalActionServer.attach` decodes it if needed
         publication.send(data)
+        if publication.dropped != self._dropped:
+            self._tell_of_loss(goal)
         return True
 
     def publish(self, goal: Goal, message: Message) -> None:
@@ -81,6 +84,13 @@ class FeedbackTopic(Source):
             publication.publish(self._message_type(UUID(goal_id), message))
         else:
             publication.send(self._format.write(goal_id, message))
+            if publication.dropped != self._dropped:
+                self._tell_of_loss(goal)
+
+    def _tell_of_loss(self, goal: Goal) -> None:
+        """Tell the observers of dropped feedback; it may be that of an older goal."""
+        lost, self._dropped = self._publication.dropped - self._dropped, self._publication.dropped
+        self._server.observers.noted(goal, FeedbackLost(lost))
 
     @cached_property
     def _message_type(self) -> type[Any]:

@@ -38,7 +38,8 @@ def instrument(
         meter_provider: Where measurements go; left out, the program's global provider.
 
     Raises:
-        TurtleactError: if OpenTelemetry's API is not installed.
+        TurtleactError: if OpenTelemetry's API is not installed, if the node is closed, or if this
+            is called in another event loop.
     """
     try:
         from turtleact.telemetry.instruments import Instruments
@@ -50,8 +51,11 @@ def instrument(
             "turtleact.telemetry.instrument needs the extra otel: "
             "pip install 'opentelemetry-api>=1.30,<2'"
         ) from missing
+    node.resources.home.check()
     if node.resources.find(_Instrumentation) is not None:
         return
+    if not node.is_open:
+        raise TurtleactError(f"node '{node.fully_qualified_name}' is closed: open another")
     tracing, instruments = Tracing(node, tracer_provider), Instruments(meter_provider)
     watch(node, tracing.add_server, tracing.add_client)
     measure(node, instruments)

@@ -110,6 +110,8 @@ class _ServerMeter(GoalObserver):
         """Called when something else happens to a goal."""
         if isinstance(news, Lost):
             self._move(news.before, GoalStatus.UNKNOWN)
+        elif isinstance(news, FeedbackLost):
+            self._measurements.feedback_lost(self._action, news.count)
 
     def goal_rejected(self, reason: str) -> None:  # noqa: ARG002
         """Called when the server rejects a goal."""

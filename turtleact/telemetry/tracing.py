@@ -418,10 +418,11 @@ class _Sending:
             logger.exception("a goal cannot be traced")
 
     def _end(self, error: BaseException | None) -> None:
-        if self._note_before is not None:
-            REQUEST_NOTE.reset(self._note_before)
-        if self._token is not None:
-            contexts.detach(self._token)
+        if not isinstance(error, GeneratorExit):  # else this may be another task, or none
+            if self._note_before is not None:
+                REQUEST_NOTE.reset(self._note_before)
+            if self._token is not None:
+                contexts.detach(self._token)
         record, goal_id = self._record, self._order.goal_id
         if record is None or record.is_accepted:
             return

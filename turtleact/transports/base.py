@@ -249,6 +249,10 @@ class Publication(Closeable, Protocol):
     def is_congested(self) -> bool:
         """Whether messages are published faster than they are read; see `drained`."""
 
+    @property
+    def dropped(self) -> int:
+        """How many messages were dropped before they were sent, because too many waited."""
+
     def publish(self, message: object) -> None:
         """Send a message to every subscription; it must not be changed afterwards."""
 

@@ -315,6 +315,10 @@ class _Publication:
     def is_congested(self) -> bool:
         return False
 
+    @property
+    def dropped(self) -> int:
+        return 0
+
     def latched(self) -> Sequence[object]:
         if self.source is None or not self._is_latched:
             return self._latch

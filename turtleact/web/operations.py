@@ -149,8 +149,8 @@ class SendActionGoal(Base, tag="send_action_goal", frozen=True, kw_only=True):
     action_type: str
     args: Arguments = None
     feedback: bool | None = False
-    traceparent: str | None = None
-    tracestate: str | None = None
+    traceparent: Any = None
+    tracestate: Any = None
 
 
 class CancelActionGoal(Base, tag="cancel_action_goal", frozen=True, kw_only=True):

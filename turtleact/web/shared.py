@@ -73,6 +73,9 @@ MOST_IDLE: Final = 64
 MOST_GOALS: Final = 1024
 """The maximum number of goals followed at once, including those of disconnected clients."""
 
+TRACE: Final = 512
+"""The most characters of a client's trace that are passed on."""
+
 NO_SERVER: Final = "No action server available"
 CLOSING: Final = "The server is closing: you will not hear of this goal any more"
 REJECTED: Final = "Action goal was rejected"
@@ -399,8 +402,9 @@ class Goals:
 
     async def _run(self, sent: _Sent) -> None:
         said = sent.said
-        if said.traceparent:  # only in the context of this task
-            note = GoalNote(traceparent=said.traceparent, tracestate=said.tracestate or "")
+        if isinstance(said.traceparent, str):  # only in the context of this task
+            state = said.tracestate if isinstance(said.tracestate, str) else ""
+            note = GoalNote(traceparent=said.traceparent[:TRACE], tracestate=state[:TRACE])
             REQUEST_NOTE.set(note.write())
         name, action_type = absolute(said.action), action_class(said.action_type)
         goal = await read_message(action_type.Goal, said.args, root="goal")

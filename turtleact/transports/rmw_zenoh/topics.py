@@ -171,6 +171,11 @@ class WirePublication:
         """Whether messages are published faster than they are sent."""
         return self._unsent.weight > CONGESTED
 
+    @property
+    def dropped(self) -> int:
+        """How many messages were dropped before they were sent, because too many waited."""
+        return self._unsent.dropped
+
     def publish(self, message: object) -> None:
         """Send a message to every subscription."""
         if not self._is_open:
