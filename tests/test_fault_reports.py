@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import shutil
+import threading
+from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
 import turtleact
 from turtleact import fault_reports
 from turtleact.client import remote_goals
-from turtleact.fault_reports import ROOM, TOPIC, FaultReports, disk_fault, watching_disk
+from turtleact.fault_reports import (
+    ROOM,
+    TOPIC,
+    FaultReports,
+    LostFeedback,
+    disk_fault,
+    watching_disk,
+)
 from turtleact.interfaces.standard.diagnostic_msgs.msg import DiagnosticArray
 from turtleact.testing import FaultyTransport
-from turtleact.transports import MemoryTransport, QoS
+from turtleact.transports import MemoryTransport, QoS, open_zenoh
+from turtleact.transports.rmw_zenoh import topics
 
-from .lab import Count, count, goal, settle
+from .lab import Count, count, feedback, goal, result, settle
 
 LATCHED = QoS(depth=10, durability="transient_local")
 
@@ -119,4 +129,49 @@ async def test_a_client_reports_feedback_that_has_not_arrived(monkeypatch):
         await settle()
         [(name, problem)] = told(reader.drain()[-1])
         assert name == "lost-feedback /count"
-        assert problem == "3 feedback messages of action /count did not reach /client"
+        assert problem == "3 feedback messages of action /count did not reach node /client"
+
+
+@pytest.mark.loops("asyncio")
+async def test_a_server_reports_feedback_that_it_had_to_drop(monkeypatch, tmp_path):
+    monkeypatch.setattr(topics, "CAPACITY", 2_000)
+    address = f"unixsock-stream/{tmp_path}/socket"
+    gate = threading.Event()
+
+    async def flood(goal: Count.Goal, handle: Any) -> Count.Result:
+        there.context.outbox.post(gate.wait)  # nothing is sent meanwhile
+        for number in range(goal.upto):
+            handle.publish_feedback(feedback(number))
+        gate.set()
+        return result()
+
+    async with (
+        open_zenoh([], listen=[address]) as there,
+        open_zenoh([address], listen=[]) as here,
+        turtleact.open_node("server", transport=there) as far,
+        turtleact.open_node("client", transport=here) as near,
+    ):
+        monkeypatch.setattr(remote_goals, "LATE_FEEDBACK", 0.01)
+        far.action_server(Count, "count", flood)
+        client = near.action_client(Count, "count")
+        await client.send_goal(goal(100))
+        reader = far.subscription(DiagnosticArray, TOPIC, LATCHED)
+        names = {name: problem async for name, problem in first_of(reader)}
+        assert "were dropped by node /server" in names["lost-feedback /count"]
+
+
+async def first_of(reader: Any) -> AsyncIterator[tuple[str, str]]:
+    """What the first message of a subscription says."""
+    for each in told(await anext(reader)):
+        yield each
+
+
+async def test_lost_feedback_is_reported_each_time_its_number_has_doubled():
+    async with turtleact.open_node("lab") as node:
+        reader = node.subscription(DiagnosticArray, TOPIC, LATCHED)
+        lost = LostFeedback(node.transport, "/lab", "/count", "did not reach", "")
+        for _ in range(9):
+            lost.add(1)
+        counts = [told(each)[0][1].split()[0] for each in reader.drain()]
+        assert counts == ["1", "2", "4", "8"]
+        lost.close()

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from turtleact.transports.base import Publication, Transport
 
-__all__ = ["ADVICE", "TOPIC", "FaultReports", "disk_fault", "watching_disk"]
+__all__ = ["ADVICE", "TOPIC", "FaultReports", "LostFeedback", "disk_fault", "watching_disk"]
 
 TOPIC: Final = "/_turtleact/faults"
 """The name of the topic."""
@@ -95,6 +95,37 @@ class FaultReports:
             self._publication = self._transport.advertise(described, WireFormat(DiagnosticArray))
         header = Header(stamp=stamp_of(self._transport.clock.now()))
         self._publication.publish(DiagnosticArray(header, list(self._faults.values())))
+
+
+class LostFeedback:
+    """Reports how much feedback of an action is lost at one node.
+
+    Args:
+        transport: The transport to publish on.
+        node: The fully qualified name of the node.
+        action: The name of the action.
+        how: What happened to the feedback, such as "did not reach".
+        advice: What to do.
+    """
+
+    def __init__(self, transport: Transport, node: str, action: str, how: str, advice: str) -> None:
+        self._reports = FaultReports(transport, node)
+        self._name = f"lost-feedback {action}"
+        self._what = f"feedback messages of action {action} {how} node {node}"
+        self._advice = advice
+        self._count = 0
+        self._reported = 0
+
+    def add(self, count: int) -> None:
+        """Count lost messages. A report follows when their number has doubled."""
+        self._count += count
+        if self._count >= 2 * self._reported:
+            self._reported = self._count
+            self._reports.report(self._name, f"{self._count} {self._what}", self._advice)
+
+    def close(self) -> None:
+        """Leave the topic."""
+        self._reports.close()
 
 
 @asynccontextmanager

@@ -49,7 +49,7 @@ from turtleact.transports.base import (
 )
 
 if TYPE_CHECKING:
-    from turtleact.fault_reports import FaultReports
+    from turtleact.fault_reports import LostFeedback
     from turtleact.interfaces import Service
     from turtleact.introspection import Introspection
 
@@ -168,8 +168,7 @@ class ClientEndpoints:
         self._goals, self._cancels = RequestLimiter(), RequestLimiter()
         self._servers: list[Endpoint] = []  # the servers that existed when `is_ours` was learned
         self._seen = 0  # the graph's change count when `_servers` was last compared
-        self._lost = 0  # how many feedback messages have not arrived
-        self._reports: FaultReports | None = None
+        self._lost: LostFeedback | None = None
         self.send_goal = self._join(
             names.send_goal,
             f"{action_type.type_name}_SendGoal",
@@ -325,17 +324,13 @@ class ClientEndpoints:
 
     def report_lost(self, count: int) -> None:
         """Report to the doctor that so many more feedback messages have not arrived."""
-        from turtleact.fault_reports import FaultReports  # few programs need it
+        if self._lost is None:
+            from turtleact.fault_reports import LostFeedback  # few programs need it
 
-        if self._reports is None:
-            self._reports = FaultReports(self.transport, self._node)
-            self._opened.append(self._reports)
-        self._lost += count
-        self._reports.report(
-            f"lost-feedback {self.name}",
-            f"{self._lost} feedback messages of action {self.name} did not reach {self._node}",
-            "publish feedback less often, or on a network that loses less",
-        )
+            how, advice = "did not reach", "publish feedback less often, or mend the network"
+            self._lost = LostFeedback(self.transport, self._node, self.name, how, advice)
+            self._opened.append(self._lost)
+        self._lost.add(count)
 
     def close(self) -> None:
         """Leave the graph."""

@@ -18,7 +18,7 @@ from turtleact.doctor.snapshot import EndpointSeen, Fields, Snapshot
 from turtleact.graph import SEND_GOAL, is_hidden_node
 from turtleact.transports.base import Endpoint
 
-__all__ = ["CLOCKS_APART", "Fault", "differing_definitions", "find_faults"]
+__all__ = ["CLOCKS_APART", "HASHED", "Fault", "differing_definitions", "find_faults"]
 
 CLOCKS_APART: Final = 0.1
 """Clocks that differ by more are a fault (s)."""

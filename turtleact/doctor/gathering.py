@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 import anyio
 import msgspec
 
+from turtleact.doctor.checks import HASHED
 from turtleact.doctor.definitions import described_fields, own_fields
 from turtleact.doctor.snapshot import (
     Answer,
@@ -72,12 +73,14 @@ async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
     answers: list[Answer] = []
     reports: list[Report] = []
     around: list[Snapshot] = []
+    known = _known({each.endpoint.type_name for each in endpoints})
+    fields: dict[tuple[str, str], Fields] = {}
     async with anyio.create_task_group() as group:
         for session, asked in _to_ask(endpoints).items():
             group.start_soon(_ask, node, session, asked, answers)
         group.start_soon(_collect_reports, node, reports)
         group.start_soon(_look_around, node, around, with_domains)
-    known = _known({each.endpoint.type_name for each in endpoints})
+        group.start_soon(_find_fields, node, endpoints, known, fields)
     left = {each.session for each in _seen(node)[0]}  # a process that has just gone is not silent
     return msgspec.structs.replace(
         around[0],
@@ -86,7 +89,7 @@ async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
         answers=tuple(sorted((a for a in answers if a.session in left), key=lambda a: a.node)),
         reports=tuple(sorted(set(reports), key=lambda each: each.name)),
         known=known,
-        fields=await _fields_of_differing(node, endpoints, known),
+        fields=fields,
     )
 
 
@@ -241,16 +244,18 @@ def _known(type_names: Iterable[str]) -> dict[str, str]:
     return known
 
 
-async def _fields_of_differing(
-    node: Node, endpoints: Sequence[EndpointSeen], known: Mapping[str, str]
-) -> dict[tuple[str, str], Fields]:
+async def _find_fields(
+    node: Node,
+    endpoints: Sequence[EndpointSeen],
+    known: Mapping[str, str],
+    fields: dict[tuple[str, str], Fields],
+) -> None:
     """Find out the fields of types that have several definitions on the graph."""
     holders: dict[str, dict[str, str]] = {}  # type name to hash to one node that has it
     for each in endpoints:
         end = each.endpoint
-        if end.type_hash:
+        if HASHED.fullmatch(end.type_hash):
             holders.setdefault(end.type_name, {}).setdefault(end.type_hash, end.node)
-    fields: dict[tuple[str, str], Fields] = {}
     async with anyio.create_task_group() as group:
         for type_name, found in holders.items():
             ours = known.get(type_name, "")
@@ -262,7 +267,6 @@ async def _fields_of_differing(
                 if type_hash_ != ours:
                     wanted = type_name, type_hash_
                     group.start_soon(_ask_for_fields, node, holder, wanted, fields)
-    return fields
 
 
 async def _ask_for_fields(

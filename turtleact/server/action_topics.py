@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from turtleact.goal import Goal, GoalStatus
 from turtleact.goal_wire import pack_state, write_states
@@ -17,6 +17,9 @@ from turtleact.interfaces.standard import UUID, GoalStatusArray, GoalStatusMessa
 from turtleact.observers import FeedbackLost, GoalObserver
 from turtleact.server.local_server import LocalActionServer
 from turtleact.transports.base import Endpoint, Publication, Source, Transport
+
+if TYPE_CHECKING:
+    from turtleact.fault_reports import LostFeedback
 
 __all__ = ["FeedbackTopic", "StatusTopic"]
 
@@ -37,12 +40,24 @@ class FeedbackTopic(Source):
         self._server = server
         self._action = cast("type[Action]", server.served.action_type)
         self._format = FeedbackFormat(self._action)
+        self._transport, self._node = transport, endpoint.node
+        self._lost: LostFeedback | None = None
         self._publication = transport.advertise(endpoint, self._format, self)
         self._dropped = 0
 
     def readers_changed(self, *, has_readers: bool) -> None:
         """Publish feedback while somebody reads the topic."""
         self._server.execution.outlet = self if has_readers else None
+
+    def message_lost(self) -> None:
+        """Report to the doctor that feedback was dropped here."""
+        if self._lost is None:
+            from turtleact.fault_reports import LostFeedback  # few programs need it
+
+            how, advice = "were dropped by", "publish feedback less often, or read it faster"
+            place = self._transport, self._node
+            self._lost = LostFeedback(*place, self._server.name, how, advice)
+        self._lost.add(1)
 
     def expect_readers(self) -> None:
         """Publish from now on, because a client that sends goals reads feedback."""
@@ -51,6 +66,8 @@ class FeedbackTopic(Source):
     def close(self) -> None:
         """Close the topic."""
         self._publication.close()
+        if self._lost is not None:
+            self._lost.close()
 
     @property
     def is_congested(self) -> bool:

@@ -48,6 +48,7 @@ __all__ = [
     "Endpoint",
     "EndpointKind",
     "Format",
+    "LossAware",
     "MakeEndpoint",
     "Owner",
     "PendingCall",
@@ -291,6 +292,14 @@ class Source(Protocol):
 
         If there is a reader before the publisher, this is called while the publisher is opened.
         """
+
+
+@runtime_checkable
+class LossAware(Protocol):
+    """A source that is told when its topic loses messages."""
+
+    def message_lost(self) -> None:
+        """Called when a message was dropped, because they are published faster than sent."""
 
 
 class Reply(msgspec.Struct, frozen=True):

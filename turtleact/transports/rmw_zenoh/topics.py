@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import anyio
 
 from turtleact.errors import InvalidMessage
-from turtleact.transports.base import Deliver, Format, Publication, QoS, Source
+from turtleact.transports.base import Deliver, Format, LossAware, Publication, QoS, Source
 from turtleact.transports.rmw_zenoh.attachment import gid_in
 from turtleact.transports.rmw_zenoh.context import Context, Counter, Named, Opened, Presence
 
@@ -253,6 +253,8 @@ class WirePublication:
             context.outbox.post(self._put)  # one job per message keeps the order among publishers
         else:
             _note_loss(self._topic, self._qos, self._unsent, "published than can be sent")
+            if isinstance(self._source, LossAware):
+                self._source.message_lost()
 
     def _send_current(self) -> int:
         """Send the source's state and return its size (bytes)."""
