@@ -173,7 +173,7 @@ class Goal(msgspec.Struct, eq=False):
             sent until somebody in this process looks at it.
         result: The partial result; after the end, the result.
         reason: Why it was aborted, or is about to be.
-        listener: Told of each change.
+        listener: Hears of each change.
         end_callbacks: Called once the goal has ended and observers have been told. They must not
             raise.
         body: The running body, while it can be canceled.
@@ -231,7 +231,7 @@ class Goal(msgspec.Struct, eq=False):
         return self.id.hex() if self.id else "(no id)"
 
     def enter_parent(self, parent: Goal, pauses: object) -> None:
-        """Become a child of the goal whose body sent this one; ``pauses`` can pause this one."""
+        """Become a child of the parent goal; ``pauses`` is the object that can pause this goal."""
         if parent.children is None:
             parent.children = {}
         parent.children[self] = pauses
@@ -260,7 +260,7 @@ class Goal(msgspec.Struct, eq=False):
 
 
 def failure(goal: Goal) -> TurtleactError:
-    """Return the exception that reports how a goal failed to whoever waits for it."""
+    """Return the exception that tells those who wait for a goal how it failed."""
     if goal.error is not None:
         return goal.error
     kind = GoalCanceled if goal.status is GoalStatus.CANCELED else GoalAborted

@@ -42,7 +42,7 @@ __all__ = ["EVENT_QOS", "Introspection", "ServiceEvents", "event_topic"]
 logger = logging.getLogger("turtleact.services")
 
 Introspection: TypeAlias = Literal["off", "metadata", "contents"]
-"""What is published: nothing, who called when, or the requests and responses too."""
+"""What is published: nothing; only who called when; or also the requests and responses."""
 
 EVENT_QOS = QoS(depth=100)
 """The quality of service of the topic: reliable and volatile."""

@@ -399,7 +399,7 @@ class ParameterTable:
         """Raise for a parameter that is not declared.
 
         Raises:
-            InvalidParameter: with the nearest name.
+            InvalidParameter: if it is not declared; the error suggests the nearest name.
         """
         if name not in self._descriptors:
             problem = f"it is not declared{did_you_mean(str(name), self._descriptors)}"

@@ -62,7 +62,7 @@ class ActionClient(Generic[G, R, F]):
         name: The fully qualified name of the action.
         action_type: The action.
         is_open: Whether it can send goals.
-        observers: Told of each change and feedback of the goals sent by this client.
+        observers: Hear of each change and feedback of the goals sent by this client.
         around: Makes a context manager for each goal, and gives it the order to send. The goal is
             sent and awaited inside it. None if nothing asks for that.
     """

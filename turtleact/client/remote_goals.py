@@ -140,7 +140,7 @@ class RemoteGoals:
         endpoints: The client's endpoints.
         tasks: The task functions of the event loop.
         now: Returns the current time (ns since the epoch).
-        observers: Told of each change of the goals sent by this client.
+        observers: Hear of each change of the goals sent by this client.
 
     Attributes:
         by_id: All goals that have not ended, by id.

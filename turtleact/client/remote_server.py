@@ -47,7 +47,7 @@ class RemoteActionServer:
     Args:
         endpoints: The client's endpoints.
         tasks: The task functions of the event loop.
-        observers: Told of each change of the goals sent by the client.
+        observers: Hear of each change of the goals sent by the client.
     """
 
     def __init__(self, endpoints: ClientEndpoints, tasks: Tasks, observers: Observers) -> None:

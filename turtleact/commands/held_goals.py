@@ -108,7 +108,7 @@ def served_actions(node: Node, name: str | None) -> dict[str, str]:
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules.
-        ServerUnavailable: if nobody serves an action of that name, with the nearest.
+        ServerUnavailable: if nobody serves an action of that name; the error suggests one.
     """
     found = types_by_name(node.transport.endpoints(), "action", hidden=True)
     served = {each: types[0] for each, types in found.items()}

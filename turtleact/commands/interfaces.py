@@ -124,7 +124,7 @@ def print_package(package: str, kinds: Sequence[str]) -> None:
     """Print the names of the interfaces in a package, of some kinds or of all kinds.
 
     Raises:
-        TurtleactError: if there is no such package, with the nearest name.
+        TurtleactError: if there is no such package; the error suggests the nearest name.
     """
     _check_package(package)
     say("".join(f"{name}\n" for name in _by_package(kinds).get(package, ())))
@@ -134,7 +134,7 @@ def print_prototype(type_name: str, *, quotes: bool) -> None:
     """Print the first message of an interface, such as an action's goal, as YAML with defaults.
 
     Raises:
-        UnknownInterface: with the nearest known name.
+        UnknownInterface: if the name is unknown; the error suggests the nearest one.
     """
     quote = '"' if quotes else ""
     say(f"{quote}{to_yaml(first_message(type_name))}{quote}\n")
@@ -144,7 +144,7 @@ def first_message(type_name: str) -> Message:
     """The message of an interface that is sent first, with defaults: an action's goal, for example.
 
     Raises:
-        UnknownInterface: with the nearest known name.
+        UnknownInterface: if the name is unknown; the error suggests the nearest one.
     """
     interface = get_interface(type_name)
     if issubclass(interface, Action):
@@ -161,7 +161,7 @@ def show(type_name: str, *, comments: bool, nested_comments: bool) -> None:
         nested_comments: Whether to print those of the messages in it.
 
     Raises:
-        UnknownInterface: with the nearest known name.
+        UnknownInterface: if the name is unknown; the error suggests the nearest one.
         InvalidInterface: if a file is malformed.
     """
     lines = _lines(type_name, depth=0, comments=comments, nested_comments=nested_comments)
@@ -200,7 +200,7 @@ def write_python(packages: Sequence[str], folder: Path, *, is_check: bool) -> in
         The exit status: 1 if a check finds a file that would change.
 
     Raises:
-        TurtleactError: if there is no such package, with the nearest.
+        TurtleactError: if there is no such package; the error suggests the nearest name.
         InvalidInterface: if a file of an interface is malformed.
         UsageError: if a file in the way was not generated, or cannot be written.
     """
@@ -254,7 +254,7 @@ def _replace(path: Path, text: str | None) -> None:
 
 
 def _check_package(package: str) -> None:
-    """Raise if no interface of that package is known, with the nearest."""
+    """Raise if no interface of that package is known; the error suggests the nearest name."""
     packages = _by_package(())
     if package not in packages:
         hint = did_you_mean(package, packages)

@@ -56,7 +56,7 @@ async def print_list(node: Node, kind: Kind, *, types: bool, count: bool, hidden
 
 
 async def print_type(node: Node, kind: Kind, name: str) -> int:
-    """Print the types of a name; if it does not exist, print nothing and return another status."""
+    """Print the types of a name. If it does not exist, print nothing and return status 1."""
     types = types_by_name(node.transport.endpoints(), kind, hidden=True).get(name, ())
     _say_lines(types)
     return FOUND if types else NOT_FOUND
@@ -113,7 +113,7 @@ async def print_service_info(node: Node, name: str) -> int:
     """Print the type of a service, and how many clients and servers it has.
 
     Raises:
-        TurtleactError: if there is no such service, with the nearest name.
+        TurtleactError: if there is no such service; the error suggests the nearest name.
     """
     endpoints = node.transport.endpoints()
     name = _full(name)
@@ -146,7 +146,7 @@ async def print_topic_info(node: Node, name: str, *, verbose: bool) -> int:
     """Print the type of a topic and its number of endpoints, or all endpoints in full.
 
     Raises:
-        TurtleactError: if there is no such topic, with the nearest name.
+        TurtleactError: if there is no such topic; the error suggests the nearest name.
     """
     endpoints = node.transport.endpoints()
     name = _full(name)
@@ -213,7 +213,7 @@ async def print_node_info(node: Node, name: str, *, hidden: bool) -> int:
     """Print the topics, services and actions of a node, with their types.
 
     Raises:
-        TurtleactError: if there is no such node, with the nearest name.
+        TurtleactError: if there is no such node; the error suggests the nearest name.
     """
     names = [each for each in node.transport.nodes() if hidden or not is_hidden_node(each)]
     name = _full(name)

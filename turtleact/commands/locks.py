@@ -148,7 +148,7 @@ def is_loopback(endpoint: str) -> bool:
 def mode_of(connect: Sequence[str], locks: Locks) -> Literal["peer", "client"]:
     """How a command joins a graph: as a peer on this machine, as ROS's tools do, else as a client.
 
-    A peer talks to each node directly, so it also sees nodes of which the router has no tokens. It
+    A peer talks to each node directly, so it also sees nodes that the router has no tokens of. It
     cannot reach the nodes of another machine, which listen only on the loopback address there, nor
     nodes that ask for a password. A client sees both through the router.
 

@@ -147,7 +147,7 @@ async def print_value(node: Node, owner: Owner, name: str, *, hide_type: bool) -
     """Print the value of a parameter.
 
     Raises:
-        TurtleactError: if there is no such node or parameter, with the nearest.
+        TurtleactError: if there is no such node or parameter; the error suggests the nearest name.
     """
     who = await _find(node, owner)
     [value] = await _values(node, who, [name])
@@ -176,7 +176,7 @@ async def describe(node: Node, owner: Owner, names: Sequence[str]) -> int:
     """Print what parameters are for, and what they may be.
 
     Raises:
-        TurtleactError: if there is no such node or parameter, with the nearest.
+        TurtleactError: if there is no such node or parameter; the error suggests the nearest name.
     """
     who = await _find(node, owner)
     for each in await _described(node, who, names):
@@ -295,7 +295,7 @@ async def _described(node: Node, owner: str, names: Sequence[str]) -> list[Param
 
 
 async def _refuse_unknown(node: Node, owner: str, names: Sequence[str]) -> None:
-    """Raise for the first parameter that a node does not have, with the nearest name."""
+    """Raise for the first parameter that a node does not have; the error suggests a name."""
     known = await _names(node, owner, ())
     for name in names:
         if name not in known:

@@ -1,4 +1,4 @@
-"""What a command asks and hears about pauses of goals that somebody else may have sent.
+"""Asks servers to pause or resume goals, and which goals are paused, whoever sent them.
 
 ROS 2 has no pauses. Servers of turtleact offer a service and a topic for them, as soon as somebody
 asks; see `turtleact.goal_pausing`.

@@ -87,8 +87,8 @@ def _drive(
     If something stops it, ``interrupts`` tell the task to end.
 
     An exception such as SystemExit leaves the loop in the middle of a turn, and ``loop.stop()`` at
-    the end of one. Either way the loop can be run again, and has to be: the goals that run are to
-    be ended, and their clients to be answered.
+    the end of one. Either way the loop can run again. It has to, because running goals must end and
+    their clients need an answer.
     """
     cause: BaseException | None = None
     task.add_done_callback(lambda _: loop.stop())

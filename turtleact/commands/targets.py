@@ -388,7 +388,7 @@ def _is_same_file(one: Path | None, other: Path) -> bool:
 
 
 def _no_module(missing: str) -> str:
-    """Say that there is no such module, with the nearest of the working directory."""
+    """Say that there is no such module; suggest a similar one in the working directory."""
     here = [path.stem for path in Path().glob("*.py")]
     here += [path.parent.name for path in Path().glob("*/__init__.py")]
     hint = "" if "." in missing or not here else names_like(missing, here)

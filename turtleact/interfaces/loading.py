@@ -96,7 +96,7 @@ def get_interface(type_name: str) -> Interface:
     always the same class, unless another definition takes over the name.
 
     Raises:
-        UnknownInterface: with the nearest known name.
+        UnknownInterface: if the name is unknown; the error suggests the nearest one.
         InvalidInterface: if its file is malformed.
 
     >>> get_interface("geometry_msgs/msg/Point")(x=1.0)
@@ -111,7 +111,7 @@ def get_action(type_name: str) -> type[DynamicAction]:
     Type checkers allow any fields in its messages, so no cast is needed.
 
     Raises:
-        UnknownInterface: with the nearest known name.
+        UnknownInterface: if the name is unknown; the error suggests the nearest one.
         InvalidInterface: if it is a message or a service, or its file is malformed.
     """
     return of_kind(first_found(type_name, ("action", "msg", "srv")), Action)  # type: ignore[return-value]  # DynamicAction is no more than Action
@@ -261,7 +261,7 @@ def interface_source(type_name: str) -> str:
     definition, because it has comments.
 
     Raises:
-        UnknownInterface: with the nearest known name.
+        UnknownInterface: if the name is unknown; the error suggests the nearest one.
         InvalidInterface: if its file is malformed.
     """
     cls = get_interface(type_name)
@@ -279,7 +279,7 @@ def package_texts(*packages: str) -> dict[str, str]:
     A package that is only used is left out if it is built in with the same definitions.
 
     Raises:
-        UnknownInterface: if a package is not known, with the nearest package name.
+        UnknownInterface: if a package is not known; the error suggests the nearest name.
         InvalidInterface: if a file is malformed.
     """
     known = known_interfaces()

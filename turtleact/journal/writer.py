@@ -221,7 +221,7 @@ class Journal:
             record.feedback_count += 1
 
     def _forget_expired(self) -> None:
-        """Forget ended goals, of which the file has a copy, when their time is over."""
+        """Forget ended goals when their time is over; the file still has them."""
         now = time.time_ns()
         while self._expiring and 0 < self._expiring[0].expires <= now:
             record = self._expiring.popleft()

@@ -52,8 +52,8 @@ class Wire:
 
     Attributes:
         greeting: The answer that the first line has got; None if the SDK has to answer it.
-        greeted: Set when it is known whether there is a greeting. is_taken: Whether the SDK is
-            there and answers; it also has stdout to itself then.
+        greeted: Set when it is known whether there is a greeting.
+        is_taken: Whether the SDK is there and answers; stdout then belongs to it.
     """
 
     def __init__(self, reader: asyncio.StreamReader | None) -> None:

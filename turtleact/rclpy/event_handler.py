@@ -406,7 +406,7 @@ class SubscriptionEventCallbacks(_EventCallbacks):
 
 
 def _event(name: str, connection: Connection, own: Endpoint) -> Event:
-    """Return what notices an event of an endpoint."""
+    """Return the object that notices an event of an endpoint."""
     is_publisher = own.kind == "publisher"
     totals = _Totals()
     if name == "deadline":

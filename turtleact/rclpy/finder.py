@@ -60,7 +60,7 @@ BESIDE: Final = {
     "rosidl_runtime_py.convert": "rosidl_runtime",
     "rosidl_runtime_py.set_message": "rosidl_runtime",
 }
-"""Other packages of ROS of which a part is here, by our module."""
+"""Other packages of ROS that are here in part, by the name of our module."""
 
 MISSING: Final = {
     "tf2_ros": "tf2 is not part of turtleact",

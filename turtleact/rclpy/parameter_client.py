@@ -130,7 +130,10 @@ class AsyncParameterClient:
     def delete_parameters(
         self, names: Sequence[str], callback: Callable[[Future], object] | None = None
     ) -> Future:
-        """Delete parameters; only those of any type, or undeclared ones, can be deleted."""
+        """Delete parameters.
+
+        Only those without a fixed type, or undeclared ones, can be deleted.
+        """
         return self.set_parameters([Parameter(name) for name in names], callback)
 
     def load_parameter_file(

@@ -97,7 +97,7 @@ class Execution:
     Attributes:
         served: As given.
         check_result: Checks and copies a result.
-        observers: Told of each change of a goal and, if they want it, of feedback.
+        observers: Hear of each change of a goal and, if they want it, of feedback.
         outlet: The feedback topic; None while nobody reads it.
         bodies: The tasks of the running bodies, with their goals.
         durable: The goals in the server's journal, if it has one.

@@ -109,7 +109,7 @@ class LocalActionServer:
         name: The fully qualified name of the action.
         is_open: Whether it accepts goals.
         execution: Runs the bodies.
-        observers: Told of each change of the goals.
+        observers: Hear of each change of the goals.
         slot: The slot that goals run in; None if they need none, or after the server has closed.
         grace: How long a body may clean up (s, event loop time).
         durable: The goals in the server's journal; None if it has none.

@@ -228,7 +228,7 @@ class Pauses:
         self._set(goal, is_paused=True)
 
     def enter(self, goal: Goal, parent: Goal) -> None:
-        """Make a new goal the child of the one whose body has sent it.
+        """Make a new goal a child of its parent, the goal whose body sent it.
 
         If the parent is paused, or is being paused, the goal begins paused. Both are resumed
         together.

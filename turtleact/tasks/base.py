@@ -1,4 +1,4 @@
-"""What an event loop offers, the same for asyncio and trio, and which loop an object belongs to."""
+"""The functions of an event loop, alike for asyncio and trio; and the loop of an object."""
 
 from __future__ import annotations
 

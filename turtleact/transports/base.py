@@ -240,7 +240,7 @@ class Publication(Closeable, Protocol):
 
     @property
     def has_readers(self) -> bool:
-        """Whether a message published now has a reader, or may get a late one (latched topics)."""
+        """Whether a message published now has a reader, now or perhaps later (latched topics)."""
 
     @property
     def has_near_readers(self) -> bool:
@@ -276,7 +276,7 @@ class Publication(Closeable, Protocol):
 class Source(Protocol):
     """Makes the messages of a topic from the current state, but only while somebody reads it.
 
-    A subclass without a state implements `readers_changed` alone.
+    A subclass without a state only implements `readers_changed`.
     """
 
     def current(self) -> Sequence[object]:

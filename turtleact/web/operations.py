@@ -1,6 +1,6 @@
 """The operations of rosbridge v2 that a client may send, one class each.
 
-A frame is JSON text; unknown members are ignored, unknown operations are not. Pure.
+A frame is JSON text. Unknown members are ignored; an unknown operation is an error. Pure.
 
 Source: ``ROSBRIDGE_PROTOCOL.md`` of rosbridge_suite, version 2; what its clients really send.
 """

@@ -302,7 +302,7 @@ class Protocol:
 
 
 def _merged(wishes: dict[Id, Delivery]) -> Delivery:
-    """One delivery for several subscriptions of a topic, the newest of which comes last."""
+    """One delivery for several subscriptions of a topic, given in the order of their making."""
     return Delivery(
         min(each.interval for each in wishes.values()),
         max(each.queue_length for each in wishes.values()),

@@ -460,7 +460,7 @@ class _Sent:
         self._is_canceled = False
 
     def accept(self, handle: ClientGoalHandle[Message, Message]) -> None:
-        """Note that the server has accepted it; the client may have canceled it meanwhile."""
+        """Note that the server has accepted the goal; the client may have canceled it meanwhile."""
         self._handle = handle
         if self._is_canceled:
             handle.cancel_nowait()

@@ -12,9 +12,9 @@ turning from an error e to zero loses F(e) over the turn rate. The loss of a leg
 errors at both ends:
 
 - If they are on different sides, it is F of both. If the leg is too short for that turn, the rest
-of the turn is added.
+  of the turn is added.
 - If they are on the same side, it is F of both, too. On a short leg, the turtle arrives before its
-error is zero; what it would lose below that error is subtracted.
+  error is zero; what it would lose below that error is subtracted.
 
 A leg may lose more than this shows. Measured in another direction, the distance also takes a
 certain time, and for a short leg both times are similar. Short legs are therefore measured in

@@ -307,7 +307,7 @@ def _daemon(what: Annotated[str, typer.Argument()] = "") -> Job:  # noqa: ARG001
 
 
 def _without_type(params: list[Any]) -> list[Any]:
-    """The same parameters; the help shows ``<bool>`` for a switch unless it has a metavar."""
+    """The same parameters, with a metavar for switches: else the help shows ``<bool>`` for them."""
     for param in params:
         if getattr(param, "is_flag", False) and param.metavar is None:
             param.metavar = ""

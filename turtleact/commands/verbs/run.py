@@ -160,7 +160,7 @@ def _chosen(
     """The executable of a package; None if it is built in.
 
     Raises:
-        UsageError: if there is no such package or executable, with the nearest name.
+        UsageError: if there is no such package or executable; the error suggests the nearest name.
     """
     from turtleact.interfaces.definition import did_you_mean
 

@@ -107,7 +107,7 @@ def interface_class(type_name: str) -> InterfaceClass:
     """Return the class of an interface by its full name, always the same one.
 
     Raises:
-        UnknownInterface: if there is none, with the nearest known name.
+        UnknownInterface: if there is none; the error suggests the nearest name.
         InvalidInterface: if its file is malformed.
     """
     found = get_interface(type_name)

@@ -158,7 +158,7 @@ class WirePublication:
 
     @property
     def has_readers(self) -> bool:
-        """Whether a message published now has a reader, or may get a late one (latched topics)."""
+        """Whether a message published now has a reader, now or perhaps later (latched topics)."""
         return self._is_open and (self.is_read or self._near.has_readers)
 
     @property
