@@ -365,8 +365,7 @@ class Execution:
         canceling = goal.status is GoalStatus.CANCELING
         if self.is_suspended and not canceling and event is not GoalEvent.SUCCEED:
             return
-        self.pauses.end(goal)
-        if goal.children:
+        if goal.is_paused or goal.hold is not None or goal.children:
             self.pauses.leave(goal)
         goal.is_decided = True
         if result is not None:
@@ -396,7 +395,8 @@ class Execution:
         if goal.ended:  # the server was stopped before the journal had written the end
             return
         goal.reason = reason
-        goal.leave_parent()
+        if goal.parent is not None:
+            goal.leave_parent()
         goal.on_feedback = None
         before = goal.status
         goal.apply(event)

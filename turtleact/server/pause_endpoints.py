@@ -63,7 +63,6 @@ class PauseEndpoints(Source, GoalObserver):
         topic = self._endpoint("publisher", paused_topic(name), PausedGoals.type_name, STATUS_QOS)
         self._publication = self._transport.advertise(topic, WireFormat(PausedGoals), self)
         self._opened.append(self._publication)
-        self._server.observers.add(self)
 
     async def aclose(self) -> None:
         """Leave the graph."""
@@ -79,7 +78,10 @@ class PauseEndpoints(Source, GoalObserver):
             self._publication.refresh()
 
     def readers_changed(self, *, has_readers: bool) -> None:
-        """The message is made on demand, so there is nothing to do."""
+        """Watch for pauses while somebody reads of them; every observer costs time for each goal."""
+        self._server.observers.remove(self)
+        if has_readers:
+            self._server.observers.add(self)
 
     def current(self) -> Sequence[object]:
         """Build the message with all goals that are paused."""

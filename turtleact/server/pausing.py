@@ -179,7 +179,7 @@ class Pauses:
             hold.changed.fire()
 
     def end(self, goal: Goal) -> None:
-        """Forget that a goal is paused, because it is being canceled or has ended."""
+        """Forget that a goal is paused, because it is being canceled or ends."""
         if goal.hold is not None:
             self.let_go(goal)
         if goal.is_paused:
@@ -241,7 +241,8 @@ class Pauses:
                 parent.hold.changed.fire()
 
     def leave(self, goal: Goal) -> None:
-        """Let the children of a goal that has ended go on, if they were paused with it."""
+        """Forget that a goal that ends is paused. Its children go on, if they were paused with it."""
+        self.end(goal)
         if left := _paused_children(goal):
             self._orphans = [each for each in self._orphans if not each.has_ended]
             freeing = self._free(left)
