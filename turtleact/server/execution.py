@@ -219,13 +219,22 @@ class Execution:
         return result
 
     def _publish_or_emit(self, goal: Goal, feedback: object) -> bool:
-        """Publish feedback; return whether a callback or observer has cancelled the goal."""
+        """Publish feedback; return whether a callback or observer has cancelled the goal.
+
+        Without a journal this does the work of `publish`, because a call more for each message
+        would be noticed.
+        """
+        if self.durable is not None:
+            self.publish(goal, feedback)
+            return False  # callbacks and observers hear of it later
         outlet = self.outlet
-        may_emit = outlet is not None and self.durable is None and not self.observers.want_feedback
-        if may_emit and outlet.emit(goal, feedback):  # type: ignore[union-attr]  # it is not None
+        if outlet is not None and not self.observers.want_feedback and outlet.emit(goal, feedback):
             return False
         status, reason = goal.status, goal.reason
-        self.publish(goal, feedback)
+        message = self._check_feedback(feedback)
+        if goal.is_decided:
+            raise InvalidTransition(status, "feedback", goal.hex)
+        self._announce(goal, message)
         return goal.status is not status or goal.reason is not reason
 
     async def _yield_turn(self, goal: Goal) -> None:
@@ -262,7 +271,7 @@ class Execution:
         if self.durable is None:
             self._announce(goal, message)
         else:
-            self.durable.feedback(goal, message, partial(self._announce, goal, message))
+            self.durable.feedback(goal, message, partial(self._announce_written, goal, message))
 
     def set_partial_result(self, goal: Goal, result: object) -> None:
         """Set the result to report if the goal is canceled or aborted.
@@ -277,10 +286,13 @@ class Execution:
         if self.durable is not None:
             self.durable.partial_result(goal)
 
+    def _announce_written(self, goal: Goal, message: Message) -> None:
+        """Pass on feedback that is in the journal, unless the server was stopped meanwhile."""
+        if not goal.ended:
+            self._announce(goal, message)
+
     def _announce(self, goal: Goal, message: Message) -> None:
         """Pass a copy of feedback to every reader."""
-        if goal.ended:  # the server was stopped before the journal had written the feedback
-            return
         goal.last_feedback = message
         if goal.is_streamed:
             log = goal.feedback

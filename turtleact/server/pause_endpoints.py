@@ -78,7 +78,7 @@ class PauseEndpoints(Source, GoalObserver):
             self._publication.refresh()
 
     def readers_changed(self, *, has_readers: bool) -> None:
-        """Watch for pauses while somebody reads of them; every observer costs time for each goal."""
+        """Watch for pauses while somebody reads; every observer costs time for each goal."""
         self._server.observers.remove(self)
         if has_readers:
             self._server.observers.add(self)

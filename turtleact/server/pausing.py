@@ -241,7 +241,7 @@ class Pauses:
                 parent.hold.changed.fire()
 
     def leave(self, goal: Goal) -> None:
-        """Forget that a goal that ends is paused. Its children go on, if they were paused with it."""
+        """Forget that an ending goal is paused; children that were paused with it go on."""
         self.end(goal)
         if left := _paused_children(goal):
             self._orphans = [each for each in self._orphans if not each.has_ended]
