@@ -1,9 +1,9 @@
 """Takes a snapshot of a running graph: looks at tokens, and asks each process a harmless question.
 
-A process is asked through a service that it offers anyway: it is to cancel a goal that does not
-exist, to list no parameters, or to describe a type. The answer shows that it is alive, and the
-time at which it was sent shows how far its clock is off. A process without such a service is not
-asked.
+Each process is asked through a service that it offers anyway: to cancel a goal that does not exist,
+to list no parameters, or to describe a type. The answer shows that the process is alive. The time
+at which it was sent shows how far the clock of the process is off. A process without such a service
+is not asked.
 
 Source: action_msgs/srv/CancelGoal, rcl_interfaces/srv/ListParameters,
 type_description_interfaces/srv/GetTypeDescription.

@@ -39,7 +39,7 @@ class EndpointSeen(msgspec.Struct, frozen=True):
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """What became of a question to a session.
+    """The answer of a session to a question, or that it gave none.
 
     Attributes:
         session: The id of the session.

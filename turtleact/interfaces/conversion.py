@@ -223,7 +223,7 @@ def sequence(field_type: FieldType, index: int, slow: str) -> list[str]:
 
 
 def guarded(fast: str, slow: str) -> list[str]:
-    """Return code that tries a fast way, and on a misfit the slow way that finds its place."""
+    """Return code that tries the fast way first; the slow way then finds what does not fit."""
     return ["try:", f" {fast}", f"except InvalidMessage: {slow}"]
 
 

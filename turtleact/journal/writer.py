@@ -329,7 +329,7 @@ class Journal:
         self._report(jobs, calls)
 
     def _report(self, jobs: list[_Job], calls: list[Callable[[], object]]) -> None:
-        """Call these in the event loop; from then on, nobody waits for the jobs."""
+        """Call these functions in the event loop. After that, nobody waits for their jobs."""
         count = 0
         for job in jobs:
             count += job.is_awaited

@@ -270,7 +270,7 @@ class McapFile:
 
 
 def _is_complete(summary: Summary) -> bool:
-    """Whether messages can be found by the index; without chunks, there is none of them."""
+    """Whether the index leads to all messages; without chunks, it leads to none."""
     statistics = summary.statistics
     if statistics is None:
         return False

@@ -1,8 +1,8 @@
 """Writes one MCAP file.
 
-Messages gather in a chunk. A chunk is written as a whole, and nothing else is: a process that is
-killed leaves complete chunks behind, and at most one that is cut off. If a write fails, the file is
-cut back to the end of its last complete record, and can still be closed.
+Messages gather in a chunk. Only whole chunks are written. A process that is killed leaves complete
+chunks behind, and perhaps a last one that is cut off. If a write fails, the file is cut back to the
+end of its last complete record, and can still be closed.
 
 The records are those of the ``mcap`` package. Its ``Writer`` takes 25 us for a message, which would
 cost a recorder in the process of a server more than the goals themselves. A message and its entry

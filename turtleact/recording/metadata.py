@@ -1,7 +1,7 @@
 """What ``metadata.yaml`` says about a bag, and how it is written. Pure.
 
-Type hashes are written for each channel of a file, but not here: rosbags compares those of a folder
-with hashes of its own, which differ for the types of actions.
+The files have a type hash for each channel, but ``metadata.yaml`` has none: rosbags would compare
+it with its own hash, which differs for the types of actions.
 
 Source: rosbag2 ``metadata_io.cpp``, ``yaml.hpp`` and ``qos.cpp``. Version 9 is written; older ones
 are read.

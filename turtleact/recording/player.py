@@ -394,6 +394,6 @@ def _selection(node: Node, options: PlayOptions) -> Selection:
 
 
 def _offered(offers: tuple[Offer, ...]) -> QoS:
-    """What to offer: what all publishers offered, or else the default."""
+    """The quality of service to offer: what all publishers offered, or else the default."""
     found = {each.qos for each in offers}
     return found.pop() if len(found) == 1 else QoS()

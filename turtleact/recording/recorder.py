@@ -73,7 +73,7 @@ class RawFormat:
 
 
 class _Key(NamedTuple):
-    """What is subscribed to: publishers of one topic may use several definitions of a type."""
+    """A topic with one definition of its type; its publishers may use several."""
 
     topic: str
     type_name: str
@@ -181,8 +181,8 @@ class Recording:
     def _events(self, endpoints: Iterable[Endpoint]) -> Iterable[_Key]:
         """The topics of the events of chosen actions and services.
 
-        A publisher of events may show itself only once somebody reads them, so they are subscribed
-        to whether or not it is seen.
+        A publisher of events may show itself only once somebody reads them. So this subscribes to
+        the topics even if no publisher is seen.
         """
         for each in endpoints:
             if each.kind != "service":

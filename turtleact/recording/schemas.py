@@ -194,7 +194,7 @@ class _Making:
 
 
 def _layout(cls: type[Message]) -> tuple[object, ...]:
-    """What decides how the bytes of a message are read, and under which names."""
+    """The layout of a message: how its bytes are read, and under which names."""
     pairs = zip(fields(cls), nested_classes(cls), strict=True)
     return tuple(
         (

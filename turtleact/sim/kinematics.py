@@ -186,7 +186,7 @@ def chord(rule: StepRule, turn: float) -> tuple[float, float]:
 
 
 def half_turn(rule: StepRule) -> float:
-    """The pi of a rule (rad): exact for arcs, turtlesim's 3.14159265 for its own step."""
+    """Half a turn under a rule (rad): pi for arcs, 3.14159265 for turtlesim's own step."""
     return _HALF_TURN[rule]
 
 

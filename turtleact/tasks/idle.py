@@ -150,7 +150,7 @@ class ThreadWork:
                 self._is_borrowing = True
 
     def end(self, count: int = 1) -> None:
-        """Count so many less."""
+        """Count that many fewer."""
         self._count -= count
         if self._count:
             return
@@ -186,7 +186,7 @@ class _Turns:
     """Watches a loop that turtleact did not make.
 
     Each watcher sleeps for one turn of the loop at a time, so it always has one callback in the
-    queue. The loop is idle if a watcher, when its turn comes, finds only the other watchers' there.
+    queue. If a watcher finds only callbacks of other watchers in its turn, the loop is idle.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:

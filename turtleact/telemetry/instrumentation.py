@@ -74,7 +74,7 @@ class _Instrumentation:
 
 
 class _Nothing:
-    """The transport's side of `_Instrumentation`, which has none."""
+    """Takes the place of a transport's object, because an `_Instrumentation` has none."""
 
     def close(self) -> None:
         """Do nothing."""

@@ -39,19 +39,19 @@ class Measurements(Protocol):
     """Takes measurements. The methods must not raise, and must not block."""
 
     def ended(self, action: str, status: str, seconds: float | None) -> None:
-        """A goal has ended that long after its acceptance; None for a rejected goal."""
+        """Called when a goal has ended: how long after its acceptance; None for a rejected goal."""
 
     def waited(self, action: str, seconds: float) -> None:
-        """A goal has waited that long from its acceptance until its body began."""
+        """Called when a body begins: how long its goal has waited since its acceptance."""
 
     def active_changed(self, action: str, state: str, change: int) -> None:
-        """So many more goals are in a state that is not final."""
+        """Called when goals enter or leave a state that is not final: how many more there are."""
 
     def feedback_lost(self, action: str, count: int) -> None:
-        """So many feedback messages have not reached a client."""
+        """Called when feedback messages have not reached a client: how many."""
 
     def lagged(self, seconds: float) -> None:
-        """The event loop was late by that much."""
+        """Called with how late the event loop was."""
 
 
 def watch(

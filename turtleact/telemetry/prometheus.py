@@ -36,7 +36,7 @@ class _Metric(NamedTuple):
     Attributes:
         name: Its name.
         kind: Its kind in Prometheus.
-        about: What it tells.
+        about: What the metric measures.
         labels: The names of its labels.
     """
 

@@ -11,7 +11,7 @@ The server's span is current in the body, so goals that the body sends are its c
 to another process carries the client's span in its note (`turtleact.goal_wire.GoalNote`). A goal
 from a client that sends no note begins a trace.
 
-A goal whose client is in this process and is not sampled gets no span at the server either.
+If the client is in this process and its span is not sampled, the server makes no span either.
 
 This module uses only OpenTelemetry's API, which never blocks. An exception of a sampler or span
 processor is logged and does not affect the goal.

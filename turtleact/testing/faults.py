@@ -260,7 +260,7 @@ class _Link:
             self._send(message, 1 + is_repeated, delay)
 
     def close(self) -> None:
-        """Close the end. A second call does nothing."""
+        """Close the link. A second call does nothing."""
         self._is_open = False
         self._late.clear()
         self.inner.close()
@@ -268,7 +268,7 @@ class _Link:
             self._transport.forget(self)
 
     async def aclose(self) -> None:
-        """Close the end, and wait for its task to end."""
+        """Close the link, and wait for its task to end."""
         self.close()
         if self._courier is not None:
             await self._courier.aclose()

@@ -348,7 +348,7 @@ class Watch:
         return told
 
     def _take_paused(self, known: set[str], paused: frozenset[str]) -> None:
-        """Take which of the known goals of an action are paused."""
+        """Record which of the known goals of an action are paused."""
         for id in known | paused:
             record = self.history.find(id)
             if record is not None and not record.has_ended and record.is_paused != (id in paused):
