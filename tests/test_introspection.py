@@ -13,6 +13,7 @@ import pytest
 
 import turtleact
 from turtleact import GoalCanceled, GoalRejected, GoalResponse, GoalStatus
+from turtleact.app import open_world
 from turtleact.errors import InvalidOption, ServiceError
 from turtleact.interfaces import implied
 from turtleact.interfaces.classes import event_message
@@ -319,3 +320,14 @@ print("turtleact.introspection" in sys.modules)
         [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=20
     )
     assert done.stdout == "False\n"
+
+
+async def test_a_world_publishes_the_events_of_all_its_actions_and_services():
+    async with open_world(introspection="contents") as world:
+        shown = {
+            each.name.removesuffix("/_service_event")
+            for each in world.transport.endpoints()
+            if each.kind == "publisher" and each.name.endswith("/_service_event")
+        }
+        services = {each.name for each in world.transport.endpoints() if each.kind == "service"}
+        assert services == shown
