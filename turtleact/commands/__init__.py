@@ -18,7 +18,7 @@ GROUPS: Final = {
     "param": ("list", "get", "set", "delete", "describe", "dump", "load"),
     "pkg": ("create", "list", "executables"),
     "interface": ("list", "package", "packages", "proto", "python", "show"),
-    "bag": ("record", "info", "play", "goals", "convert"),
+    "bag": ("record", "info", "play", "goals", "convert", "view"),
     "journal": ("prune",),
 }
 """The groups of verbs. ``ros2`` has them too, except ``journal``."""

@@ -311,6 +311,13 @@ ConvertOutput: TypeAlias = Annotated[
     ),
 ]
 
+Port: TypeAlias = Annotated[
+    int, typer.Option("--port", metavar="N", parser=whole, help="The port; 0 for any free one.")
+]
+NoOpen: TypeAlias = Annotated[
+    bool, typer.Option("--no-open", help="Only print the address, and open no browser.")
+]
+
 app = new_group("bag")
 
 
@@ -534,6 +541,17 @@ def convert(
                 )
             ]
         status: int = converting.run(inputs, outputs, interrupts)
+        return status
+
+    return job
+
+
+@app.command(cls=Verb)
+def view(bag: BagPath, *, port: Port = 0, no_open: NoOpen = False) -> Job:
+    """Show a bag in a browser, with a time line."""
+
+    def job(interrupts: Interrupts) -> int:
+        status: int = _work("bag_viewing").run(bag, port, interrupts, is_opened=not no_open)
         return status
 
     return job

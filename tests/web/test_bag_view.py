@@ -1,0 +1,192 @@
+"""A bag on a page: scrubbed, played, with goals as bars; and only what is shown is read."""
+
+from __future__ import annotations
+
+import json
+import signal
+import urllib.error
+import urllib.request
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import anyio
+import anyio.to_thread
+import pytest
+
+from turtleact import cli, recording
+from turtleact.actions.patrol import Patrol
+from turtleact.app import open_world
+from turtleact.commands import bag_viewing
+from turtleact.commands.interrupts import Interrupts
+from turtleact.interfaces import encode
+from turtleact.interfaces.standard import Point, TurtlePose
+from turtleact.recording.bag_writer import BagWriter, Split
+from turtleact.recording.schemas import schema_of
+from turtleact.recording.storage import Channel
+from turtleact.web.bag_view import open_bag_view
+
+from .browser import CHROMIUM, open_tab, running_browser
+
+START = 1_800_000_000_000_000_000
+
+in_a_browser = pytest.mark.skipif(not CHROMIUM, reason="no Chromium is installed")
+on_asyncio = pytest.mark.parametrize(
+    "anyio_backend", [pytest.param(("asyncio", {"use_uvloop": False}), id="asyncio")]
+)
+
+
+@pytest.fixture(scope="module")
+def patrol(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag with a patrol of two targets."""
+    path = tmp_path_factory.mktemp("bags") / "patrol"
+
+    async def record() -> None:
+        async with open_world(speed="max", introspection="contents") as node:
+            client = node.action_client(Patrol, "patrol")
+            async with recording.record(node, path):
+                await node.clock.sleep(1)
+                targets = [Point(x=8.0, y=6.0), Point(x=8.0, y=9.0)]
+                await client.send_goal(Patrol.Goal(targets=targets))
+
+    anyio.run(record)
+    return path
+
+
+@pytest.fixture
+async def url(patrol: Path) -> AsyncIterator[str]:
+    async with open_bag_view(patrol) as shown:
+        yield shown.url
+
+
+async def get(url: str, **headers: str) -> tuple[int, bytes]:
+    def ask() -> tuple[int, bytes]:
+        request = urllib.request.Request(url, headers=headers)
+        try:
+            with urllib.request.urlopen(request) as answer:
+                return answer.status, answer.read()
+        except urllib.error.HTTPError as error:
+            return error.code, error.read()
+
+    return await anyio.to_thread.run_sync(ask)
+
+
+async def values(url: str) -> Any:
+    status, content = await get(url)
+    assert status == 200, content
+    return json.loads(content)
+
+
+async def test_the_page_gets_what_it_shows(url):
+    about = await values(f"{url}bag")
+    assert about["poses"] == {"/turtle1/pose": "turtlesim/msg/Pose"}
+    assert about["is_closed"]
+    poses = (await values(f"{url}poses?start=0.5&end=1.5"))["/turtle1/pose"]
+    assert 0.5 <= poses[0][0] < poses[-1][0] <= 1.5
+    assert len(poses) < 45
+    [goal] = await values(f"{url}goals")
+    assert (goal["action"], goal["status"]) == ("/patrol", "SUCCEEDED")
+    assert goal["start"] == pytest.approx(1, abs=0.1)
+    assert goal["end"] == pytest.approx(about["duration"], abs=0.1)
+    assert goal["request"]["targets"][0]["x"] == 8.0
+    assert len(goal["reached"]) == 2
+    assert (await get(url))[1].startswith(b"<!doctype html>")
+    assert (await get(f"{url}world.js"))[0] == 200
+
+
+REFUSED = [
+    ("poses?start=0&end=100", 400, b"ask for 60 s at most"),
+    ("poses?start=1&end=0", 400, b"ask for 60 s at most"),
+    ("poses?start=x&end=1", 400, b"could not convert"),
+    ("poses", 400, b"ask for 60 s at most"),
+    ("etc", 404, b"the only page is at the path /"),
+]
+
+
+async def test_what_makes_no_sense_is_refused(url):
+    for path, status, text in REFUSED:
+        found = await get(f"{url}{path}")
+        assert found[0] == status
+        assert text in found[1]
+
+
+async def test_pages_of_other_sites_get_nothing(url):
+    assert (await get(f"{url}bag", Host="evil.example"))[0] == 403
+    assert (await get(f"{url}bag", Origin="https://evil.example"))[0] == 403
+
+
+async def test_only_what_is_shown_is_read(tmp_path, monkeypatch):
+    writer = BagWriter(tmp_path / "long.mcap", Split())
+    writer.add(0, Channel(topic="/turtle1/pose", schema=schema_of(TurtlePose)))
+    writer.add(1, Channel(topic="/camera", schema=schema_of(TurtlePose)))
+    for second in range(400):
+        stamp = START + second * 10**9
+        writer.write(0, stamp, stamp, encode(TurtlePose(x=second / 40)))
+        writer.flush()
+        writer.write(1, stamp + 1, stamp + 1, bytes(20_000))
+        writer.flush()
+    writer.close({})
+    read = []
+    made = Path.open
+
+    class Counting:
+        def __init__(self, file):
+            self._file = file
+
+        def read(self, *size):
+            found = self._file.read(*size)
+            read.append(len(found))
+            return found
+
+        def __getattr__(self, name):
+            return getattr(self._file, name)
+
+    monkeypatch.setattr(Path, "open", lambda *a, **k: Counting(made(*a, **k)))
+    async with open_bag_view(tmp_path / "long.mcap") as shown:
+        await values(f"{shown.url}bag")
+        poses = await values(f"{shown.url}poses?start=200&end=210")
+    assert len(poses["/turtle1/pose"]) == 11
+    assert sum(read) < 500_000 < 8_000_000 < (tmp_path / "long.mcap").stat().st_size
+
+
+@in_a_browser
+@on_asyncio
+async def test_a_bag_is_scrubbed_and_played(url, tmp_path):
+    with running_browser(tmp_path) as devtools:
+        async with open_tab(devtools, url) as page:
+            await page.until("document.querySelectorAll('#rows i.good').length === 1")
+            assert await page.text("#rows .name") == "/patrol"
+            await page.run("$('scrub').value = 1.5; $('scrub').oninput()")
+            assert await page.text("#time") == "1.5 s"
+            place = (
+                "import('./bag.js').then(({bag}) => bag.world.turtles.get('turtle1').pose?.x ?? 0)"
+            )
+            early = await page.run(place)
+            await page.click("#rows i")
+            assert "SUCCEEDED after" in await page.text("#told")
+            assert '"targets"' in await page.text("#told")
+            await page.run("$('speed').value = 50")
+            await page.click("#play")
+            await page.until(
+                "$('play').textContent === 'Play' && $('scrub').value == $('scrub').max"
+            )
+            late = await page.run(place)
+            assert 5 < early < late
+            assert page.complaints == []
+
+
+def test_the_command_prints_the_address_and_ends_at_a_signal(tmp_path, capsys, monkeypatch):
+    path = tmp_path / "run.mcap"
+    BagWriter(path, Split()).close({})
+    interrupts, opened = Interrupts(), list[str]()
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    monkeypatch.setattr(bag_viewing, "_has_display", lambda: True)
+
+    async def wait(_: int) -> None:
+        interrupts.received.append(signal.SIGINT)
+
+    monkeypatch.setattr(interrupts, "wait", wait)
+    assert cli.run(["bag", "view", str(path)], interrupts) == 0
+    address = capsys.readouterr().out.strip()
+    assert address.startswith("http://127.0.0.1:")
+    assert opened == [address]

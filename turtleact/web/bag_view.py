@@ -1,0 +1,241 @@
+"""A bag in the browser: turtles on the map, goals as bars on a time line, and a slider.
+
+The page asks for what it shows: the poses of some seconds around the moment that was chosen. The
+index of the bag leads to them, so a large bag is opened as quickly as a small one. The goals are
+asked for apart, because they are spread over the whole bag.
+
+Like the page of a node, this listens on loopback, and refuses requests for other names.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from functools import cache, partial
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import anyio
+import anyio.to_thread
+import msgspec
+from starlette.requests import Request
+from starlette.responses import Response
+
+from turtleact.interfaces import to_json
+from turtleact.interfaces.types import fields
+from turtleact.recording.bag import Bag, reader_of
+from turtleact.recording.metadata import BagError
+from turtleact.recording.recorded_goals import ENDED, RecordedGoal, goals
+from turtleact.recording.schemas import class_of
+from turtleact.recording.selection import part_of
+from turtleact.recording.storage import Channel, Range
+from turtleact.web.access import Access, Refusals
+from turtleact.web.bridge import FILES, HEADERS
+from turtleact.web.server import Config, bound, serving
+
+if TYPE_CHECKING:
+    from starlette.types import Receive, Scope, Send
+
+__all__ = ["BagView", "open_bag_view"]
+
+PAGE: Final = {
+    "/": ("bag.html", "text/html"),
+    "/bag.css": ("bag.css", "text/css"),
+    "/bag.js": ("bag.js", "text/javascript"),
+}
+"""The files of this page; the others are those of the page of a node."""
+
+LONGEST: Final = 60.0
+"""The longest part of a bag that is sent at once (s)."""
+
+CLOSEST: Final = 25_000_000
+"""Poses of one turtle that are closer than this are left out (ns)."""
+
+MOST_TURTLES: Final = 64
+MOST_CONNECTIONS: Final = 64
+
+COORDINATES: Final = frozenset({"x", "y", "theta"})
+"""The fields of a pose that can be drawn."""
+
+
+class BagView:
+    """An ASGI app that shows a bag.
+
+    Args:
+        bag: The bag.
+
+    Attributes:
+        refusals: Where refused requests are counted.
+    """
+
+    def __init__(self, bag: Bag) -> None:
+        self.refusals = Refusals()
+        self._bag = bag
+        self._access = Access()
+        self._reading = anyio.Lock()  # threads share the file
+        self._poses: dict[str, Channel] = {}
+        self._answers: dict[str, Callable[[Request], Any]] = {
+            "/bag": self._describe,
+            "/poses": self._find_poses,
+            "/goals": self._find_goals,
+        }
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request."""
+        if scope["type"] == "http":
+            response = await self._answer(Request(scope))
+            await response(scope, receive, send)
+
+    async def _answer(self, asked: Request) -> Response:
+        host, origin = asked.headers.get("host", ""), asked.headers.get("origin")
+        problem = self._access.problem(host=host, origin=origin, token="")
+        if problem:
+            return _text(403, problem)
+        path = asked.url.path
+        if path in self._answers:
+            try:
+                async with self._reading:
+                    found = await anyio.to_thread.run_sync(partial(self._answers[path], asked))
+            except (BagError, ValueError) as error:
+                return _text(400, str(error))
+            return Response(json.dumps(found), headers=HEADERS, media_type="application/json")
+        if path in PAGE:
+            name, media_type = PAGE[path]
+            return Response(_file("bag_page", name), headers=HEADERS, media_type=media_type)
+        if path in FILES:
+            name, media_type = FILES[path]
+            return Response(_file("page", name), headers=HEADERS, media_type=media_type)
+        return _text(404, "the only page is at the path /")
+
+    # what the page asks for; in a thread
+
+    def _describe(self, _: Request) -> dict[str, object]:
+        info = self._bag.info
+        return {
+            "name": self._bag.path.name,
+            "start": info.start / 1e9,
+            "duration": info.duration / 1e9,
+            "messages": info.count,
+            "is_closed": info.is_closed,
+            "poses": {topic: each.schema.name for topic, each in self._channels().items()},
+            "topics": [[each.name, each.type_name, each.count] for each in info.topics],
+        }
+
+    def _find_poses(self, asked: Request) -> dict[str, list[list[float]]]:
+        """The poses between two moments: time since the start (s), x, y and theta."""
+        origin, channels = self._bag.info.start, self._channels()
+        start, end = (float(asked.query_params.get(name, "nan")) for name in ("start", "end"))
+        if not 0 <= end - start <= LONGEST:
+            raise ValueError(f"ask for {LONGEST:g} s at most")
+        first, last = (origin + round(moment * 1e9) for moment in (start, end))
+        wanted = Range(first, last, channels.__contains__)
+        readers = {topic: reader_of(each) for topic, each in channels.items()}
+        found: dict[str, list[list[float]]] = {topic: [] for topic in channels}
+        latest = dict.fromkeys(channels, -CLOSEST)
+        for raw in self._bag.messages(wanted):
+            topic = raw.channel.topic
+            if raw.stamp - latest[topic] < CLOSEST:
+                continue
+            latest[topic] = raw.stamp
+            pose: Any = readers[topic](raw.data)
+            if pose is not None:
+                found[topic].append([(raw.stamp - origin) / 1e9, pose.x, pose.y, pose.theta])
+        return found
+
+    def _find_goals(self, _: Request) -> list[dict[str, object]]:
+        found = anyio.run(goals, self._bag.path)  # in this thread
+        origin, reached = self._bag.info.start, self._reached()
+        return [{**_goal(each, origin), "reached": reached.get(each.id, [])} for each in found]
+
+    def _reached(self) -> dict[bytes, list[float]]:
+        """When each goal had reached its next target (s), as far as its feedback counts them."""
+        times: dict[bytes, list[float]] = {}
+        readers: dict[str, Callable[[bytes], Any]] = {}
+        for raw in self._bag.messages(Range(wants=lambda topic: part_of(topic).part == "feedback")):
+            topic = raw.channel.topic
+            if topic not in readers:
+                readers[topic] = reader_of(raw.channel)
+            message = readers[topic](raw.data)
+            count = getattr(getattr(message, "feedback", None), "reached", None)
+            if isinstance(count, int):
+                known = times.setdefault(bytes(message.goal_id.uuid), [])
+                known += [(raw.stamp - self._bag.info.start) / 1e9] * (count - len(known))
+        return times
+
+    def _channels(self) -> dict[str, Channel]:
+        """The topics with poses."""
+        if not self._poses:
+            found = (each for each in self._bag.channels() if _is_pose(each))
+            self._poses = {each.topic: each for each in [*found][:MOST_TURTLES]}
+        return self._poses
+
+
+class Shown(msgspec.Struct, frozen=True):
+    """A bag that is shown.
+
+    Attributes:
+        url: The address of the page.
+    """
+
+    url: str
+
+
+@asynccontextmanager
+async def open_bag_view(
+    path: str | Path, host: str = "127.0.0.1", port: int = 0
+) -> AsyncIterator[Shown]:
+    """Show a bag on a page for the length of a block. Needs asyncio or uvloop.
+
+    Args:
+        path: The folder of the bag, or a single file.
+        host: The loopback address to bind.
+        port: The port, or 0 for any free one.
+
+    Raises:
+        BagError: if there is no bag.
+        InvalidOption: if the port cannot be bound.
+    """
+    bag = await anyio.to_thread.run_sync(Bag, path)
+    try:
+        with bound(host, port) as listener:
+            view = BagView(bag)
+            at: tuple[str, int] = listener.getsockname()[:2]
+            async with serving(Config(view, view.refusals, MOST_CONNECTIONS), listener):
+                yield Shown(f"http://{at[0]}:{at[1]}/")
+    finally:
+        bag.close()
+
+
+def _is_pose(channel: Channel) -> bool:
+    cls = class_of(channel.schema, channel.type_hash)
+    if cls is None:
+        return False
+    numbers = {each.name for each in fields(cls) if str(each.type) in ("float32", "float64")}
+    return numbers >= COORDINATES
+
+
+def _goal(goal: RecordedGoal, origin: int) -> dict[str, object]:
+    end = goal.ended
+    return {
+        "id": goal.id.hex() or secrets.token_hex(4),
+        "action": goal.action,
+        "status": "REJECTED" if goal.accepted is False else goal.status.name,
+        "has_ended": goal.status in ENDED or goal.accepted is False,
+        "start": (goal.stamp - origin) / 1e9,
+        "end": (end - origin) / 1e9 if end else None,
+        "feedback_count": goal.feedback_count,
+        "request": None if goal.goal is None else json.loads(to_json(goal.goal)),
+        "result": None if goal.result is None else json.loads(to_json(goal.result)),
+    }
+
+
+def _text(status: int, text: str) -> Response:
+    return Response(f"{text}\n", status, HEADERS, media_type="text/plain")
+
+
+@cache
+def _file(folder: str, name: str) -> bytes:
+    return resources.files("turtleact.web").joinpath(folder, name).read_bytes()
