@@ -83,7 +83,7 @@ class GoalObserver:
         """Called when a server rejects a goal."""
 
     def closed(self) -> None:
-        """Called when a client is closed. Nothing more is heard of goals that go on."""
+        """Called when a client is closed. Observers hear no more of its goals that go on."""
 
     def enter_body(self, goal: Goal) -> None:
         """Called in a body's context before its first step, to set context variables for it."""

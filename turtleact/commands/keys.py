@@ -58,7 +58,7 @@ class Keys:
 async def typed_keys(region: Region) -> AsyncGenerator[str, None]:
     """Give the keys as they are pressed, until the terminal is gone; see `Keys.read`.
 
-    In the background, where the keys are for another process, none is read.
+    While this process is in the background, the keys are for another one, and none is read.
 
     Args:
         region: The display; its terminal must be held.

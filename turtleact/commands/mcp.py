@@ -90,7 +90,7 @@ def run(order: Order, interrupts: Interrupts) -> int:
 
 
 def _check_sdk() -> None:
-    """Raise an error if the extra is missing; does not import it."""
+    """Raise an error if the extra is missing, without importing it."""
     if find_spec("mcp") is None:
         problem = "turtleact mcp needs one more package: pip install 'mcp>=2.3,<3'"
         raise TurtleactError(problem)

@@ -607,7 +607,7 @@ class ActionServer(Generic[G, R, F]):
         await self._endpoints.aclose()
 
     async def wait_until_serving(self) -> bool:
-        """Wait until it serves its name; False if it was closed, or made way, before it could.
+        """Wait until the server serves its name; False if it was closed or made way before that.
 
         Cancelling: safe; the server goes on waiting for its name.
         """

@@ -383,7 +383,7 @@ def _complex(real: _Floats, imag: _Floats) -> _Complexes:
 
 
 def _near(places: _Complexes, some: _Indices, distance: float) -> tuple[_Indices, _Indices]:
-    """The pairs of one of these turtles and any other that are nearer than a distance (m)."""
+    """The pairs of turtles nearer than a distance (m); at least one of each pair is among these."""
     cells = np.floor(places.imag / distance).astype(np.int64) * _COLUMNS
     cells += np.floor(places.real / distance).astype(np.int64)
     order = np.argsort(cells, kind="stable")

@@ -255,7 +255,7 @@ class Publication(Closeable, Protocol):
         """How many messages were dropped before they were sent, because too many waited."""
 
     def publish(self, message: object) -> None:
-        """Send a message to every subscription; it must not be changed afterwards."""
+        """Send a message to every subscription. Do not change the message afterwards."""
 
     def send(self, data: bytes) -> None:
         """Send an encoded message, only to subscriptions in other processes."""
