@@ -7,8 +7,8 @@ import functools
 import pytest
 
 import turtleact
-from turtleact.body import ActionDeclaration, Body, action
-from turtleact.errors import InvalidBody
+from turtleact.body import ActionDeclaration, Body, action, background
+from turtleact.errors import InvalidBody, InvalidOption
 
 from .lab import Count, count, feedback, goal, lab, result
 from .tables import together
@@ -246,3 +246,19 @@ async def test_a_declaration_serves_nothing_by_itself():
     async with turtleact.open_node("lab") as node:
         action(Count, "count")(plain)
         assert node.graph().actions == {}
+
+
+def no_coroutine(node):
+    """Something that cannot run in the background."""
+
+
+@pytest.mark.parametrize("function", [no_coroutine, with_handle, stream, lambda node: None])
+def test_what_cannot_run_in_the_background_is_refused(function):
+    with pytest.raises(InvalidOption, match="expected an 'async def' with one parameter, the node"):
+        background(function)
+
+
+async def test_a_background_function_can_be_called_like_the_function_itself():
+    declared = background(plain)
+    assert getattr(declared, "__name__", "") == "plain"
+    assert await declared(object()) == result()

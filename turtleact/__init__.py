@@ -24,7 +24,7 @@ from __future__ import annotations
 TYPE_CHECKING = False  # as in `typing`, which is slow to import
 if TYPE_CHECKING:
     from turtleact.app import WorldNode, open_world
-    from turtleact.body import action
+    from turtleact.body import action, background
     from turtleact.client import (
         Accepted,
         ActionClient,
@@ -113,6 +113,7 @@ __all__ = [
     "Resumed",
     # bodies and callbacks
     "action",
+    "background",
     "parameter",
     "GoalResponse",
     "CancelResponse",
@@ -168,7 +169,7 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "app": ("WorldNode", "open_world"),
-    "body": ("action",),
+    "body": ("action", "background"),
     "client": (
         "Accepted",
         "ActionClient",

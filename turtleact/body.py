@@ -252,6 +252,40 @@ def action(
     return cast("Declare[G, R, F]", declare)
 
 
+class BackgroundDeclaration(Generic[H]):
+    """A function that runs beside a module's actions; `turtleact.background` makes one.
+
+    Nothing runs until ``turtleact serve`` serves the module. You can still call it.
+
+    Attributes:
+        run: The function.
+    """
+
+    def __init__(self, run: Callable[[H], Coroutine[Any, Any, object]]) -> None:
+        name = getattr(run, "__name__", repr(run))
+        if not inspect.iscoroutinefunction(run) or _count_parameters(name, run) != 1:
+            raise InvalidOption(name, "expected an 'async def' with one parameter, the node")
+        functools.update_wrapper(self, run)
+        self.run = run
+
+    def __call__(self, node: H) -> Coroutine[Any, Any, object]:
+        """Call the function itself."""
+        return self.run(node)
+
+
+def background(run: Callable[[H], Coroutine[Any, Any, object]]) -> BackgroundDeclaration[H]:
+    """Run the ``async def`` below in the background while ``turtleact serve`` serves its module.
+
+    It is called with the node once the module's actions are served. It is cancelled at a reload,
+    and when the server ends, before the goals end. If it raises, the error is logged, and the
+    server goes on. A program of your own starts such a task itself.
+
+    Raises:
+        InvalidOption: if the function is no coroutine function with one parameter.
+    """
+    return BackgroundDeclaration(run)
+
+
 class Body:
     """A function and its style.
 

@@ -104,6 +104,42 @@ async def test_a_changed_file_is_served_anew(desk):
     assert desk.said == ["reloading: reloadlab.py changed", "reloaded: /mine"]
 
 
+BEATING = """
+import anyio
+
+@turtleact.background
+async def beat(node):
+    node.beats.append("begun")
+    try:
+        await anyio.sleep_forever()
+    finally:
+        node.beats.append("ended")
+"""
+
+
+async def test_a_background_task_runs_until_the_next_reload(desk):
+    desk.node.beats = []
+    desk.write(2, more=BEATING)
+    await desk.rest()
+    await anyio.wait_all_tasks_blocked()
+    assert desk.node.beats == ["begun"]
+    desk.write(3, more=BEATING)
+    await desk.rest()
+    await anyio.wait_all_tasks_blocked()
+    assert desk.node.beats == ["begun", "ended", "begun"]
+    await desk.reloader.aclose()
+    assert desk.node.beats[2:] == ["begun", "ended"]
+
+
+async def test_a_module_may_have_background_tasks_alone(desk, caplog):
+    text = "import turtleact\n\n@turtleact.background\nasync def fail(node):\n    node.missing\n"
+    desk.write(text=text)
+    await desk.rest()
+    await anyio.wait_all_tasks_blocked()
+    assert desk.said[-1] == "reloaded: background tasks"
+    assert "the background task fail has failed" in caplog.messages
+
+
 async def test_a_local_module_that_it_imports_counts_too(desk):
     desk.write(file="reloadhelper.py", text="NUMBER = 20\n")
     await desk.rest()

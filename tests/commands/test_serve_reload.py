@@ -22,6 +22,11 @@ from turtleact.interfaces.standard import Fibonacci
 speed = turtleact.parameter("speed", 1.0, range=(0.0, 2.0))
 
 
+@turtleact.background
+async def beat(node):
+    print("beating on", node.name, flush=True)
+
+
 @turtleact.action(Fibonacci, "mine")
 async def mine(goal):
     yield Fibonacci.Feedback(partial_sequence=[0])
@@ -49,7 +54,8 @@ def reloading(folder, text):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         at = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    process = command(folder, "serve", "lab.py", "--reload", "--no-sim", "--listen", at)
+    options = "--reload", "--no-sim", "--listen", at, "--ros-args", "-p", "speed:=2"
+    process = command(folder, "serve", "lab.py", *options)
     try:
         yield process, at
     finally:
@@ -86,8 +92,9 @@ def test_a_file_is_served_and_served_anew_and_its_goals_end(tmp_path):
         assert goal.returncode == 4
         assert "turtleact: the goal was aborted: reloading" in out
         lines_until(server, "reloaded: /yours")
+        lines_until(server, "beating on lab")
         with command(tmp_path, "param", "get", "/lab", "speed", "--connect", at) as param:
-            assert param.communicate(timeout=20)[0] == "Double value is: 1.0\n"
+            assert param.communicate(timeout=20)[0] == "Double value is: 2.0\n"
         server.send_signal(signal.SIGINT)
         server.communicate(timeout=20)
         assert server.returncode == 0

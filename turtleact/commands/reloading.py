@@ -22,10 +22,12 @@ import anyio
 from turtleact.errors import TurtleactError
 from turtleact.interfaces.types import REGISTRY
 from turtleact.summaries import summary
+from turtleact.tasks import GRACE, Background
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    from turtleact.body import BackgroundDeclaration
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.targets import Found, Modules
     from turtleact.goal_journal import GoalJournal, OnRestart
@@ -126,6 +128,7 @@ class Reloader:
         self._servers: list[ActionServer[Any, Any, Any]] = []
         self._options: Kept = {}
         self._parameters: list[Parameter[Any]] = []
+        self._tasks: list[Background] = []
         self._stale: set[Path] = set()  # changed, and not imported successfully since
 
     def adopt(
@@ -144,7 +147,14 @@ class Reloader:
         self._found = found
         self._servers = list(servers)
         self._options = options or {}
+        self._start(found)
         self._parameters = [self.node.parameter(each) for each in found.parameters]
+
+    async def aclose(self) -> None:
+        """End the background tasks; the node closes everything else."""
+        for task in self._tasks:
+            await task.aclose(GRACE)
+        self._tasks.clear()
 
     async def run(self) -> None:
         """Watch and replace, until cancelled."""
@@ -178,7 +188,7 @@ class Reloader:
             return
         self._found = found
         names = dict.fromkeys(server.name for server in self._servers)
-        self._say(f"reloaded: {', '.join(names)}")
+        self._say(f"reloaded: {', '.join(names) or 'background tasks'}")
 
     def _import(self, changed: list[Path]) -> Found | None:
         """Import the modules anew; None if that fails, or a signal has come."""
@@ -211,9 +221,17 @@ class Reloader:
             self._parameters.append(self.node.parameter(declaration))
         for action in found.actions:
             self._servers.append(self.node.serve(action, on_conflict="wait", **self._options))
+        self._start(found)
+
+    def _start(self, found: Found) -> None:
+        """Start the background tasks."""
+        for each in found.tasks:
+            name = f"the background task {each.run.__name__}"
+            self._tasks.append(Background(_run(each, self.node), name))
 
     async def _close(self) -> None:
-        """End the goals, and take actions and parameters off the node."""
+        """End tasks and goals, and take actions and parameters off the node."""
+        await self.aclose()
         async with anyio.create_task_group() as closing:
             for server in self._servers:
                 closing.start_soon(server.aclose, REASON)
@@ -221,6 +239,10 @@ class Reloader:
         for parameter in self._parameters:
             parameter.undeclare()
         self._parameters.clear()
+
+
+async def _run(declared: BackgroundDeclaration[Any], node: Node) -> None:
+    await declared.run(node)
 
 
 def _interface_files() -> dict[str, Path]:

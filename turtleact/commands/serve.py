@@ -23,6 +23,7 @@ from turtleact.body import ActionDeclaration
 from turtleact.commands import runner
 from turtleact.commands.observing import json_line, observing, set_up_logging
 from turtleact.commands.output import abandon, note, printable
+from turtleact.commands.overrides import of_node, unheard
 from turtleact.commands.reloading import Kept, Reloader, Watch
 from turtleact.commands.settings import Watched
 from turtleact.commands.targets import Found, Modules
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from turtleact.clock import Clock
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.live import Dashboard
+    from turtleact.commands.overrides import Override
     from turtleact.commands.settings import Fleet, Keeping, Page, Reach
     from turtleact.introspection import Introspection
     from turtleact.node import ActionServer, ServerGoalHandle
@@ -78,6 +80,7 @@ class Service(NamedTuple):
         reload: Whether to reload the user's actions when their files change.
         node_name: The name of the node that serves the actions, if there is no world.
         keeping: The journal of the goals; None for no journal.
+        overrides: The first values of parameters.
         introspection: The introspection of all actions and services of the process.
         watched: How other programs can watch the goals.
     """
@@ -94,6 +97,7 @@ class Service(NamedTuple):
     reload: bool = False
     node_name: str = "turtleact"
     keeping: Keeping | None = None
+    overrides: tuple[Override, ...] = ()
     introspection: Introspection = "off"
     watched: Watched = Watched()
 
@@ -181,6 +185,7 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
             if interrupts.received:
                 return 0
             reloader = Reloader(node, work.modules, work.watch, interrupts, log.reload)
+            await stack.enter_async_context(aclosing(reloader))
             await _until_signal(interrupts, _begin(service, work.found, reloader, options))
             if interrupts.received:
                 return 0
@@ -229,8 +234,12 @@ async def _open_journal(keeping: Keeping | None) -> AsyncIterator[Kept]:
 async def _begin(service: Service, found: Found, reloader: Reloader, options: Kept) -> None:
     """Serve what the user has declared."""
     node = reloader.node
+    node.first_values |= of_node(service.overrides, node.fully_qualified_name)
     for declaration in found.parameters:
         node.parameter(declaration)
+    declared = [each.name for each in found.parameters]
+    for text in unheard(service.overrides, node.fully_qualified_name, declared):
+        note(text)
     servers = await serve_declared(node, found.actions, wait=service.wait, **options)
     reloader.adopt(found, servers, options)
 

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 import anyio
 
-from turtleact.body import ActionDeclaration
+from turtleact.body import ActionDeclaration, BackgroundDeclaration
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.graph import names_like
 from turtleact.parameters import ParameterDeclaration
@@ -47,10 +47,12 @@ class Found(NamedTuple):
     Attributes:
         actions: The actions to serve, in the order of the targets and of their declaration.
         parameters: The parameters that the modules of the targets have.
+        tasks: What runs in the background of these modules.
     """
 
     actions: list[ActionDeclaration[..., object]]
     parameters: list[ParameterDeclaration[Any]]
+    tasks: tuple[BackgroundDeclaration[Any], ...] = ()
 
 
 class Target(NamedTuple):
@@ -176,8 +178,10 @@ class Modules:
         self.files = frozenset(self._own_files())
         modules = self._own() | {each.module: sys.modules[each.module] for each in self.targets}
         values = [each for module in modules.values() for each in vars(module).values()]
-        found = [each for each in values if isinstance(each, ParameterDeclaration)]
-        return Found(actions, list({id(each): each for each in found}.values()))
+        unique = {id(each): each for each in values}.values()
+        parameters = [each for each in unique if isinstance(each, ParameterDeclaration)]
+        tasks = [each for each in unique if isinstance(each, BackgroundDeclaration)]
+        return Found(actions, parameters, tuple(tasks))
 
     def find_again(self) -> Found:
         """Import the user's modules again; if that fails, `sys.modules` stays unchanged.
@@ -251,7 +255,8 @@ def _actions_of(target: Target) -> list[ActionDeclaration[..., object]]:
     module = _import_module(target)
     if not target.path:
         own = [each for each in _declared_in(module) if _is_own(each, module)]
-        if not own:
+        kinds = {type(each) for each in vars(module).values()}
+        if not own and BackgroundDeclaration not in kinds:
             raise UsageError(_nothing_in(module, target))
         return own
     try:

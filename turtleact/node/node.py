@@ -69,15 +69,13 @@ Res = TypeVar("Res", bound=Message)
 class Node:
     """One participant of a graph; made by `open_node`.
 
-    Methods that open something raise `TurtleactError` if the node is closed, and TypeError if you
-    pass something other than an interface of the right kind. With ``on_demand``, other processes
-    learn of an endpoint only once one of them has an endpoint of the same name. Use it if you open
-    thousands of endpoints and few of them are ever used.
+    Methods that open something raise `TurtleactError` if the node is closed, and TypeError for what
+    is no interface of the right kind. With ``on_demand``, other processes learn of an endpoint only
+    once one of them has an endpoint of the same name: for thousands of endpoints, mostly unused.
 
     With ``introspection="contents"``, requests and responses are published on the topics
     ``SERVICE/_service_event``, as in ROS 2; "metadata" leaves out what they contain. None stands
-    for the node's setting. Such goals and calls travel as messages even within a process, so they
-    take longer.
+    for the node's setting. Such calls travel as messages even within a process, which is slower.
 
     Attributes:
         name: The node's name, without the namespace.
@@ -86,6 +84,7 @@ class Node:
         transport: The connection to other nodes.
         introspection: The introspection of what is opened on the node from now on.
         resources: Everything that is open on the node.
+        first_values: The first values of parameters, by name, instead of declared ones.
     """
 
     introspection: Introspection = "off"
@@ -103,6 +102,7 @@ class Node:
         self._hooks: list[Transition] = []
         self._to_restore: list[LocalActionServer] = []
         self._parameters: NodeParameters | None = None
+        self.first_values: dict[str, object] = {}
         self._membership = Membership(transport, self.fully_qualified_name)
 
     @property

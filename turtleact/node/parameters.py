@@ -31,6 +31,7 @@ from turtleact.parameters import (
     ParameterDeclaration,
     ParameterTable,
     Value,
+    message_of,
     parameter,
     value_of,
 )
@@ -60,6 +61,7 @@ class Host(Protocol):
     """What parameters need of a node."""
 
     clock: Clock
+    first_values: dict[str, object]
 
     @property
     def fully_qualified_name(self) -> str:
@@ -129,12 +131,14 @@ class NodeParameters:
         """
         self.check_open()
         self.open()
-        check = _checker(declaration)
-        self._table.declare(declaration.descriptor, declaration.message, check)
+        name, first, check = declaration.name, declaration.message, _checker(declaration)
+        if name in self._node.first_values:
+            first = message_of(name, self._node.first_values[name], first.type)
+        self._table.declare(declaration.descriptor, first, check)
         made = Parameter[P](self, declaration.name, self._tasks.signal())
         self._declared[declaration.name] = cast("Parameter[Value]", made)
         self._made_from[declaration.name] = declaration
-        self._tell(new=[ParameterMessage(declaration.name, declaration.message)])
+        self._tell(new=[ParameterMessage(name, first)])
         return made
 
     def declare_once(self, declaration: ParameterDeclaration[P]) -> Parameter[P]:

@@ -113,6 +113,8 @@ class Verb(TyperCommand):
         known = {option for param in self.params for option in param.opts}
         if "--connect" in known:
             args = without_daemon(args)
+        if "--param" in known:  # in ROS 2, parameters stand behind --ros-args
+            args = [arg for arg in args if arg != "--ros-args"]
         if any(arg not in known and _VALUE.match(arg) for arg in args):
             ctx.ignore_unknown_options = True
         left = super().parse_args(ctx, args)

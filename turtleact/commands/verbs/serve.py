@@ -37,6 +37,7 @@ from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
+    from turtleact.commands.overrides import Override
 
 __all__ = ["app", "serve"]
 
@@ -133,6 +134,23 @@ NodeName: TypeAlias = Annotated[
         metavar="NAME",
         help="With --no-sim: the name of the node with your actions. If left out, the name of the "
         "first file or module.",
+    ),
+]
+Assignments: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--param",
+        "-p",
+        metavar="NAME:=VALUE",
+        help="The first value of a parameter of your modules.",
+    ),
+]
+ParamsFiles: TypeAlias = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--params-file",
+        metavar="FILE",
+        help="Such values in a file, as 'param dump' prints it.",
     ),
 ]
 OnRestart: TypeAlias = Annotated[
@@ -267,6 +285,8 @@ def serve(
     reload: Reload = False,
     no_sim: NoSim = False,
     node_name: NodeName = None,
+    param: Assignments = None,
+    params_file: ParamsFiles = None,
     journal: Annotated[Path | None, journal_in(GOALS, "Keep the goals in this file.")] = None,
     on_restart: OnRestart = None,
     abort_goals: AbortGoals = False,
@@ -306,17 +326,23 @@ def serve(
         access = _access(where, at, insecure=insecure)
         service = Service(
             *(tuple(targets or ()), at, where, None if no_sim else fleet, page, access),
-            is_live=not (headless or plain),
-            wait=wait,
-            reload=reload,
+            *(not (headless or plain), False, wait, reload),  # not only turtlesim
             node_name=node_name or _node_name(targets, no_sim=no_sim),
             keeping=keeping,
+            overrides=_overrides(params_file, param),
             introspection=introspection,
             watched=watched,
         )
         return run(service, interrupts)
 
     return job
+
+
+def _overrides(files: list[Path] | None, assignments: list[str] | None) -> tuple[Override, ...]:
+    """The first values of parameters; raises as `read_overrides` does."""
+    from turtleact.commands.overrides import read_overrides
+
+    return tuple(read_overrides([str(each) for each in files or ()], assignments or ()))
 
 
 def _node_name(targets: list[str] | None, *, no_sim: bool) -> str:
