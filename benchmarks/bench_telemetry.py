@@ -50,6 +50,7 @@ AT_ONCE = 50
 
 OFF = TracerProvider(ALWAYS_OFF, shutdown_on_exit=False)
 NO_METRICS = NoOpMeterProvider()
+NO_TRACES = NoOpTracerProvider()
 
 
 def recording() -> TracerProvider:
@@ -66,9 +67,7 @@ def sdk_metrics() -> MeterProvider:
 WATCHED: dict[str, Callable[[Node], object]] = {
     "not watched": lambda _: None,
     "`GoalMetrics`": lambda node: GoalMetrics().watch(node),
-    "`instrument`, no SDK": lambda node: instrument(
-        node, tracer_provider=NoOpTracerProvider(), meter_provider=NO_METRICS
-    ),
+    "`instrument`, no SDK": instrument,
     "`instrument`, sampler off": lambda node: instrument(
         node, tracer_provider=OFF, meter_provider=NO_METRICS
     ),
@@ -76,7 +75,7 @@ WATCHED: dict[str, Callable[[Node], object]] = {
         node, tracer_provider=recording(), meter_provider=NO_METRICS
     ),
     "`instrument`, metrics of the SDK": lambda node: instrument(
-        node, tracer_provider=NoOpTracerProvider(), meter_provider=sdk_metrics()
+        node, tracer_provider=NO_TRACES, meter_provider=sdk_metrics()
     ),
 }
 

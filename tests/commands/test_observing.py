@@ -13,6 +13,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from opentelemetry import metrics, trace
 from prometheus_client.parser import text_string_to_metric_families
 
 import turtleact
@@ -130,6 +131,23 @@ def test_a_line_in_json_has_the_members_that_are_given():
         "goal_id": "1f",
         "status": "ACCEPTED",
     }
+
+
+async def test_a_collector_that_is_down_is_told_of_once(monkeypatch, caplog):
+    for signal_ in ("TRACES", "METRICS"):
+        monkeypatch.setenv(f"OTEL_{signal_}_EXPORTER", "none")
+    monkeypatch.setattr(trace, "set_tracer_provider", lambda _: None)  # a process can do so once
+    monkeypatch.setattr(metrics, "set_meter_provider", lambda _: None)
+    exporter = logging.getLogger("opentelemetry.exporter.otlp.proto.http.trace_exporter")
+    before = list(exporter.filters)
+    try:
+        async with observing(Watched(otel=True), print):
+            for attempt in range(3):
+                exporter.warning("attempt %d failed", attempt)
+            exporter.error("given up")
+    finally:
+        exporter.filters[:] = before
+    assert [each.getMessage() for each in caplog.records] == ["attempt 0 failed", "given up"]
 
 
 async def test_a_missing_package_for_traces_is_named(monkeypatch):

@@ -11,7 +11,8 @@ from turtleact import Abort, GoalStatus
 from turtleact.goal import Goal
 from turtleact.interfaces import WireFormat, decode
 from turtleact.interfaces.standard import GoalStatusArray
-from turtleact.server.action_topics import StatusTopic
+from turtleact.observers import FeedbackLost, GoalObserver, News
+from turtleact.server.action_topics import FeedbackTopic, StatusTopic
 from turtleact.server.local_server import LocalActionServer
 
 from ..lab import Count, Lab, goal, lab, settle
@@ -39,6 +40,46 @@ def source_of(local: LocalActionServer, topic: Any = None) -> StatusTopic:
     source = StatusTopic(local, topic or cast("Any", Topic()), cast("Any", None))
     source.readers_changed(has_readers=True)
     return source
+
+
+class FullLane:
+    """A publication that drops every second message."""
+
+    sent = 0
+    has_near_readers = False
+
+    @property
+    def dropped(self) -> int:
+        return self.sent // 2
+
+    def send(self, data: bytes) -> None:
+        self.sent += 1
+
+    def advertise(self, endpoint: Any, format: Any, source: Any) -> Any:
+        """What a transport does."""
+        return self
+
+
+class Losses(GoalObserver):
+    def __init__(self) -> None:
+        self.heard: list[News] = []
+
+    def noted(self, goal: Goal, news: News) -> None:
+        self.heard.append(news)
+
+
+async def test_observers_hear_of_feedback_that_cannot_be_sent():
+    async with lab(act) as served:
+        local = served.local
+        local.observers.add(losses := Losses())
+        topic = FeedbackTopic(local, cast("Any", FullLane()), cast("Any", None))
+        sent = Goal(Count.Goal(), 0, id=bytes(range(16)))
+        for number in range(4):
+            topic.publish(sent, Count.Feedback(so_far=[number]))
+        assert losses.heard == [FeedbackLost(1), FeedbackLost(1)]
+        assert topic.emit(sent, Count.Feedback())
+        assert topic.emit(sent, Count.Feedback())
+        assert losses.heard == [FeedbackLost(1)] * 3
 
 
 def check(source: StatusTopic, *expected: GoalStatus) -> None:

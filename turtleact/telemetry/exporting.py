@@ -66,11 +66,15 @@ async def exporting(service: str) -> AsyncIterator[None]:
             spans.add_span_processor(BatchSpanProcessor(OTLPSpanExporter()))
             trace.set_tracer_provider(spans)
             ends.append(spans.shutdown)
+        else:
+            trace.set_tracer_provider(trace.NoOpTracerProvider())
         if _is_wanted("OTEL_METRICS_EXPORTER"):
             reader = PeriodicExportingMetricReader(OTLPMetricExporter())
             numbers = MeterProvider([reader], resource, shutdown_on_exit=False)
             metrics.set_meter_provider(numbers)
             ends.append(numbers.shutdown)
+        else:
+            metrics.set_meter_provider(metrics.NoOpMeterProvider())
     except ValueError as error:
         raise TurtleactError(f"OpenTelemetry cannot be set up: {error}") from error
     try:

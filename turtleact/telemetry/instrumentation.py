@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Coroutine
 from typing import TYPE_CHECKING
 
+from anyio import sleep_forever
+
 from turtleact.errors import TurtleactError
 from turtleact.node import Node
 from turtleact.tasks import Background
@@ -57,9 +59,12 @@ def instrument(
     if not node.is_open:
         raise TurtleactError(f"node '{node.fully_qualified_name}' is closed: open another")
     tracing, instruments = Tracing(node, tracer_provider), Instruments(meter_provider)
-    watch(node, tracing.add_server, tracing.add_client)
-    measure(node, instruments)
-    node.resources.add(_Instrumentation(watch_loop(instruments)), _Nothing())
+    if not tracing.is_off:
+        watch(node, tracing.add_server, tracing.add_client)
+    if not instruments.are_off:
+        measure(node, instruments)
+    watching = sleep_forever() if instruments.are_off else watch_loop(instruments)
+    node.resources.add(_Instrumentation(watching), _Nothing())
 
 
 class _Instrumentation:

@@ -14,10 +14,14 @@ class Instruments:
 
     Args:
         provider: Gives the meter; None for the program's global provider.
+
+    Attributes:
+        are_off: Whether the program wants no metrics.
     """
 
     def __init__(self, provider: metrics.MeterProvider | None) -> None:
         meter = metrics.get_meter("turtleact", meter_provider=provider)
+        self.are_off = isinstance(meter, metrics.NoOpMeter)
         bounds = list(BOUNDS)
         self._goals = meter.create_counter("ros.action.goals", "{goal}", "Goals that have ended.")
         self._duration = meter.create_histogram(

@@ -48,6 +48,7 @@ from turtleact.observers import (
     GoalObserver,
     Lost,
     News,
+    Observers,
 )
 from turtleact.telemetry.linking import NEW_TRACES
 from turtleact.telemetry.measuring import AnyClient, AnyServer
@@ -73,10 +74,14 @@ class Tracing:
     Args:
         node: The node.
         provider: Where spans go; None for the program's global provider.
+
+    Attributes:
+        is_off: Whether the program wants no traces.
     """
 
     def __init__(self, node: Node, provider: trace.TracerProvider | None) -> None:
         self._tracer = trace.get_tracer("turtleact", version("turtleact"), provider)
+        self.is_off = isinstance(self._tracer, trace.NoOpTracer)
         self._node = node
         domain = getattr(getattr(node.transport, "context", None), "domain", None)
         self._of_node: dict[str, str | int] = {
@@ -153,12 +158,32 @@ class _Record:
 class _Spans(GoalObserver):
     """Writes what happens to goals to their spans.
 
+    Args:
+        observers: The observers of the server or client.
+
     Attributes:
         records: The spans of active goals, by goal id.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, observers: Observers) -> None:
         self.records: dict[bytes | None, _Record] = {}
+        self._observers = observers
+        self._has_recorded = False
+
+    def record(self, span: Span, goal_id: bytes) -> _Record:
+        """Write what happens to a goal to its span from now on."""
+        if not self._has_recorded:
+            self._has_recorded = True
+            self.begin()
+        record = _Record(span)
+        span.set_attribute("ros.goal.id", goal_id.hex())
+        self.records.setdefault(goal_id, record)
+        return record
+
+    def begin(self) -> None:
+        """Called before the first goal is recorded."""
+        # What these two do costs every goal and message something, so there is nothing before.
+        self._observers.add(_Recording(self.records))
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
         """Called after a goal has changed its state."""
@@ -177,12 +202,6 @@ class _Spans(GoalObserver):
             record.end(after.name)
         else:
             record.fail(type(goal.error).__name__, str(goal.error), after.name)
-
-    def feedback_published(self, goal: Goal, feedback: object) -> None:  # noqa: ARG002
-        """Called with each feedback message."""
-        record = self.records.get(goal.id)
-        if record is not None:
-            record.feedback()
 
     def pause_changed(self, goal: Goal) -> None:
         """Called after a server has paused or resumed a goal."""
@@ -207,6 +226,27 @@ class _Spans(GoalObserver):
                 record.end("")
 
 
+class _Recording(GoalObserver):
+    """Makes the spans of goals those of their bodies, and counts feedback."""
+
+    def __init__(self, records: dict[bytes | None, _Record]) -> None:
+        self._records = records
+
+    def feedback_published(self, goal: Goal, feedback: object) -> None:  # noqa: ARG002
+        """Called with each feedback message."""
+        record = self._records.get(goal.id)
+        if record is not None:
+            record.feedback()
+
+    def enter_body(self, goal: Goal) -> None:
+        """Make the goal's span the current one of its body."""
+        record = self._records.get(goal.id)
+        if record is not None:
+            contexts.attach(trace.set_span_in_context(record.span))
+            REQUEST_NOTE.set(_note(record.span, is_detached=False))
+            NEW_TRACES.set(False)
+
+
 class _ServerSpans(_Spans):
     """The spans of one server's goals.
 
@@ -219,7 +259,7 @@ class _ServerSpans(_Spans):
     def __init__(
         self, server: AnyServer, tracer: trace.Tracer, attributes: dict[str, str | int]
     ) -> None:
-        super().__init__()
+        super().__init__(server.local.observers)
         self._name = f"execute {server.name}"
         self._name_goal = server.local.name_goal
         self._tracer = tracer
@@ -239,14 +279,6 @@ class _ServerSpans(_Spans):
             record.span.record_exception(news.error)
         super().noted(goal, news)
 
-    def enter_body(self, goal: Goal) -> None:
-        """Make the goal's span the current one of its body."""
-        record = self.records.get(goal.id) if self.records else None
-        if record is not None:
-            contexts.attach(trace.set_span_in_context(record.span))
-            REQUEST_NOTE.set(_note(record.span, is_detached=False))
-            NEW_TRACES.set(False)
-
     def _begin(self, goal: Goal) -> None:
         is_far = isinstance(goal.sender, bytes)  # the gid of a client in another process
         note = _request_note() if is_far else NO_NOTE
@@ -264,9 +296,7 @@ class _ServerSpans(_Spans):
             links=links,
         )
         if span.is_recording() or sender.is_remote:
-            goal_id = self._name_goal(goal)
-            self.records[goal_id] = _Record(span)
-            span.set_attribute("ros.goal.id", goal_id.hex())
+            self.record(span, self._name_goal(goal))
 
 
 def _current() -> Context:
@@ -313,9 +343,6 @@ class _ClientSpans(_Spans):
         tracer: Makes the spans.
         attributes: What all of them have.
         node: The client's node.
-
-    Attributes:
-        is_observing: Whether it hears of goals: from the first goal on that is recorded.
     """
 
     def __init__(
@@ -325,10 +352,8 @@ class _ClientSpans(_Spans):
         attributes: dict[str, str | int],
         node: Node,
     ) -> None:
-        super().__init__()
-        self.is_observing = False
+        super().__init__(client.observers)
         self._name = f"send_goal {client.name}"
-        self._observers = client.observers
         self._tracer = tracer
         self._attributes = attributes
         self._transport = node.transport
@@ -356,15 +381,10 @@ class _ClientSpans(_Spans):
         kind = SpanKind.INTERNAL if is_near else SpanKind.CLIENT
         return self._tracer.start_span(self._name, context, kind, self._attributes)
 
-    def record(self, span: Span, goal_id: bytes) -> _Record:
-        """Write what happens to a goal to its span."""
-        if not self.is_observing:
-            self.is_observing = True
-            self._observers.add(self)
-        record = _Record(span)
-        span.set_attribute("ros.goal.id", goal_id.hex())
-        self.records.setdefault(goal_id, record)
-        return record
+    def begin(self) -> None:
+        """Called before the first goal is recorded."""
+        self._observers.add(self)
+        super().begin()
 
 
 class _Sending:
