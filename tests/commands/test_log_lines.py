@@ -22,6 +22,14 @@ def test_what_is_printed_comes_line_by_line(monkeypatch):
     assert full(log) == ["one and two", "three"]
 
 
+def test_a_body_that_closes_stdout_does_not_end_the_log():
+    log = LogLines()
+    with log.listening():
+        sys.stdout.close()
+        print("still here", flush=True)
+    assert full(log) == ["still here"]
+
+
 def test_what_stderr_takes_elsewhere_goes_there(capsys):
     log = LogLines()
     with log.listening():

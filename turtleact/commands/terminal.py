@@ -414,6 +414,9 @@ class LogLines(io.TextIOBase):
             self.add(line)
         return len(text)
 
+    def close(self) -> None:
+        """Do nothing: a body that closes what it takes for stdout must not end the log."""
+
     @contextmanager
     def listening(self) -> Iterator[None]:
         """A block in which stdout is added to this log, and stderr too if it is a terminal."""
