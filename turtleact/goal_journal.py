@@ -9,17 +9,19 @@ announces the end of one. When the server starts, it loads the goals that an ear
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Generic, Literal, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Generic, Literal, Protocol, TypeAlias, TypeVar
 
 import msgspec
 
 from turtleact.goal import GoalStatus
-from turtleact.interfaces import Message
+
+if TYPE_CHECKING:
+    from turtleact.interfaces import Message
 
 __all__ = ["GoalChange", "GoalJournal", "GoalRecord", "OnRestart", "Resumed"]
 
-R = TypeVar("R", bound=Message)
-F = TypeVar("F", bound=Message)
+R = TypeVar("R", bound="Message")
+F = TypeVar("F", bound="Message")
 
 OnRestart: TypeAlias = Literal["abort", "resume"]
 """What becomes of goals that an earlier process has left unfinished."""

@@ -115,6 +115,17 @@ def test_goals_lists_a_journal(turtleact, file):
     ]
 
 
+def test_listing_goals_imports_nothing_that_takes_long(file):
+    heavy = "{'anyio', 'asyncio', 'numpy', 'rich', 'starlette', 'yaml', 'zenoh'}"
+    code = (
+        "import sys; from turtleact import cli;"
+        f"sys.argv = ['turtleact', 'goals', '--journal', {str(file)!r}]; cli.main();"
+        f"print(sorted({heavy} & {{*sys.modules}}))"
+    )
+    out = subprocess.check_output([sys.executable, "-c", code], text=True)
+    assert out.splitlines()[-1] == "[]"
+
+
 @pytest.mark.parametrize(
     ("arguments", "found"),
     [

@@ -112,7 +112,17 @@ def test_goals_are_read_by_time_and_id(path):
     database.write([Accept(record(number, NOW + number)) for number in range(3)], is_durable=False)
     database.close()
     assert [each.accepted - NOW for each in read_goals(path, since=NOW + 1)] == [1, 2]
+    assert list(read_goals(path, since=NOW + 3)) == []
     assert [each.accepted - NOW for each in find_goals(path, record(2).id.hex())] == [2]
+
+
+def test_goals_are_read_in_order_though_the_clock_was_set_back(path):
+    database = Database(path)
+    times = [0, 7, 3, 8]
+    goals = [Accept(record(number, NOW + time)) for number, time in enumerate(times)]
+    database.write(goals, is_durable=False)
+    database.close()
+    assert [each.accepted - NOW for each in read_goals(path, since=NOW + 5)] == [7, 8]
 
 
 def test_a_journal_on_a_read_only_disk_is_read(path, monkeypatch):

@@ -84,6 +84,8 @@ def tell_exit(stop: SystemExit) -> int:
 
 def printable(text: str) -> str:
     """Make a text harmless for a terminal: escape control characters except line breaks."""
+    if text.replace("\n", "").isprintable():  # most texts are, and some are long
+        return text
     return "".join(c if c.isprintable() or c == "\n" else _escaped(c) for c in text)
 
 

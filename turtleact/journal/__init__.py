@@ -9,7 +9,21 @@ Open a journal, and name it when you serve an action::
         node.serve(patrol, journal=journal, on_restart="resume")
 """
 
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
 from turtleact.journal.database import JournalError, find_goals, prune, read_goals
-from turtleact.journal.writer import Journal, open_journal
+
+if TYPE_CHECKING:
+    from turtleact.journal.writer import Journal, open_journal
 
 __all__ = ["Journal", "JournalError", "find_goals", "open_journal", "prune", "read_goals"]
+
+
+def __getattr__(name: str) -> object:
+    """Import the writer on first use: commands that read a file need no event loop."""
+    if name not in ("Journal", "open_journal"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.writer"), name)
