@@ -437,7 +437,7 @@ class _Served:
             self._motion.follow(pose.x, pose.y, pose.theta)
 
     def row(self, turtles: set[str]) -> render.GoalRow:
-        """Its row in the table; only one of these turtles is shown."""
+        """The goal's row in the table; the row names its turtle only if it is one of these."""
         self.look()
         is_over = self.ended_at is not None
         turtle = self._turtle if self._turtle in turtles else ""

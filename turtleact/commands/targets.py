@@ -232,7 +232,7 @@ class Modules:
         }
 
     def _files_in(self, error: BaseException | None) -> set[Path]:
-        """The user's files that an error concerns, and those that an import has missed."""
+        """The user's files that an error concerns, and files that an import did not find."""
         found: set[Path] = set()
         while error is not None:
             found |= {Path(frame.filename) for frame in traceback.extract_tb(error.__traceback__)}

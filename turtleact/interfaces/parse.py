@@ -180,7 +180,8 @@ def part_comments(lines: list[Line]) -> Comments:
 def commented(lines: list[Line]) -> tuple[list[Commented], list[str]]:
     """Return the members of a part with their comments, and the comment below the last one.
 
-    A comment belongs to the member below it. An indented comment continues the one after a member.
+    A comment belongs to the member below it. An indented comment continues the comment after a
+    member.
     """
     entries: list[Commented] = []
     above: list[str] = []

@@ -500,7 +500,7 @@ def as_default(reading: Reading, value: object) -> Default:
 
 
 def check_nested_default(reading: Reading, value: object) -> None:
-    """Accept a default message only if it equals no default."""
+    """Accept a message as a default only if it equals a new message, which has zeros."""
     if value != zero_message(reading)():
         problem = "ROS has no defaults for messages: leave it out; every message starts with zeros"
         raise InvalidInterface(problem, source="")

@@ -188,7 +188,7 @@ def places_in_steps(size: int, places: Places) -> Places:
 
 
 class Runs(dict[int, "Callable[..., Any]"]):
-    """Methods that read or write a run followed by equal values, by the number of these values.
+    """Maps a number to the method that reads or writes a run and so many equal values after it.
 
     Args:
         method: The method of ``struct.Struct`` to use.

@@ -1,7 +1,7 @@
 """Loggers: severities, filters, and where messages go.
 
 A call site is a place in the source code. It may log only once, skip its first message, or stay
-silent for some seconds. It must ask for the same each time.
+silent for some seconds. It must ask for the same thing each time.
 """
 
 from __future__ import annotations
