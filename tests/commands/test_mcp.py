@@ -64,10 +64,17 @@ def test_an_address_that_cannot_be_served_is_named(on_graph, graphs, arguments, 
     assert text in ran.err
 
 
+NEAR = [{"x": 5.6 + 0.15 * step, "y": 5.54} for step in range(5)]
+
+
 async def test_a_client_starts_it_and_drives_a_turtle():
-    arguments = ["-m", "turtleact", "mcp", "--embedded", "--actions", "/go_to,/later"]
+    arguments = ["-m", "turtleact", "mcp", "--embedded", "--actions", "/go_to,/patrol,/later"]
     program = StdioServerParameters(command=sys.executable, args=arguments)
     moving = anyio.Event()
+    told = []
+
+    async def count(progress, total, message):
+        told.append(progress)
 
     async def hear(progress, total, message):
         moving.set()
@@ -78,13 +85,18 @@ async def test_a_client_starts_it_and_drives_a_turtle():
     async with Client(program) as client:
         names = {tool.name for tool in (await client.list_tools()).tools}
         assert "go_to" in names
-        assert "patrol" not in names
+        assert "fibonacci" not in names
+        await client.call_tool("patrol", {"targets": NEAR}, progress_callback=count)
+        assert len(told) >= 5
+        assert told == sorted(set(told))
+        far = await client.call_tool("go_to", {"x": 100.0})
+        assert "rejected: x is 100.0, outside the world" in str(far.content[0])
         async with anyio.create_task_group() as calling:
             calling.start_soon(go, client)
             await moving.wait()
             calling.cancel_scope.cancel()
         status = "EXECUTING"
         while status in ("EXECUTING", "CANCELING"):
-            [goal] = (await client.call_tool("list_goals", {})).structured_content["goals"]
-            status = goal["status"]
+            goals = (await client.call_tool("list_goals", {})).structured_content["goals"]
+            [status] = [goal["status"] for goal in goals if goal["action"] == "/go_to"]
         assert status == "CANCELED"

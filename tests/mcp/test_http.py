@@ -12,7 +12,8 @@ from starlette.routing import Mount
 from turtleact.errors import InvalidOption
 from turtleact.mcp import open_app, open_http
 
-from .line import MODES, open_lab
+from .line import MODES, open_lab, text_of
+from .test_tasks import TakesTasks, begin, ended
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -38,6 +39,37 @@ async def test_a_call_over_http_has_progress_and_can_be_cancelled(mode):
         while not lab.ended:
             await anyio.sleep(0.01)
         assert lab.ended == ["cancelled"]
+
+
+async def test_a_hundred_calls_over_http_run_at_once_and_reasons_are_told():
+    texts = []
+    async with (
+        open_lab() as (_, _, server),
+        open_http(server) as address,
+        Client(address.url) as client,
+    ):
+
+        async def call(order):
+            texts.append(text_of(await client.call_tool("count", {"order": order})))
+
+        async with anyio.create_task_group() as calling:
+            for order in (1001, -1) * 50:
+                calling.start_soon(call, order)
+    assert sorted(set(texts)) == [
+        "the goal was aborted: the arm is stuck at joint 3",
+        "the goal was rejected: the order is more than 1000",
+    ]
+    assert len(texts) == 100
+
+
+async def test_a_task_over_http_goes_on_when_its_client_has_gone():
+    takes = TakesTasks()
+    async with open_lab() as (_, _, server), open_http(server) as address:
+        async with Client(address.url, extensions=[takes]) as client:
+            begun = await begin(client, takes, 50)
+        async with Client(address.url, extensions=[takes]) as client:
+            task = await ended(client, begun.task_id)
+    assert task.result["structuredContent"]["result"] == {"sequence": list(range(50))}
 
 
 async def test_two_models_work_at_once():
