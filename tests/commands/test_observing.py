@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import logging
 import os
@@ -9,6 +10,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import redirect_stderr
 from pathlib import Path
 
 import httpx
@@ -113,6 +115,24 @@ def test_records_as_text_are_harmless_for_a_terminal(root, capsys):
     set_up_logging("text")
     logging.getLogger("robot").info("\x1b[2J")
     assert capsys.readouterr().err.rstrip().endswith("INFO robot: \\x1b[2J")
+
+
+def test_records_follow_stderr_where_a_dashboard_redirects_it(root, capsys, monkeypatch):
+    set_up_logging("text")
+    shown = io.StringIO()
+    with redirect_stderr(shown):
+        logging.getLogger("robot").info("here")
+    assert shown.getvalue().endswith("INFO robot: here\n")
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(sys, "stderr", None)
+    logging.getLogger("robot").info("nowhere")
+
+
+def test_a_record_that_cannot_be_written_is_told_by_logging(root, capsys, monkeypatch):
+    set_up_logging("text")
+    monkeypatch.delattr(root.handlers[-1], "formatter")
+    logging.getLogger("robot").info("here")
+    assert "--- Logging error ---" in capsys.readouterr().err
 
 
 def test_without_a_format_logging_is_left_alone(root):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, aclosing, asynccontextmanager
 from typing import TYPE_CHECKING
@@ -37,13 +38,26 @@ def set_up_logging(log_format: LogFormat | None) -> None:
             """Write a record."""
             return printable(super().format(record))
 
-    handler = logging.StreamHandler()
+    handler = _ToStderr()
     handler.addFilter(GoalFilter())
     handler.setFormatter(JsonFormatter() if log_format == "json" else Printable())
     root = logging.getLogger()
     root.addHandler(handler)
     root.setLevel(logging.INFO)
     logging.getLogger("uvicorn").setLevel(logging.WARNING)  # it tells of each start and end
+
+
+class _ToStderr(logging.Handler):
+    """Writes to what stderr is at that moment, since the dashboard redirects it."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a record."""
+        if sys.stderr is None:
+            return
+        try:
+            print(self.format(record), file=sys.stderr, flush=True)
+        except Exception:
+            self.handleError(record)
 
 
 def json_line(text: str, **members: str) -> str:
