@@ -26,6 +26,8 @@ import statistics
 import sys
 import tokenize
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import count
 from pathlib import Path
 from typing import NamedTuple
@@ -42,16 +44,40 @@ BRANCHES = (
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
-class Module(NamedTuple):
+@dataclass(frozen=True)
+class Module:
     """One file of the package, read."""
 
     name: str
     path: Path
-    length: int
-    code: frozenset[int]
-    """The numbers of its code lines."""
-    comments: int
+    text: str
     tree: ast.Module
+
+    @property
+    def length(self) -> int:
+        """How many lines it has."""
+        return len(self.text.splitlines())
+
+    @cached_property
+    def tokens(self) -> list[tokenize.TokenInfo]:
+        """Its tokens."""
+        return list(tokenize.generate_tokens(io.StringIO(self.text).readline))
+
+    @cached_property
+    def code(self) -> frozenset[int]:
+        """The numbers of its code lines."""
+        lines = {
+            line
+            for token in self.tokens
+            if token.type not in NO_CODE
+            for line in range(token.start[0], token.end[0] + 1)
+        }
+        return frozenset(lines - text_lines(self.tree))
+
+    @property
+    def comments(self) -> int:
+        """How many comments it has."""
+        return sum(token.type == tokenize.COMMENT for token in self.tokens)
 
     @property
     def is_package(self) -> bool:
@@ -82,17 +108,7 @@ def read(path: Path, package: Path) -> Module | None:
         return None
     parts = path.relative_to(package.parent).with_suffix("").parts
     name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-    tree = ast.parse(text)
-    tokens = list(tokenize.generate_tokens(io.StringIO(text).readline))
-    lines = {
-        line
-        for token in tokens
-        if token.type not in NO_CODE
-        for line in range(token.start[0], token.end[0] + 1)
-    }
-    comments = sum(token.type == tokenize.COMMENT for token in tokens)
-    code = frozenset(lines - text_lines(tree))
-    return Module(name, path, len(text.splitlines()), code, comments, tree)
+    return Module(name, path, text, ast.parse(text))
 
 
 def text_lines(tree: ast.Module) -> set[int]:
