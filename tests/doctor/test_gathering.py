@@ -23,6 +23,7 @@ from turtleact.transports import MemoryTransport, ZenohTransport, open_zenoh
 from turtleact.transports.base import Endpoint
 from turtleact.transports.rmw_zenoh import services
 from turtleact.transports.rmw_zenoh.keys import endpoint_token
+from turtleact.type_descriptions import GET_TYPE_DESCRIPTION
 
 from ..lab import Count, count
 
@@ -235,3 +236,33 @@ def plant(transport: ZenohTransport, node: str, type_name: str, type_hash: str) 
     # Without a reference to it, the token would be undeclared at once.
     context.outbox.post(lambda: kept.append(context.session.declare_token(token)))
     return kept
+
+
+async def test_a_node_describes_its_types_once_another_process_asks(address):
+    async with graph_at(address) as graph:
+        node = await graph.node("lab")
+        name = "/lab/get_type_description"
+        assert not node.transport.endpoints(name)
+        asker = await graph.node("asker")
+        service: Any = get_interface(GET_TYPE_DESCRIPTION)
+        for _ in range(2):  # the second time, it is there already
+            client = asker.service_client(service, name)
+            assert await client.wait_for_service()
+            response: Any = await client.call(service.Request(type_name=Twist.type_name))
+            assert response.type_description.type_description.type_name == Twist.type_name
+            await client.aclose()
+        await node.aclose()
+        while asker.transport.endpoints(name):
+            await asker.transport.wait_for_change()
+
+
+async def test_a_node_that_opens_late_finds_that_it_is_asked_already(address):
+    async with graph_at(address) as graph:
+        asker = await graph.node("asker")
+        service: Any = get_interface(GET_TYPE_DESCRIPTION)
+        client = asker.service_client(service, "/late/get_type_description")
+        transport = await graph.session()
+        while not transport.endpoints("/late/get_type_description"):
+            await transport.wait_for_change()
+        async with turtleact.open_node("late", transport=transport):
+            assert await client.wait_for_service()

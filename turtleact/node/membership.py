@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from turtleact.transports import MemoryTransport
-from turtleact.transports.base import Closeable, Transport
-from turtleact.type_descriptions import offer_descriptions
+from turtleact.transports.base import Closeable, Lazy, Transport
+from turtleact.type_descriptions import offer_descriptions, service_name
 
 __all__ = ["Membership"]
 
@@ -17,12 +16,19 @@ class Membership:
         node: The fully qualified name of the node.
     """
 
+    __slots__ = ("_node", "_opened", "_transport")
+
     def __init__(self, transport: Transport, node: str) -> None:
+        self._transport = transport
+        self._node = node
         self._opened: list[Closeable] = [transport.enter(node)]
-        if not isinstance(transport, MemoryTransport):  # one process has one definition of a type
-            self._opened.append(offer_descriptions(transport, node))
+        if isinstance(transport, Lazy):  # within one process, nobody needs it
+            self._opened.append(transport.open_when_sought(service_name(node), self._offer))
 
     def close(self) -> None:
         """Leave the graph. A second call does nothing."""
         while self._opened:
             self._opened.pop().close()
+
+    def _offer(self) -> Closeable:
+        return offer_descriptions(self._transport, self._node)

@@ -48,6 +48,7 @@ __all__ = [
     "Endpoint",
     "EndpointKind",
     "Format",
+    "Lazy",
     "LossAware",
     "MakeEndpoint",
     "Owner",
@@ -477,6 +478,20 @@ class CallerAware(Protocol):
 
     def caller_lost(self, caller: bytes) -> None:
         """Called when the client with this gid was closed or has died."""
+
+
+@runtime_checkable
+class Lazy(Protocol):
+    """A transport that can open something only when another process looks for it."""
+
+    def open_when_sought(self, name: str, open: Callable[[], Closeable]) -> Closeable:
+        """Call ``open`` once another process has an endpoint with this name; now if it has one.
+
+        Cheaper than an endpoint with ``on_demand``, which is visible in its own process at once.
+
+        Returns:
+            The object that closes what was opened, and stops waiting.
+        """
 
 
 class Transport(Protocol):

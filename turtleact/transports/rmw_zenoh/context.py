@@ -37,6 +37,7 @@ __all__ = [
     "Opened",
     "Outbox",
     "Presence",
+    "Sought",
 ]
 
 logger = logging.getLogger("turtleact.transport")
@@ -89,6 +90,7 @@ class Context:
         latched: The gids of this session's latched publishers. A new latched subscription also gets
             their messages from Zenoh and must ignore them, since they came as objects already.
         sought: How many endpoints other processes have, by name.
+        waiting: What is opened as soon as another process has an endpoint of that name.
         asleep: Endpoints that are declared as soon as another process has one of the same name.
         is_open: Whether the transport is open.
     """
@@ -106,11 +108,14 @@ class Context:
         self.latched: set[bytes] = set()
         self.sought: Tally[str] = Tally()
         self.asleep: dict[str, dict[Presence, None]] = {}
+        self.waiting: dict[str, Sought] = {}
         self.is_open = True
 
     def seek(self, name: str) -> None:
         """Record that another process has an endpoint with this name."""
         self.sought[name] += 1
+        if name in self.waiting:
+            self.waiting.pop(name).open()
         for presence in self.asleep.pop(name, ()):
             presence.wake()
 
@@ -119,6 +124,39 @@ class Context:
         self.sought[name] -= 1
         if not self.sought[name]:
             del self.sought[name]
+
+
+class Sought:
+    """Something that is opened once another process looks for it.
+
+    Args:
+        context: The transport's context.
+        name: The name of the endpoint that another process must have.
+        opener: Opens it.
+    """
+
+    __slots__ = ("_context", "_name", "_opened", "_opener")
+
+    def __init__(self, context: Context, name: str, opener: Callable[[], Closeable]) -> None:
+        self._context = context
+        self._name = name
+        self._opener = opener
+        self._opened: Closeable | None = None
+        if context.sought[name]:
+            self.open()
+        else:
+            context.waiting[name] = self
+
+    def open(self) -> None:
+        """Open it."""
+        self._opened = self._opener()
+
+    def close(self) -> None:
+        """Close it, or stop waiting."""
+        if self._opened is not None:
+            self._opened.close()
+        elif self._context.waiting.get(self._name) is self:
+            del self._context.waiting[self._name]
 
 
 class Crew:

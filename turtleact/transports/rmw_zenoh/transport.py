@@ -14,7 +14,7 @@ Source: rmw_zenoh_cpp, ``docs/design.md``.
 from __future__ import annotations
 
 import os
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from functools import partial
 from time import perf_counter
@@ -42,7 +42,7 @@ from turtleact.transports.base import (
 )
 from turtleact.transports.memory import MemoryTransport
 from turtleact.transports.rmw_zenoh.config import Mode, domain_of, session_config
-from turtleact.transports.rmw_zenoh.context import Context, Named, Opened, Presence
+from turtleact.transports.rmw_zenoh.context import Context, Named, Opened, Presence, Sought
 from turtleact.transports.rmw_zenoh.keys import (
     Graph,
     all_nodes,
@@ -166,6 +166,10 @@ class ZenohTransport:
         number = self._numbers[node] = self._next_number()
         token = node_token(self.context.domain, self.context.session.zid, number, node)
         return Opened(self.context, self._near.enter(node), Presence(self.context, token))
+
+    def open_when_sought(self, name: str, open: Callable[[], Closeable]) -> Closeable:
+        """Call ``open`` once another process has an endpoint with this name; see `Lazy`."""
+        return Sought(self.context, name, open)
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """All endpoints on the graph, or those with a name: our own first, then others."""
