@@ -51,11 +51,11 @@ USAGE = [
     (["send-goal", "x", "a/b", "1", "-5"], r"unexpected extra argument.*\(-5\)"),
     (
         ["send-goal", "x", "order:", "5"],
-        'the shell splits the goal at spaces: quote it: turtleact send-goal x "order: 5"',
+        'the shell splits the goal at its spaces. Quote it: turtleact send-goal x "order: 5"',
     ),
     (
         ["action", "send_goal", "-f", "x", "a/b", "{order:", "5}", "--plain"],
-        'quote it: turtleact action send_goal -f x a/b "{order: 5}" --plain',
+        'Quote it: turtleact action send_goal -f x a/b "{order: 5}" --plain',
     ),
     (["send-goal", "x", "order:", "-f", "5"], 'turtleact send-goal x -f "order: 5"'),
     (["send-goal", "x", "text:", "$HOME"], r"turtleact send-goal x 'text: \$HOME'"),
@@ -199,7 +199,7 @@ USAGE = [
     ),
     (["topic", "pub", "x", "a/b", "{}", "-1", "-t", "2"], "give one of --once and --times"),
     (["topic", "pub", "x", "a/b", "{}", "--stdin"], "give one of VALUES and --stdin"),
-    (["topic", "pub", "x", "data:", "5"], 'quote it: turtleact topic pub x "data: 5"'),
+    (["topic", "pub", "x", "data:", "5"], 'Quote it: turtleact topic pub x "data: 5"'),
     (["service", "call", "x", "a/b", "x:", "1"], 'turtleact service call x a/b "x: 1"'),
     (["service", "call", "x", "a/b", "{}", "-r", "0"], "'0' is not a rate in Hz"),
     (["service", "call", "x", "a/b", "{}", "--stdin"], "the request is given twice"),

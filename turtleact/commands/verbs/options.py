@@ -95,7 +95,9 @@ class MessageVerb(Verb):
         if len(words) > 1 and ":" in "".join(words) and not any(map(_is_option, words)):
             what = "goal" if name == "goal" else "message"
             meant = _quoted_in(typed, words)
-            ctx.fail(f"the shell splits the {what} at spaces: quote it: {ctx.command_path} {meant}")
+            ctx.fail(
+                f"the shell splits the {what} at its spaces. Quote it: {ctx.command_path} {meant}"
+            )
         if left:
             ctx.fail(f"Got unexpected extra argument(s) ({' '.join(left)})")
         return left
