@@ -437,3 +437,17 @@ def test_servers_and_clients_stand_for_several_entities(node):
     assert client.get_num_entities().num_clients == 3
     assert server.describe() == "the action server of /fibonacci"
     assert client.describe() == "the action client of /fibonacci"
+
+
+def test_an_execute_callback_that_is_surprised_by_a_shutdown_is_no_error(
+    node, context, send, capsys
+):
+    publisher = node.create_publisher(UUID, "chatter", 10)
+
+    def publish(goal_handle):
+        context.shutdown()
+        publisher.publish(UUID())
+
+    ActionServer(node, Fibonacci, "fibonacci", publish)
+    assert send() is None
+    assert "Error raised" not in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 import asyncio
 import threading
+from contextlib import nullcontext
 
 import pytest
 
@@ -154,6 +155,23 @@ def test_a_shutdown_from_elsewhere_ends_a_multi_threaded_spin(context, node):
     executor.add_node(node)
     threading.Timer(0.05, context.shutdown).start()
     executor.spin()
+    executor.shutdown()
+
+
+@pytest.mark.parametrize("kind", [SingleThreadedExecutor, MultiThreadedExecutor])
+def test_a_callback_may_be_surprised_by_a_shutdown(context, node, kind):
+    publisher = node.create_publisher(String, "chatter", 10)
+
+    def publish():
+        context.shutdown()  # as a signal would, in another thread
+        publisher.publish(String())
+
+    node.create_guard_condition(publish).trigger()
+    executor = kind(context=context)
+    executor.add_node(node)
+    is_single = kind is SingleThreadedExecutor
+    with pytest.raises(ExternalShutdownException) if is_single else nullcontext():
+        executor.spin()
     executor.shutdown()
 
 

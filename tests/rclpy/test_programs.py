@@ -135,7 +135,7 @@ if 'executor' in {spin!r}:
     assert first_line(process) == "hello 1"
     process.send_signal(number)
     _, err = process.communicate(timeout=10)
-    assert process.returncode == status
+    assert process.returncode == status, err
     assert said in err
 
 

@@ -25,6 +25,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Protocol, Self, TypeAlias
 
 from turtleact.rclpy.callback_groups import CallbackGroup
+from turtleact.rclpy.exceptions import InvalidHandle
 from turtleact.rclpy.impl.diagnosis import BLOCKED_AFTER, note_blocked
 from turtleact.rclpy.impl.entity import NOTHING, Entity
 from turtleact.rclpy.impl.typing import Anything
@@ -367,6 +368,13 @@ class Executor:
             group.ending_execution(entity)
             self.wake()  # others of the group may run now
 
+    def _is_from_shutdown(self, error: BaseException) -> bool:
+        """Whether a callback failed because the context was shut down while it ran.
+
+        A signal may destroy a publisher right before the callback uses it.
+        """
+        return isinstance(error, InvalidHandle) and not self._context.ok()
+
     def _sleep(self, end: float | None, nodes: list[Spinnable] | None) -> None:
         """Wait until woken, until something is due, or until ``end`` (s, `time.monotonic`)."""
         now = time.monotonic()
@@ -400,8 +408,11 @@ class SingleThreadedExecutor(Executor):
             return
         with self._work:
             task()
-        if task.done() and task.exception() is not None:
-            raise task.exception()  # type: ignore[misc]  # it is one
+        error = task.exception() if task.done() else None
+        if error is not None and self._is_from_shutdown(error):
+            raise ExternalShutdownException from error
+        if error is not None:
+            raise error
 
 
 class MultiThreadedExecutor(Executor):
@@ -470,7 +481,8 @@ class MultiThreadedExecutor(Executor):
     def _work_on(self, task: Task) -> None:
         with self._work:
             task()
-        if task.done() and task.exception() is not None:
+        error = task.exception() if task.done() else None
+        if error is not None and not self._is_from_shutdown(error):
             self._failed.append(task)
             self.wake()
 

@@ -23,7 +23,7 @@ from turtleact.goal import Goal, GoalEvent, GoalStatus, cancel_code, select
 from turtleact.goal_wire import GoalNote
 from turtleact.rclpy.action.names import ActionKind, goal_key
 from turtleact.rclpy.action.status import StatusTopic
-from turtleact.rclpy.exceptions import RCLError
+from turtleact.rclpy.exceptions import InvalidHandle, RCLError
 from turtleact.rclpy.executors import await_or_execute
 from turtleact.rclpy.impl.connection import RequestHandler, Respond
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
@@ -429,6 +429,8 @@ class ActionServer(Waitable):
         try:
             result = await await_or_execute(execute_callback, goal_handle)
         except Exception as error:
+            if isinstance(error, InvalidHandle) and not self._node.context.ok():
+                return  # the context was shut down while the callback ran
             self._logger.error(f"Error raised in execute callback: {error}")
             traceback.print_exc()
             result = self._action_type.Result()
