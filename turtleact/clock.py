@@ -5,7 +5,7 @@ jumps to the next deadline once every task waits. A simulated minute therefore p
 milliseconds, and two runs of the same program see the same times. Every clock can be stopped.
 
 `Clock.time` is for measuring: seconds from an arbitrary start, never backwards. `Clock.now` is ROS
-time, in nanoseconds since the epoch, and stamps what others see.
+time, in nanoseconds since the epoch; messages to others are stamped with it.
 
 Under `turtleact.testing` the event loop's own time is virtual. Clocks made there take the loop's
 time for wall time, so that every clock and `anyio.sleep` agree.

@@ -73,7 +73,7 @@ def make_known(folder: str | None, *, is_silent: bool = False) -> None:
 
 
 def make_found(folder: str | None, *, is_silent: bool = False) -> None:
-    """Make known the interfaces of a folder, of the sourced workspace, and near the working one.
+    """Make known the interfaces of a folder, of the sourced workspace, and near this directory.
 
     If there are several definitions, the first in this order counts. Built-in ones come last. The
     first time that an interface near the working directory is used, a line on stderr says

@@ -145,7 +145,7 @@ class Sent(NamedTuple):
     handle: ClientGoalHandle[Message, Message]
 
     def followed(self) -> Followed:
-        """The same goal, as one that is followed."""
+        """The same goal, now that it was accepted and is followed."""
         return Followed(self.node, self.name, type(self.goal), self.goal, self.handle)
 
 

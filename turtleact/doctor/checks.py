@@ -309,7 +309,7 @@ def _plain(name: str) -> str:
 
 
 def _owner(type_name: str) -> str:
-    """The interface that users write: without the parts that an action or service implies."""
+    """The interface as users name it: for a part of an action or service, the whole."""
     package, _, rest = type_name.partition("/")
     kind, _, name = rest.partition("/")
     if kind in ("action", "srv"):

@@ -295,7 +295,7 @@ def in_order(interfaces: Iterable[Interface]) -> list[Interface]:
 
 
 def spaced(entries: list[list[str]], *, always: bool = False) -> list[str]:
-    """Return the lines of all entries, with a blank line around each longer than one line."""
+    """Return the lines of all entries, with blank lines around entries of several lines."""
     lines: list[str] = []
     last: list[str] = []
     for entry in filter(None, entries):

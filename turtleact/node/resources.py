@@ -51,7 +51,7 @@ class Resources(Owner):
     def add_server(
         self, kind: ServerKind, server: Serving, close: Callable[[], object]
     ) -> Closeable:
-        """Track a server in the same way; ``close`` removes it from the graph."""
+        """Track a server as `add` does; ``close`` removes the server from the graph."""
         self._count += 1
         self._opened[self._count] = server
         self._servers[kind][self._count] = server
@@ -122,7 +122,7 @@ class Resources(Owner):
 class _Membership:
     """Tracks one open thing; closing it removes the thing from the node and from the transport.
 
-    A node may have thousands of these. A closure would be four objects each, so this is a class.
+    A node may have thousands of memberships. Each is one object; a closure would be four.
     """
 
     __slots__ = ("_close", "_number", "_things")

@@ -169,7 +169,7 @@ def svg_shades(name: str) -> str:
 
 
 class _Part(NamedTuple):
-    """A part of a turtle at 0 that looks to the right: a name of `Shades`, and its outline."""
+    """A part of a turtle at 0 that looks to the right: the name of its shade, and its outline."""
 
     shade: str
     outline: tuple[complex, ...]

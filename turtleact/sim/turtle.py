@@ -177,7 +177,7 @@ class Turtle:
         self._world.set_velocity(self.name, 0.0, 0.0, omega or 0.0)
 
     def tell_colour(self, colour: Colour) -> None:
-        """Publish the colour under it, unless its readers have just gone."""
+        """Publish the colour under the turtle, unless the readers have just gone."""
         if self.colours.has_subscriptions:
             self.colours.publish(Color(*colour))
 

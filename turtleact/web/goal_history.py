@@ -99,7 +99,7 @@ class GoalRecord:
             self._series.setdefault(path, Series()).add(now - self.accepted, value)
 
     def shorten(self) -> None:
-        """Drop the message itself, because it may be large."""
+        """Keep only an excerpt of the newest feedback, because the message may be large."""
         if isinstance(self._feedback, Message):
             self._feedback = excerpt(self._feedback)
 

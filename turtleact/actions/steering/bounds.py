@@ -145,7 +145,7 @@ def shortest_time(
 def rising_times(
     pose: Pose, targets: Sequence[Point], steering: Steering, *, theta: float | None = None
 ) -> Iterator[float]:
-    """Yield times (s) that no law of the style can beat; the greatest is the `shortest_time`.
+    """Yield lower bounds (s) of the duration; the greatest is the `shortest_time`.
 
     At most a few milliseconds pass between two of them, so that the caller can let others run.
     Yields nothing without targets.
@@ -309,7 +309,7 @@ class _Tour:
         tried: Sequence[float] | None = None,
         enough: float = -math.inf,
     ) -> tuple[float, list[float]]:
-        """The time (s) that the directions prove, and the headings (rad) at which it is needed.
+        """The least time (s), as proved in these directions, and the headings (rad) of that time.
 
         If the tried headings need at most ``enough``, the search ends with them.
         """

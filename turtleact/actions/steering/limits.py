@@ -124,12 +124,12 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, dict=True):
 
     @cached_property
     def step(self) -> float:
-        """The way of one tick at full speed (m)."""
+        """The distance driven in one tick at full speed (m)."""
         return self.max_linear * self.dt
 
     @cached_property
     def turn(self) -> float:
-        """The turn of one tick at full rate (rad)."""
+        """The angle turned in one tick at full rate (rad)."""
         return self.max_angular * self.dt
 
     @cached_property

@@ -188,7 +188,7 @@ def places_in_steps(size: int, places: Places) -> Places:
 
 
 class Runs(dict[int, "Callable[..., Any]"]):
-    """Maps a number to the method that reads or writes a run and so many equal values after it.
+    """Maps a number N to the method that reads or writes a run followed by N equal values.
 
     Args:
         method: The method of ``struct.Struct`` to use.

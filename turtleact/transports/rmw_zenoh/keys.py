@@ -120,7 +120,7 @@ class Graph:
         return token
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints, or those with a name."""
+        """The endpoints of a name; without a name, all endpoints."""
         if name:
             return tuple(self._by_name.get(name, {}).values())
         return tuple(token.endpoint for token in self.tokens.values() if token.endpoint is not None)
