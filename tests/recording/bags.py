@@ -66,7 +66,9 @@ def by_rosbags(path: Path) -> list[tuple[str, int, Any]]:
         for each in reader.connections:
             store.register(get_types_from_msg(each.msgdef.data, each.msgtype))
         for each, stamp, data in reader.messages():
-            found.append((each.topic, stamp, store.deserialize_cdr(data, each.msgtype)))
+            # rosbags registers pkg/srv/Name as pkg/srv/msg/Name, whoever wrote the bag.
+            name = each.msgtype.replace("/srv/", "/srv/msg/")
+            found.append((each.topic, stamp, store.deserialize_cdr(data, name)))
     return found
 
 

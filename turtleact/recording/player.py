@@ -27,6 +27,7 @@ from turtleact.client import ActionClient, ClientGoalHandle
 from turtleact.clock import WallClock
 from turtleact.errors import InvalidInterface, InvalidOption, TurtleactError, UnknownInterface
 from turtleact.goal import GoalStatus
+from turtleact.graph import SEND_GOAL
 from turtleact.interfaces import Message, WireFormat, get_action, type_hash
 from turtleact.names import resolve_name
 from turtleact.node import Node
@@ -152,9 +153,10 @@ class _Player:
             self._goals = _GoalSender(self._node, tasks, self._remap, self.played)
         for channel in self._bag.channels():
             if self._selection.wants(channel.topic, channel.schema.name):
-                if self._goals is not None and part_of(channel.topic).owner == "action":
-                    continue
-                self._open(channel)
+                if self._goals is None or part_of(channel.topic).owner != "action":
+                    self._open(channel)
+                elif part_of(channel.topic).part == "send_goal":
+                    self._goals.expect(channel)
 
     def close(self) -> None:
         """Close the player."""
@@ -162,13 +164,17 @@ class _Player:
             each.close()
 
     async def wait_for_readers(self) -> None:
-        """Wait until the readers that are on the graph can be reached, for `PATIENCE` at most."""
+        """Wait until what is on the graph can be reached, for `PATIENCE` at most."""
         transport = self._node.transport
-        read = {each.name for each in transport.endpoints() if each.kind == "subscription"}
+        endpoints = transport.endpoints()
+        read = {each.name for each in endpoints if each.kind == "subscription"}
+        served = {each.name for each in endpoints if each.kind == "service"}
         waiting = [each for topic, each in self._publications.items() if self._name(topic) in read]
         with anyio.move_on_after(PATIENCE):
             while not all(each.has_readers for each in waiting):
                 await transport.wait_for_change()
+            if self._goals is not None:
+                await self._goals.wait_for_servers(served)
 
     @property
     def is_idle(self) -> bool:
@@ -298,6 +304,20 @@ class _GoalSender:
         self._canceled: set[tuple[bytes, int]] = set()
         self._readers: dict[str, Callable[[bytes], Message | None]] = {}
 
+    def expect(self, channel: Channel) -> None:
+        """Open the client of an action that has goals in the bag."""
+        action = part_of(channel.topic).name
+        try:
+            self._client(action, owner_of(channel.topic, channel.schema.name))
+        except (UnknownInterface, InvalidInterface) as error:
+            self._played.skipped[action] = str(error)
+
+    async def wait_for_servers(self, served: Collection[str]) -> None:
+        """Wait until the servers of these services can be reached. Cancelling: safe."""
+        for client in self._clients.values():
+            if f"{client.name}{SEND_GOAL}" in served:
+                await client.wait_for_server()
+
     def start_over(self) -> None:
         """Take all goals for new ones."""
         self._handles.clear()
@@ -313,7 +333,7 @@ class _GoalSender:
             return
         for request in event.request:
             if part == "send_goal":
-                self._send(action, message, request)
+                self._send(action, request)
             else:
                 self._cancel(event.info, request)
 
@@ -324,15 +344,13 @@ class _GoalSender:
             read = self._readers[message.topic] = reader_of(channel)
         return read(message.data)
 
-    def _send(self, action: str, message: Recorded, request: Any) -> None:  # noqa: ANN401  # a message
+    def _send(self, action: str, request: Any) -> None:  # noqa: ANN401  # a message
         old = bytes(request.goal_id.uuid)
         if old in self._handles:  # the client's event and the server's are of one request
             return
         self._handles[old] = None
-        try:
-            client = self._client(action, owner_of(message.topic, message.type_name))
-        except (UnknownInterface, InvalidInterface) as error:
-            self._played.skipped[action] = str(error)
+        client = self._clients.get(self._remap.get(action, action))
+        if client is None:  # it is not known here
             return
         goal = msgspec.structs.astuple(request.goal)
         self._tasks.start_soon(self._follow, client, client.action_type.Goal(*goal), old)
