@@ -25,6 +25,7 @@ ROOT = Path(__file__).parents[1]
 STANDARD = ROOT / "turtleact" / "interfaces" / "standard"
 MODULES = {
     "turtleact.interfaces": "Field types, conversion, CDR and type hashes.",
+    "turtleact.telemetry": "Traces, metrics, and goals in log records.",
     "turtleact.testing": "Virtual time, and a network with faults.",
     "turtleact.web": "rosbridge, and the page.",
 }
