@@ -30,7 +30,7 @@ def without_router(monkeypatch):
     """No router lets a command in; gives how often it was asked."""
     asked = []
 
-    def refuse(reach):
+    def refuse(reach, *_):
         asked.append(reach)
         raise TurtleactError("no ROS 2 graph in reach")
 
