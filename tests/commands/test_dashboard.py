@@ -11,6 +11,7 @@ from contextlib import asynccontextmanager
 import anyio
 import pytest
 
+import turtleact
 from turtleact import render
 from turtleact.actions.patrol import Patrol
 from turtleact.app import open_world
@@ -95,6 +96,20 @@ async def test_a_goal_that_runs_is_told_with_its_state_age_and_progress():
                 "\n".join(lines),
             )
             assert "2" in world_of(lines).replace("turtle1", "")
+
+
+async def test_goals_that_are_paused_or_resumed_are_marked(tmp_path):
+    goal_id = bytes(range(16))
+    for mark in ("paused", "resumed, paused", "resumed"):
+        async with (
+            turtleact.open_journal(tmp_path / "goals.db") as journal,
+            served(journal=journal, on_restart="resume") as (board, node),
+        ):
+            goal = Patrol.Goal(targets=[Point(x=9.0, y=9.0), Point(x=1.0, y=1.0)])
+            async with node.action_client(Patrol, "/patrol").send_goal(goal, goal_id=goal_id) as it:
+                await (it.resume() if mark == "resumed" else it.pause())
+                assert shown(board, width=160)[1].endswith(f"turtle1 1 2  {mark}")
+                it.detach()
 
 
 async def test_at_60_columns_each_goal_has_its_full_name_turtle_and_targets():

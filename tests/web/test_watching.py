@@ -94,6 +94,26 @@ async def test_a_page_pauses_and_resumes_goals():
             assert (answer["result"], "nobody follows" in str(answer["values"])) == (False, True)
 
 
+async def test_a_page_marks_resumed_goals(tmp_path):
+    path, goal_id = tmp_path / "goals.db", bytes(range(16))
+    for is_resumed in (False, True):
+        async with (
+            turtleact.open_journal(path) as journal,
+            bridged() as (node, bridge),
+            line(bridge) as client,
+        ):
+            server = node.action_server(
+                Count, "count", Gate().wait, journal=journal, on_restart="resume"
+            )
+            await server.wait_until_serving()
+            await watch(client)
+            sending = node.action_client(Count, "count").send_goal(goal(), goal_id=goal_id)
+            async with sending as handle:
+                assert (await goals(client))[0]["is_resumed"] is is_resumed
+                assert handle.is_resumed is is_resumed
+                handle.detach()
+
+
 async def test_a_page_is_told_why_a_goal_cannot_be_paused():
     async with bridged() as (node, bridge), line(bridge) as client:
         node.action_server(Count, "count", Gate().wait)

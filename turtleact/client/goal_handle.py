@@ -212,6 +212,11 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         """Whether the goal is paused. ROS 2 has no state for this: `status` stays EXECUTING."""
         return self._reader.goal.is_paused
 
+    @property
+    def is_resumed(self) -> bool:
+        """Whether an earlier process began it; always False for a server in another process."""
+        return self._reader.goal.resumed is not None
+
     async def pause(self, timeout: float = 5.0) -> None:
         """Pause the goal, and return when its body stands still.
 

@@ -452,8 +452,17 @@ class _Served:
             turtle,
             colour,
             [target._replace(colour=colour or target.colour) for target in targets],
-            "" if is_over else self._motion.told(),
+            ", ".join(self._marks()),
         )
+
+    def _marks(self) -> Iterator[str]:
+        """Whether it is resumed or paused; if neither, how its turtle moves."""
+        if self._goal.resumed is not None:
+            yield "resumed"
+        if self._goal.is_paused:
+            yield "paused"
+        elif self.ended_at is None and (motion := self._motion.told()):
+            yield motion
 
 
 class _Drawn:

@@ -194,7 +194,7 @@ class GoalRow(NamedTuple):
         turtle: The turtle that it drives; empty if it drives none.
         colour: The colour of that turtle.
         targets: Its targets, in order.
-        motion: How its turtle moves, as in `GoalView`.
+        motion: How its turtle moves, as in `GoalView`, and whether it is paused or resumed.
     """
 
     name: str

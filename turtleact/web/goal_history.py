@@ -72,6 +72,7 @@ class GoalRecord:
         revision: When it last changed.
         has_ended: Whether it has ended.
         is_paused: Whether it is paused.
+        is_resumed: Whether an earlier process of its server began it.
     """
 
     def __init__(self, id: str, action: str, type: str, *, accepted: float, at: float) -> None:
@@ -88,6 +89,7 @@ class GoalRecord:
         self.revision = 0
         self.has_ended = False
         self.is_paused = False
+        self.is_resumed = False
         self._series: dict[str, Series] = {}
         self._feedback: Message | Plain = None  # shortened when it is told, or at the end
         self._told = (-1, msgspec.Raw())
@@ -125,6 +127,7 @@ class GoalRecord:
             "status": self.status,
             "has_ended": self.has_ended,
             "is_paused": self.is_paused,
+            "is_resumed": self.is_resumed,
             "request": self.request,
             "feedback": self._feedback,
             "result": self.result,

@@ -411,6 +411,7 @@ class Watch:
             handle = await client.attach(bytes.fromhex(record.id))
             if record.request is None and handle.request is not None:
                 record.request = excerpt(handle.request)
+            record.is_resumed = handle.is_resumed
             self.history.change(record)
             self._handles[record.id] = handle
             try:

@@ -86,9 +86,10 @@ function heading(goal) {
   return {pill, clock, title, element: make("div", {class: "head"}, title, pill, clock)};
 }
 
-function setPill(pill, status, isPaused) {
-  setText(pill, status.toLowerCase() + (isPaused ? " (paused)" : ""));
-  pill.className = `pill ${kindOf(status)}`;
+function setPill(pill, goal) {
+  const marks = [goal.is_resumed && "resumed", goal.is_paused && "paused"].filter(Boolean);
+  setText(pill, goal.status.toLowerCase() + (marks.length ? ` (${marks.join(", ")})` : ""));
+  pill.className = `pill ${kindOf(goal.status)}`;
 }
 
 class Card {
@@ -112,7 +113,7 @@ class Card {
 
   show(goal) {
     this.goal = goal;
-    setPill(this.head.pill, goal.status, goal.is_paused);
+    setPill(this.head.pill, goal);
     const switchTo = goal.is_paused ? "Resume" : "Pause";
     setText(this.pause, switchTo);
     this.pause.setAttribute("aria-label", `${switchTo} ${goal.action}`);
@@ -171,7 +172,7 @@ class Line {
 
   show(goal) {
     this.goal = goal;
-    setPill(this.pill, goal.status);
+    setPill(this.pill, goal);
     const asked = goal.request ? inWords(firstOf(goal.request)) : "";
     const came = goal.result && goal.status === "SUCCEEDED" ? inWords(firstOf(goal.result)) : "";
     setText(this.what, goal.reason || [asked, came].filter(Boolean).join(" → "));
