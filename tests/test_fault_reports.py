@@ -22,6 +22,7 @@ from turtleact.fault_reports import (
     watching_disk,
 )
 from turtleact.interfaces.standard.diagnostic_msgs.msg import DiagnosticArray
+from turtleact.recording import record
 from turtleact.testing import FaultyTransport
 from turtleact.transports import MemoryTransport, QoS, open_zenoh
 from turtleact.transports.rmw_zenoh import topics
@@ -175,3 +176,13 @@ async def test_lost_feedback_is_reported_each_time_its_number_has_doubled():
         counts = [told(each)[0][1].split()[0] for each in reader.drain()]
         assert counts == ["1", "2", "4", "8"]
         lost.close()
+
+
+async def test_a_recording_on_a_nearly_full_disk_is_reported(monkeypatch, tmp_path):
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(10**12, 0, 0))
+    async with turtleact.open_node("lab") as node:
+        reader = node.subscription(DiagnosticArray, TOPIC, LATCHED)
+        async with record(node, tmp_path / "run", topics=["/count"]):
+            [(name, problem)] = told(await anext(reader))
+        assert name == f"disk {tmp_path / 'run'}"
+        assert problem.startswith("the disk of the recording")
