@@ -108,7 +108,7 @@ class Admission(Enum):
 
 
 class Entry(msgspec.Struct, Generic[C], frozen=True):
-    """What the server must do with a new goal, and because of it.
+    """What the server must do with a new goal, and with other goals because of it.
 
     Attributes:
         admission: Whether the goal starts, waits or is rejected.

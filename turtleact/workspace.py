@@ -137,7 +137,7 @@ def _folders_near(root: Path) -> Iterator[Path]:
 
 
 def _parents(folder: Path) -> tuple[Path, ...]:
-    """The folders that a folder is in, nearest first, with itself; none if it is gone."""
+    """A folder and all folders that it is in, nearest first; none if it is gone."""
     try:
         whole = folder.absolute()
     except OSError:

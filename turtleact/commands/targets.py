@@ -214,7 +214,7 @@ class Modules:
         return {name: sys.modules[name] for name, file in files.items() if file and self.has(file)}
 
     def has(self, file: Path) -> bool:
-        """Whether a file is the user's: below the folder of a target, and not installed there."""
+        """Whether the user wrote a file: it is in a target's folder, and not installed there."""
         if file.is_relative_to(OURS):
             return False
         if not {"site-packages", "dist-packages"}.isdisjoint(file.parts):

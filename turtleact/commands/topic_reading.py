@@ -309,7 +309,7 @@ class Delay:
         self._is_news = False
 
     def begin(self, name: str, message_type: type[Message]) -> str:
-        """Nothing to print first.
+        """Return "", because this prints no heading.
 
         Raises:
             TurtleactError: if the messages have no header.

@@ -272,7 +272,7 @@ async def _find_fields(
 async def _ask_for_fields(
     node: Node, holder: str, wanted: tuple[str, str], fields: dict[tuple[str, str], Fields]
 ) -> None:
-    """Ask a node what a type of its consists of."""
+    """Ask a node for the fields of a type that it uses."""
     service: Any = get_interface(GET_DESCRIPTION)
     client = node.service_client(service, f"{holder}/get_type_description")
     request = service.Request(*wanted, include_type_sources=False)

@@ -329,7 +329,7 @@ class Journal:
         self._report(jobs, calls)
 
     def _report(self, jobs: list[_Job], calls: list[Callable[[], object]]) -> None:
-        """Call these functions in the event loop. After that, nobody waits for their jobs."""
+        """Call functions in the event loop. After that, nobody waits for the jobs."""
         count = 0
         for job in jobs:
             count += job.is_awaited

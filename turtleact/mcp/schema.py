@@ -4,12 +4,12 @@ A model sees an interface only through its schema, so the schema holds all that 
 integers, lengths of lists and texts, defaults, constants, and the comments with their units.
 
 - A field of a goal is required if the interface gives it no default. In ROS, a default of zero
-looks like no default. So if any field of the goal has another default, only lists and messages are
-required; numbers, texts and bools then start at zero.
+  looks like no default. So if any field of the goal has another default, only lists and messages
+  are required; numbers, texts and bools then start at zero.
 - A field of a nested message is never required, as in ROS.
 - Constants become an ``enum`` if their names begin with the field's: ``STATUS_OK`` for ``status``.
-  If their values are single bits, they can be combined, and are only listed. In a result they are
-  only listed, too, because nothing keeps a server from sending another value.
+  Constants whose values are single bits can be combined, so the description lists them instead.
+  In a result, too, it only lists them, because nothing keeps a server from sending another value.
 
 Source: JSON Schema 2020-12; the ROS 2 article "Interface definition".
 """

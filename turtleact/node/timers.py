@@ -37,8 +37,8 @@ class Timer:
     ``async for tick in timer`` waits for each `Tick`. The first comes after one period. The
     schedule is absolute, so delays do not add up. If your loop takes longer than a period, the
     timer skips the ticks that it has missed: the newest of them comes at once, and the next one at
-    its scheduled time. In virtual time the ticks come as fast as the program takes them, and while
-    a world is paused, none comes. The loop ends when the node closes.
+    its scheduled time. In virtual time the ticks come as fast as the program takes them. While
+    a world is paused, no tick comes. The loop ends when the node closes.
 
     Only one task at a time can wait for ticks. Cancelling: safe, no tick is lost.
 

@@ -1,7 +1,7 @@
 """Timers and rates.
 
 A timer that is late fires once and keeps its phase. Its clock may stand still: a timer of simulated
-time becomes due when somebody tells the time.
+time becomes due only when somebody sets that time.
 """
 
 from __future__ import annotations

@@ -158,7 +158,7 @@ class McapWriter:
         """Write the chunk, if it has messages.
 
         Raises:
-            OSError: if it cannot be written. Its messages are gone; the file is as it was before.
+            OSError: if it cannot be written. The chunk's messages are lost; the file is as before.
         """
         if not self._entries:
             return

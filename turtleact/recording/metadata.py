@@ -182,7 +182,7 @@ def read_info(text: str, path: Path) -> BagInfo:
 
 
 def offers_text(offers: Iterable[Offer]) -> str:
-    """Return the text that a channel has about the offers of its publishers."""
+    """Return the text by which a channel tells what its publishers offered."""
     said = [_offer(each) for each in offers]
     return _dump(said).strip() if said else ""
 

@@ -154,7 +154,7 @@ class Drawing:
         return self._canvas
 
     def _read(self, most: int | None = None) -> None:
-        """Compute the noted lines: all of them, or only the oldest."""
+        """Compute the lines that were noted: all of them, or only the ``most`` oldest."""
         if most is None:
             self._end_fleet()
         if not self._unread and not self._runs:

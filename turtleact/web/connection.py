@@ -116,7 +116,7 @@ class Connection:
         self._filled.fire()
 
     def put(self, source: str, frame: Frame) -> None:
-        """Send a frame, unless newer ones of its source push it out."""
+        """Send a frame, unless newer frames of the same source take its place."""
         if self._is_closing:
             return
         self.mailbox.put(source, frame)

@@ -316,7 +316,7 @@ class ZenohTransport:
     # names
 
     def _name(self, endpoint: Endpoint, format: Format) -> Named:
-        """Give an endpoint its names; the numbers are unique in the session."""
+        """Give an endpoint its key and its token; their numbers are unique in the session."""
         self._check_open()
         if (node_id := self._numbers.get(endpoint.node)) is None:
             node_id = self._numbers[endpoint.node] = self._next_number()
