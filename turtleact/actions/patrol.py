@@ -82,7 +82,7 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
         bound: float64 = 0.0
 
     class Feedback(Message):
-        """How it goes: at each target, and once a second on the way.
+        """How the patrol goes: sent at each target, and once a second on the way.
 
         Attributes:
             index: Which target this is about, counted from 0.

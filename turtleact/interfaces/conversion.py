@@ -344,7 +344,7 @@ def instead(cls: type[Message], name: object) -> str:
 
 
 def _missing_space(text: object) -> str:
-    """Say so if a text looks like a field and a value without the space that YAML needs."""
+    """Point out that YAML needs a space, if a text looks like a field and a value without it."""
     name, colon, value = str(text).partition(":")
     if not (colon and value and name.isidentifier()) or value.startswith(" "):
         return ""

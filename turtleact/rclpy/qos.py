@@ -272,7 +272,7 @@ class QoSProfile:
         return {slot[1:]: getattr(self, slot) for slot in self.__slots__}
 
     def for_transport(self) -> QoS:
-        """Return the part of it that turtleact's transports know."""
+        """Return those policies that turtleact's transports know."""
         is_latched = self.durability == DurabilityPolicy.TRANSIENT_LOCAL
         is_lossy = self.reliability == ReliabilityPolicy.BEST_EFFORT
         return QoS(

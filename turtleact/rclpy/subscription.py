@@ -104,7 +104,7 @@ class Subscription(Subscriptable, Entity):
         self.wake()
 
     def opened(self, opened: Closeable) -> None:
-        """Remember the transport's end, to close it."""
+        """Remember what the transport has opened, to close it later."""
         self._opened = opened
 
     def is_ready_now(self) -> bool:

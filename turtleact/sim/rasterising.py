@@ -99,7 +99,7 @@ def draw_lines(canvas: Canvas, start: Places, end: Places, width: float, colour:
 
 
 def _pixels(start: Places, end: Places, half: float) -> _Whole:
-    """Return the indices of the pixels in some lines."""
+    """Return the indices of the pixels that lie in some lines."""
     is_turned = np.abs(start - MIDDLE) > np.abs(end - MIDDLE)
     start, end = np.where(is_turned, end, start), np.where(is_turned, start, end)
     length, way = np.abs(end - start), end - start

@@ -122,7 +122,7 @@ class Home:
         self._thread = get_ident()
 
     def of(self, owner: str) -> Home:
-        """The same home, for another object that was made there. No event loop need run now."""
+        """The same home for another object, which was made there; no event loop need run now."""
         home = copy.copy(self)
         home._owner = owner
         return home

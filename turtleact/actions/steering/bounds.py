@@ -411,12 +411,12 @@ def least_loss(
 ) -> tuple[float, list[float]]:
     """The least loss by turning over all legs, and the headings at the corners that lead to it.
 
-    The first is in rad of turning at full rate, the headings are in rad.
+    The loss is in rad of turning at full rate, the headings are in rad.
 
     Args:
-        heading: At the start, a unit vector.
-        legs: In order; one at least.
-        turning: How it turns.
+        heading: The heading at the start, a unit vector.
+        legs: The legs in order, at least one.
+        turning: How the turtle turns.
         known: Results for the first legs of other tours with the same first heading and the same
             ``turning``. New results are added.
         tried: Headings (rad), one for each corner, that may be nearly the best. They are tried

@@ -343,7 +343,7 @@ def sweep(frame: Frame, target: complex, after: complex, limits: Limits, *, area
 
 
 def _arm(way: complex, leg: complex, radius: float, sharpest: float) -> complex:
-    """The vector from the corner to the aim: midway between way and leg, long enough for the arc."""
+    """The vector from the corner to the aim: midway between way and leg, as long as needed."""
     turn = phase(leg / way)
     if abs(turn) > sharpest:
         turn -= math.copysign(math.pi, turn)

@@ -238,7 +238,7 @@ class Writer:
         self.places = places_in_steps(size_of(code), first) | places_after(items, self.places)
 
     def is_common(self, items: list[Item]) -> bool:
-        """Whether this run has the same padding wherever it starts, even without its end."""
+        """Whether a run has the same padding wherever it starts, also without its last item."""
         return all(common_run("<", each, self.places) for each in (items, items[:-1]))
 
     def rows(self, cls: type[Message], value: str, size: int) -> None:

@@ -33,7 +33,11 @@ def get_action_client_names_and_types_by_node(
 def get_action_server_names_and_types_by_node(
     node: Node, remote_node_name: str, remote_node_namespace: str
 ) -> list[tuple[str, list[str]]]:
-    """Return the actions that a node serves, and their types; raises as above."""
+    """Return the actions that a node serves, and their types.
+
+    Raises:
+        RuntimeError: if there is no such node.
+    """
     ends = endpoints_of(node.connection, remote_node_name, remote_node_namespace)
     return _listed(ends, "service")
 

@@ -86,19 +86,31 @@ class NodeGraph:
         node_namespace: str,
         no_demangle: bool = False,  # noqa: ARG002  # rclpy's signature
     ) -> list[tuple[str, list[str]]]:
-        """Return the topics that a node reads, and their types; raises as above."""
+        """Return the topics that a node reads, and their types.
+
+        Raises:
+            NodeNameNonExistentError: if there is no such node.
+        """
         return _of_node(self, node_name, node_namespace, "subscription")
 
     def get_service_names_and_types_by_node(
         self: Named, node_name: str, node_namespace: str
     ) -> list[tuple[str, list[str]]]:
-        """Return the services of a node, and their types; raises as above."""
+        """Return the services of a node, and their types.
+
+        Raises:
+            NodeNameNonExistentError: if there is no such node.
+        """
         return _of_node(self, node_name, node_namespace, "service")
 
     def get_client_names_and_types_by_node(
         self: Named, node_name: str, node_namespace: str
     ) -> list[tuple[str, list[str]]]:
-        """Return the services that a node calls, and their types; raises as above."""
+        """Return the services that a node calls, and their types.
+
+        Raises:
+            NodeNameNonExistentError: if there is no such node.
+        """
         return _of_node(self, node_name, node_namespace, "client")
 
     def count_publishers(self: Named, topic_name: str) -> int:
