@@ -117,9 +117,9 @@ def silent_nodes(snapshot: Snapshot) -> Iterator[Fault]:
             yield Fault(
                 "silent-node",
                 names,
-                f"{_list('node', names)} {_do(names)} not answer: the process hangs, or has died "
-                "and stays on the graph until its lease ends",
-                "stop that process and start it again",
+                f"{_list('node', names)} {_do(names)} not answer: the process hangs, is "
+                "overloaded, or has died and stays on the graph until its lease ends",
+                "look at that process, or start it again",
             )
 
 

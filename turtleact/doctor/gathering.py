@@ -45,8 +45,11 @@ if TYPE_CHECKING:
 
 __all__ = ["take_snapshot"]
 
-PATIENCE: Final = 1.5
+PATIENCE: Final = 2.0
 """How long processes have to answer (s, event loop time)."""
+
+DESCRIBING: Final = 1.0
+"""How long a node has to describe a type (s, event loop time)."""
 
 REPORTING: Final = 1.0
 """How long to wait for the faults that processes report (s, event loop time)."""
@@ -81,12 +84,11 @@ async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
         group.start_soon(_collect_reports, node, reports)
         group.start_soon(_look_around, node, around, with_domains)
         group.start_soon(_find_fields, node, endpoints, known, fields)
-    left = {each.session for each in _seen(node)[0]}  # a process that has just gone is not silent
     return msgspec.structs.replace(
         around[0],
         nodes=nodes,
         endpoints=endpoints,
-        answers=tuple(sorted((a for a in answers if a.session in left), key=lambda a: a.node)),
+        answers=tuple(sorted(answers, key=lambda each: each.node)),
         reports=tuple(sorted(set(reports), key=lambda each: each.name)),
         known=known,
         fields=fields,
@@ -277,7 +279,7 @@ async def _ask_for_fields(
     client = node.service_client(service, f"{holder}/get_type_description")
     request = service.Request(*wanted, include_type_sources=False)
     try:
-        with anyio.move_on_after(PATIENCE):
+        with anyio.move_on_after(DESCRIBING):
             if await client.wait_for_service():
                 response: Any = await client.call(request)
                 if response.successful:
