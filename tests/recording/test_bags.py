@@ -1,15 +1,21 @@
 """Bags: what is written is read back by turtleact, by rosbags and by mcap's own reader."""
 
 import errno
+import functools
 import os
 import shutil
 import sqlite3
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Literal
 
+import hypothesis.strategies as st
 import pytest
+from hypothesis import given
+from mcap.writer import CompressionType
+from mcap.writer import Writer as WriterOfMcap
 from rosbags.interfaces import (
     Qos,
     QosDurability,
@@ -389,3 +395,104 @@ def test_a_folder_can_be_moved_and_renamed(tmp_path):
     path = write_bag(tmp_path / "run")
     shutil.move(path, tmp_path / "other")
     assert len(stamps(tmp_path / "other")) == 10
+
+
+FILES = ("none", "zstd_fast", "lz4")
+
+
+@functools.cache
+def content(compression) -> bytes:
+    """A file with ten chunks."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run.mcap"
+        if compression == "lz4":
+            with path.open("wb") as stream:
+                theirs = WriterOfMcap(stream, 100, CompressionType.LZ4)
+                theirs.start("ros2")
+                schema = theirs.register_schema(POSE.type_name, "ros2msg", b"float32 x")
+                one = theirs.register_channel("/pose", "cdr", schema)
+                for number in range(20):
+                    theirs.add_message(one, number, message(1), number)
+                theirs.finish()
+        else:
+            writer = opened(path, Split(compression=compression))
+            for first in range(0, 100, 10):
+                fill(writer, 10, first)
+                writer.flush()
+            writer.close({})
+        return path.read_bytes()
+
+
+@given(
+    st.sampled_from(FILES),
+    st.integers(0, 100_000),
+    st.binary(max_size=9),
+    st.integers(0, 30),
+)
+def test_a_damaged_file_gives_messages_or_says_what_is_wrong(file, place, put, cut):
+    damaged = bytearray(content(file))
+    place %= len(damaged)
+    damaged[place : place + cut] = put
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run.mcap"
+        path.write_bytes(damaged)
+        try:
+            bag = Bag(path)
+        except BagError:
+            return
+        try:
+            assert sum(1 for _ in bag.messages(Range())) <= 120
+        except BagError as error:
+            said = str(error)
+        else:
+            said = "is damaged"
+        finally:
+            bag.close()
+    assert "is damaged" in said
+
+
+def test_a_file_with_a_damaged_index_is_looked_through(tmp_path):
+    path = write_bag(tmp_path / "run.mcap", 20)
+    damaged = path.read_bytes().replace(b"serialized_metadata", b"\xff" * 19)
+    path.write_bytes(damaged)
+    assert len(stamps(path)) == 20
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EACCES])
+def test_a_description_that_cannot_be_written_leaves_the_files(tmp_path, monkeypatch, number):
+    def write_text(*_, **__):
+        raise OSError(number, os.strerror(number))
+
+    writer = opened(tmp_path / "run")
+    fill(writer, 10)
+    monkeypatch.setattr(Path, "write_text", write_text)
+    if number == errno.ENOSPC:
+        writer.close({})
+    else:
+        with pytest.raises(OSError, match="Permission denied"):
+            writer.close({})
+    assert [each.name for each in (tmp_path / "run").iterdir()] == ["run_0.mcap"]
+    assert len(stamps(tmp_path / "run")) == 10
+
+
+def test_an_error_at_the_end_is_raised_and_what_was_written_stays(tmp_path, monkeypatch):
+    writer = opened(tmp_path / "run")
+    fill(writer, 10)
+    writer.flush()
+    fill(writer, 5, 10)
+    monkeypatch.setattr(McapWriter, "flush", lambda _: os.write(-1, b""))
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        writer.close({})
+    assert writer.lost.total() == 5
+    assert len(stamps(tmp_path / "run")) == info_of(tmp_path / "run").count == 10
+
+
+def test_a_bag_of_many_files_is_read_in_the_order_of_their_numbers(tmp_path):
+    path = write_bag(tmp_path / "run", 24, Split(max_duration=2 * STEP))
+    (path / "metadata.yaml").unlink()
+    assert [each.path for each in info_of(path).files][9:] == [
+        "run_9.mcap",
+        "run_10.mcap",
+        "run_11.mcap",
+    ]
+    assert stamps(path) == [START + number * STEP for number in range(24)]

@@ -262,3 +262,25 @@ def test_a_conversion_can_be_ended(tmp_path):
     assert convert([first], [Output(path=tmp_path / "part")], lambda: False) == [0]
     with pytest.raises(TurtleactError, match="it exists already"):
         convert([first], [Output(path=tmp_path / "part")])
+
+
+def test_a_disk_that_is_full_ends_a_conversion(tmp_path, monkeypatch):
+    first = write_bag(tmp_path / "first", 100)
+
+    def write(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(BagWriter, "write", write)
+    with pytest.raises(TurtleactError, match="it cannot be written: No space left on device"):
+        convert([first], [Output(path=tmp_path / "part")])
+
+
+async def test_goals_of_a_type_that_is_not_known_are_said(node, tmp_path):
+    writer = BagWriter(tmp_path / "run", Split())
+    topic = "/odd/_action/send_goal/_service_event"
+    writer.add(0, Channel(topic=topic, schema=Schema("lab_msgs/action/Odd_SendGoal_Event")))
+    writer.write(0, START, START, b"\0\1\0\0")
+    writer.close({})
+    played = await recording.play(node, tmp_path / "run", send_goals=True)
+    assert list(played.skipped) == ["/odd"]
+    assert "unknown interface 'lab_msgs/action/Odd'" in played.skipped["/odd"]

@@ -15,7 +15,7 @@ from turtleact.recording.bag_writer import BagWriter
 from turtleact.recording.recorder import RawFormat
 from turtleact.tasks import Background
 from turtleact.transports import MemoryTransport, QoS
-from turtleact.transports.base import STATUS_QOS
+from turtleact.transports.base import STATUS_QOS, Endpoint
 
 from .bags import by_rosbags
 
@@ -233,3 +233,19 @@ def test_a_selection_is_that_of_ros2_bag(selection, wanted):
 def test_a_selection_refuses_a_bad_expression():
     with pytest.raises(TurtleactError, match="'regex': it is not a regular expression"):
         Selection(regex="(")
+
+
+def test_owners_can_be_left_out_too():
+    one = Selection(all_actions=True, exclude=frozenset({"/a"}), exclude_regex="^/b")
+    assert [each for each in ("/a", "/b", "/c") if one.wants_owner("action", each)] == ["/c"]
+
+
+async def test_a_message_that_cannot_be_encoded_is_counted(node, tmp_path, caplog):
+    topic = node.transport.advertise(
+        Endpoint("publisher", "/said", "std_msgs/msg/String", "/lab"), WireFormat(String)
+    )
+    async with recording.record(node, tmp_path / "run") as run:
+        topic.publish(String(data=3))  # type: ignore[arg-type]  # not checked by the transport
+        topic.publish(String(data="x"))
+    assert (run.count, run.lost_by_topic) == (1, {"/said": 1})
+    assert caplog.messages[0].startswith("topic /said: a message is lost: ")

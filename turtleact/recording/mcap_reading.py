@@ -1,7 +1,7 @@
 """Reads one MCAP file, with its index if it has one.
 
-A file that was not closed has no index. Then all of it is looked through, up to the first record
-that is cut off or damaged: what comes before can be read. Messages are read a chunk at a time.
+A file that was not closed has no index. Then all of it is looked through, up to a record that is
+cut off; damaged records are left out. Messages are read a chunk at a time.
 
 Source: the MCAP specification.
 """
@@ -24,6 +24,7 @@ from mcap.records import Chunk, Metadata
 from mcap.records import Schema as SchemaRecord
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.summary import Summary
+from zstandard import ZstdError
 
 from turtleact.recording.mcap_writing import MAGIC, MESSAGE
 from turtleact.recording.metadata import BagError, read_offers
@@ -36,7 +37,11 @@ ABOUT: Final = "rosbag2"
 """The name of the metadata record in which rosbag2 describes the bag."""
 
 _HEAD: Final = struct.Struct("<BQ")
-_DAMAGED: Final = (McapError, struct.error, ValueError, MemoryError, EOFError)
+_DAMAGED: Final = (
+    *(McapError, struct.error, ValueError, MemoryError, EOFError, OverflowError, OSError, KeyError),
+    *(RuntimeError, ZstdError),  # of the packages that decompress
+)
+"""What reading a damaged record may raise."""
 
 
 class _Piece(NamedTuple):
@@ -120,10 +125,8 @@ class McapFile:
         if self._file.read(len(MAGIC)) != MAGIC:
             raise BagError(self.path, "it is not an MCAP file")
         summary = self._summary()
-        if summary is None or not _is_complete(summary):
+        if summary is None or not _is_complete(summary) or not self._takes(summary):
             self._scan()
-        else:
-            self._take(summary)
         self._pieces.sort()
 
     def _summary(self) -> Summary | None:
@@ -138,6 +141,17 @@ class McapFile:
         except _DAMAGED:
             self.is_closed = False
             return None
+
+    def _takes(self, summary: Summary) -> bool:
+        """Take all that is needed from the index, or nothing if it is damaged."""
+        try:
+            self._take(summary)
+        except _DAMAGED:
+            self.is_closed = False
+            for each in (self.channels, self.counts, self._schemas, self._pieces):
+                each.clear()
+            self.start = self.end = 0
+        return self.is_closed
 
     def _take(self, summary: Summary) -> None:
         """Take all that is needed from the index."""
@@ -165,7 +179,7 @@ class McapFile:
             self._note(Metadata.read(ReadDataStream(self._file)))
 
     def _scan(self) -> None:
-        """Look through the whole file, up to the first record that is cut off or damaged."""
+        """Look through the whole file, up to a record that is cut off; leave out damaged ones."""
         size = self._file.seek(0, 2)
         place = len(MAGIC)
         while place + _HEAD.size <= size:
@@ -178,8 +192,7 @@ class McapFile:
             try:
                 self._see(opcode, place, self._file.read(length))
             except _DAMAGED:
-                self.is_closed = False
-                return
+                self.is_closed = False  # the next record begins where it should
             place = behind
         self.is_closed = False
 
@@ -224,7 +237,7 @@ class McapFile:
                 found = [(channel, stamp, sent, content[22:])]
             for channel, stamp, sent, data in found:
                 yield Raw(stamp, sent, self.channels[channel], data)
-        except (*_DAMAGED, KeyError) as error:
+        except _DAMAGED as error:
             problem = f"the chunk at byte {piece.offset} is damaged ({error})"
             raise BagError(self.path, f"{problem}; choose other times to read the rest") from error
 

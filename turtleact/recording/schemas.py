@@ -83,7 +83,7 @@ def class_of(schema: Schema, known_hash: str = "") -> type[Message] | None:
     if schema.encoding == "ros2msg" and schema.text:
         try:
             return _from_text(schema, known)
-        except (InvalidInterface, UnknownInterface, RecursionError):
+        except (InvalidInterface, UnknownInterface, RecursionError, ValueError):
             return None
     if known is not None and known_hash and type_hash(known) != known_hash:
         return None
