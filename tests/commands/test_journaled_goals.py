@@ -393,6 +393,25 @@ def test_a_goal_goes_on_after_a_kill_and_a_reload_and_its_sender_sees_one_run(
         assert told.out in out
 
 
+def test_a_standby_waits_for_the_journal_and_goes_on_with_its_goals(tmp_path, at):
+    resume = ["--journal", "goals.db", "--on-restart", "resume"]
+    with serving(tmp_path, at, "--on-restart", "resume") as server:
+        sent = start(tmp_path, "send-goal", "steps", "order: 4", "--timeout", "0", "--connect", at)
+        lines_until(server, "EXECUTING")
+        sent.communicate(timeout=30)
+        command = ["serve", "lab.py", "--no-sim", "--plain", "--wait", "--listen", at, *resume]
+        standby = start(tmp_path, *command)
+        try:
+            waiting = lines_until(standby, "waiting until that has gone")
+            assert f"process {server.pid} (" in waiting
+            server.kill()
+            lines_until(standby, "EXECUTING (resumed)")
+            lines_until(standby, "SUCCEEDED")
+        finally:
+            standby.kill()
+            standby.communicate()
+
+
 @pytest.mark.parametrize(
     ("options", "state"),
     [

@@ -60,6 +60,9 @@ LEASE = 15.0
 
 Zenoh's own lease is 10 s."""
 
+STANDBY = 0.2
+"""How often a standby tries to open the journal of another process (s)."""
+
 MOST_LISTED = 12
 """How many actions the ready line names."""
 
@@ -179,7 +182,7 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
             graph = partial(_open_graph, service, opened)
             with interrupts.beginning(0):
                 on_node = await stack.enter_async_context(observing(service.watched, log.say))
-                options = await stack.enter_async_context(_open_journal(service.keeping))
+                options = await stack.enter_async_context(_open_journal(service))
                 opening = _open_node(service, graph, log, options, on_node)
                 node = await stack.enter_async_context(opening)
             if interrupts.received:
@@ -213,21 +216,40 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
 
 
 @asynccontextmanager
-async def _open_journal(keeping: Keeping | None) -> AsyncIterator[Kept]:
+async def _open_journal(service: Service) -> AsyncIterator[Kept]:
     """Open the journal; gives the options of the servers that use it.
+
+    With ``--wait``, this waits until the process that writes the journal has gone.
 
     Raises:
         JournalError: if it cannot be opened.
     """
+    keeping = service.keeping
     if keeping is None:
         yield {}
         return
     from turtleact.journal import open_journal
+    from turtleact.journal.database import JournalHeld
 
-    opening = open_journal(
-        keeping.path, max_starts=keeping.max_starts, abort_at_close=keeping.abort_goals
+    opening = partial(
+        open_journal,
+        keeping.path,
+        max_starts=keeping.max_starts,
+        abort_at_close=keeping.abort_goals,
     )
-    async with opening as journal:
+    async with AsyncExitStack() as stack:
+        told = False
+        while True:
+            try:
+                journal = await stack.enter_async_context(opening())
+                break
+            except JournalHeld as held:
+                if not service.wait:
+                    raise
+                if not told:
+                    note(f"{held}: waiting until that has gone")
+                told = True
+                await anyio.sleep(STANDBY)
         yield {"journal": journal, "on_restart": keeping.on_restart}
 
 

@@ -30,6 +30,7 @@ __all__ = [
     "Change",
     "Database",
     "JournalError",
+    "JournalHeld",
     "Withdraw",
     "explain",
     "find_goals",
@@ -103,6 +104,10 @@ class JournalError(TurtleactError):
 
     def __str__(self) -> str:
         return f"journal '{self.path}': {self.problem}"
+
+
+class JournalHeld(JournalError):
+    """Another process writes the journal."""
 
 
 class Accept(msgspec.Struct):
@@ -391,9 +396,8 @@ def _lock(path: Path) -> sqlite3.Connection:
     except sqlite3.Error as error:
         connection.close()
         if "locked" in str(error):
-            raise JournalError(
-                path, f"{_holder(path)} writes it; one process can at a time"
-            ) from None
+            problem = f"{_holder(path)} writes it; one process can at a time"
+            raise JournalHeld(path, problem) from None
         raise JournalError(path, explain(error)) from error
     return connection
 
