@@ -161,7 +161,7 @@ def test_a_small_window_has_no_map(width, height):
 def test_the_feedback_of_a_watched_goal_is_missed_from_then_on_alone(map_view):
     assert any("no feedback yet" in line for line in frame(80, 24, map_view))
     watched = frame(80, 24, map_view, goal=None)
-    assert any("no feedback since you watch" in line for line in watched)
+    assert any("no feedback since you began to watch" in line for line in watched)
 
 
 def test_a_goal_without_a_turtle_has_no_map():

@@ -36,7 +36,7 @@ def test_a_name_of_its_own_is_taken_as_it_is():
 
 
 def test_a_name_that_is_in_use_is_refused():
-    with pytest.raises(SimError, match=r"^turtle1: there is a turtle of this name: give another$"):
+    with pytest.raises(SimError, match=r"^turtle1: a turtle has this name already: give another$"):
         Names(["turtle1"]).free_name("turtle1")
 
 

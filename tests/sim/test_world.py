@@ -418,7 +418,7 @@ def test_a_turtle_spawned_outside_is_brought_back_by_the_walls():
 
 
 def test_a_taken_name_is_refused():
-    with pytest.raises(SimError, match=r"^turtle1: there is a turtle of this name: give another$"):
+    with pytest.raises(SimError, match=r"^turtle1: a turtle has this name already: give another$"):
         World().spawn(1.0, 1.0, 0.0, "turtle1")
 
 

@@ -158,7 +158,7 @@ def _motion(motion: str) -> tuple[str, str]:
 def _feedback(goal: GoalView, *, width: int, rows: int) -> Picture:
     """The last feedback. Earlier feedback of somebody else's goal is unknown."""
     if goal.goal is None and goal.feedback is None:
-        return cut("  no feedback since you watch", "dim")
+        return cut("  no feedback since you began to watch", "dim")
     return feedback_table(goal.feedback, width=width, rows=rows)
 
 

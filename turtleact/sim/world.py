@@ -413,7 +413,7 @@ class Names:
             SimError: if there is a turtle of that name.
         """
         if name in self._index:
-            raise SimError("there is a turtle of this name: give another", turtle=name)
+            raise SimError("a turtle has this name already: give another", turtle=name)
         while not name or name in self._index:
             self._count += 1
             name = f"turtle{self._count}"

@@ -235,7 +235,7 @@ PlayRate: TypeAlias = Annotated[
         "--rate",
         "-r",
         metavar="FACTOR",
-        help="How much faster than recorded; max waits for nothing.",
+        help="How much faster than recorded; max plays without any waiting.",
         rich_help_panel=PLAYING,
     ),
 ]
@@ -248,7 +248,7 @@ StartOffset: TypeAlias = Annotated[
         "--start-offset",
         metavar="SECONDS",
         parser=seconds,
-        help="Leave out what was recorded before.",
+        help="Begin this many seconds after the start of the bag.",
         rich_help_panel=PLAYING,
     ),
 ]

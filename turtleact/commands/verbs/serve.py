@@ -150,7 +150,7 @@ ParamsFiles: TypeAlias = Annotated[
     typer.Option(
         "--params-file",
         metavar="FILE",
-        help="Such values in a file, as 'param dump' prints it.",
+        help="A file with values of parameters, as 'param dump' prints it.",
     ),
 ]
 OnRestart: TypeAlias = Annotated[
