@@ -414,8 +414,8 @@ def test_an_answer_to_a_cancelled_future_is_dropped(node, executor):
 
 
 def test_a_blocking_call_whose_answer_nobody_handles_says_why(node, context, monkeypatch, capsys):
-    monkeypatch.setattr("turtleact.rclpy.action.client.PATIENCE", 0.01)
-    monkeypatch.setattr("turtleact.rclpy.action.client.BLOCKED_AFTER", 0.02)
+    monkeypatch.setattr("turtleact.rclpy.impl.waiting.PATIENCE", 0.01)
+    monkeypatch.setattr("turtleact.rclpy.impl.waiting.BLOCKED_AFTER", 0.02)
     other = rclpy.create_node("server", context=context)
     ActionServer(other, Fibonacci, "fibonacci", succeed)
     serving = SingleThreadedExecutor(context=context)

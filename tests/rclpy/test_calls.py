@@ -154,7 +154,7 @@ def test_a_request_of_another_class_is_refused(node):
 
 
 def test_a_shutdown_ends_a_call(node, context, monkeypatch):
-    monkeypatch.setattr("turtleact.rclpy.client.PATIENCE", 0.01)
+    monkeypatch.setattr("turtleact.rclpy.impl.waiting.PATIENCE", 0.01)
     client = node.create_client(AddTwoInts, "nothing")
     threading.Timer(0.02, context.shutdown).start()
     with pytest.raises(ROSInterruptException):
@@ -163,8 +163,8 @@ def test_a_shutdown_ends_a_call(node, context, monkeypatch):
 
 @pytest.mark.parametrize("is_held", [False, True])
 def test_a_call_whose_answer_nobody_handles_says_why(node, context, monkeypatch, capsys, is_held):
-    monkeypatch.setattr("turtleact.rclpy.client.PATIENCE", 0.01)
-    monkeypatch.setattr("turtleact.rclpy.client.BLOCKED_AFTER", 0.02)
+    monkeypatch.setattr("turtleact.rclpy.impl.waiting.PATIENCE", 0.01)
+    monkeypatch.setattr("turtleact.rclpy.impl.waiting.BLOCKED_AFTER", 0.02)
     server = rclpy.create_node("server", context=context)
     server.create_service(AddTwoInts, "add", add)
     group = MutuallyExclusiveCallbackGroup()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from functools import partial
@@ -12,10 +11,10 @@ from typing import TYPE_CHECKING
 from turtleact.errors import ServerUnavailable, TurtleactError
 from turtleact.rclpy.exceptions import ROSInterruptException
 from turtleact.rclpy.impl.calls import CallEnd
-from turtleact.rclpy.impl.diagnosis import BLOCKED_AFTER, warn_if_blocked
 from turtleact.rclpy.impl.entity import NOTHING, Entity
 from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
+from turtleact.rclpy.impl.waiting import wait_for_answer, wait_until
 from turtleact.rclpy.messages.codec import decode, encode
 from turtleact.rclpy.qos import QoSProfile
 from turtleact.rclpy.task import Future
@@ -27,9 +26,6 @@ if TYPE_CHECKING:
 __all__ = ["Client"]
 
 logger = RcutilsLogger("rclpy.client")
-
-POLL = 0.02
-"""How often to look whether a service is there (s)."""
 
 
 class Client(Subscriptable, Entity):
@@ -95,30 +91,13 @@ class Client(Subscriptable, Entity):
         future = self.call_async(request)
         future.add_done_callback(lambda _: answered.set())
         # The callback would otherwise be another task of the executor that this call may block.
-        if not self._wait(answered, timeout_sec):
+        what = f"call() of {self._full_name}"
+        if not wait_for_answer(self, what, answered, self.context.ok, timeout_sec):
             self.remove_pending_request(future)
-            raise TimeoutError
+            raise TimeoutError if self.context.ok() else ROSInterruptException
         if future.exception() is not None:
             raise future.exception()  # type: ignore[misc]  # it is one
         return future.result()
-
-    def _wait(self, answered: threading.Event, timeout_sec: float | None) -> bool:
-        began = time.monotonic()
-        end = None if timeout_sec is None or timeout_sec < 0 else began + timeout_sec
-        has_warned = False
-        while True:
-            left = PATIENCE if end is None else min(PATIENCE, end - time.monotonic())
-            if answered.wait(max(0.0, left)):
-                return True
-            if end is not None and time.monotonic() >= end:
-                return False
-            if not self.context.ok():
-                raise ROSInterruptException
-            if not has_warned and time.monotonic() - began >= BLOCKED_AFTER:
-                has_warned = True
-                warn_if_blocked(
-                    self, f"call() of {self._full_name}", is_answered=bool(self._waiting)
-                )
 
     def call_async(self, request: Anything) -> Future:
         """Send a request, and return the future of the response.
@@ -157,13 +136,7 @@ class Client(Subscriptable, Entity):
 
     def wait_for_service(self, timeout_sec: float | None = None) -> bool:
         """Wait until there is a server, without spinning; return whether there is one."""
-        end = None if timeout_sec is None or timeout_sec < 0 else time.monotonic() + timeout_sec
-        while self.context.ok() and not self.service_is_ready():
-            left = POLL if end is None else min(POLL, end - time.monotonic())
-            if left <= 0:
-                break
-            time.sleep(left)
-        return self.service_is_ready()
+        return wait_until(self.service_is_ready, timeout_sec, self.context.ok)
 
     def is_ready_now(self) -> bool:
         """Whether a response waits."""
@@ -200,7 +173,3 @@ class Client(Subscriptable, Entity):
             logger.debug(f"a request to {self._full_name} was lost: {error}")
         else:
             logger.error(f"{self._full_name} sends no response: {error}")
-
-
-PATIENCE = 0.5
-"""How long to wait at most before looking again (s); a signal may not interrupt a lock."""

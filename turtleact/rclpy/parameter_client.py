@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from turtleact.rclpy.impl.typing import Anything
+from turtleact.rclpy.impl.waiting import wait_until
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import Parameter, parameter_dict_from_yaml_file
 from turtleact.rclpy.qos import (
@@ -32,9 +32,6 @@ SERVICES = (
     "GetParameterTypes",
     "SetParametersAtomically",
 )
-
-POLL = 0.02
-"""How often to look whether the services are there (s)."""
 
 
 class AsyncParameterClient:
@@ -72,12 +69,7 @@ class AsyncParameterClient:
 
     def wait_for_services(self, timeout_sec: float | None = None) -> bool:
         """Wait until all services are there; return whether they are."""
-        end = None if timeout_sec is None else time.monotonic() + timeout_sec
-        while self.node.context.ok() and not self.services_are_ready():
-            if end is not None and time.monotonic() >= end:
-                break
-            time.sleep(POLL)
-        return self.services_are_ready()
+        return wait_until(self.services_are_ready, timeout_sec, self.node.context.ok)
 
     def list_parameters(
         self,

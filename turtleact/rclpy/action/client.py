@@ -9,7 +9,6 @@ Source: rcl_action ``action_client.c``; rclpy ``action/client.py`` for names and
 from __future__ import annotations
 
 import threading
-import time
 import uuid
 from collections import deque
 from collections.abc import Callable
@@ -22,8 +21,8 @@ from turtleact.goal_wire import read_states
 from turtleact.interfaces.wire_format import GOAL_ID
 from turtleact.rclpy.action.names import ActionKind, goal_key
 from turtleact.rclpy.executors import await_or_execute
-from turtleact.rclpy.impl.diagnosis import BLOCKED_AFTER, warn_if_blocked
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
+from turtleact.rclpy.impl.waiting import wait_for_answer, wait_until
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.messages.codec import decode, encode
 from turtleact.rclpy.qos import (
@@ -44,9 +43,6 @@ Event: TypeAlias = "tuple[Callable[..., Anything], tuple[Anything, ...]]"
 """Something that has come: how to handle it, and its arguments."""
 
 FEEDBACK_QOS = QoSProfile(depth=10)
-
-POLL = 0.02
-"""How often to look whether a server is there (s)."""
 
 
 class ClientGoalHandle(Subscriptable):
@@ -236,12 +232,8 @@ class ActionClient(Waitable):
         """Block until a future is done, and return its result."""
         done = threading.Event()
         future.add_done_callback(lambda _: done.set())
-        began, has_warned = time.monotonic(), False
-        while not done.wait(PATIENCE) and self._node.context.ok():
-            if not has_warned and time.monotonic() - began >= BLOCKED_AFTER:
-                has_warned = True
-                where = f"{what} of {self._kind.names.name}"
-                warn_if_blocked(self, where, is_answered=bool(self._events))
+        where = f"{what} of {self._kind.names.name}"
+        wait_for_answer(self, where, done, self._node.context.ok)
         return future.result()
 
     def server_is_ready(self) -> bool:
@@ -251,13 +243,7 @@ class ActionClient(Waitable):
 
     def wait_for_server(self, timeout_sec: float | None = None) -> bool:
         """Wait until there is a server, without spinning; return whether there is one."""
-        end = None if timeout_sec is None else time.monotonic() + timeout_sec
-        while self._node.context.ok() and not self.server_is_ready():
-            left = POLL if end is None else min(POLL, end - time.monotonic())
-            if left <= 0:
-                break
-            time.sleep(left)
-        return self.server_is_ready()
+        return wait_until(self.server_is_ready, timeout_sec, self._node.context.ok)
 
     # what comes; any thread
 
@@ -373,10 +359,6 @@ class ActionClient(Waitable):
         for key, handle in list(self._goal_handles.items()):
             if states is not None and key in states:
                 handle.update_status(states[key][2])
-
-
-PATIENCE = 0.5
-"""How long to wait at most before looking again (s); a signal may not interrupt a lock."""
 
 
 def _check_handle(goal_handle: object) -> None:

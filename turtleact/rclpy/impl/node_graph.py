@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import time
 from typing import Protocol
 
 from turtleact.graph import types_by_name
 from turtleact.rclpy.exceptions import NameValidationException
 from turtleact.rclpy.impl.connection import Connection
 from turtleact.rclpy.impl.typing import Anything
+from turtleact.rclpy.impl.waiting import wait_until
 from turtleact.transports.base import Endpoint, EndpointKind
 
 __all__ = ["NodeGraph", "NodeNameNonExistentError", "endpoints_of"]
 
 TOPIC_ENDS: tuple[EndpointKind, ...] = ("publisher", "subscription")
-
-POLL = 0.02
-"""How often to look for a node (s)."""
 
 
 class NodeNameNonExistentError(RuntimeError):
@@ -150,12 +147,7 @@ class NodeGraph:
     def wait_for_node(self: Named, fully_qualified_node_name: str, timeout: float) -> bool:
         """Wait until there is a node of that name; return whether there is one."""
         wanted = f"/{fully_qualified_node_name.lstrip('/')}"
-        end = time.monotonic() + timeout
-        while wanted not in self.connection.nodes():
-            if time.monotonic() >= end:
-                return False
-            time.sleep(POLL)
-        return True
+        return wait_until(lambda: wanted in self.connection.nodes(), timeout, lambda: True)
 
 
 def _topic(node: Named, name: str) -> str:

@@ -1,0 +1,70 @@
+"""Waits that block a thread of the program while another one spins."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from turtleact.rclpy.impl.diagnosis import BLOCKED_AFTER, warn_if_blocked
+from turtleact.rclpy.impl.entity import Entity
+
+__all__ = ["wait_for_answer", "wait_until"]
+
+POLL = 0.02
+"""How often to look whether something is there (s)."""
+
+PATIENCE = 0.5
+"""How long to wait at most before looking again (s); a signal may not interrupt a lock."""
+
+
+def wait_until(
+    is_there: Callable[[], bool], timeout: float | None, is_ok: Callable[[], bool]
+) -> bool:
+    """Look again and again until something is there; return whether it is.
+
+    Args:
+        is_there: Whether it is there.
+        timeout: How long to look (s); None for ever.
+        is_ok: Whether to go on.
+    """
+    end = None if timeout is None else time.monotonic() + timeout
+    while is_ok() and not is_there():
+        left = POLL if end is None else min(POLL, end - time.monotonic())
+        if left <= 0:
+            break
+        time.sleep(left)
+    return is_there()
+
+
+def wait_for_answer(
+    entity: Entity,
+    what: str,
+    answered: threading.Event,
+    is_ok: Callable[[], bool],
+    timeout: float | None = None,
+) -> bool:
+    """Wait until an answer was handled; return whether it was.
+
+    If that takes long, a warning says who keeps the callback from running.
+
+    Args:
+        entity: Handles the answer.
+        what: Who waits.
+        answered: Set when the answer was handled.
+        is_ok: Whether to go on.
+        timeout: How long to wait (s); None or a negative number mean for ever.
+    """
+    began = time.monotonic()
+    end = None if timeout is None or timeout < 0 else began + timeout
+    has_warned = False
+    while is_ok():
+        left = PATIENCE if end is None else min(PATIENCE, end - time.monotonic())
+        if answered.wait(max(0.0, left)):
+            return True
+        if end is not None and time.monotonic() >= end:
+            return False
+        if not has_warned and time.monotonic() - began >= BLOCKED_AFTER:
+            has_warned = True
+            warn_if_blocked(entity, what, is_answered=entity.is_ready_now())
+    return False
