@@ -65,6 +65,8 @@ OPEN = {
 NEEDS_MORE = {"send-goal": "fibonacci", "watch": "71a9", "action send_goal": "/f a/action/F {}"}
 NEEDS_MORE |= {"interface python": "std_msgs -o interfaces", "run": "turtlesim turtlesim_node"}
 NEEDS_MORE |= {"serve --journal": "goals.db"}
+NEEDS_MORE |= {"bag record": "-a", "bag info": "run", "bag play": "run", "bag goals": "run"}
+NEEDS_MORE |= {"bag convert": "-i run -o cut", "bag view": "run"}
 """What a sentence of a page leaves open, and the arguments that a command cannot do without."""
 
 LAB = """

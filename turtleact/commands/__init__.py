@@ -35,9 +35,9 @@ VERBS: Final = {
     "serve": "Serve a world of turtles, and your own actions.",
     "run": "Run a program of a package, such as turtlesim turtlesim_node, or a file.",
     "mcp": "Offer actions as tools to a language model.",
-    "doctor": "Find out what is wrong with the graph, and what to do about it.",
     "teleop": "Drive a turtle with the keyboard.",
     "snapshot": "Save a picture of the world as PNG or SVG.",
+    "doctor": "Find out what is wrong with the graph, and what to do about it.",
     **{
         name: f"Like 'ros2 {name}': {', '.join(verbs)}."
         for name, verbs in GROUPS.items()
