@@ -126,6 +126,8 @@ def test_something_must_be_recorded(on_graph, tmp_path):
     ran = on_graph(talking, "bag", "record", "-o", str(tmp_path / "run"))
     assert ran.status == 2
     assert "nothing to record: name topics, or give --all" in ran.problem
+    ran = on_graph(talking, "bag", "record", "--topics", "-o", str(tmp_path / "run"))
+    assert (ran.status, ran.problem) == (2, "Option '--topics' requires an argument.")
 
 
 @pytest.mark.parametrize(

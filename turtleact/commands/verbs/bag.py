@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
@@ -53,6 +54,9 @@ class ManyVerb(Verb):
         """Read the arguments; an option is repeated before each of its values."""
         many = {name for each in self.params if _is_list(each) for name in each.opts}
         args = [SHORT.get(each, each) for each in args]
+        for option, following in pairwise([*args, "--"]):
+            if option in many and following.startswith("-"):
+                ctx.fail(f"Option '{option}' requires an argument.")
         return super().parse_args(ctx, _repeated(args, many))
 
 
