@@ -262,6 +262,9 @@ async def test_an_unknown_mode_is_refused_and_nothing_is_opened(open_it):
     async with turtleact.open_node("lab") as node:
         with pytest.raises(InvalidOption, match="'everything'"):
             open_it(node, "everything")
+        node.introspection = cast("Any", "all of it")
+        with pytest.raises(InvalidOption, match="'all of it'"):
+            open_it(node, None)
         assert not node.transport.endpoints()
 
 

@@ -40,7 +40,7 @@ class FeedbackTopic(Source):
         self._server = server
         self._action = cast("type[Action]", server.served.action_type)
         self._format = FeedbackFormat(self._action)
-        self._transport, self._node = transport, endpoint.node
+        self._transport, self._endpoint = transport, endpoint
         self._lost: LostFeedback | None = None
         self._publication = transport.advertise(endpoint, self._format, self)
         self._dropped = 0
@@ -55,7 +55,7 @@ class FeedbackTopic(Source):
             from turtleact.fault_reports import LostFeedback  # few programs need it
 
             how, advice = "were dropped by", "publish feedback less often, or read it faster"
-            place = self._transport, self._node
+            place = self._transport, self._endpoint.node
             self._lost = LostFeedback(*place, self._server.name, how, advice)
         self._lost.add(1)
 

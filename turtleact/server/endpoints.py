@@ -116,7 +116,6 @@ class ActionEndpoints:
 
     def open(self) -> None:
         """Open the endpoints, so that the action appears on the graph."""
-        self._pausing.open()
         action = self._server.served.action_type.type_name
         describe, names = self._endpoint, self._names
         for service, type_name in (
@@ -128,6 +127,7 @@ class ActionEndpoints:
             service.observer = self._observer(service, described)
             offered = self._transport.serve(described, WireFormat(service.find_type), service)
             self._services.append(offered)
+        self._pausing.open()
         described = describe("publisher", names.feedback, f"{action}_FeedbackMessage")
         feedback = FeedbackTopic(self._server, self._transport, described)
         described = describe("publisher", names.status, GoalStatusArray.type_name, STATUS_QOS)
