@@ -118,16 +118,19 @@ class ActionEndpoints:
         """Open the endpoints, so that the action appears on the graph."""
         action = self._server.served.action_type.type_name
         describe, names = self._endpoint, self._names
-        for service, type_name in (
+        services: tuple[tuple[_ActionService, str], ...] = (
             (self._cancel_goal, CancelGoal.type_name),
             (self._get_result, f"{action}_GetResult"),
             (self._send_goal, f"{action}_SendGoal"),  # last: clients that see it expect the others
-        ):
+        )
+        for service, type_name in services:  # this raises if the introspection is unknown
             described = describe("service", service.name, type_name)
             service.observer = self._observer(service, described)
+        self._pausing.open()
+        for service, type_name in services:
+            described = describe("service", service.name, type_name)
             offered = self._transport.serve(described, WireFormat(service.find_type), service)
             self._services.append(offered)
-        self._pausing.open()
         described = describe("publisher", names.feedback, f"{action}_FeedbackMessage")
         feedback = FeedbackTopic(self._server, self._transport, described)
         described = describe("publisher", names.status, GoalStatusArray.type_name, STATUS_QOS)
