@@ -21,7 +21,8 @@ SHOWN = 5
 def together(test: Callable[..., None]) -> Callable[..., None]:
     """Run all cases of a parametrized test in one test; it stands above ``parametrize``.
 
-    All cases run, also after one that fails. They share the fixtures of the test.
+    All cases run, also after one that fails. They share the fixtures of the test. A table above
+    this one makes several tests, as always.
     """
     marks = [*test.pytestmark]  # type: ignore[attr-defined]  # what pytest.mark leaves
     tables = [list(cases_of(mark)) for mark in marks if mark.name == "parametrize"]

@@ -429,8 +429,8 @@ def test_the_help_of_a_verb_is_typers_and_shows_examples(turtleact):
     assert 'turtleact send-goal fibonacci "order: 5" --feedback' in out
 
 
-@together
 @pytest.mark.parametrize("width", [60, 80])
+@together
 @pytest.mark.parametrize(
     "line", [[], *([verb] for verb in VERBS), *([a, b] for a, each in GROUPS.items() for b in each)]
 )
