@@ -32,13 +32,14 @@ class GoalNote(msgspec.Struct, frozen=True, omit_defaults=True):
         tracestate: In a request: what tracing systems add to it.
         is_detached: In a request: whether the sender does not wait for the goal's end, so that the
             goal gets a trace of its own.
+        is_closing: Whether the goal was rejected because the server is being closed.
 
     Source: W3C Trace Context, for ``traceparent`` and ``tracestate``.
 
     >>> GoalNote("no such place", 3).write()
     '{"reason":"no such place","feedback":3}'
-    >>> GoalNote.read("")
-    GoalNote(reason='', feedback=0, traceparent='', tracestate='', is_detached=False)
+    >>> GoalNote.read("") == GoalNote()
+    True
     """
 
     reason: str = ""
@@ -46,6 +47,7 @@ class GoalNote(msgspec.Struct, frozen=True, omit_defaults=True):
     traceparent: str = ""
     tracestate: str = ""
     is_detached: bool = False
+    is_closing: bool = False
 
     def write(self) -> str:
         """Return the note as text.

@@ -191,6 +191,28 @@ async def test_a_server_that_returns_without_the_goal_is_told(tmp_path, see, mon
     assert len(errors) == 1
 
 
+async def test_a_goal_that_a_closing_server_rejects_is_sent_to_the_next_one(tmp_path):
+    gate, transport, asked = Gate(), MemoryTransport(), list[int]()
+    gate.opened.set()
+
+    async def ask(request: Count.Goal) -> turtleact.GoalResponse:
+        asked.append(request.upto)
+        await anyio.sleep_forever()
+        raise AssertionError
+
+    restarted = Restarted(transport, tmp_path / "goals.db", gate.wait)
+    near: Any = Apart(transport)
+    async with turtleact.open_node("near", transport=near) as node:
+        client = node.action_client(Count, "count")
+        async with running(lambda: client.send_goal(goal(1), reattach=30.0)) as patient:
+            async with restarted.serving(goal_callback=ask):
+                while not asked:
+                    await settle()
+            async with restarted.serving():
+                await patient.done.wait()
+    assert (patient.error, patient.value) == (None, result(1))
+
+
 @pytest.mark.parametrize("is_heard", [True, False], ids=["with feedback", "without"])
 async def test_feedback_ends_the_absence_of_a_server_that_is_killed_again_and_again(
     tmp_path, monkeypatch, is_heard

@@ -355,12 +355,12 @@ class RemoteGoals:
                     reply = await self._endpoints.ask_for_goal(request, remote.note)
                 else:
                     reply = await sent.reply()
+                self._accept(remote, reply)
             except ServerUnavailable as error:
                 if not remote.reattach:  # the goal may have been accepted: it must not run twice
                     raise
                 await patience.wait_for_return(error)
             else:
-                self._accept(remote, reply)
                 return
 
     async def _wait_for_result(self, remote: RemoteGoal) -> Reply:
@@ -418,12 +418,16 @@ class RemoteGoals:
 
         Raises:
             GoalRejected: if the server rejected it.
+            ServerUnavailable: if it is being closed, and the client waits for it to return.
         """
         if not (reply.note and self._endpoints.is_ours):
             self._endpoints.learn(reply)
         response: Any = reply.message
         if not response.accepted:
-            raise GoalRejected(GoalNote.read(reply.note).reason)
+            note = GoalNote.read(reply.note)
+            if note.is_closing and remote.reattach:
+                raise ServerUnavailable(self._endpoints.name, note.reason)
+            raise GoalRejected(note.reason)
         goal = remote.goal
         goal.stamp = nanoseconds(response.stamp)
         remote.is_accepted = True

@@ -307,7 +307,8 @@ class _SendGoal(_ActionService):
     def _decided(self, outcome: Goal | GoalRejected) -> Reply:
         response = self._implied.send_goal.Response
         if isinstance(outcome, GoalRejected):
-            return Reply(response(accepted=False), GoalNote(outcome.reason).write())
+            note = GoalNote(outcome.reason, is_closing=not self.server.is_open)
+            return Reply(response(accepted=False), note.write())
         return Reply(response(accepted=True, stamp=stamp_of(outcome.stamp)), OURS)
 
 
