@@ -24,6 +24,7 @@ from turtleact.commands.observing import json_line, observing, set_up_logging
 from turtleact.commands.settings import Watched
 from turtleact.interfaces.standard import Fibonacci
 
+from .. import warm
 from ..telemetry.collector import collecting, values
 from .test_serve import free_endpoint
 
@@ -55,7 +56,7 @@ async def test_serve_exports_traces_and_serves_metrics_and_logs_in_json(lab):
     at = free_endpoint()
     options = ["--otel", "--metrics", "0", "--log-format", "json", "--listen", at, "--no-sim"]
     with collecting() as collector:
-        process = subprocess.Popen(
+        process = warm.start(
             [sys.executable, "-m", "turtleact", "serve", "tracedlab", *options],
             cwd=lab,
             env={**os.environ, "ROS_DOMAIN_ID": "0", "OTEL_EXPORTER_OTLP_ENDPOINT": collector.url},

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from .. import warm
+
 HEAD = """
 import sys
 import time
@@ -63,7 +65,7 @@ def start(tmp_path):
         program = tmp_path / "program.py"
         program.write_text(HEAD + NODE + body)
         command = [sys.executable, "-m", "turtleact.rclpy", "--face=turtleact", "--alone"]
-        process = subprocess.Popen(
+        process = warm.start(
             [*command, str(program), *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
