@@ -10,6 +10,7 @@ import anyio
 import pytest
 
 from turtleact import open_node, recording
+from turtleact.clock import VirtualClock
 from turtleact.commands import bag_recording
 from turtleact.interfaces import encode, get_message
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
@@ -210,7 +211,7 @@ def goals(tmp_path):
     """A bag with two goals, and a message of ``/said``."""
 
     async def main():
-        transport = MemoryTransport()
+        transport = MemoryTransport(VirtualClock())  # it stands still
         async with counting(transport), open_node("asker", transport=transport) as node:
             client = node.action_client(Fibonacci, "fibonacci")
             said = node.publisher(String, "/said")

@@ -5,6 +5,7 @@ import pytest
 
 import turtleact
 from turtleact import TurtleactError, open_node, recording
+from turtleact.app import open_world
 from turtleact.clock import VirtualClock
 from turtleact.interfaces import WireFormat, encode
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
@@ -101,6 +102,14 @@ async def test_stamps_are_those_of_the_graph(tmp_path):
     await clock.aclose()
     found = await messages(tmp_path / "run")
     assert [each.stamp - start for each in found] == [250_000_000, 500_000_000, 750_000_000]
+
+
+async def test_virtual_time_stands_still_while_a_recording_is_closed(tmp_path):
+    async with open_world(speed="max") as node:
+        async with recording.record(node, tmp_path / "run"):
+            await node.clock.sleep(1)
+            before = node.clock.now()
+        assert node.clock.now() == before
 
 
 async def test_in_virtual_time_nothing_is_lost_however_little_may_wait(tmp_path):

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Collection, Iterable, Mapping
-from contextlib import aclosing, contextmanager
+from contextlib import aclosing
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -37,8 +37,9 @@ from turtleact.recording.recorded_goals import REQUESTS
 from turtleact.recording.recorder import RawFormat
 from turtleact.recording.schemas import class_of
 from turtleact.recording.selection import EVERYTHING, Selection, owner_of, part_of
+from turtleact.recording.spool import still
 from turtleact.recording.storage import Channel, Range
-from turtleact.tasks import current_tasks, thread_work
+from turtleact.tasks import current_tasks
 from turtleact.transports.base import Endpoint, Publication, QoS
 
 __all__ = ["PlayOptions", "Played", "play"]
@@ -385,21 +386,11 @@ class _GoalSender:
 async def _still(batches: AsyncIterator[list[Recorded]]) -> AsyncIterator[list[Recorded]]:
     """The same batches; virtual time stands still while a thread reads them."""
     while True:
-        with _at_work():
+        with still():
             batch = await anext(batches, None)
         if batch is None:
             return
         yield batch
-
-
-@contextmanager
-def _at_work() -> Any:  # noqa: ANN401  # a context manager
-    work = thread_work()
-    work.begin()
-    try:
-        yield
-    finally:
-        work.end()
 
 
 def _selection(node: Node, options: PlayOptions) -> Selection:

@@ -28,7 +28,7 @@ from turtleact.recording.mcap_writing import Compression
 from turtleact.recording.metadata import BagError, Offer
 from turtleact.recording.schemas import Schema, schema_of
 from turtleact.recording.selection import EVENT, EVERYTHING, Selection
-from turtleact.recording.spool import CAPACITY, Encode, Spool
+from turtleact.recording.spool import CAPACITY, Encode, Spool, still
 from turtleact.recording.storage import Channel
 from turtleact.tasks import Background, current_tasks
 from turtleact.transports.base import Closeable, Endpoint, QoS
@@ -295,7 +295,7 @@ async def record(
             await watch.aclose()
     finally:
         recording.close()
-        with anyio.CancelScope(shield=True):
+        with anyio.CancelScope(shield=True), still():
             await anyio.to_thread.run_sync(spool.close)
     if recording.error is not None:
         raise recording.error
