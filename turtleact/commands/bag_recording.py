@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from turtleact.commands import graph
 from turtleact.commands.output import counted, note
 from turtleact.recording import Recording, Selection, record
+from turtleact.recording.spool import CAPACITY
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
@@ -32,7 +33,7 @@ class Order(NamedTuple):
         selection: The topics, services and actions.
         max_size: When to begin another file (bytes); 0 for never.
         max_duration: Likewise (s).
-        capacity: How many bytes may wait to be written.
+        capacity: How many bytes may wait to be written; 0 for the default.
         compression: How chunks are compressed.
     """
 
@@ -63,7 +64,7 @@ def run(reach: Reach, order: Order, interrupts: Interrupts) -> int:
                 max_size=order.max_size,
                 max_duration=order.max_duration,
                 compression=order.compression,
-                capacity=order.capacity,
+                capacity=order.capacity or CAPACITY,
             ) as recording:
                 recorded.append(recording)
                 note(f"recording to {order.path}; Ctrl-C ends it")
