@@ -153,6 +153,21 @@ async def test_a_full_disk_ends_the_recording(node, tmp_path, monkeypatch):
     assert len(await messages(tmp_path / "run")) == 1
 
 
+async def test_an_unexpected_error_ends_the_recording_and_is_logged(
+    node, tmp_path, monkeypatch, caplog
+):
+    def write(*_):
+        raise ValueError("odd")
+
+    monkeypatch.setattr(BagWriter, "write", write)
+    publisher = node.publisher(String, "said")
+    with pytest.raises(BagError, match="cannot be written any more: odd"):  # noqa: PT012  # so does this
+        async with recording.record(node, tmp_path / "run") as run:
+            publisher.publish(String())
+            await run.wait_ended()
+    assert [each.message for each in caplog.records] == ["a bag cannot be written any more"]
+
+
 async def test_an_error_in_the_block_matters_more_than_the_disk(node, tmp_path, monkeypatch):
     monkeypatch.setattr(BagWriter, "write", lambda *_: open("/nowhere/at/all"))  # noqa: PTH123, SIM115
     publisher = node.publisher(String, "said")

@@ -119,7 +119,8 @@ class Recording:
         problem = self._spool.error
         if problem is None:
             return None
-        what = f"it cannot be written any more: {problem.strerror}"
+        reason = getattr(problem, "strerror", None) or problem
+        what = f"it cannot be written any more: {reason}"
         return BagError(self.path, f"{what}; what was recorded until then can be read")
 
     async def wait_ended(self) -> None:

@@ -79,7 +79,7 @@ class Spool:
         capacity: int = CAPACITY,
         is_patient: bool = False,
     ) -> None:
-        self.error: OSError | None = None
+        self.error: Exception | None = None
         self._writer = writer
         self._on_end = on_end
         self._capacity = capacity
@@ -183,8 +183,8 @@ class Spool:
                 if time.monotonic() - flushed >= FLUSH:
                     self._writer.flush()
                     flushed = time.monotonic()
-        except OSError as error:
-            self.error = error
+        except Exception as error:
+            self._fail(error)
         finally:
             self._end(entries)
 
@@ -243,7 +243,13 @@ class Spool:
             self._changed.notify_all()
         try:
             self._writer.close(dict(dropped))
-        except OSError as error:
-            self.error = self.error or error
+        except Exception as error:
+            self._fail(error)
         finally:
             self._on_end()
+
+    def _fail(self, error: Exception) -> None:
+        """Keep why writing has ended. Only a disk that is full or gone is expected."""
+        self.error = self.error or error
+        if not isinstance(error, OSError):
+            logger.error("a bag cannot be written any more", exc_info=error)
