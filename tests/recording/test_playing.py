@@ -14,7 +14,7 @@ from turtleact.interfaces import encode
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard import TurtlePose, Twist, Vector3
 from turtleact.interfaces.standard.std_msgs.msg import String
-from turtleact.recording import Selection
+from turtleact.recording import BagError, Selection
 from turtleact.recording.bag_writer import BagWriter, Split
 from turtleact.recording.converting import Output, convert
 from turtleact.recording.schemas import Schema
@@ -234,6 +234,38 @@ async def test_without_a_server_the_reason_is_counted(node, tmp_path):
     assert all("/fibonacci" in reason for _, reason in played.goals)
 
 
+async def test_a_loop_over_goals_starts_over(node, tmp_path):
+    await record_goals(node, tmp_path / "first")
+    accepted = []
+    with anyio.CancelScope() as scope:
+
+        def take(goal):
+            accepted.append(goal)
+            if len(accepted) == 5:  # the bag has three
+                scope.cancel()
+            return True
+
+        node.action_server(Fibonacci, "other", count, goal_callback=take)
+        await recording.play(
+            node,
+            tmp_path / "first",
+            send_goals=True,
+            rate="max",
+            loop=True,
+            remap={"/fibonacci": "/other"},
+        )
+    assert len(accepted) >= 5
+
+
+async def test_damage_is_raised_as_it_is(node, tmp_path):
+    path = write(tmp_path / "run.mcap", *range(100))
+    content = bytearray(path.read_bytes())
+    content[content.index(b"50\0")] ^= 0xFF
+    path.write_bytes(content)
+    with pytest.raises(BagError, match="is damaged"):
+        await recording.play(node, path, rate="max")
+
+
 # --- converting ----------------------------------------------------------------------------------
 
 
@@ -262,6 +294,13 @@ def test_a_conversion_can_be_ended(tmp_path):
     assert convert([first], [Output(path=tmp_path / "part")], lambda: False) == [0]
     with pytest.raises(TurtleactError, match="it exists already"):
         convert([first], [Output(path=tmp_path / "part")])
+
+
+def test_a_missing_bag_is_said_and_nothing_stays_open(tmp_path):
+    first = write(tmp_path / "first.mcap", 0)
+    with pytest.raises(BagError, match="it does not exist"):
+        convert([first, tmp_path / "other"], [Output(path=tmp_path / "whole")])
+    assert not (tmp_path / "whole").exists()
 
 
 def test_a_disk_that_is_full_ends_a_conversion(tmp_path, monkeypatch):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing
 from operator import attrgetter
 from pathlib import Path
 
@@ -58,22 +59,15 @@ def convert(
     Raises:
         BagError: if a bag cannot be read or written.
     """
-    bags = [Bag(path) for path in inputs]
-    writers: list[_Writing] = []
-    try:
-        for each in outputs:
-            writers.append(_Writing(each))
+    with ExitStack() as stack:
+        bags = [stack.enter_context(closing(Bag(path))) for path in inputs]
+        writers = [stack.enter_context(closing(_Writing(each))) for each in outputs]
         merged = heapq.merge(*(bag.messages(Range()) for bag in bags), key=attrgetter("stamp"))
         for count, raw in enumerate(merged):
             if not count % CHECK and not goes_on():
                 break
             for writer in writers:
                 writer.take(raw)
-    finally:
-        for writer in writers:
-            writer.close()
-        for bag in bags:
-            bag.close()
     return [writer.count for writer in writers]
 
 

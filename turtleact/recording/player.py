@@ -111,17 +111,25 @@ async def play(node: Node, path: str | Path, **options: Unpack[PlayOptions]) -> 
         raise InvalidOption("rate", f"expected a number above zero or 'max', not {rate!r}")
     bag = Bag(path)
     player = _Player(node, bag, options)
+    failure: TurtleactError | None = None
     try:
         async with anyio.create_task_group() as goals:
-            player.prepare(goals)
-            await player.wait_for_readers()
-            while True:
-                await player.run(None if rate == "max" else float(rate))
-                if not options.get("loop") or player.is_idle:
-                    break
+            try:
+                player.prepare(goals)
+                await player.wait_for_readers()
+                while True:
+                    await player.run(None if rate == "max" else float(rate))
+                    if not options.get("loop") or player.is_idle:
+                        break
+            except TurtleactError as error:  # the task group would wrap it
+                failure = error
+                goals.cancel_scope.cancel()
     finally:
-        player.close()
+        with anyio.CancelScope(shield=True):
+            await player.aclose()
         bag.close()
+    if failure is not None:
+        raise failure
     return player.played
 
 
@@ -159,10 +167,12 @@ class _Player:
                 elif part_of(channel.topic).part == "send_goal":
                     self._goals.expect(channel)
 
-    def close(self) -> None:
-        """Close the player."""
+    async def aclose(self) -> None:
+        """Close all publishers and clients."""
         for each in self._publications.values():
             each.close()
+        if self._goals is not None:
+            await self._goals.aclose()
 
     async def wait_for_readers(self) -> None:
         """Wait until what is on the graph can be reached, for `PATIENCE` at most."""
@@ -179,8 +189,8 @@ class _Player:
 
     @property
     def is_idle(self) -> bool:
-        """Whether nothing in the bag can be played."""
-        return not (self._outlets or self.played.goals)
+        """Whether nothing in the bag can be played, as `run` has found out."""
+        return not (self._outlets or (self._goals is not None and self._goals.has_sent))
 
     async def run(self, rate: float | None) -> None:
         """Play the bag once; without a rate, wait for nothing."""
@@ -287,6 +297,9 @@ class _GoalSender:
         tasks: Where the goals are awaited.
         remap: Other names of actions.
         played: Where to count how they end.
+
+    Attributes:
+        has_sent: Whether it has sent a goal since the bag was started.
     """
 
     def __init__(
@@ -296,6 +309,7 @@ class _GoalSender:
         remap: Mapping[str, str],
         played: Played,
     ) -> None:
+        self.has_sent = False
         self._node = node
         self._tasks = tasks
         self._remap = remap
@@ -319,8 +333,14 @@ class _GoalSender:
             if f"{client.name}{SEND_GOAL}" in served:
                 await client.wait_for_server()
 
+    async def aclose(self) -> None:
+        """Close the clients."""
+        for client in self._clients.values():
+            await client.aclose()
+
     def start_over(self) -> None:
         """Take all goals for new ones."""
+        self.has_sent = False
         self._handles.clear()
         self._canceled.clear()
 
@@ -353,6 +373,7 @@ class _GoalSender:
         client = self._clients.get(self._remap.get(action, action))
         if client is None:  # it is not known here
             return
+        self.has_sent = True
         goal = msgspec.structs.astuple(request.goal)
         self._tasks.start_soon(self._follow, client, client.action_type.Goal(*goal), old)
 
