@@ -367,6 +367,14 @@ def test_a_disk_that_is_full_when_a_file_ends_loses_no_count(tmp_path, monkeypat
     assert len(stamps(tmp_path / "run")) == info_of(tmp_path / "run").count == 10
 
 
+def test_without_room_for_its_head_no_file_is_left(tmp_path, monkeypatch):
+    made = Path.open
+    monkeypatch.setattr(Path, "open", lambda self, *a, **k: Disk(made(self, *a, **k), 0))
+    with pytest.raises(OSError, match="No space left"):
+        McapWriter(tmp_path / "run.mcap")
+    assert not list(tmp_path.iterdir())
+
+
 def test_without_any_room_the_file_stays_open(tmp_path, monkeypatch):
     writer = McapWriter(tmp_path / "run.mcap")
     monkeypatch.setattr(writer, "_append", lambda _: os.write(-1, b""))

@@ -82,7 +82,11 @@ class Bag:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._open: dict[Path, BagStorage] = {}
-        self.info = self._look()
+        try:
+            self.info = self._look()
+        except BaseException:
+            self.close()
+            raise
 
     def close(self) -> None:
         """Close the bag's files."""
@@ -194,10 +198,8 @@ class Bag:
 class Reading:
     """Reads the messages of a bag in a thread, and decodes them in the event loop.
 
-    Use it as an async iterator, and as a context manager to close the bag.
-
     Args:
-        bag: The bag.
+        bag: The bag; whoever opened it closes it.
         wanted: Which messages to read.
         is_decoded: Whether to decode them.
     """

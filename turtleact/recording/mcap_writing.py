@@ -97,7 +97,12 @@ class McapWriter:
         self._metadata: list[MetadataIndex] = []
         self._last: deque[_Written] = deque(maxlen=HELD_BACK)
         self._begin_chunk()
-        self._append(MAGIC + _bytes_of(Header("ros2", "turtleact")))
+        try:
+            self._append(MAGIC + _bytes_of(Header("ros2", "turtleact")))
+        except OSError:  # an empty file would make the folder's other files unreadable
+            self._file.close()
+            path.unlink()
+            raise
 
     @property
     def size(self) -> int:
@@ -226,10 +231,6 @@ class McapWriter:
                     self._give_up_chunk()
         finally:
             self._file.close()
-
-    def abandon(self) -> None:
-        """Close the file without an index."""
-        self._file.close()
 
     def _begin_chunk(self) -> None:
         self._parts: list[bytes] = []
