@@ -259,7 +259,7 @@ class _SendGoal(_ActionService):
     Attributes:
         goal_server: The server, for clients in the same process; see `turtleact.goal_server`. It is
             missing if an observer watches the requests: then these clients send messages, too.
-            expect_readers: Called with the first goal from another process, whose client reads
+        expect_readers: Called with the first goal from another process, whose client reads
             feedback.
     """
 
