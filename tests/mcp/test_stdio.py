@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -58,10 +58,15 @@ class Pipes:
         os.close(self._ours)
         self._ours = -1
 
+    def stop_listening(self) -> None:
+        os.close(self._answers)
+        self._answers = -1
+
     def close(self) -> None:
         if self._ours >= 0:
             os.close(self._ours)
-        os.close(self._answers)
+        if self._answers >= 0:
+            os.close(self._answers)
         for end in self._ends:
             end.close()
 
@@ -136,6 +141,18 @@ async def test_a_client_is_greeted_once_and_before_the_server_is_there(pipes):
                 await pipes.send({"id": 0, "method": "ping"})
                 assert (await pipes.answer())["result"] == {}
                 pipes.hang_up()
+
+
+async def test_a_server_does_not_wait_for_a_client_that_has_gone_before_its_greeting(pipes):
+    pipes.stop_listening()
+    with pipes.in_place():
+        async with open_wire() as wire:
+            await pipes.send(HELLO)
+            pipes.hang_up()
+            lines = [line async for line in wire]
+    assert len(lines) == 1  # and then the end of stdin
+    with suppress(BrokenPipeError):  # the greeting is still in the buffer
+        pipes.inner[1].close()
 
 
 async def test_a_client_that_says_hello_late_is_answered_by_the_sdk(pipes):

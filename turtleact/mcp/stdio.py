@@ -17,7 +17,7 @@ import os
 import stat
 import sys
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from importlib.metadata import version
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, TextIO, cast
@@ -65,14 +65,17 @@ class Wire:
 
     async def greet(self) -> None:
         """Read the first line, and answer it if it asks for nothing but a greeting."""
-        if self.lines is not None:
-            self._first = await anext(self.lines, None)
-        if self._first is not None and not self.is_taken:
-            self.greeting = greet(self._first, version("turtleact"))
-        if self.greeting is not None:
-            sys.stdout.buffer.write(self.greeting.line)
-            sys.stdout.buffer.flush()
-        self.greeted.set()
+        try:
+            if self.lines is not None:
+                self._first = await anext(self.lines, None)
+            if self._first is not None and not self.is_taken:
+                self.greeting = greet(self._first, version("turtleact"))
+            if self.greeting is not None:
+                with suppress(BrokenPipeError):  # the client has gone; the end of stdin says so
+                    sys.stdout.buffer.write(self.greeting.line)
+                    sys.stdout.buffer.flush()
+        finally:
+            self.greeted.set()
 
     async def __aiter__(self) -> AsyncIterator[str]:
         """All lines, also the first."""

@@ -6,8 +6,8 @@ waitables of all nodes, then for each node its timers, subscriptions, guard cond
 services.
 
 Threads: `_wake` protects only its own flag and condition. Nodes, tasks and groups have locks of
-    their own, and no callback runs while one of those is held. The waiting thread takes the data
-    from an entity and reserves its group; the callback itself may run in another thread.
+their own, and no callback runs while one of those is held. The waiting thread takes the data from
+an entity and reserves its group; the callback itself may run in another thread.
 """
 
 from __future__ import annotations
