@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
 import urllib.error
 import urllib.request
@@ -113,6 +114,18 @@ async def test_what_makes_no_sense_is_refused(url):
 async def test_pages_of_other_sites_get_nothing(url):
     assert (await get(f"{url}bag", Host="evil.example"))[0] == 403
     assert (await get(f"{url}bag", Origin="https://evil.example"))[0] == 403
+
+
+async def test_a_pose_that_is_no_number_is_left_out(tmp_path):
+    writer = BagWriter(tmp_path / "odd.mcap", Split())
+    writer.add(0, Channel(topic="/turtle1/pose", schema=schema_of(TurtlePose)))
+    for second, x in enumerate((1.0, math.nan, 3.0)):
+        stamp = START + second * 10**9
+        writer.write(0, stamp, stamp, encode(TurtlePose(x=x)))
+    writer.close({})
+    async with open_bag_view(tmp_path / "odd.mcap") as shown:
+        poses = await values(f"{shown.url}poses?start=0&end=3")
+    assert [x for _, x, _, _ in poses["/turtle1/pose"]] == [1.0, 3.0]
 
 
 async def test_only_what_is_shown_is_read(tmp_path, monkeypatch):

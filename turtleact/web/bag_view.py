@@ -10,6 +10,7 @@ Like the page of a node, this listens on loopback, and refuses requests for othe
 from __future__ import annotations
 
 import json
+import math
 import secrets
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -56,6 +57,7 @@ CLOSEST: Final = 25_000_000
 
 MOST_TURTLES: Final = 64
 MOST_CONNECTIONS: Final = 64
+MOST_REACHED: Final = 1000
 
 COORDINATES: Final = frozenset({"x", "y", "theta"})
 """The fields of a pose that can be drawn."""
@@ -101,7 +103,8 @@ class BagView:
                     found = await anyio.to_thread.run_sync(partial(self._answers[path], asked))
             except (BagError, ValueError) as error:
                 return _text(400, str(error))
-            return Response(json.dumps(found), headers=HEADERS, media_type="application/json")
+            content = msgspec.json.encode(found)  # unlike json, this writes null for NaN
+            return Response(content, headers=HEADERS, media_type="application/json")
         if path in PAGE:
             name, media_type = PAGE[path]
             return Response(_file("bag_page", name), headers=HEADERS, media_type=media_type)
@@ -141,7 +144,7 @@ class BagView:
                 continue
             latest[topic] = raw.stamp
             pose: Any = readers[topic](raw.data)
-            if pose is not None:
+            if pose is not None and all(map(math.isfinite, (pose.x, pose.y, pose.theta))):
                 found[topic].append([(raw.stamp - origin) / 1e9, pose.x, pose.y, pose.theta])
         return found
 
@@ -162,7 +165,8 @@ class BagView:
             count = getattr(getattr(message, "feedback", None), "reached", None)
             if isinstance(count, int):
                 known = times.setdefault(bytes(message.goal_id.uuid), [])
-                known += [(raw.stamp - self._bag.info.start) / 1e9] * (count - len(known))
+                more = min(count, MOST_REACHED) - len(known)
+                known += [(raw.stamp - self._bag.info.start) / 1e9] * more
         return times
 
     def _channels(self) -> dict[str, Channel]:
