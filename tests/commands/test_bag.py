@@ -341,6 +341,7 @@ def test_a_bag_is_converted_as_a_file_for_ros2_bag_says(turtleact, bag, tmp_path
         ("a: 1", "needs a list 'output_bags'"),
         ("output_bags: [{uri: a, compression_mode: file}]", "no option compression_mode"),
         ("output_bags: [{uri: a, storage_id: sqlite3}]", "needs a 'uri', and the storage_id mcap"),
+        ("output_bags: [{uri: a, max_bagfile_size: x}]", "cannot be understood: invalid literal"),
         ("output_bags: [{}]", "needs a 'uri', and the storage_id mcap"),
     ],
 )

@@ -69,7 +69,10 @@ def outputs_in(path: Path) -> list[Output]:
     wanted = said.get("output_bags") if isinstance(said, dict) else None
     if not isinstance(wanted, list) or not all(isinstance(each, dict) for each in wanted):
         raise UsageError(f"'{path}' needs a list 'output_bags', as for ros2 bag convert")
-    return [_output(path, each) for each in wanted]
+    try:
+        return [_output(path, each) for each in wanted]
+    except (TypeError, ValueError) as error:  # a value of another type
+        raise UsageError(f"'{path}' cannot be understood: {error}") from None
 
 
 def run(inputs: Sequence[Path], outputs: Sequence[Output], interrupts: Interrupts) -> int:

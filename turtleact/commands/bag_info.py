@@ -14,16 +14,13 @@ from typing import NamedTuple
 from turtleact.commands.output import say_names
 from turtleact.recording.bag import Bag
 from turtleact.recording.metadata import BagInfo, BagTopic
-from turtleact.recording.selection import EVENT, owner_of, part_of
+from turtleact.recording.selection import EVENT, REQUESTS, owner_of, part_of
 from turtleact.recording.storage import Range
 
 __all__ = ["print_info"]
 
 INDENT = 19
 """The width of the names at the left."""
-
-REQUESTS = frozenset({0, 1})
-"""The kinds of service events that belong to a request; the others belong to a response."""
 
 _SIZES = ("B", "KiB", "MiB", "GiB", "TiB")
 

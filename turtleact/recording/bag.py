@@ -20,6 +20,7 @@ from turtleact.errors import InvalidMessage
 from turtleact.interfaces import Message
 from turtleact.recording.mcap_reading import McapFile
 from turtleact.recording.metadata import (
+    METADATA,
     ROOT,
     BagError,
     BagFile,
@@ -32,9 +33,7 @@ from turtleact.recording.schemas import Schema, class_of
 from turtleact.recording.sqlite_reading import SqliteFile
 from turtleact.recording.storage import BagStorage, Channel, Range, Raw
 
-__all__ = ["METADATA", "Bag", "Reading", "Recorded", "read", "reader_of"]
-
-METADATA: Final = "metadata.yaml"
+__all__ = ["Bag", "Reading", "Recorded", "read", "reader_of"]
 
 SUFFIXES: Final = {".mcap": "mcap", ".db3": "sqlite3"}
 

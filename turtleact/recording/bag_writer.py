@@ -17,6 +17,7 @@ import msgspec
 
 from turtleact.recording.mcap_writing import Compression, McapWriter
 from turtleact.recording.metadata import (
+    METADATA,
     BagError,
     BagFile,
     BagInfo,
@@ -32,8 +33,6 @@ __all__ = ["BagWriter", "Split"]
 
 DISTRO: Final = "turtleact"
 """What a bag says instead of a distribution of ROS."""
-
-METADATA: Final = "metadata.yaml"
 
 
 class Split(msgspec.Struct, frozen=True, kw_only=True):

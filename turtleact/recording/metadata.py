@@ -20,6 +20,7 @@ from turtleact.errors import TurtleactError
 from turtleact.transports.base import QoS, TimePolicies
 
 __all__ = [
+    "METADATA",
     "ROOT",
     "BagError",
     "BagFile",
@@ -37,6 +38,8 @@ __all__ = [
 
 VERSION: Final = 9
 """The version of the format that is written."""
+
+METADATA: Final = "metadata.yaml"
 
 ROOT: Final = "rosbag2_bagfile_information"
 

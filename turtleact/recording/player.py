@@ -33,10 +33,9 @@ from turtleact.names import resolve_name
 from turtleact.node import Node
 from turtleact.recording.bag import Bag, Reading, Recorded, reader_of
 from turtleact.recording.metadata import Offer
-from turtleact.recording.recorded_goals import REQUESTS
 from turtleact.recording.recorder import RawFormat
 from turtleact.recording.schemas import class_of
-from turtleact.recording.selection import EVERYTHING, Selection, owner_of, part_of
+from turtleact.recording.selection import EVERYTHING, REQUESTS, Selection, owner_of, part_of
 from turtleact.recording.spool import still
 from turtleact.recording.storage import Channel, Range
 from turtleact.tasks import current_tasks

@@ -17,15 +17,12 @@ import msgspec
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import nanoseconds
 from turtleact.recording.bag import Bag, Reading, Recorded
-from turtleact.recording.selection import Selection, owner_of, part_of
+from turtleact.recording.selection import REQUESTS, Selection, owner_of, part_of
 from turtleact.recording.storage import Range
 
 __all__ = ["ENDED", "RecordedGoal", "goals"]
 
 ENDED: Final = frozenset({GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED})
-
-REQUESTS: Final = frozenset({0, 1})
-"""The kinds of events, sent and received, that have a request."""
 
 
 class RecordedGoal(msgspec.Struct, kw_only=True):

@@ -15,10 +15,13 @@ import msgspec
 
 from turtleact.errors import InvalidOption
 
-__all__ = ["EVENT", "Part", "Selection", "owner_of", "part_of"]
+__all__ = ["EVENT", "REQUESTS", "Part", "Selection", "owner_of", "part_of"]
 
 EVENT: Final = "/_service_event"
 """What the name of a service is followed by in the topic of its events."""
+
+REQUESTS: Final = frozenset({0, 1})
+"""The kinds of events, sent and received, that have a request; the others have a response."""
 
 Owner: TypeAlias = Literal["topic", "service", "action"]
 
