@@ -55,6 +55,7 @@ def lab(tmp_path: Path) -> Path:
 async def test_serve_exports_traces_and_serves_metrics_and_logs_in_json(lab):
     at = free_endpoint()
     options = ["--otel", "--metrics", "0", "--log-format", "json", "--listen", at, "--no-sim"]
+    options += ["-p", "gripper:=1"]
     with collecting() as collector:
         process = warm.start(
             [sys.executable, "-m", "turtleact", "serve", "tracedlab", *options],
@@ -94,7 +95,9 @@ async def test_serve_exports_traces_and_serves_metrics_and_logs_in_json(lab):
     told = [(each["action"], each["status"]) for each in changes if "status" in each]
     assert told[-2:] == [("/inner", "SUCCEEDED"), ("/outer", "SUCCEEDED")]
     assert changes[-1]["goal_id"] == goal_id
-    (said,) = [each for each in map(json.loads, err.splitlines()) if each["logger"] == "lab"]
+    records = [json.loads(line) for line in err.splitlines()]
+    assert any("no module declares a parameter 'gripper'" in each["message"] for each in records)
+    (said,) = [each for each in records if each["logger"] == "lab"]
     assert (said["message"], said["goal_id"], said["action"]) == ("order 3", goal_id, "/outer")
     assert said["trace_id"] == outer.trace_id.hex()
     assert collector.points("ros.action.goals")["/outer", "succeeded"].as_int == 1

@@ -182,14 +182,14 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
             graph = partial(_open_graph, service, opened)
             with interrupts.beginning(0):
                 on_node = await stack.enter_async_context(observing(service.watched, log.say))
-                options = await stack.enter_async_context(_open_journal(service))
+                options = await stack.enter_async_context(_open_journal(service, log))
                 opening = _open_node(service, graph, log, options, on_node)
                 node = await stack.enter_async_context(opening)
             if interrupts.received:
                 return 0
             reloader = Reloader(node, work.modules, work.watch, interrupts, log.reload)
             await stack.enter_async_context(aclosing(reloader))
-            await _until_signal(interrupts, _begin(service, work.found, reloader, options))
+            await _until_signal(interrupts, _begin(service, work.found, reloader, options, log))
             if interrupts.received:
                 return 0
             if service.reload:
@@ -216,7 +216,7 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
 
 
 @asynccontextmanager
-async def _open_journal(service: Service) -> AsyncIterator[Kept]:
+async def _open_journal(service: Service, log: ServerLog) -> AsyncIterator[Kept]:
     """Open the journal; gives the options of the servers that use it.
 
     With ``--wait``, this waits until the process that writes the journal has gone.
@@ -247,13 +247,15 @@ async def _open_journal(service: Service) -> AsyncIterator[Kept]:
                 if not service.wait:
                     raise
                 if not told:
-                    note(f"{held}: waiting until that has gone")
+                    log.note(f"{held}: waiting until that has gone")
                 told = True
                 await anyio.sleep(STANDBY)
         yield {"journal": journal, "on_restart": keeping.on_restart}
 
 
-async def _begin(service: Service, found: Found, reloader: Reloader, options: Kept) -> None:
+async def _begin(
+    service: Service, found: Found, reloader: Reloader, options: Kept, log: ServerLog
+) -> None:
     """Serve what the user has declared."""
     node = reloader.node
     node.first_values |= of_node(service.overrides, node.fully_qualified_name)
@@ -261,7 +263,7 @@ async def _begin(service: Service, found: Found, reloader: Reloader, options: Ke
         node.parameter(declaration)
     declared = [each.name for each in found.parameters]
     for text in unheard(service.overrides, node.fully_qualified_name, declared):
-        note(text)
+        log.note(text)
     servers = await serve_declared(node, found.actions, wait=service.wait, **options)
     reloader.adopt(found, servers, options)
 
