@@ -262,7 +262,7 @@ class ClientEndpoints:
 
         Args:
             goals: Has an object of any kind for the id of each goal whose feedback is wanted.
-                take_feedback: Called with that object and the feedback message.
+            take_feedback: Called with that object and the feedback message.
         """
         if self.is_open:
             return

@@ -4,10 +4,9 @@ Each goal has a `Goal` object here, which messages from the server keep up to da
 requests: one sends it, the other waits for its result. There are two ways to send them:
 
 - A server of turtleact gets both requests at once, which saves a round trip. It answers the second
-request when the goal has ended. No task waits for the replies: the client handles them as they
-arrive. If the second
-  request arrives before the server knows the goal, the server says so. From then on the client
-  sends the requests one after the other.
+  request when the goal has ended. No task waits for the replies: the client handles them as they
+  arrive. If the second request arrives before the server knows the goal, the server says so. From
+  then on the client sends the requests one after the other.
 - A ROS 2 server gets one request after the other, because ROS 2 services may answer in any order.
 
 The client uses a task only where it has to wait: for a server of unknown kind, for the answer to a

@@ -318,7 +318,8 @@ class Rotation:
 
         Exactly opposite turns right.
 
-        Returns: The turn rate (rad/s), or None if the heading is reached and the turtle must stand
+        Returns:
+            The turn rate (rad/s), or None if the heading is reached and the turtle must stand
             still.
         """
         now, turned = array("f", (theta, self._start - theta))

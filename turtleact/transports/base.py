@@ -87,7 +87,7 @@ class QoS(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         depth: How many messages are kept for a reader that lags (keep last), at least 1.
         durability: ``"transient_local"`` also keeps messages for readers that come later.
-            reliability: ``"best_effort"`` allows the transport to lose messages.
+        reliability: ``"best_effort"`` allows the transport to lose messages.
 
     Raises:
         InvalidMessage: if an attribute has another value.

@@ -7,7 +7,7 @@ be carried out in order.
 - Several subscriptions of one topic, with different ids, share one subscription on the graph. The
   shortest ``throttle_rate`` and the newest ``compression`` apply to all of them.
 - Without an id, ``unsubscribe`` and ``unadvertise`` end everything that the client has opened for
-the topic.
+  the topic.
 - Only clients that have sent ``set_level`` get ``status``: the libraries fail on operations that
   they do not expect.
 
