@@ -67,7 +67,7 @@ class Publisher(Generic[M]):
 def publish_unchecked(publisher: Publisher[M], message: M) -> None:
     """Send a message without checking or copying it; does nothing if the publisher is closed.
 
-    The caller guarantees that the message is valid and never changes it afterwards.
+    The message must be valid, and the caller must not change it afterwards.
     """
     publication = publisher._publication
     if publisher.is_open and publication.has_readers:

@@ -458,7 +458,7 @@ class _ClientObservers(Observers):
         self._set_relay()
 
     def _set_relay(self) -> None:
-        """Have the relay among the observers of the server if, and only if, it is needed."""
+        """Register the relay with the server's observers if it is needed; otherwise remove it."""
         wanted = self._theirs if self.want_goals else None
         if wanted is not self._relayed:
             if self._relayed is not None:

@@ -87,7 +87,7 @@ class PosixConsole:
     """A terminal with modes and job control."""
 
     def can_move(self) -> bool:
-        """Ask the environment."""
+        """Whether the terminal obeys control sequences, judged by ``TERM``."""
         return os.environ.get("TERM", "") not in ("", "dumb", "unknown")
 
     def is_in_foreground(self, stream: TextIO) -> bool:

@@ -530,7 +530,7 @@ def _message(value: object, where: str) -> ParameterValue:
 
 
 def _flat(tree: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
-    """The values of a tree, with dots between the names on the way to them."""
+    """Yield each value of a nested mapping with its dotted name, such as ``a.b.c``."""
     for name, value in tree.items():
         if isinstance(value, dict):
             yield from _flat(value, f"{prefix}{name}.")

@@ -115,7 +115,7 @@ def colour_of(turtle: str) -> str:
 
 
 class Motion:
-    """How a turtle moves, told from its poses: turtlesim's speeds have no sign.
+    """How a turtle moves, inferred from its poses, because turtlesim's speeds have no sign.
 
     Attributes:
         is_reversing: Whether it has just moved against its heading.

@@ -259,7 +259,7 @@ class Tasks:
         return {}
 
     async def _cancel(self, ctx: Request, params: TaskParams) -> dict[str, Any]:
-        """Ask the server to cancel the goal; its task shows later if the server agreed."""
+        """Ask the server to cancel the goal. The task's status shows later whether it agreed."""
         task = await self._find(ctx, params.task_id)
         if task.handle is not None and not task.handle.done:
             task.handle.cancel_nowait()

@@ -30,7 +30,7 @@ ATTEMPT: Final = (
 
 
 def chosen_face(asked: str) -> tuple[Literal["turtleact", "ros"], str]:
-    """Return whose rclpy to use, and the name of the genuine one's middleware if it is used.
+    """Return whose rclpy to use. For the genuine rclpy, the second value names its middleware.
 
     Args:
         asked: What the user asked for.

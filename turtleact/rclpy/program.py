@@ -75,7 +75,7 @@ def prepare(options: Options, *folders: Path) -> None:
 
 
 def offer_neighbours(*folders: Path) -> None:
-    """Make the interfaces of packages near these folders known, after all others.
+    """Make the interfaces of packages near these folders known; other places take precedence.
 
     A folder above them that is called ``src``, or contains one, is searched as well.
     """

@@ -338,7 +338,7 @@ class _GoalSender:
             await client.aclose()
 
     def start_over(self) -> None:
-        """Take all goals for new ones."""
+        """Forget the goals sent so far, so that the next round sends all of them again."""
         self.has_sent = False
         self._handles.clear()
         self._canceled.clear()

@@ -83,7 +83,7 @@ class Tasks(Protocol):
         """End the program because a task raised `SystemExit` or `KeyboardInterrupt`."""
 
     def stoppable(self) -> AbstractContextManager[None]:
-        """Make a block that `stop_program` ends, for loops whose tasks cannot end the program."""
+        """Return a context manager whose block `stop_program` ends; only trio needs it."""
 
 
 def is_cancellation(error: BaseException, tasks: Tasks) -> bool:

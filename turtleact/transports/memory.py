@@ -162,7 +162,7 @@ class MemoryTransport:
         return _Opened(partial(self._depart, number))
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints on the graph, or those with a name, in the order they were opened.
+        """All endpoints on the graph, or only those called ``name``, in the order they were opened.
 
         A list of all leaves out those that are unlisted.
         """

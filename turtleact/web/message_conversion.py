@@ -96,7 +96,7 @@ def request(op: str, **members: object) -> str:
 
 
 def reply(op: str, id: Id, **members: object) -> str:
-    """A frame that answers another one, with the id of that one, if it had any."""
+    """A frame that answers a request; it repeats the request's id, if there was one."""
     if id is not None:
         members["id"] = id
     return request(op, **members)

@@ -264,7 +264,7 @@ class Parameters:
 
     Args:
         node: Its graph has the nodes.
-        ask: Calls its services.
+        ask: Calls the parameter services of those nodes.
     """
 
     def __init__(self, node: Node, ask: Ask) -> None:

@@ -369,7 +369,7 @@ class Leg(msgspec.Struct, frozen=True):
 class Cell(msgspec.Struct, frozen=True):
     """Headings between two legs: the middle one (rad), their range, and the least cost up to there.
 
-    ``before`` is the cell at the previous corner from which that cost comes.
+    ``before`` is the cell at the previous corner that leads here at this cost.
     """
 
     heading: float

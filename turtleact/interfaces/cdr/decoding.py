@@ -96,8 +96,9 @@ def text_decoder(field_type: FieldType, order: str) -> Part:
 class Reader:
     """Writes the source code of a decoder.
 
-    Each method adds code that reads a value, and returns an expression for it. The expression may
-    be used once the pending run is flushed.
+    Each method adds code that reads a value, and returns an expression for it. The expression is
+    only valid behind the code that `flush` adds, which reads the pending run: values that are read
+    in one call.
 
     Attributes:
         source: The code so far.
