@@ -39,6 +39,7 @@ async def test_ended_goals_are_counted_by_status_with_their_durations():
     gate = Gate()
     async with turtleact.open_node("all") as node:
         metrics.watch(node)
+        metrics.watch(node)  # does nothing
         node.action_server(Count, "count", count)
         node.action_server(Count, "wait", gate.wait)
         client = node.action_client(Count, "count")

@@ -20,6 +20,7 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterator
 from typing import Final, NamedTuple, TypeAlias
+from weakref import WeakSet
 
 from turtleact.node import Node
 from turtleact.telemetry.measuring import BOUNDS, measure
@@ -96,6 +97,7 @@ class GoalMetrics:
     """
 
     def __init__(self) -> None:
+        self._nodes = WeakSet[Node]()
         self._goals = Counter[Labels]()
         self._active = Counter[Labels]()
         self._lost = Counter[Labels]()
@@ -104,8 +106,13 @@ class GoalMetrics:
         self._lags: dict[Labels, _Histogram] = {(): _Histogram()}
 
     def watch(self, node: Node) -> None:
-        """Count the goals that a node serves and sends, from now on."""
-        measure(node, self)
+        """Count the goals that a node serves and sends, from now on.
+
+        A second call for the same node does nothing.
+        """
+        if node not in self._nodes:
+            self._nodes.add(node)
+            measure(node, self)
 
     def text(self) -> str:
         """All metrics in Prometheus's text format."""
