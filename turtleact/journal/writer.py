@@ -15,8 +15,8 @@ import sqlite3
 import threading
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from functools import partial
 from pathlib import Path
 
@@ -161,7 +161,7 @@ class Journal:
             JournalError: if it cannot be opened.
         """
         self._thread.start()
-        with anyio.CancelScope(shield=True), self._at_work():
+        with anyio.CancelScope(shield=True), self._thread_work.counted():
             await self._opened.wait()
         if self._error is not None:
             raise self._error
@@ -172,16 +172,8 @@ class Journal:
             self._is_closing = True
             self._deadline = time.monotonic() + CLOSING
             self._changed.notify()
-        with anyio.CancelScope(shield=True), self._at_work():
+        with anyio.CancelScope(shield=True), self._thread_work.counted():
             await self._ended.wait()
-
-    @contextmanager
-    def _at_work(self) -> Iterator[None]:
-        self._thread_work.begin()
-        try:
-            yield
-        finally:
-            self._thread_work.end()
 
     async def _write(self, work: Accept | Withdraw) -> None:
         """Put something on disk and wait until it is there.

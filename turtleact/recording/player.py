@@ -36,9 +36,8 @@ from turtleact.recording.metadata import Offer
 from turtleact.recording.recorder import RawFormat
 from turtleact.recording.schemas import class_of
 from turtleact.recording.selection import EVERYTHING, REQUESTS, Selection, owner_of, part_of
-from turtleact.recording.spool import still
 from turtleact.recording.storage import Channel, Range
-from turtleact.tasks import current_tasks
+from turtleact.tasks import current_tasks, thread_work
 from turtleact.transports.base import Endpoint, Publication, QoS
 
 __all__ = ["PlayOptions", "Played", "play"]
@@ -406,7 +405,7 @@ class _GoalSender:
 async def _still(batches: AsyncIterator[list[Recorded]]) -> AsyncIterator[list[Recorded]]:
     """The same batches; virtual time stands still while a thread reads them."""
     while True:
-        with still():
+        with thread_work().counted():
             batch = await anext(batches, None)
         if batch is None:
             return

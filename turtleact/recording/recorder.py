@@ -28,9 +28,9 @@ from turtleact.recording.mcap_writing import Compression
 from turtleact.recording.metadata import BagError, Offer
 from turtleact.recording.schemas import Schema, schema_of
 from turtleact.recording.selection import EVENT, EVERYTHING, Selection
-from turtleact.recording.spool import CAPACITY, Encode, Spool, still
+from turtleact.recording.spool import CAPACITY, Encode, Spool
 from turtleact.recording.storage import Channel
-from turtleact.tasks import Background, current_tasks
+from turtleact.tasks import Background, current_tasks, thread_work
 from turtleact.transports.base import Closeable, Endpoint, QoS
 
 __all__ = ["RawFormat", "RecordOptions", "Recording", "record"]
@@ -296,7 +296,7 @@ async def record(
             await watch.aclose()
     finally:
         recording.close()
-        with anyio.CancelScope(shield=True), still():
+        with anyio.CancelScope(shield=True), thread_work().counted():
             await anyio.to_thread.run_sync(spool.close)
     if recording.error is not None:
         raise recording.error

@@ -15,16 +15,14 @@ import logging
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Final, TypeAlias
 
 from turtleact.errors import InvalidMessage
 from turtleact.recording.bag_writer import BagWriter
 from turtleact.recording.storage import Channel
-from turtleact.tasks import thread_work
 
-__all__ = ["CAPACITY", "Encode", "Spool", "still"]
+__all__ = ["CAPACITY", "Encode", "Spool"]
 
 logger = logging.getLogger("turtleact.recording")
 
@@ -45,17 +43,6 @@ YIELD: Final = 64
 
 Entry: TypeAlias = tuple[int, int, object]
 Encode: TypeAlias = Callable[[object], bytes]
-
-
-@contextmanager
-def still() -> Iterator[None]:
-    """A block that waits for a thread, in which virtual time stands still."""
-    work = thread_work()
-    work.begin()
-    try:
-        yield
-    finally:
-        work.end()
 
 
 class Spool:

@@ -17,8 +17,8 @@ from __future__ import annotations
 import asyncio
 import logging
 import selectors
-from collections.abc import Awaitable, Callable, Sized
-from contextlib import suppress
+from collections.abc import Awaitable, Callable, Iterator, Sized
+from contextlib import contextmanager, suppress
 from typing import cast
 
 import anyio
@@ -159,6 +159,15 @@ class ThreadWork:
             self._limiter.release_on_behalf_of(self)
         if self._done is not None:
             self._done()
+
+    @contextmanager
+    def counted(self) -> Iterator[None]:
+        """A block that counts as one piece of work, such as a wait for a thread."""
+        self.begin()
+        try:
+            yield
+        finally:
+            self.end()
 
     @property
     def is_under_way(self) -> bool:
