@@ -1,9 +1,12 @@
 """Playing: the same messages at the same distances, and the same goals with new ids."""
 
+import gc
+from contextlib import aclosing
 from functools import partial
 from typing import Any
 
 import anyio
+import anyio.lowlevel
 import pytest
 
 import turtleact
@@ -255,6 +258,15 @@ async def test_a_loop_over_goals_starts_over(node, tmp_path):
             remap={"/fibonacci": "/other"},
         )
     assert len(accepted) >= 5
+
+
+@pytest.mark.parametrize("anyio_backend", ["trio"])
+async def test_a_reader_that_leaves_early_leaves_nothing_to_the_garbage_collector(tmp_path):
+    path = write(tmp_path / "run", *range(10))
+    async with aclosing(recording.read(path)) as messages:
+        assert (await anext(messages)).topic == "/said"
+    gc.collect()
+    await anyio.lowlevel.checkpoint()
 
 
 async def test_damage_is_raised_as_it_is(node, tmp_path):

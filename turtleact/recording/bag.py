@@ -9,7 +9,8 @@ Source: rosbag2 ``docs/storage_plugin_development.md`` and ``sequential_reader.c
 from __future__ import annotations
 
 import re
-from collections.abc import AsyncIterator, Callable, Collection, Iterator
+from collections.abc import AsyncGenerator, Callable, Collection, Iterator
+from contextlib import aclosing
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final
@@ -209,7 +210,7 @@ class Reading:
         self._is_decoded = is_decoded
         self._classes: dict[Channel, Callable[[bytes], Message | None]] = {}
 
-    async def batches(self) -> AsyncIterator[list[Recorded]]:
+    async def batches(self) -> AsyncGenerator[list[Recorded]]:
         """The messages, several at once. Cancelling: safe."""
         import anyio.to_thread  # slow to import, and not needed to look at a bag
 
@@ -254,7 +255,7 @@ async def read(
     topics: Collection[str] | None = None,
     start: int = 0,
     end: int | None = None,
-) -> AsyncIterator[Recorded]:
+) -> AsyncGenerator[Recorded]:
     """Read the messages of a bag, ordered by stamp.
 
     The bag may have been recorded by turtleact, rosbag2 or rosbags, as MCAP or SQLite. Of a large
@@ -274,9 +275,10 @@ async def read(
     wants = None if topics is None else frozenset(topics).__contains__
     bag = await anyio.to_thread.run_sync(Bag, path)
     try:
-        async for batch in Reading(bag, Range(start, end, wants)).batches():
-            for message in batch:
-                yield message
+        async with aclosing(Reading(bag, Range(start, end, wants)).batches()) as batches:
+            async for batch in batches:
+                for message in batch:
+                    yield message
     finally:
         bag.close()
 

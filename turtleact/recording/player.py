@@ -215,17 +215,18 @@ class _Player:
         wants = None if is_exact else self._is_wanted
         reading = Reading(self._bag, Range(self._start, self._end, wants), is_decoded=False)
         waiting: list[Recorded] = []
-        async for batch in _still(reading.batches()):
-            if not is_exact:
-                for message in batch:
-                    yield message, 0
-                continue
-            waiting += batch
-            *moments, last = [list(each) for _, each in groupby(waiting, attrgetter("stamp"))]
-            for moment in moments:
-                for pair in self._ordered(moment):
-                    yield pair
-            waiting = last
+        async with aclosing(reading.batches()) as read, aclosing(_still(read)) as batches:
+            async for batch in batches:
+                if not is_exact:
+                    for message in batch:
+                        yield message, 0
+                    continue
+                waiting += batch
+                *moments, last = [list(each) for _, each in groupby(waiting, attrgetter("stamp"))]
+                for moment in moments:
+                    for pair in self._ordered(moment):
+                        yield pair
+                waiting = last
         for pair in self._ordered(waiting):
             yield pair
 
@@ -402,7 +403,7 @@ class _GoalSender:
         return self._clients[name]
 
 
-async def _still(batches: AsyncIterator[list[Recorded]]) -> AsyncIterator[list[Recorded]]:
+async def _still(batches: AsyncIterator[list[Recorded]]) -> AsyncGenerator[list[Recorded]]:
     """The same batches; virtual time stands still while a thread reads them."""
     while True:
         with thread_work().counted():

@@ -8,6 +8,7 @@ service events has only states and feedback.
 from __future__ import annotations
 
 from collections.abc import Collection
+from contextlib import aclosing
 from pathlib import Path
 from typing import Any, Final
 
@@ -93,9 +94,10 @@ async def goals(path: str | Path, *, actions: Collection[str] | None = None) -> 
     found = Gathering(bag.info.start)
     try:
         reading = Reading(bag, Range(wants=lambda topic: wanted.wants(topic, "")))
-        async for batch in reading.batches():
-            for message in batch:
-                found.take(message)
+        async with aclosing(reading.batches()) as batches:
+            async for batch in batches:
+                for message in batch:
+                    found.take(message)
     finally:
         bag.close()
     return found.goals
