@@ -172,7 +172,7 @@ def test_a_recording_names_what_was_lost(on_graph, interrupts, monkeypatch, tmp_
     async def tell(_):
         interrupts.end(signal.SIGTERM)
 
-    monkeypatch.setattr(bag_recording, "_tell", tell)
+    monkeypatch.setattr(bag_recording, "tell", tell)
     ran = on_graph(talking, "bag", "record", "-a", "-o", str(tmp_path / "run"))
     assert "lost: 8 messages of topic '/8'\n" in ran.err
     assert ran.err.endswith("lost in all: 36 messages of 8 topics\n")

@@ -311,15 +311,21 @@ def test_an_unknown_interface_comes_with_what_to_do(
 @pytest.mark.parametrize(
     ("type_name", "problem"),
     [
-        ("depot/action/Count", ": rename depot/action/count.action to depot/action/Count.action\n"),
-        ("depot/Count", ": rename depot/action/count.action to depot/action/Count.action\n"),
+        (
+            "depot/action/Inventory",
+            ": rename depot/action/inventory.action to depot/action/Inventory.action\n",
+        ),
+        (
+            "depot/Inventory",
+            ": rename depot/action/inventory.action to depot/action/Inventory.action\n",
+        ),
         ("depot/msg/Out", "did you mean 'geometry_msgs/"),
     ],
 )
 def test_a_file_with_a_wrong_name_is_named_with_the_right_one(
     turtleact, tmp_path, monkeypatch, type_name, problem
 ):
-    put(tmp_path / "depot" / "action" / "count.action", "---\n---\n")
+    put(tmp_path / "depot" / "action" / "inventory.action", "---\n---\n")
     monkeypatch.chdir(tmp_path)
     ran = turtleact("interface", "show", type_name)
     assert (ran.status, "rename" in ran.err) == (1, problem in ran.err and "rename" in problem)

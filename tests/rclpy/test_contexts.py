@@ -138,8 +138,9 @@ def test_modules_of_rclpy_are_attributes(monkeypatch):
     assert module.QoSProfile(depth=1).depth == 1
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = rclpy.nonsense
-    with pytest.raises(AttributeError, match="no attribute '_x'"):
-        _ = rclpy._x
+    for name in ("_x", "__x__"):
+        with pytest.raises(AttributeError, match=f"no attribute '{name}'"):
+            getattr(rclpy, name)
 
 
 def test_arguments_for_ros_can_be_removed(monkeypatch):

@@ -355,12 +355,11 @@ def test_work_can_be_waited_for_in_some_nodes_only(node, executor, context):
     guard.trigger()
     executor.spin_once(0)  # the next step of the coroutine is a task of this node
     other.create_guard_condition(None).trigger()
-    works = executor._wait_for_ready_callbacks(0, [other])
-    task, _, found = next(works)
+    task, _, found = executor.wait_for_ready_callbacks(0, [other])
     assert found is other
     task()
     with pytest.raises(TimeoutException):
-        next(works)
+        executor.wait_for_ready_callbacks(0, [other])
     with pytest.raises(ConditionReachedException):
         executor.wait_for_ready_callbacks(None, None, lambda: True)
 

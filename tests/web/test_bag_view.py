@@ -193,7 +193,7 @@ def test_the_command_prints_the_address_and_ends_at_a_signal(tmp_path, capsys, m
     BagWriter(path, Split()).close({})
     interrupts, opened = Interrupts(), list[str]()
     monkeypatch.setattr("webbrowser.open", opened.append)
-    monkeypatch.setattr(bag_viewing, "_has_display", lambda: True)
+    monkeypatch.setattr(bag_viewing, "has_display", lambda: True)
 
     async def wait(_: int) -> None:
         interrupts.received.append(signal.SIGINT)

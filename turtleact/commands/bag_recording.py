@@ -68,7 +68,7 @@ def run(reach: Reach, order: Order, interrupts: Interrupts) -> int:
             ) as recording:
                 recorded.append(recording)
                 note(f"recording to {order.path}; Ctrl-C ends it")
-                await _tell(recording)
+                await tell(recording)
         finally:
             if recorded:
                 _sum_up(recorded[0])
@@ -78,7 +78,7 @@ def run(reach: Reach, order: Order, interrupts: Interrupts) -> int:
     return 0 if recorded else status
 
 
-async def _tell(recording: Recording) -> None:
+async def tell(recording: Recording) -> None:
     """Note each topic once it is recorded, until the recording ends early."""
     told = 0
     while not recording.is_over:

@@ -32,7 +32,7 @@ def run(path: Path, port: int, interrupts: Interrupts, *, is_opened: bool) -> in
             async with open_bag_view(path, port=port) as shown:
                 say(f"{shown.url}\n")
                 note("Ctrl-C ends it")
-                if is_opened and _has_display():
+                if is_opened and has_display():
                     await asyncio.to_thread(webbrowser.open, shown.url)
                 await interrupts.wait(1)
         return 0
@@ -40,7 +40,7 @@ def run(path: Path, port: int, interrupts: Interrupts, *, is_opened: bool) -> in
     return runner.run(show(), interrupts)
 
 
-def _has_display() -> bool:
+def has_display() -> bool:
     """Whether a browser would open a window, instead of taking the terminal."""
     if sys.platform in ("win32", "darwin"):
         return True

@@ -362,7 +362,7 @@ class ActionServer(Waitable):
         if self._handle.is_destroyed:
             return
         super().destroy()
-        for goal_handle in self._goal_handles.values():
+        for goal_handle in list(self._goal_handles.values()):
             goal_handle.destroy()
         for opened in self._opened:
             opened.close()
@@ -488,7 +488,7 @@ class ActionServer(Waitable):
         key = goal_key(info.goal_id)
         goal_id = key if any(key) else None
         stamp = info.stamp.sec * 1_000_000_000 + info.stamp.nanosec
-        chosen = select((each.goal for each in self._goal_handles.values()), goal_id, stamp)
+        chosen = select(self._held(), goal_id, stamp)
         canceling: list[Anything] = []
         for goal in chosen:
             handle = self._goal_handles.get(goal.id or b"")
