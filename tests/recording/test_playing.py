@@ -13,10 +13,11 @@ import turtleact
 from turtleact import InvalidOption, TurtleactError, open_node, recording
 from turtleact.app import open_world
 from turtleact.clock import VirtualClock
-from turtleact.interfaces import encode
+from turtleact.interfaces import encode, int32
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard import TurtlePose, Twist, Vector3
 from turtleact.interfaces.standard.std_msgs.msg import String
+from turtleact.interfaces.types import REGISTRY
 from turtleact.recording import BagError, Selection
 from turtleact.recording.bag_writer import BagWriter, Split
 from turtleact.recording.converting import Output, convert
@@ -235,6 +236,18 @@ async def test_without_a_server_the_reason_is_counted(node, tmp_path):
         played = await recording.play(other, tmp_path / "first", send_goals=True, rate="max")
     assert played.goals.total() == 3
     assert all("/fibonacci" in reason for _, reason in played.goals)
+
+
+async def test_a_goal_with_other_fields_is_counted_and_not_sent(node, tmp_path):
+    await record_goals(node, tmp_path / "first")
+    with REGISTRY.isolated():
+
+        class Renamed(turtleact.Action, type_name=Fibonacci.type_name):
+            class Goal(turtleact.Message):
+                length: int32 = 0
+
+        played = await recording.play(node, tmp_path / "first", send_goals=True, rate="max")
+    assert played.goals == {("/fibonacci", "the recorded goal has other fields"): 3}
 
 
 async def test_a_loop_over_goals_starts_over(node, tmp_path):

@@ -372,9 +372,13 @@ class _GoalSender:
         client = self._clients.get(self._remap.get(action, action))
         if client is None:  # it is not known here
             return
+        try:
+            goal = client.action_type.Goal(**msgspec.structs.asdict(request.goal))
+        except TypeError:
+            self._played.goals[client.name, "the recorded goal has other fields"] += 1
+            return
         self.has_sent = True
-        goal = msgspec.structs.astuple(request.goal)
-        self._tasks.start_soon(self._follow, client, client.action_type.Goal(*goal), old)
+        self._tasks.start_soon(self._follow, client, goal, old)
 
     async def _follow(self, client: ActionClient[Any, Any, Any], goal: Message, old: bytes) -> None:
         try:
