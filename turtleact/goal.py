@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Collection, Iterable, Mapping
+from contextvars import ContextVar
 from enum import IntEnum
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from turtleact.interfaces import Message
 
 __all__ = [
+    "CURRENT_GOAL",
     "TRANSITIONS",
     "CancelCode",
     "CancelResponse",
@@ -310,6 +312,10 @@ def cancel_code(named: Goal | None, *, by_id: bool, asked: int, let_go: int) -> 
     if not by_id:
         return CancelCode.NONE
     return CancelCode.UNKNOWN_GOAL_ID if named is None else CancelCode.GOAL_TERMINATED
+
+
+CURRENT_GOAL: ContextVar[Goal | None] = ContextVar("CURRENT_GOAL", default=None)
+"""The goal whose body is running; it becomes the parent of goals that the body sends."""
 
 
 class GoalTable:

@@ -23,7 +23,8 @@ from turtleact.errors import (
     InvalidTransition,
 )
 from turtleact.feedback import FeedbackLog
-from turtleact.server.execution import BURST, CURRENT_GOAL
+from turtleact.goal import CURRENT_GOAL
+from turtleact.server.execution import BURST
 from turtleact.summaries import LONGEST
 
 from ..lab import (

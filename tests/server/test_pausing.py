@@ -617,6 +617,57 @@ async def test_goals_are_paused_by_messages():
                 await other.pause()
 
 
+@pytest.mark.parametrize("is_entered", [False, True])
+async def test_a_child_in_another_process_is_paused_with_its_parent(is_entered):
+    transport, walker = MemoryTransport(), Walker()
+    near: Any = Apart(transport)
+
+    async def parent(request: Count.Goal, handle: Handle) -> AsyncIterator[Any]:
+        client = handle.node.action_client(Count, "count")
+        if is_entered:
+            async with client.send_goal(goal(MANY)) as child:
+                yield await child.result()
+        else:
+            yield await client.send_goal(goal(MANY))
+
+    async with (
+        turtleact.open_node("far", transport=transport) as far,
+        turtleact.open_node("near", transport=near) as node,
+    ):
+        far.action_server(Count, "count", walker.generator)
+        node.action_server(Count, "parent", parent)
+        async with node.action_client(Count, "parent").send_goal(goal()) as handle:
+            await take_turns()
+            for _ in range(2):
+                await handle.pause()
+                assert await walker.stands_still()
+                await handle.resume()
+                assert not await walker.stands_still()
+            await handle.pause()
+            assert (await handle.cancel()).goals_canceling
+            assert (await handle.outcome()).status is GoalStatus.CANCELED
+
+
+async def test_a_child_in_another_process_that_refuses_refuses_for_its_parent():
+    transport = MemoryTransport()
+    near: Any = Apart(transport)
+
+    async def parent(request: Count.Goal, handle: Handle) -> AsyncIterator[Any]:
+        yield await handle.node.action_client(Count, "blind").send_goal(goal())
+
+    async with (
+        turtleact.open_node("far", transport=transport) as far,
+        turtleact.open_node("near", transport=near) as node,
+    ):
+        far.action_server(Count, "blind", Walker().blind)
+        node.action_server(Count, "parent", parent)
+        async with node.action_client(Count, "parent").send_goal(goal()) as handle:
+            await take_turns()
+            with pytest.raises(PauseRefused, match="pausable=True"):
+                await handle.pause()
+            assert not handle.is_paused
+
+
 async def test_users_of_ros_pause_all_goals_of_an_action():
     walker = Walker()
     async with lab(walker.generator) as served, served.client.send_goal(goal(MANY)) as handle:

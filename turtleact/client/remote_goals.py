@@ -541,6 +541,7 @@ class RemoteGoals:
             if early is not None:
                 early.drop()
         remote.sent = remote.asked = None
+        remote.goal.leave_parent()
         self.by_id.pop(remote.goal_id, None)
 
     def _failure(self, error: TurtleactError, *, is_accepted: bool = False) -> TurtleactError:

@@ -23,8 +23,14 @@ import anyio
 
 from turtleact.client.client_endpoints import ClientEndpoints
 from turtleact.client.remote_goals import RemoteGoal, RemoteGoals
-from turtleact.errors import GoalRejected, TurtleactError, UnknownGoal
-from turtleact.goal import Goal, status_of
+from turtleact.errors import (
+    GoalRejected,
+    PauseRefused,
+    ServerUnavailable,
+    TurtleactError,
+    UnknownGoal,
+)
+from turtleact.goal import CURRENT_GOAL, Goal, GoalStatus, status_of
 from turtleact.goal_id import new_goal_id
 from turtleact.goal_server import GoalOrder
 from turtleact.goal_wire import State
@@ -117,8 +123,14 @@ class RemoteActionServer:
         on_feedback = order.on_feedback
         if on_feedback is not None:  # runs in the sender's context, not the topic's
             on_feedback = partial(copy_context().run, on_feedback)  # type: ignore[call-arg]
-        goal = Goal(message, 0, id=goal_id, on_feedback=on_feedback, sender=order.sender)
-        return self._goals.send(goal, order.reattach)
+        parent = CURRENT_GOAL.get()
+        goal = Goal(
+            message, 0, id=goal_id, on_feedback=on_feedback, parent=parent, sender=order.sender
+        )
+        remote = self._goals.send(goal, order.reattach)
+        if parent is not None:  # so that it is paused with its parent
+            goal.enter_parent(parent, _Child(self))
+        return remote
 
     async def _abandon(self, remote: RemoteGoal, timeout: float) -> None:
         """Cancel a goal whose sender was cancelled, and wait for its end; never raises.
@@ -206,6 +218,12 @@ class RemoteActionServer:
 
     # pausing
 
+    async def wait_for_acceptance(self, goal: Goal) -> None:
+        """Wait until the server has accepted a goal, or the goal has ended. Cancelling: safe."""
+        remote = self._goals.by_id.get(cast("bytes", goal.id))
+        while remote is not None and not (remote.is_accepted or goal.ended):
+            await self.signal(goal).wait()
+
     async def pause(self, goal: Goal, timeout: float) -> None:
         """Ask the server to pause a goal, and wait until its body stands still.
 
@@ -232,3 +250,48 @@ class RemoteActionServer:
         """Stop following goals, wait for the tasks to end, and leave the graph."""
         await self._goals.aclose()
         self._endpoints.close()
+
+
+class _Child:
+    """Pauses and resumes a goal that a body in this process has sent; see `Pauses`.
+
+    Args:
+        server: The server in another process that holds the goal.
+    """
+
+    def __init__(self, server: RemoteActionServer) -> None:
+        self._server = server
+
+    async def pause_unless_ended(self, goal: Goal, timeout: float) -> bool:
+        """Pause the goal with its parent; return False if it is ending anyway.
+
+        Raises:
+            PauseRefused: if its server refuses, or does not answer in time.
+        """
+        with anyio.move_on_after(timeout):
+            await self._server.wait_for_acceptance(goal)
+        try:
+            await self._server.pause(goal, timeout)
+        except (PauseRefused, ServerUnavailable) as error:
+            if goal.ended or goal.status is GoalStatus.CANCELING:
+                return False
+            raise _refused(error) from None
+        return True
+
+    async def resume(self, goal: Goal) -> None:
+        """Resume the goal with its parent; does nothing if it is not paused.
+
+        Raises:
+            PauseRefused: if its server refuses, or does not answer.
+        """
+        if goal.is_paused:
+            try:
+                await self._server.resume(goal)
+            except ServerUnavailable as error:
+                raise _refused(error) from None
+
+
+def _refused(error: PauseRefused | ServerUnavailable) -> PauseRefused:
+    if isinstance(error, PauseRefused):
+        return error
+    return PauseRefused(f"a goal that its body has sent: {error}")

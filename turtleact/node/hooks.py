@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from turtleact.goal import Goal, GoalStatus
+from turtleact.goal import CURRENT_GOAL, Goal, GoalStatus
 from turtleact.observers import GoalObserver
-from turtleact.server.execution import CURRENT_GOAL, Execution
+from turtleact.server.execution import Execution
 
 __all__ = ["Hook"]
 

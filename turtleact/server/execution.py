@@ -13,14 +13,14 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from contextvars import Context, ContextVar, copy_context
+from contextvars import Context, copy_context
 from functools import partial
 from typing import NamedTuple, Protocol, TypeAlias, cast
 
 from turtleact.body import ActionType, Body, ServerOptions, Steps
 from turtleact.errors import Abort, Cancel, InvalidMessage, InvalidTransition, TurtleactError
 from turtleact.feedback import FeedbackLog
-from turtleact.goal import Goal, GoalEvent, GoalStatus, GoalTable
+from turtleact.goal import CURRENT_GOAL, Goal, GoalEvent, GoalStatus, GoalTable
 from turtleact.goal_id import new_goal_id
 from turtleact.interfaces import Message, snapshotter
 from turtleact.observers import BodyFailed, Lost, Observers
@@ -30,14 +30,11 @@ from turtleact.server.pausing import Pauses
 from turtleact.summaries import CUT_OFF, STOPPED, STOPS, loggable, summary, text_of
 from turtleact.tasks import Home, Signal, Tasks, is_cancellation, wait_while
 
-__all__ = ["CURRENT_GOAL", "Execution", "FeedbackOutlet", "Served"]
+__all__ = ["Execution", "FeedbackOutlet", "Served"]
 
 logger = logging.getLogger("turtleact.server")
 
 Check: TypeAlias = Callable[[object], Message]
-
-CURRENT_GOAL: ContextVar[Goal | None] = ContextVar("CURRENT_GOAL", default=None)
-"""The goal whose body is running; it becomes the parent of goals that the body sends."""
 
 _ENDS_PROGRAM = (KeyboardInterrupt, SystemExit)
 

@@ -21,6 +21,7 @@ import msgspec
 from turtleact.body import ServerOptions, check_options
 from turtleact.errors import GoalRejected, ServerUnavailable
 from turtleact.goal import (
+    CURRENT_GOAL,
     CancelCode,
     Goal,
     GoalEvent,
@@ -37,7 +38,7 @@ from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
 from turtleact.observers import Observers
 from turtleact.server.callbacks import Callbacks
 from turtleact.server.durable import DurableGoals
-from turtleact.server.execution import CURRENT_GOAL, Execution, Served
+from turtleact.server.execution import Execution, Served
 from turtleact.slot import Admission, Slot
 from turtleact.tasks import GRACE, Background, Signal, Tasks
 

@@ -19,7 +19,8 @@ from typing import Any, Final
 
 import msgspec
 
-from turtleact.server.execution import CURRENT_GOAL, Execution
+from turtleact.goal import CURRENT_GOAL
+from turtleact.server.execution import Execution
 from turtleact.summaries import encodable
 
 __all__ = ["GoalFilter", "JsonFormatter", "TextFormatter"]
