@@ -616,6 +616,24 @@ async def test_a_server_that_is_announced_and_cannot_be_reached_is_given_up(addr
         declared.undeclare()
 
 
+async def test_a_goal_can_be_sent_as_soon_as_its_client_is_opened(address):
+    """The client sees the server at once, and can reach it a moment later."""
+
+    async def done(goal: Fibonacci.Goal) -> Fibonacci.Result:
+        return Fibonacci.Result(sequence=[goal.order])
+
+    async with (
+        two(address) as peers,
+        turtleact.open_node("lab", transport=peers.there) as lab,
+        turtleact.open_node("far", transport=peers.here) as far,
+    ):
+        lab.action_server(Fibonacci, "fibonacci", done)
+        await peers.settle()
+        peers.here.discovery_ends = 0.0  # the session is older than that
+        client = far.action_client(Fibonacci, "fibonacci")
+        assert (await client.send_goal(Fibonacci.Goal(order=3))).sequence == [3]
+
+
 RECORDED = """
 @ros2_lv/0/ZID/0/N/NN/%/%sim%a/turtle_node
 @ros2_lv/0/ZID/0/N/SS/%/%sim%a/turtle_node/%sim%a%turtle1%rotate_absolute%_action%send_goal/\

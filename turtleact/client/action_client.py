@@ -204,6 +204,9 @@ class ActionClient(Generic[G, R, F]):
             return server
         if self.is_open:
             server = await find_server(self._endpoints.transport, self._find)
+        if server is None and self.is_open:
+            await self._endpoints.send_goal.wait_for_route()
+            server = self._find()
         if server is None and patience:
             with anyio.move_on_after(patience):
                 await wait_until_served(self._endpoints.transport, self._find, None)

@@ -392,6 +392,13 @@ class Caller(Closeable, Protocol):
     def is_served(self) -> bool:
         """Whether a call would reach a server now. Changes only when the graph does."""
 
+    async def wait_for_route(self) -> None:
+        """Wait until a server that shows itself on the graph can be reached, for a few seconds.
+
+        A client that was opened a moment ago sees the server earlier than it can reach it. If no
+        server shows itself, this returns at once. Cancelling: safe.
+        """
+
     async def call(self, request: object, note: str = "") -> Reply:
         """Send a request and wait for the reply.
 

@@ -433,6 +433,9 @@ class _Caller:
     ) -> None:
         """Return None: there are no servers in other processes."""
 
+    async def wait_for_route(self) -> None:
+        """Do nothing: what is seen in this process can be reached."""
+
     def why_not_served(self, suffix: str = "") -> str:
         endpoint = self.endpoint
         return why_not_served(self._transport.endpoints(endpoint.name), endpoint, suffix)

@@ -334,8 +334,7 @@ class WireCaller:
         if self._near.is_served or not self._is_open:
             return await self._near.call(request, note)
         payload = self._format.encode(request)
-        if not self.is_matching:
-            await self._wait_for_route()
+        await self.wait_for_route()
         if not self.is_matching or not self._context.is_open:
             raise self._unavailable(self.why_not_served())
         return await self._send(request, payload, note, is_cancelable=True).reply()
@@ -377,8 +376,10 @@ class WireCaller:
         for call in self._calls.copy():  # since finished calls remove themselves
             self._context.crew.run(call.end_soon(), f"a call of {self._endpoint.name}")
 
-    async def _wait_for_route(self) -> None:
+    async def wait_for_route(self) -> None:
         """Wait until a server whose token was seen can be reached, at most `GRACE` seconds."""
+        if self.is_matching:
+            return
         with anyio.move_on_after(GRACE):
             while not self.is_matching and any(map(self._fits, self._servers())):
                 await self._context.near.wait_for_change()
