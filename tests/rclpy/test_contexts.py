@@ -131,8 +131,19 @@ def test_spinning_with_the_nodes_own_executor_leaves_it_there(node, executor):
     assert node.executor is executor
 
 
-def test_modules_of_rclpy_are_attributes(monkeypatch):
+@pytest.fixture
+def imports(monkeypatch):
+    """What the test makes importable, it makes so for itself alone."""
     monkeypatch.setattr("sys.meta_path", list(sys.meta_path))
+    before = set(sys.modules)
+    yield
+    for name in set(sys.modules) - before:
+        if name.partition(".")[0] == "rclpy":
+            del sys.modules[name]
+
+
+@pytest.mark.usefixtures("imports")
+def test_modules_of_rclpy_are_attributes():
     finder.install()
     module: Any = rclpy.qos
     assert module.QoSProfile(depth=1).depth == 1
