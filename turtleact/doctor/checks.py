@@ -242,11 +242,10 @@ def _misfits(publisher: Endpoint, reader: Endpoint) -> Iterator[str]:
         yield "more reliability (reliable, not best_effort)"
     if (offered.durability, asked.durability) == ("volatile", "transient_local"):
         yield "more durability (transient_local, not volatile)"
-    for policy, most in (
-        ("deadline", reader.times.deadline),
-        ("lease duration", reader.times.lease),
+    for policy, least, most in (
+        ("deadline", publisher.times.deadline, reader.times.deadline),
+        ("lease duration", publisher.times.lease, reader.times.lease),
     ):
-        least = publisher.times.deadline if policy == "deadline" else publisher.times.lease
         if most is not None and (least is None or least > most):
             yield f"a shorter {policy} ({most / 1e9:g} s)"
 

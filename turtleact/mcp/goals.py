@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from turtleact.mcp.offer import Limits
     from turtleact.node import Node
 
-__all__ = ["REACHED", "Goals", "Report"]
+__all__ = ["Goals", "Report"]
 
 Report: TypeAlias = Callable[[float, float | None, str | None], Awaitable[None]]
 """Sends a progress message: a number that grows, a total, and a text."""
@@ -38,9 +38,6 @@ BURST: Final = 20
 
 FAREWELL: Final = 1.0
 """How long the last progress messages may take after the goal's end (s, event loop time)."""
-
-REACHED: Final = 3.0
-"""How long a server that the graph shows has to become reachable (s, event loop time)."""
 
 AnyClient: TypeAlias = "ActionClient[Message, Message, Message]"
 
@@ -62,19 +59,13 @@ class Goals:
         self._node = node
         self._clients: dict[tuple[str, str], AnyClient] = {}
 
-    async def client(self, name: str, action_type: type[Action]) -> AnyClient:
-        """The client of an action; opened once, and closed with the node.
-
-        Right after a graph was opened, a server may be visible before it can be reached. It has
-        `REACHED` seconds for that.
-        """
+    def client(self, name: str, action_type: type[Action]) -> AnyClient:
+        """The client of an action; opened once, and closed with the node."""
         key = name, action_type.type_name
         client = self._clients.get(key)
         if client is None:
             known = cast("ActionType[Message, Message, Message]", action_type)
             client = self._clients[key] = self._node.action_client(known, name)
-        with anyio.move_on_after(REACHED):
-            await client.wait_for_server()
         return client
 
     @contextmanager

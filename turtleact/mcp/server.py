@@ -156,7 +156,7 @@ class McpServer:
                 return asking
         if not issubclass(interface, Action):
             return await self._tools.call(entry.name, interface, message)
-        client = await self._goals.client(entry.name, interface)
+        client = self._goals.client(entry.name, interface)
         if declares_tasks(ctx):
             return await self._tasks.begin(client, message)
         return await self._goals.run(client, message, ctx.session.report_progress)

@@ -242,7 +242,7 @@ class Tasks:
         if held is None or action_type is None:
             return None
         task = _Task(goal_id)
-        client = await self._goals.client(held.action, action_type)
+        client = self._goals.client(held.action, action_type)
         task.following = Background(self._attach(client, task), f"task {goal_id.hex()}")
         await task.known.wait()
         if held.status.is_terminal:

@@ -16,7 +16,6 @@ from turtleact.graph import graph_of, names_like
 from turtleact.interfaces import SECOND, Message, get_message
 from turtleact.interfaces.definition import did_you_mean
 from turtleact.interfaces.values import describe
-from turtleact.mcp.goals import REACHED
 from turtleact.mcp.replies import answer
 from turtleact.mcp.schema import plain
 from turtleact.names import resolve_name
@@ -92,8 +91,6 @@ class Tools:
             known = cast("ServiceType[Message, Message]", service_type)
             self._services[key] = self._node.service_client(known, name)
         with self._goals.place():
-            with anyio.move_on_after(REACHED):
-                await self._services[key].wait_for_service()
             return answer(plain(await self._services[key].call(request)))
 
     async def list_goals(self) -> CallToolResult:
@@ -148,7 +145,7 @@ class Tools:
         action_type = None if held is None else self._catalogue.actions().get(held.action)
         if held is None or action_type is None:
             raise UnknownGoal(f"no server of an offered action holds {text}")
-        client = await self._goals.client(held.action, action_type)
+        client = self._goals.client(held.action, action_type)
         return await client.attach(held.goal_id)
 
 
