@@ -11,7 +11,7 @@ import pytest
 
 from turtleact import open_node, recording
 from turtleact.clock import VirtualClock
-from turtleact.commands import bag_recording
+from turtleact.commands import bag_sessions
 from turtleact.interfaces import encode, get_message
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard.std_msgs.msg import String
@@ -152,7 +152,7 @@ def test_a_signal_ends_a_recording_with_status_0(
             interrupts.end(signal.SIGINT)
             yield run
 
-    monkeypatch.setattr(bag_recording, "record", record)
+    monkeypatch.setattr(bag_sessions, "record", record)
     ran = on_graph(talking, "bag", "record", *options, "-o", str(tmp_path / "run"))
     assert ran.status == 0
     bag = Bag(tmp_path / "run")
@@ -172,7 +172,7 @@ def test_a_recording_names_what_was_lost(on_graph, interrupts, monkeypatch, tmp_
     async def tell(_):
         interrupts.end(signal.SIGTERM)
 
-    monkeypatch.setattr(bag_recording, "tell", tell)
+    monkeypatch.setattr(bag_sessions, "tell", tell)
     ran = on_graph(talking, "bag", "record", "-a", "-o", str(tmp_path / "run"))
     assert "lost: 8 messages of topic '/8'\n" in ran.err
     assert ran.err.endswith("lost in all: 36 messages of 8 topics\n")

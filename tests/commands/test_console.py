@@ -16,7 +16,7 @@ import pytest
 
 from turtleact.commands import console as consoles
 from turtleact.commands import interrupts as signals_of_the_program
-from turtleact.commands import keys, terminal
+from turtleact.commands import terminal
 from turtleact.commands.console import PosixConsole, WindowsConsole, console
 from turtleact.commands.terminal import GIVE_BACK, Region
 from turtleact.errors import UsageError
@@ -129,8 +129,7 @@ def windows(monkeypatch):
     def make(typed=""):
         made = WindowsConsole()
         monkeypatch.setitem(sys.modules, "msvcrt", Keyboard(typed))
-        for module in (keys, terminal):
-            monkeypatch.setattr(module, "console", lambda: made)
+        monkeypatch.setattr(terminal, "console", lambda: made)
         return made
 
     return make

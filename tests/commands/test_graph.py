@@ -16,8 +16,7 @@ import pytest
 
 from turtleact import Node, open_node
 from turtleact.commands import graph, held_goals, listing, topic_reading, user_messages
-from turtleact.commands.message_style import Style
-from turtleact.commands.message_text import GoalText
+from turtleact.commands.message_text import GoalText, Style
 from turtleact.commands.settings import Policies
 from turtleact.commands.transcript import PlainTranscript
 from turtleact.errors import TurtleactError

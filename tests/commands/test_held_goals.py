@@ -19,7 +19,7 @@ from turtleact.clock import EPOCH, VirtualClock
 from turtleact.commands import event_echo, live, send_goal, topic_reading
 from turtleact.commands import held_goals as verbs
 from turtleact.commands.held_goals import HeldGoal, held_goals, served_actions
-from turtleact.commands.message_style import Style
+from turtleact.commands.message_text import Style
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.standard import (

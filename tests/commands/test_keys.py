@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from turtleact.commands.keys import Keys
+from turtleact.commands.terminal import Keys
 
 
 @pytest.mark.parametrize(

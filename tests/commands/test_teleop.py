@@ -13,7 +13,7 @@ import anyio
 import pytest
 
 from turtleact import Abort, open_node
-from turtleact.commands import keys, teleop
+from turtleact.commands import teleop, terminal
 from turtleact.commands.terminal import Region
 from turtleact.interfaces.standard import RotateAbsolute, Twist
 
@@ -238,7 +238,7 @@ def test_keys_that_are_typed_for_another_program_are_left_to_it(on_graph, keyboa
 
     monkeypatch.setattr(Region, "is_in_foreground", look)
     monkeypatch.setattr(os, "read", note_and_read)
-    monkeypatch.setattr(keys, "BACKGROUND", 0.01)
+    monkeypatch.setattr(terminal, "BACKGROUND", 0.01)
     typed(keyboard, "up", "q")
     assert on_graph(robot, "teleop", "--plain").status == 0
     assert seen_at_the_reading == [(True, False, True)]

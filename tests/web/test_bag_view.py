@@ -18,7 +18,7 @@ import pytest
 from turtleact import cli, recording
 from turtleact.actions.patrol import Patrol
 from turtleact.app import open_world
-from turtleact.commands import bag_viewing
+from turtleact.commands import bag_sessions
 from turtleact.commands.interrupts import Interrupts
 from turtleact.interfaces import encode
 from turtleact.interfaces.standard import Point, TurtlePose
@@ -193,7 +193,7 @@ def test_the_command_prints_the_address_and_ends_at_a_signal(tmp_path, capsys, m
     BagWriter(path, Split()).close({})
     interrupts, opened = Interrupts(), list[str]()
     monkeypatch.setattr("webbrowser.open", opened.append)
-    monkeypatch.setattr(bag_viewing, "has_display", lambda: True)
+    monkeypatch.setattr(bag_sessions, "has_display", lambda: True)
 
     async def wait(_: int) -> None:
         interrupts.received.append(signal.SIGINT)

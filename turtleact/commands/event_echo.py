@@ -27,7 +27,7 @@ from turtleact.transports.base import STATUS_QOS
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-    from turtleact.commands.message_style import Style
+    from turtleact.commands.message_text import Style
     from turtleact.node import Node
     from turtleact.topics import Subscription
     from turtleact.transports.base import Closeable

@@ -1,7 +1,8 @@
-"""``goals``, ``cancel``, ``watch`` and ``result``: goals that others have sent.
+"""Goals that others have sent: to list, cancel, pause, resume and watch them, and to await results.
 
 All of it goes through the endpoints of an action that any ROS 2 peer has: the status topic says
 which goals a server holds, ``cancel_goal`` cancels them, and ``get_result`` waits for their end.
+Only pauses need a server of turtleact; see `turtleact.commands.pause_requests`.
 
 A server publishes its status when a goal changes, and its last message is latched; a server that
 never had a goal may publish nothing. So the commands wait for latched messages, but not for long.
@@ -29,6 +30,7 @@ from turtleact.commands.output import duration, note, say, say_names
 from turtleact.commands.pause_requests import follow_paused, paused_goals, set_paused
 from turtleact.commands.transcript import Followed
 from turtleact.errors import (
+    PauseRefused,
     ServerUnavailable,
     ServiceTimeout,
     TurtleactError,
@@ -67,6 +69,8 @@ __all__ = [
     "print_goals",
     "served_actions",
     "silence",
+    "switch",
+    "switch_all",
 ]
 
 STATUS_QOS = QoS(depth=100, durability="transient_local")
@@ -191,46 +195,6 @@ async def find_goal(node: Node, wanted: str) -> HeldGoal:
     return found
 
 
-async def _listen(
-    node: Node, name: str, type_name: str, found: dict[tuple[str, bytes], HeldGoal]
-) -> None:
-    """Receive the latched message of each server of an action."""
-    topic = action_names(name).status
-    subscription = node.subscription(GoalStatusArray, topic, STATUS_QOS)
-    left = node.count_publishers(topic)
-    try:
-        while left > 0:
-            message = await anext(subscription)
-            left -= 1
-            for goal in goals_in(message, name, type_name):
-                found[name, goal.goal_id] = goal
-    finally:
-        await subscription.aclose()
-
-
-def _servers(node: Node, actions: dict[str, str]) -> dict[str, str]:
-    """Find the nodes that serve these actions; each comes with one of the actions it serves."""
-    services = {action_names(name).cancel_goal: name for name in actions}
-    return {
-        each.node: services[each.name]
-        for each in node.transport.endpoints()
-        if each.kind == "service" and each.name in services
-    }
-
-
-async def _ask(node: Node, server: str, action: str, silent: set[str]) -> None:
-    """Ask a server to cancel a goal that does not exist, and record it if it does not answer."""
-    client = node.service_client(CancelGoal, action_names(action).cancel_goal)
-    try:
-        await client.call(CancelGoal.Request(GoalInfo(UUID(uuid.uuid4().bytes))), ANSWER)
-    except ServiceTimeout:
-        silent.add(server)
-    except TurtleactError:
-        pass  # it has been closed, or answers with an error
-    finally:
-        await client.aclose()
-
-
 FEEDBACK_QOS = QoS(depth=1000)
 
 DONE, NOT_DONE, ABORTED, CANCELED = 0, 1, 4, 5
@@ -275,48 +239,6 @@ async def print_goals(node: Node, name: str | None, *, as_json: bool) -> int:
     if silent:
         note(f"{silence(silent)}: goals may be missing")
     return NOT_DONE if silent else DONE
-
-
-def _row(node: Node, goal: HeldGoal, now: int) -> tuple[str, ...]:
-    clients = _clients(node, goal.action)
-    client = clients[0] if len(clients) == 1 else f"one of {len(clients)}" if clients else "gone"
-    age = duration((now - goal.stamp) / SECOND)
-    state = f"{goal.status.name}{' (paused)' * goal.is_paused}"
-    return goal.goal_id.hex(), goal.action, state, age, client
-
-
-def _as_json(node: Node, goal: HeldGoal, now: int) -> str:
-    sec, nanosec = divmod(goal.stamp, SECOND)
-    return json.dumps(
-        {
-            "id": goal.goal_id.hex(),
-            "action": goal.action,
-            "type": goal.type_name,
-            "state": goal.status.name,
-            "is_paused": goal.is_paused,
-            "stamp": {"sec": sec, "nanosec": nanosec},
-            "age": (now - goal.stamp) / SECOND,
-            "clients": _clients(node, goal.action),
-        }
-    )
-
-
-def _clients(node: Node, action: str) -> list[str]:
-    """The nodes that may have sent a goal. ROS 2 does not say which of them sent it."""
-    service = action_names(action).send_goal
-    return sorted(
-        {
-            each.node
-            for each in node.transport.endpoints()
-            if each.kind == "client" and each.name == service
-        }
-    )
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        yield "  ".join(map(str.ljust, row, widths)).rstrip()
 
 
 # cancel
@@ -376,40 +298,6 @@ async def cancel_many(node: Node, name: str | None, before: int) -> int:
     if not meant:
         note("there is no goal to cancel")
     return status
-
-
-async def _why_not_canceling(node: Node, goal: HeldGoal) -> str | None:
-    """Ask for one goal to be canceled; return why it is not, or None if it is."""
-    response = await _request(node, goal.action, goal.goal_id, 0)
-    if response is None:
-        return SILENT
-    reasons: dict[int, str] = {
-        CancelCode.REJECTED: "the server refuses",
-        CancelCode.UNKNOWN_GOAL_ID: "the server does not hold it any more",
-        CancelCode.GOAL_TERMINATED: "it has ended",
-    }
-    return reasons.get(response.return_code)
-
-
-async def _request(
-    node: Node, action: str, goal_id: bytes, stamp: int
-) -> CancelGoal.Response | None:
-    """A server's response to a cancel request; None if it does not answer."""
-    client = node.service_client(CancelGoal, action_names(action).cancel_goal)
-    info = GoalInfo(UUID(goal_id), stamp_of(stamp))
-    response: CancelGoal.Response | None = None
-    try:
-        response = await _call(client, action, CancelGoal.Request(info), PATIENCE)
-    except ServiceTimeout:
-        pass
-    finally:
-        await client.aclose()
-    return response
-
-
-def _tell(goal_id: str, action: str, problem: str | None) -> None:
-    who = f"{goal_id} of {action}" if action else goal_id
-    say_names(f"{who}: {f'not canceled: {problem}' if problem else 'canceling'}\n")
 
 
 # watch, result
@@ -511,9 +399,195 @@ class WatchedGoal:
         await set_paused(self._node, self._action, self.goal_id, is_paused=False)
 
 
+async def switch(node: Node, wanted: Sequence[str], *, is_paused: bool, timeout: float) -> int:
+    """Pause or resume goals by the beginnings of their ids, and print the outcome for each.
+
+    Raises:
+        UsageError: if a text fits several goals; then nothing is done.
+    """
+    goals, silent = await held_goals(node, served_actions(node, None))
+    status = DONE
+    for found, text in [(find_goals(goals, text), text) for text in wanted]:
+        if found is None:
+            problem = "no server in reach holds it"
+            problem = f"{problem}; {silence(silent)}" if silent else problem
+            say_names(f"{text}: {_pause_word(is_paused=is_paused, problem=problem)}\n")
+            status = NOT_DONE
+        elif await _switch(node, found, is_paused=is_paused, timeout=timeout):
+            status = NOT_DONE
+    return status
+
+
+async def switch_all(node: Node, name: str | None, *, is_paused: bool, timeout: float) -> int:
+    """Pause or resume all goals of an action, or of all actions, and print the outcome for each.
+
+    All of them are asked at the same time.
+
+    Raises:
+        ServerUnavailable: if nobody serves an action of that name.
+    """
+    goals, silent = await held_goals(node, served_actions(node, name))
+    goals = [goal for goal in goals if goal.status.is_active]
+    if not is_paused:
+        paused = await paused_goals(node, {goal.action for goal in goals})
+        goals = [goal for goal in goals if goal.goal_id in paused]
+    problems = list[str]()
+
+    async def try_to(goal: HeldGoal) -> None:
+        problem = await _switch(node, goal, is_paused=is_paused, timeout=timeout)
+        problems.extend([problem] if problem else [])
+
+    async with anyio.create_task_group() as group:
+        for goal in goals:
+            group.start_soon(try_to, goal)
+    if silent:
+        note(f"{silence(silent)}: goals may be missing")
+    elif not goals:
+        note(f"there is no goal to {'pause' if is_paused else 'resume'}")
+    return NOT_DONE if problems or silent else DONE
+
+
+async def _listen(
+    node: Node, name: str, type_name: str, found: dict[tuple[str, bytes], HeldGoal]
+) -> None:
+    """Receive the latched message of each server of an action."""
+    topic = action_names(name).status
+    subscription = node.subscription(GoalStatusArray, topic, STATUS_QOS)
+    left = node.count_publishers(topic)
+    try:
+        while left > 0:
+            message = await anext(subscription)
+            left -= 1
+            for goal in goals_in(message, name, type_name):
+                found[name, goal.goal_id] = goal
+    finally:
+        await subscription.aclose()
+
+
+def _servers(node: Node, actions: dict[str, str]) -> dict[str, str]:
+    """Find the nodes that serve these actions; each comes with one of the actions it serves."""
+    services = {action_names(name).cancel_goal: name for name in actions}
+    return {
+        each.node: services[each.name]
+        for each in node.transport.endpoints()
+        if each.kind == "service" and each.name in services
+    }
+
+
+async def _ask(node: Node, server: str, action: str, silent: set[str]) -> None:
+    """Ask a server to cancel a goal that does not exist, and record it if it does not answer."""
+    client = node.service_client(CancelGoal, action_names(action).cancel_goal)
+    try:
+        await client.call(CancelGoal.Request(GoalInfo(UUID(uuid.uuid4().bytes))), ANSWER)
+    except ServiceTimeout:
+        silent.add(server)
+    except TurtleactError:
+        pass  # it has been closed, or answers with an error
+    finally:
+        await client.aclose()
+
+
+def _row(node: Node, goal: HeldGoal, now: int) -> tuple[str, ...]:
+    clients = _clients(node, goal.action)
+    client = clients[0] if len(clients) == 1 else f"one of {len(clients)}" if clients else "gone"
+    age = duration((now - goal.stamp) / SECOND)
+    state = f"{goal.status.name}{' (paused)' * goal.is_paused}"
+    return goal.goal_id.hex(), goal.action, state, age, client
+
+
+def _as_json(node: Node, goal: HeldGoal, now: int) -> str:
+    sec, nanosec = divmod(goal.stamp, SECOND)
+    return json.dumps(
+        {
+            "id": goal.goal_id.hex(),
+            "action": goal.action,
+            "type": goal.type_name,
+            "state": goal.status.name,
+            "is_paused": goal.is_paused,
+            "stamp": {"sec": sec, "nanosec": nanosec},
+            "age": (now - goal.stamp) / SECOND,
+            "clients": _clients(node, goal.action),
+        }
+    )
+
+
+def _clients(node: Node, action: str) -> list[str]:
+    """The nodes that may have sent a goal. ROS 2 does not say which of them sent it."""
+    service = action_names(action).send_goal
+    return sorted(
+        {
+            each.node
+            for each in node.transport.endpoints()
+            if each.kind == "client" and each.name == service
+        }
+    )
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        yield "  ".join(map(str.ljust, row, widths)).rstrip()
+
+
+async def _why_not_canceling(node: Node, goal: HeldGoal) -> str | None:
+    """Ask for one goal to be canceled; return why it is not, or None if it is."""
+    response = await _request(node, goal.action, goal.goal_id, 0)
+    if response is None:
+        return SILENT
+    reasons: dict[int, str] = {
+        CancelCode.REJECTED: "the server refuses",
+        CancelCode.UNKNOWN_GOAL_ID: "the server does not hold it any more",
+        CancelCode.GOAL_TERMINATED: "it has ended",
+    }
+    return reasons.get(response.return_code)
+
+
+async def _request(
+    node: Node, action: str, goal_id: bytes, stamp: int
+) -> CancelGoal.Response | None:
+    """A server's response to a cancel request; None if it does not answer."""
+    client = node.service_client(CancelGoal, action_names(action).cancel_goal)
+    info = GoalInfo(UUID(goal_id), stamp_of(stamp))
+    response: CancelGoal.Response | None = None
+    try:
+        response = await _call(client, action, CancelGoal.Request(info), PATIENCE)
+    except ServiceTimeout:
+        pass
+    finally:
+        await client.aclose()
+    return response
+
+
+def _tell(goal_id: str, action: str, problem: str | None) -> None:
+    who = f"{goal_id} of {action}" if action else goal_id
+    say_names(f"{who}: {f'not canceled: {problem}' if problem else 'canceling'}\n")
+
+
 async def _call(client: Any, action: str, request: Message, timeout: float | None = None) -> Any:  # noqa: ANN401  # of whatever type
     """Call a service of an action; an error names the action."""
     try:
         return await client.call(request, timeout)
     except ServerUnavailable as error:
         raise ServerUnavailable(action, error.problem) from None
+
+
+async def _switch(node: Node, goal: HeldGoal, *, is_paused: bool, timeout: float) -> str:
+    """Pause or resume a goal and print the outcome; return why not, or nothing."""
+    problem = ""
+    if goal.status.is_terminal:
+        problem = f"it has ended {goal.status.name}"
+    else:
+        try:
+            await set_paused(node, goal.action, goal.goal_id, is_paused=is_paused, timeout=timeout)
+        except PauseRefused as refused:
+            problem = refused.reason
+        except TurtleactError as error:
+            problem = str(error)
+    word = _pause_word(is_paused=is_paused, problem=problem)
+    say_names(f"{goal.goal_id.hex()} of {goal.action}: {word}\n")
+    return problem
+
+
+def _pause_word(*, is_paused: bool, problem: str) -> str:
+    word = "paused" if is_paused else "resumed"
+    return f"not {word}: {problem}" if problem else word

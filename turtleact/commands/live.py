@@ -23,9 +23,15 @@ from typing import TYPE_CHECKING, Any, Final, TextIO, TypeAlias
 import anyio
 
 from turtleact import render
-from turtleact.commands.keys import typed_keys
 from turtleact.commands.output import note
-from turtleact.commands.terminal import LogLines, Region, animate, keep_drawing, print_last
+from turtleact.commands.terminal import (
+    LogLines,
+    Region,
+    animate,
+    keep_drawing,
+    print_last,
+    typed_keys,
+)
 from turtleact.commands.trails import (
     POSE,
     POSES_A_FRAME,

@@ -1,10 +1,12 @@
 """Messages as text: what the user writes, and how a message is printed.
 
-A message is written on the command line, or read from stdin or a file. ``topic pub`` and ``service
-call`` print it as rclpy's ``repr`` does; an array of fixed length is shown as numpy shows it, but
-always on one line.
+A message is written on the command line, or read from stdin or a file. The ``echo`` verbs print it
+as YAML or comma-separated, in full or in part (`Style`). ``topic pub`` and ``service call`` print
+it as rclpy's ``repr`` does; an array of fixed length is shown as numpy shows it, but always on one
+line.
 
-Source: recordings of ROS 2 Jazzy; rosidl_generator_py ``resource/_msg.py.em`` for the notation.
+Source: rosidl_runtime_py ``convert.py``; rosidl_generator_py ``resource/_msg.py.em`` for the
+notation of ``repr``; recordings of ROS 2 Jazzy.
 """
 
 from __future__ import annotations
@@ -15,19 +17,29 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from turtleact.errors import UsageError
+from turtleact.interfaces import to_dict
 from turtleact.interfaces.definition import ArrayForm
-from turtleact.interfaces.text import block, listed
-from turtleact.interfaces.types import fields
+from turtleact.interfaces.text import block, flow, listed
+from turtleact.interfaces.types import fields, nested_classes
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
     from turtleact.interfaces import Message
-    from turtleact.interfaces.definition import Field
+    from turtleact.interfaces.definition import Field, FieldType
 
-__all__ = ["GoalText", "python_text", "read_text_file", "yaml_lines"]
+__all__ = ["GoalText", "Style", "python_text", "read_text_file", "yaml_lines"]
 
 MOST = 2**22
 """How many bytes of a file or a pipe are read; no valid message is longer."""
+
+IDL_NAMES = {
+    "bool": "boolean",
+    "byte": "octet",
+    "char": "uint8",
+    "float32": "float",
+    "float64": "double",
+}
+"""Types that have another name in IDL, which ``--no-arr`` prints."""
 
 
 class GoalText(NamedTuple):
@@ -96,6 +108,84 @@ def read_text_file(path: str, what: str) -> str:
         raise UsageError(f"{what}: it is not UTF-8") from None
 
 
+SILENT = frozenset({"float64", "int64", "bool"})
+"""The types that numpy does not print."""
+
+DTYPES = {"byte": "uint8", "char": "uint8"}
+"""Types that have another name in numpy."""
+
+
+def python_text(message: Message) -> str:
+    """A message as rclpy's ``repr`` prints it.
+
+    >>> from turtleact.interfaces.standard import Time
+    >>> python_text(Time(sec=1))
+    'builtin_interfaces.msg.Time(sec=1, nanosec=0)'
+    """
+    cls = type(message)
+    values = ", ".join(
+        f"{field.name}={_value(field, getattr(message, field.attribute))}" for field in fields(cls)
+    )
+    return f"{cls.type_name.replace('/', '.')}({values})"
+
+
+def yaml_lines(value: object) -> list[str]:
+    """A plain value as lines of block YAML; a scalar as Python prints it, as ros2 does."""
+    if isinstance(value, dict) and value:
+        return block(value)
+    if isinstance(value, list | bytes) and value:
+        return [line for item in value for line in listed(item)]
+    return [str(list(value) if isinstance(value, bytes) else value)]
+
+
+class Style(NamedTuple):
+    """How messages are printed.
+
+    Attributes:
+        csv: Whether to print comma-separated values instead of YAML.
+        flow: Whether to print YAML on one line.
+        longest: The length to which lists and strings are cut; None cuts none.
+        arrays: Whether to print the elements of lists, or only their type.
+        strings: Whether to print strings, or only their length.
+    """
+
+    csv: bool = False
+    flow: bool = False
+    longest: int | None = 128
+    arrays: bool = True
+    strings: bool = True
+
+    def values(self, message: Message) -> dict[str, object]:
+        """A message as plain values; fields that are left out are only described."""
+        values = to_dict(message)
+        if self.arrays and self.strings:
+            return values
+        return self._described(type(message), values)
+
+    def text(self, value: object) -> str:
+        """The text of plain values; a YAML document ends with three dashes."""
+        if self.longest is not None:
+            value = _cut(value, self.longest)
+        if self.csv:
+            return f"{_csv(value)}\n"
+        lines = [flow(value)] if self.flow else yaml_lines(value)
+        return "".join(f"{line}\n" for line in (*lines, "---"))
+
+    def _described(self, cls: type[Message], values: dict[str, object]) -> dict[str, object]:
+        described = dict(values)
+        for field, nested in zip(fields(cls), nested_classes(cls), strict=True):
+            value = values[field.name]
+            if field.type.is_sequence and not self.arrays:
+                described[field.name] = _kind_of_list(field.type, len(value))  # type: ignore[arg-type]  # a list
+            elif isinstance(value, str) and not self.strings:
+                described[field.name] = f"<string length: <{len(value)}>>"
+            elif nested is not None and isinstance(value, dict):
+                described[field.name] = self._described(nested, value)
+            elif nested is not None and isinstance(value, list):
+                described[field.name] = [self._described(nested, each) for each in value]
+        return described
+
+
 def _read(path: str | None, source: str, interrupts: Interrupts, what: str) -> bytes:
     try:
         data = _read_stdin(interrupts) if path is None else _read_file(path, interrupts)
@@ -139,27 +229,6 @@ def _read_file(path: str, interrupts: Interrupts) -> bytes:
         os.close(file)
 
 
-SILENT = frozenset({"float64", "int64", "bool"})
-"""The types that numpy does not print."""
-
-DTYPES = {"byte": "uint8", "char": "uint8"}
-"""Types that have another name in numpy."""
-
-
-def python_text(message: Message) -> str:
-    """A message as rclpy's ``repr`` prints it.
-
-    >>> from turtleact.interfaces.standard import Time
-    >>> python_text(Time(sec=1))
-    'builtin_interfaces.msg.Time(sec=1, nanosec=0)'
-    """
-    cls = type(message)
-    values = ", ".join(
-        f"{field.name}={_value(field, getattr(message, field.attribute))}" for field in fields(cls)
-    )
-    return f"{cls.type_name.replace('/', '.')}({values})"
-
-
 def _value(field: Field, value: object) -> str:
     kind = field.type
     if kind.is_nested:
@@ -175,10 +244,27 @@ def _value(field: Field, value: object) -> str:
     return repr(value)
 
 
-def yaml_lines(value: object) -> list[str]:
-    """A plain value as lines of block YAML; a scalar as Python prints it, as ros2 does."""
-    if isinstance(value, dict) and value:
-        return block(value)
-    if isinstance(value, list | bytes) and value:
-        return [line for item in value for line in listed(item)]
-    return [str(list(value) if isinstance(value, bytes) else value)]
+def _kind_of_list(kind: FieldType, length: int) -> str:
+    name = IDL_NAMES.get(kind.name, kind.name)
+    if kind.form is ArrayForm.FIXED:
+        return f"<array type: {name}[{kind.size}]>"
+    bound = f"[{kind.size}]" if kind.form is ArrayForm.BOUNDED else ""
+    return f"<sequence type: {name}{bound}, length: {length}>"
+
+
+def _cut(value: object, longest: int) -> object:
+    """A value with its lists and strings cut; three dots stand for the rest."""
+    if isinstance(value, dict):
+        return {name: _cut(item, longest) for name, item in value.items()}
+    if isinstance(value, str):
+        return value if len(value) <= longest else f"{value[:longest]}..."
+    if not isinstance(value, list | bytes):
+        return value
+    more = ["..."] if len(value) > longest else []
+    return [_cut(item, longest) for item in value[:longest]] + more
+
+
+def _csv(value: object) -> str:
+    if isinstance(value, dict):
+        return ",".join(map(_csv, value.values()))
+    return ",".join(map(_csv, value)) if isinstance(value, list | bytes) else str(value)

@@ -18,10 +18,9 @@ import anyio
 
 from turtleact.commands import graph, runner
 from turtleact.commands.absence import no_router, none_in_domain, world_started
-from turtleact.commands.keys import typed_keys
 from turtleact.commands.output import note, say
 from turtleact.commands.send_goal import embedded_world
-from turtleact.commands.terminal import LogLines, Region, can_move, keep_drawing
+from turtleact.commands.terminal import LogLines, Region, can_move, keep_drawing, typed_keys
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.goal import GoalStatus
 from turtleact.interfaces.standard import RotateAbsolute, Twist, Vector3

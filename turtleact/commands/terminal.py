@@ -1,4 +1,4 @@
-"""A live display on a terminal: the region that it draws on, its frame rate and its log lines.
+"""A live display on a terminal: the region that it draws on, its frames, log lines and keys.
 
 Only `Region` moves the cursor and changes the terminal's modes. While it is held, the cursor is
 hidden and typed characters are not echoed; if keys are read, each one comes at once. All of this is
@@ -11,8 +11,8 @@ Two limits remain. When the window gets narrower, the terminal wraps lines again
 push the first of them out of the window for good. And keys that the user presses are kept for the
 next reader, such as the shell.
 
-Source: ECMA-48 for the control sequences; the terminals' mode 2026 for frames without flicker; the
-GNU C Library manual, "Signaling Yourself", for how to stop.
+Source: ECMA-48 for the control sequences, and xterm's for the arrows; the terminals' mode 2026 for
+frames without flicker; the GNU C Library manual, "Signaling Yourself", for how to stop.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import signal
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import AsyncGenerator, Iterator
 from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout, suppress
 from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, TextIO
@@ -35,14 +35,14 @@ from turtleact.commands.console import console
 from turtleact.commands.interrupts import signals
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
     from types import FrameType
 
     from turtleact import render
 
-
 __all__ = [
     "Compose",
+    "Keys",
     "LogLine",
     "LogLines",
     "Region",
@@ -51,15 +51,28 @@ __all__ = [
     "draw",
     "keep_drawing",
     "print_last",
+    "typed_keys",
 ]
 
 STOPPING: Final = signals("SIGTSTP", "SIGQUIT")
+
 CONTINUING: Final = signals("SIGCONT")
 """The signals that stop and continue the process; in between, another one may have the terminal."""
 
 GIVE_BACK: Final = "\r\x1b[K\x1b7\x1b[B\x1b[J\x1b8\x1b[?25h"
 """Removes the lines and shows the cursor. The first line is erased separately: some terminals copy
 a screen that is erased from its very top into their history."""
+
+BACKGROUND: Final = 0.2
+"""How often a process in the background looks whether it is in the foreground again (s)."""
+
+ARROWS: Final = {b"A": "up", b"B": "down", b"C": "right", b"D": "left"}
+
+TOKEN: Final = re.compile(
+    rb"\x1b\[[0-?]*[ -/]*(?P<csi>[@-~])|\x1bO(?P<ss3>[@-~])"
+    rb"|(?P<begun>\x1b(?:\[[0-?]*[ -/]*|O)?\Z)|(?P<key>[^\x1b])|\x1b"
+)
+"""A control sequence, the beginning of one at the very end, or a key; else an ESC on its own."""
 
 
 def can_move(stream: TextIO | None) -> bool:
@@ -423,6 +436,51 @@ class LogLines(io.TextIOBase):
         is_shown = sys.stderr is None or sys.stderr.isatty()
         with redirect_stdout(self), redirect_stderr(self) if is_shown else nullcontext():
             yield
+
+
+class Keys:
+    """Reads keys; a control sequence may come in parts."""
+
+    def __init__(self) -> None:
+        self._begun = b""
+
+    def read(self, data: bytes) -> list[str]:
+        r"""The keys: ``up``, ``down``, ``left``, ``right``, or a small letter; no others.
+
+        >>> Keys().read(b"G\x1b[Aq")
+        ['g', 'up', 'q']
+        """
+        data, self._begun = self._begun + data, b""
+        keys = []
+        for token in TOKEN.finditer(data):
+            self._begun = token["begun"] or b""
+            arrow = ARROWS.get(token["csi"] or token["ss3"] or b"")
+            if arrow is not None:
+                keys.append(arrow)
+            elif token["key"] is not None and token["key"].isalpha():
+                keys.append(token["key"].decode().lower())
+        return keys
+
+
+async def typed_keys(region: Region) -> AsyncGenerator[str, None]:
+    """Give the keys as they are pressed, until the terminal is gone; see `Keys.read`.
+
+    While this process is in the background, the keys are for another one, and none is read.
+
+    Args:
+        region: The display; its terminal must be held.
+    """
+    keys = Keys()
+    while True:
+        await console().wait_for_key(sys.stdin)
+        if not region.is_in_foreground():
+            await anyio.sleep(BACKGROUND)
+            continue
+        data = console().typed(sys.stdin)
+        for key in keys.read(data):
+            yield key
+        if not data:
+            return
 
 
 def _words(line: str) -> str:

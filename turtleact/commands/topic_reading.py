@@ -17,7 +17,7 @@ import anyio
 
 from turtleact.clock import within
 from turtleact.commands.graph import chosen_class, note_differing
-from turtleact.commands.message_style import Style
+from turtleact.commands.message_text import Style
 from turtleact.commands.output import note, say, say_message, say_names
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.graph import names_like, types_by_name

@@ -384,16 +384,16 @@ def record(
 def _recording(
     where: Reach, interfaces: Path | None, named: dict[str, Any], files: tuple[object, ...]
 ) -> Job:
-    """A job that records what is named to files; see `turtleact.commands.bag_recording.Order`."""
+    """A job that records what is named to files; see `bag_sessions.RecordOrder`."""
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known
 
-        bag_recording = _work("bag_recording")
+        sessions = _work("bag_sessions")
         make_known(folder(interfaces))
         path, *limits = files
-        order = bag_recording.Order(path, _selection(**named), *limits)
-        status: int = bag_recording.run(where, order, interrupts)
+        order = sessions.RecordOrder(path, _selection(**named), *limits)
+        status: int = sessions.record_graph(where, order, interrupts)
         return status
 
     return job
@@ -410,7 +410,7 @@ def info(
     """Print what is in a bag, and what is missing from it."""
 
     def job(_: Interrupts) -> int:
-        status: int = _work("bag_info").print_info(
+        status: int = _work("bag_contents").print_info(
             bag, verbose=verbose, names_only=names_only and not verbose
         )
         return status
@@ -468,10 +468,10 @@ def play(
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known
 
-        bag_playing = _work("bag_playing")
+        sessions = _work("bag_sessions")
         make_known(folder(interfaces))
-        order = bag_playing.Order(bag, {**options, "selection": _selection(**named)}, delay)
-        status: int = bag_playing.run(where, order, interrupts)
+        order = sessions.PlayOrder(bag, {**options, "selection": _selection(**named)}, delay)
+        status: int = sessions.play_bag(where, order, interrupts)
         return status
 
     return job
@@ -490,9 +490,9 @@ def goals(
     def job(_: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known
 
-        bag_goals = _work("bag_goals")
+        contents = _work("bag_contents")
         make_known(folder(interfaces))
-        status: int = bag_goals.print_goals(bag, action, as_json=as_json)
+        status: int = contents.print_goals(bag, action, as_json=as_json)
         return status
 
     return job
@@ -555,7 +555,7 @@ def view(bag: BagPath, *, port: Port = 0, no_open: NoOpen = False) -> Job:
     """Show a bag in a browser, with a time line."""
 
     def job(interrupts: Interrupts) -> int:
-        status: int = _work("bag_viewing").run(bag, port, interrupts, is_opened=not no_open)
+        status: int = _work("bag_sessions").view_bag(bag, port, interrupts, is_opened=not no_open)
         return status
 
     return job

@@ -395,12 +395,12 @@ def _switch(given: list[str], *, is_all: bool, is_paused: bool, timeout: float) 
     ids = [] if is_all else [_goal_id(text) for text in given]
 
     async def look(node: Node) -> int:
-        from turtleact.commands import pausing
+        from turtleact.commands import held_goals
 
         if is_all:
             name = given[0] if given else None
-            return await pausing.switch_all(node, name, is_paused=is_paused, timeout=timeout)
-        return await pausing.switch(node, ids, is_paused=is_paused, timeout=timeout)
+            return await held_goals.switch_all(node, name, is_paused=is_paused, timeout=timeout)
+        return await held_goals.switch(node, ids, is_paused=is_paused, timeout=timeout)
 
     return look
 

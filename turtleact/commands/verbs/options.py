@@ -18,7 +18,7 @@ from turtleact.commands.verbs import Job, Verb
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
-    from turtleact.commands.message_style import Style
+    from turtleact.commands.message_text import Style
     from turtleact.graph import Kind
     from turtleact.node import Node
 
@@ -260,7 +260,7 @@ def style(*, csv: bool, flow: bool, longest: int | None, no_arr: bool, no_str: b
     Raises:
         UsageError: if they are to be printed in two ways.
     """
-    from turtleact.commands.message_style import Style
+    from turtleact.commands.message_text import Style
 
     only_one("how messages are printed", csv=csv, flow_style=flow)
     return Style(csv=csv, flow=flow, longest=longest, arrays=not no_arr, strings=not no_str)

@@ -1,36 +1,43 @@
-"""``bag info``: what is in a bag, as ``ros2 bag info`` prints it, and what is missing from it.
+"""``bag info`` and ``bag goals``: what is in a bag, and what is missing from it.
+
+``bag info`` prints it as ``ros2 bag info`` does.
 
 Source: rosbag2 ``format_bag_metadata.cpp``, ``format_action_info.cpp``.
 """
 
 from __future__ import annotations
 
+import json
 import time
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from turtleact.commands.output import say_names
+from turtleact.commands.output import duration, note, say, say_names
+from turtleact.interfaces import to_json
+from turtleact.interfaces.conversion import to_dict
+from turtleact.interfaces.text import flow
+from turtleact.names import resolve_name
 from turtleact.recording.bag import Bag
 from turtleact.recording.metadata import BagInfo, BagTopic
 from turtleact.recording.selection import EVENT, REQUESTS, owner_of, part_of
 from turtleact.recording.storage import Range
 
-__all__ = ["print_info"]
+if TYPE_CHECKING:
+    from turtleact.recording import RecordedGoal
+
+__all__ = ["print_goals", "print_info"]
 
 INDENT = 19
 """The width of the names at the left."""
 
 _SIZES = ("B", "KiB", "MiB", "GiB", "TiB")
 
+HEADINGS = ("id", "action", "state", "took", "feedback", "goal", "result", "reason")
 
-class _Action(NamedTuple):
-    """The topics of an action by part, and its type."""
-
-    name: str
-    type_name: str
-    parts: dict[str, BagTopic]
+LONGEST = 40
+"""A goal or result is cut after so many characters in a table."""
 
 
 def print_info(path: Path, *, verbose: bool, names_only: bool) -> int:
@@ -51,6 +58,42 @@ def print_info(path: Path, *, verbose: bool, names_only: bool) -> int:
         return 0
     finally:
         bag.close()
+
+
+def print_goals(path: Path, name: str | None, *, as_json: bool) -> int:
+    """Print the goals in a bag, and return the exit status.
+
+    Raises:
+        BagError: if there is no bag, or a place in it is damaged.
+        InvalidName: if the name breaks ROS 2's rules.
+    """
+    import anyio  # `print_info` does without it
+
+    from turtleact.recording import goals
+
+    actions = None if name is None else [resolve_name(name)]
+
+    async def gather() -> list[RecordedGoal]:
+        return await goals(path, actions=actions)
+
+    found = anyio.run(gather)
+    if as_json:
+        say("".join(f"{_json_line(each)}\n" for each in found))
+    elif found:
+        rows = [HEADINGS, *map(_goal_row, found)]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        say_names("".join(f"{_aligned(row, widths)}\n" for row in rows))
+    else:
+        note("the bag has no goals")
+    return 0
+
+
+class _Action(NamedTuple):
+    """The topics of an action by part, and its type."""
+
+    name: str
+    type_name: str
+    parts: dict[str, BagTopic]
 
 
 class _Reading:
@@ -211,3 +254,44 @@ def _moment(stamp: int) -> str:
     day = f"{time.strftime('%b', at)} {at.tm_mday:2d} {at.tm_year}"
     clock = f"{time.strftime('%H:%M:%S', at)}.{stamp % 10**9:09d}"
     return f"{day} {clock} ({_seconds(stamp)})"
+
+
+def _aligned(row: tuple[str, ...], widths: list[int]) -> str:
+    return "  ".join(map(str.ljust, row, widths)).rstrip()
+
+
+def _goal_row(goal: RecordedGoal) -> tuple[str, ...]:
+    return (
+        goal.id.hex(),
+        goal.action,
+        "rejected" if goal.accepted is False else goal.status.name,
+        "" if goal.duration is None else duration(goal.duration),
+        str(goal.feedback_count),
+        _short(goal.goal),
+        _short(goal.result),
+        goal.reason if goal.accepted is not False else "",
+    )
+
+
+def _short(message: object) -> str:
+    if message is None:
+        return "?"
+    text = " ".join(flow(to_dict(message)).split())  # type: ignore[arg-type]  # a message
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}…"
+
+
+def _json_line(goal: RecordedGoal) -> str:
+    values: dict[str, object] = {
+        "id": goal.id.hex(),
+        "action": goal.action,
+        "type": goal.type_name,
+        "state": "REJECTED" if goal.accepted is False else goal.status.name,
+        "stamp": goal.stamp,
+        "duration": goal.duration,
+        "feedback": goal.feedback_count,
+        "states": [{"stamp": stamp, "state": status.name} for stamp, status in goal.states],
+        "goal": None if goal.goal is None else json.loads(to_json(goal.goal)),
+        "result": None if goal.result is None else json.loads(to_json(goal.result)),
+        "reason": goal.reason,
+    }
+    return json.dumps(values, ensure_ascii=False)

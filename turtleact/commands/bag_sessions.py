@@ -1,0 +1,177 @@
+"""``bag record``, ``bag play`` and ``bag view``: bags in use, until a signal comes or they end."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from turtleact.commands import graph, runner
+from turtleact.commands.output import counted, duration, note, say
+from turtleact.recording import Bag, Played, Recording, Selection, play, record
+from turtleact.recording.spool import CAPACITY
+
+if TYPE_CHECKING:
+    from turtleact.commands.interrupts import Interrupts
+    from turtleact.commands.settings import Reach
+    from turtleact.node import Node
+    from turtleact.recording.mcap_writing import Compression
+    from turtleact.recording.player import PlayOptions
+
+__all__ = ["PlayOrder", "RecordOrder", "has_display", "play_bag", "record_graph", "view_bag"]
+
+MOST_NAMED = 5
+"""How many topics a note about lost messages names."""
+
+PATIENCE = 10.0
+"""How long the bag may take to be closed after a signal (s)."""
+
+FAILED = 1
+"""The exit status if nothing could be played."""
+
+
+class RecordOrder(NamedTuple):
+    """What to record.
+
+    Attributes:
+        path: The folder to create.
+        selection: The topics, services and actions.
+        max_size: When to begin another file (bytes); 0 for never.
+        max_duration: Likewise (s).
+        capacity: How many bytes may wait to be written; 0 for the default.
+        compression: How chunks are compressed.
+    """
+
+    path: Path
+    selection: Selection
+    max_size: int
+    max_duration: float
+    capacity: int
+    compression: Compression
+
+
+def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> int:
+    """Record, and return the exit status: 0 if a signal has ended it, as for ``ros2 bag record``.
+
+    Raises:
+        BagError: if the bag cannot be created, or the disk is full.
+        TurtleactError: if no graph is in reach.
+    """
+    interrupts.patience = PATIENCE
+    recorded: list[Recording] = []
+
+    async def record_on(node: Node) -> int:
+        try:
+            async with record(
+                node,
+                order.path,
+                selection=order.selection,
+                max_size=order.max_size,
+                max_duration=order.max_duration,
+                compression=order.compression,
+                capacity=order.capacity or CAPACITY,
+            ) as recording:
+                recorded.append(recording)
+                note(f"recording to {order.path}; Ctrl-C ends it")
+                await tell(recording)
+        finally:
+            if recorded:
+                _sum_up_recording(recorded[0])
+        return 0
+
+    status = graph.run(reach, record_on, interrupts)
+    return 0 if recorded else status
+
+
+async def tell(recording: Recording) -> None:
+    """Note each topic once it is recorded, until the recording ends early."""
+    told = 0
+    while not recording.is_over:
+        for topic in recording.topics[told:]:
+            note(f"subscribed to topic '{topic}'")
+        told = len(recording.topics)
+        await recording.wait_changed()
+
+
+class PlayOrder(NamedTuple):
+    """What to play.
+
+    Attributes:
+        path: The bag.
+        options: The options of `turtleact.recording.play`.
+        delay: How long to wait before (s).
+    """
+
+    path: Path
+    options: PlayOptions
+    delay: float
+
+
+def play_bag(reach: Reach, order: PlayOrder, interrupts: Interrupts) -> int:
+    """Play, and return the exit status.
+
+    Raises:
+        BagError: if there is no bag, or a place in it is damaged.
+        TurtleactError: if no graph is in reach.
+    """
+    bag = Bag(order.path)
+    bag.close()
+
+    async def play_on(node: Node) -> int:
+        length = duration(bag.info.duration / 1e9)
+        note(f"playing {order.path}: {counted(bag.info.count, 'message')} of {length}")
+        await node.clock.sleep(order.delay)
+        return _sum_up_playing(await play(node, order.path, **order.options))
+
+    return graph.run(reach, play_on, interrupts)
+
+
+def view_bag(path: Path, port: int, interrupts: Interrupts, *, is_opened: bool) -> int:
+    """Serve the page, and return the exit status.
+
+    Raises:
+        BagError: if there is no bag.
+        InvalidOption: if the port cannot be bound.
+    """
+    import webbrowser
+
+    from turtleact.web.bag_view import open_bag_view  # only this verb needs a web server
+
+    async def show() -> int:
+        with interrupts.listening(asyncio.get_running_loop()):
+            async with open_bag_view(path, port=port) as shown:
+                say(f"{shown.url}\n")
+                note("Ctrl-C ends it")
+                if is_opened and has_display():
+                    await asyncio.to_thread(webbrowser.open, shown.url)
+                await interrupts.wait(1)
+        return 0
+
+    return runner.run(show(), interrupts)
+
+
+def has_display() -> bool:
+    """Whether a browser would open a window, instead of taking the terminal."""
+    if sys.platform in ("win32", "darwin"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _sum_up_recording(recording: Recording) -> None:
+    lost = recording.lost_by_topic
+    note(f"{counted(recording.count, 'message')} recorded in {recording.path}")
+    for topic, count in sorted(lost.items(), key=lambda each: -each[1])[:MOST_NAMED]:
+        note(f"lost: {counted(count, 'message')} of topic '{topic}'")
+    if len(lost) > MOST_NAMED:
+        note(f"lost in all: {counted(sum(lost.values()), 'message')} of {len(lost)} topics")
+
+
+def _sum_up_playing(played: Played) -> int:
+    for topic, reason in played.skipped.items():
+        note(f"'{topic}' was not played: {reason}; give --interfaces DIR")
+    for (action, ended), count in sorted(played.goals.items()):
+        note(f"{counted(count, 'goal')} of '{action}': {ended}")
+    note(f"played {counted(played.messages, 'message')}")
+    return 0 if played.messages or played.goals or not played.skipped else FAILED
