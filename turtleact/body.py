@@ -22,6 +22,7 @@ from collections.abc import (
     Awaitable,
     Callable,
     Coroutine,
+    Mapping,
 )
 from typing import (
     TYPE_CHECKING,
@@ -57,6 +58,8 @@ __all__ = [
     "ServerOptions",
     "Steps",
     "action",
+    "check_declaration",
+    "check_option_names",
 ]
 
 P = ParamSpec("P")
@@ -134,6 +137,12 @@ class ServerOptions(TypedDict, total=False):
     on_pause: Callable[..., Awaitable[object]] | None
     on_resume: Callable[..., Awaitable[object]] | None
     introspection: Introspection | None
+
+
+def check_option_names(options: Mapping[str, object]) -> None:
+    """Raise TypeError if an option does not exist; `check_options` checks their values."""
+    for unknown in options.keys() - ServerOptions.__annotations__.keys():
+        raise TypeError(f"an action server has no option '{unknown}'")
 
 
 def check_options(options: ServerOptions) -> None:
@@ -307,6 +316,16 @@ class Body:
         if not self.is_generator and not inspect.iscoroutinefunction(target):
             raise InvalidBody(name, f"must be an 'async def', not {_kind_of(function)}")
         self.wants_handle = _count_parameters(name, function) == 2
+
+
+def check_declaration(given: object) -> None:
+    """Raise TypeError unless an object was made by `action`."""
+    if not isinstance(given, ActionDeclaration):
+        if inspect.iscoroutine(given) or inspect.isasyncgen(given):
+            problem = "was called already: pass the function itself, without ()"
+        else:
+            problem = "is no action: declare it with @turtleact.action"
+        raise TypeError(f"{getattr(given, '__qualname__', '') or repr(given)} {problem}")
 
 
 def _is_function(function: Callable[..., object]) -> bool:

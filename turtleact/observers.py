@@ -12,11 +12,11 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import msgspec
 
-from turtleact.goal import Goal, GoalStatus
+from turtleact.goal import CURRENT_GOAL, Goal, GoalStatus
 from turtleact.summaries import STOPS, loggable
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
     "Detached",
     "FeedbackLost",
     "GoalObserver",
+    "Hook",
     "Lost",
     "News",
     "Observers",
@@ -90,6 +91,32 @@ class GoalObserver:
 
 
 _METHODS: Final = tuple(name for name in vars(GoalObserver) if not name.startswith("_"))
+
+
+class Hook(GoalObserver):
+    """Calls a function of the user's at each change of a goal.
+
+    Args:
+        hook: The function; takes a handle of the goal and two states.
+        make_handle: Makes the handle.
+    """
+
+    def __init__(
+        self,
+        hook: Callable[[Any, GoalStatus, GoalStatus], object],
+        make_handle: Callable[[Goal], object],
+    ) -> None:
+        self._hook = hook
+        self._make_handle = make_handle
+
+    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
+        """Call the hook."""
+        # Without a current goal, a goal that the hook sends does not become a child of this one.
+        token = CURRENT_GOAL.set(None)
+        try:
+            self._hook(self._make_handle(goal), before, after)
+        finally:
+            CURRENT_GOAL.reset(token)
 
 
 class Observers:

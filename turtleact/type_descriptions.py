@@ -12,9 +12,9 @@ from typing import Any, Final
 
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import WireFormat, get_interface
-from turtleact.transports.base import Closeable, Endpoint, Reply, Transport
+from turtleact.transports.base import Closeable, Endpoint, Lazy, Reply, Transport
 
-__all__ = ["GET_TYPE_DESCRIPTION", "TYPE_HASH", "offer_descriptions", "service_name"]
+__all__ = ["GET_TYPE_DESCRIPTION", "TYPE_HASH", "offer_descriptions", "offer_when_sought"]
 
 GET_TYPE_DESCRIPTION: Final = "type_description_interfaces/srv/GetTypeDescription"
 
@@ -22,16 +22,30 @@ TYPE_HASH: Final = "RIHS01_69b9c19c1021405984cc60dbbb1edceb147a6538b411d812ba6af
 """The hash of the service, written down because computing it takes 10 ms."""
 
 
-def service_name(node: str) -> str:
-    """Return the name of the service of a node, given by its fully qualified name."""
-    return f"{node}/get_type_description"
-
-
 def offer_descriptions(transport: Transport, node: str) -> Closeable:
     """Offer the service of a node, given by its fully qualified name."""
-    name = service_name(node)
+    name = _service_name(node)
     endpoint = Endpoint("service", name, GET_TYPE_DESCRIPTION, node, is_unlisted=True)
     return transport.serve(endpoint, _Format(), _Describer())
+
+
+def offer_when_sought(transport: Transport, node: str) -> Closeable:
+    """Offer the service of a node once another process looks for it.
+
+    Within one process nobody needs it, so a transport that has no other processes never offers it.
+    """
+    if not isinstance(transport, Lazy):
+        return _Nothing()
+    return transport.open_when_sought(
+        _service_name(node), lambda: offer_descriptions(transport, node)
+    )
+
+
+class _Nothing:
+    """The service of a node that nobody can look for."""
+
+    def close(self) -> None:
+        """Do nothing."""
 
 
 class _Format(WireFormat):
@@ -49,6 +63,10 @@ class _Describer:
     async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002
         """Describe the type that a request names."""
         return Reply(_described(request))
+
+
+def _service_name(node: str) -> str:
+    return f"{node}/get_type_description"
 
 
 def _described(request: Any) -> object:  # noqa: ANN401  # the classes are loaded on demand

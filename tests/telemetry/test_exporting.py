@@ -12,6 +12,7 @@ from opentelemetry import metrics, trace
 
 import turtleact
 from turtleact import TurtleactError
+from turtleact.node import local_server_of
 from turtleact.telemetry import exporting as exporting_module
 from turtleact.telemetry import instrument
 from turtleact.telemetry.exporting import exporting
@@ -65,7 +66,7 @@ async def test_either_exporter_can_be_left_out(monkeypatch, providers):
         traces, numbers = providers["traces"], providers["metrics"]
         instrument(node, tracer_provider=traces, meter_provider=numbers)
         server = node.action_server(Count, "count", count)
-        assert not server.local.observers.are_any
+        assert not local_server_of(server).observers.are_any
         assert node.action_client(Count, "count").around is None
 
 

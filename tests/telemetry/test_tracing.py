@@ -20,6 +20,7 @@ from opentelemetry.trace import StatusCode
 import turtleact
 from turtleact import Abort, GoalAborted, GoalCanceled, GoalRejected, Reject, ServerUnavailable
 from turtleact.goal_wire import GoalNote
+from turtleact.node import local_server_of
 from turtleact.observers import FeedbackLost
 from turtleact.telemetry import instrument, new_traces
 from turtleact.transports import MemoryTransport
@@ -389,8 +390,8 @@ async def test_lost_feedback_is_an_event(collector):
             lab(provider, Gate().wait) as made,
             made.client.send_goal(goal(), goal_id=bytes(range(16))),
         ):
-            (held,) = made.server.local.held()
-            made.server.local.observers.noted(held, FeedbackLost(7))
+            (held,) = local_server_of(made.server).held()
+            local_server_of(made.server).observers.noted(held, FeedbackLost(7))
     (lost,) = [each for each in collector.the("execute /count").events if each.name[-4:] == "lost"]
     assert (lost.name, values(lost.attributes)) == ("feedback lost", {"ros.feedback.count": 7})
 
@@ -399,7 +400,7 @@ async def test_feedback_of_goals_that_are_not_sampled_is_sent_as_fast_as_ever():
     off = TracerProvider(ALWAYS_OFF, shutdown_on_exit=False)
     async with lab(off, count) as made:
         assert await made.client.send_goal(goal(1)) == result(0)
-        assert not made.server.local.observers.want_feedback
+        assert not local_server_of(made.server).observers.want_feedback
 
 
 async def test_goals_that_run_already_are_left_out(collector):

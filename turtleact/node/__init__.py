@@ -5,7 +5,15 @@ and `timers` has its timers. `resources` tracks everything a node has opened, so
 the node. `conflicts` ensures that only one node serves an action name.
 """
 
-from turtleact.node.node import ActionServer, Node, ServerGoalHandle, Transition, open_node
+from turtleact.node.node import (
+    ActionServer,
+    Node,
+    ServerGoalHandle,
+    Transition,
+    local_server_of,
+    open_node,
+    resources_of,
+)
 from turtleact.node.timers import Tick, Timer
 
 __all__ = [
@@ -15,5 +23,7 @@ __all__ = [
     "Tick",
     "Timer",
     "Transition",
+    "local_server_of",
     "open_node",
+    "resources_of",
 ]

@@ -20,15 +20,18 @@ from __future__ import annotations
 
 import logging
 import random
-from collections.abc import Callable
-from typing import Literal, TypeAlias
+from collections.abc import Callable, Coroutine
+from typing import Literal, TypeAlias, get_args
 
 import anyio
 
-from turtleact.errors import ActionConflict
+from turtleact.errors import ActionConflict, InvalidOption
+from turtleact.server.endpoints import ActionEndpoints
+from turtleact.server.local_server import LocalActionServer
+from turtleact.tasks import Background, current_tasks
 from turtleact.transports.base import Transport
 
-__all__ = ["BUILT_INS_NODE", "OnConflict", "Rivals", "tell_of_built_in"]
+__all__ = ["BUILT_INS_NODE", "OnConflict", "Rivals", "ServedName", "check_on_conflict"]
 
 logger = logging.getLogger("turtleact.server")
 
@@ -100,11 +103,10 @@ class Rivals:
         """
         return self._node != BUILT_INS_NODE and BUILT_INS_NODE in self._nodes(is_local=is_local)
 
-    async def look_for_built_in(self, action: str, seconds: float) -> None:
-        """Log it if discovery shows a built-in action within some seconds. Cancelling: safe."""
-        with anyio.move_on_after(seconds):
-            await self.wait_until(self.has_built_in)
-            tell_of_built_in(action)
+    @property
+    def discovery_ends(self) -> float:
+        """Until when servers that exist may not have been seen (event loop time)."""
+        return self._transport.discovery_ends
 
     async def wait_until_free(self) -> None:
         """Wait until this node can serve the action. Cancelling: safe.
@@ -136,6 +138,137 @@ class Rivals:
         return self._transport.local(self._service, type_name) is not None
 
 
-def tell_of_built_in(action: str) -> None:
-    """Log that the built-in action makes way for one of this process."""
-    logger.warning("%s: the built-in action makes way for this one", action)
+class ServedName:
+    """The name of one action server: it serves the name, waits for it, or makes way for others.
+
+    Args:
+        server: Holds and runs its goals.
+        endpoints: Put it on the graph.
+        rivals: The other servers of the name.
+        types_served: Returns the types that the node of the server now serves under the name.
+        restore: Called once the server serves the name, to restore its goals.
+
+    Attributes:
+        is_serving: Whether the server is on the graph under its name.
+    """
+
+    def __init__(
+        self,
+        server: LocalActionServer,
+        endpoints: ActionEndpoints,
+        rivals: Rivals,
+        types_served: Callable[[], set[str]],
+        restore: Callable[[], object],
+    ) -> None:
+        self.is_serving = False
+        self._server = server
+        self._endpoints = endpoints
+        self._rivals = rivals
+        self._types_served = types_served
+        self._restore = restore
+        self._running: list[Background] = []
+        self._turned = current_tasks().signal()
+
+    def take(self, on_conflict: OnConflict, again: Callable[[], object]) -> None:
+        """Serve the name now, or once it is free.
+
+        Args:
+            on_conflict: What to do if another node serves it. "refuse" was decided before: what
+                holds the name now has the name of this node, and is about to disappear.
+            again: Opens a server like this one, after it has made way for another node.
+        """
+        if on_conflict == "withdraw":
+            self._keep(self._make_way(again), "making way for others with")
+        holder = self._rivals.holder()
+        if holder is None:
+            self._begin()
+        elif on_conflict != "withdraw":
+            logger.warning(
+                "%s is served by %s: waiting until that has gone", self._server.name, holder
+            )
+            self._keep(self._serve_once_free(), "waiting to serve")
+
+    async def wait(self) -> bool:
+        """Wait until the name is served; False if the server stopped before. Cancelling: safe."""
+        while self._server.is_open and not self.is_serving:
+            await self._turned.wait()
+        return self.is_serving
+
+    async def aclose(self) -> None:
+        """Accept no more goals, and neither wait for the name nor make way any more."""
+        self._stop()
+        for running in self._running:
+            await running.aclose()
+        self._running.clear()
+
+    def _keep(self, running: Coroutine[object, object, None], name: str) -> None:
+        """Run a coroutine until the server is closed."""
+        self._running.append(Background(running, f"{name} {self._server.name}"))
+
+    def _begin(self) -> None:
+        # Before the endpoints are open: afterwards a built-in action of the same type would count
+        # as one of this process.
+        if self._rivals.has_built_in(is_local=False):
+            self._tell_of_built_in()
+        elif not self._rivals.has_built_in():
+            # On a graph that was opened a moment ago, it may not have been discovered yet.
+            rest = self._rivals.discovery_ends - anyio.current_time()
+            if rest > 0:
+                self._keep(self._look_for_built_in(rest), "looking for a built-in of")
+        self._endpoints.open()
+        self._restore()
+        self.is_serving = True
+        self._turned.fire()
+
+    def _stop(self) -> None:
+        self._server.is_open = False
+        self.is_serving = False
+        self._turned.fire()
+
+    async def _look_for_built_in(self, seconds: float) -> None:
+        """Log it if discovery shows a built-in action within some seconds. Cancelling: safe."""
+        with anyio.move_on_after(seconds):
+            await self._rivals.wait_until(self._rivals.has_built_in)
+            self._tell_of_built_in()
+
+    def _tell_of_built_in(self) -> None:
+        logger.warning("%s: the built-in action makes way for this one", self._server.name)
+
+    async def _serve_once_free(self) -> None:
+        """Join the graph when nobody else serves the name any more."""
+        await self._rivals.wait_until_free()
+        logger.warning("%s is free: serving it now", self._server.name)
+        self._begin()
+
+    async def _make_way(self, again: Callable[[], object]) -> None:
+        """Withdraw when another node serves the name; serve again when none does any more.
+
+        A closed server cannot open again, so ``again`` opens another one, which watches for rivals
+        in turn. Until then the node keeps track of the old server, so that closing the node also
+        ends this watch.
+        """
+        name, rivals = self._server.name, self._rivals
+        await rivals.wait_until(lambda: rivals.first() is not None)
+        self._stop()
+        self._endpoints.stop_taking_goals()
+        if not self._types_served():  # one line, though it may have several types
+            logger.warning(
+                "%s is served by %s now: the built-in action withdraws", name, rivals.first()
+            )
+        await self._server.wait_until_idle()
+        await self._endpoints.aclose()
+        await rivals.wait_until_free()
+        if not self._types_served():
+            logger.warning("%s is free: the built-in action serves it again", name)
+        again()
+
+
+def check_on_conflict(given: object) -> None:
+    """Check a value of ``on_conflict``.
+
+    Raises:
+        InvalidOption: if it is none of `OnConflict`.
+    """
+    if given not in get_args(OnConflict):
+        words = ", ".join(get_args(OnConflict))
+        raise InvalidOption("on_conflict", f"expected one of {words}, not {given!r}")

@@ -7,16 +7,21 @@ Source: rclpy ``node.py`` for names and behaviour.
 
 from __future__ import annotations
 
-import logging
 import math
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
-from contextlib import AbstractContextManager, asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import AbstractContextManager, ExitStack, asynccontextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, Unpack, cast, overload
 
-import anyio
-
-from turtleact.body import ActionBody, ActionDeclaration, ActionType, Body, ServerOptions
+from turtleact.body import (
+    ActionBody,
+    ActionDeclaration,
+    ActionType,
+    Body,
+    ServerOptions,
+    check_declaration,
+    check_option_names,
+)
 from turtleact.client import ActionClient
 from turtleact.client.client_endpoints import ClientEndpoints
 from turtleact.clock import Clock, check_timeout
@@ -25,12 +30,10 @@ from turtleact.goal import Goal, GoalStatus
 from turtleact.graph import Graph, graph_of
 from turtleact.interfaces import Action, Message, Service, WireFormat
 from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
-from turtleact.node.arguments import check_declaration, check_server_options, expect
-from turtleact.node.conflicts import OnConflict, Rivals, tell_of_built_in
-from turtleact.node.hooks import Hook
-from turtleact.node.membership import Membership
+from turtleact.node.conflicts import OnConflict, Rivals, ServedName, check_on_conflict
 from turtleact.node.resources import Resources
 from turtleact.node.timers import Timer
+from turtleact.observers import Hook
 from turtleact.server.endpoints import ActionEndpoints
 from turtleact.server.execution import Execution, Served
 from turtleact.server.goal_handle import GoalHandle
@@ -43,19 +46,26 @@ from turtleact.services import (
     service_events,
 )
 from turtleact.slot import Rules, Slot, Slots
-from turtleact.tasks import Background, Home, current_tasks
+from turtleact.tasks import Home, current_tasks
 from turtleact.topics import Matching, Publisher, Subscription
 from turtleact.transports import MemoryTransport, QoS, Transport
 from turtleact.transports.base import CallObserver, Closeable, Endpoint, EndpointKind
+from turtleact.type_descriptions import offer_when_sought
 
-__all__ = ["ActionServer", "Node", "ServerGoalHandle", "Transition", "open_node"]
+__all__ = [
+    "ActionServer",
+    "Node",
+    "ServerGoalHandle",
+    "Transition",
+    "local_server_of",
+    "open_node",
+    "resources_of",
+]
 
 if TYPE_CHECKING:  # few nodes have parameters or introspection; the modules import slowly
     from turtleact.introspection import Introspection
     from turtleact.node.parameters import NodeParameters, Parameter
     from turtleact.parameters import Bounds, ParameterDeclaration, Value
-
-logger = logging.getLogger("turtleact.server")
 
 G = TypeVar("G", bound=Message)
 R = TypeVar("R", bound=Message)
@@ -83,7 +93,6 @@ class Node:
         clock: The graph's time. Bodies should wait with it.
         transport: The connection to other nodes.
         introspection: The introspection of what is opened on the node from now on.
-        resources: Everything that is open on the node.
         first_values: The first values of parameters, by name, instead of declared ones.
     """
 
@@ -97,13 +106,15 @@ class Node:
         self.transport = transport
         self._tasks = current_tasks()
         self._home = Home(f"node '{self.fully_qualified_name}'")
-        self.resources = self._resources = Resources(self._home)
+        self._resources = Resources(self._home)
         self._slots = Slots[SlotRequest]()
         self._hooks: list[Transition] = []
         self._to_restore: list[LocalActionServer] = []
         self._parameters: NodeParameters | None = None
         self.first_values: dict[str, object] = {}
-        self._membership = Membership(transport, self.fully_qualified_name)
+        self._presence = ExitStack()
+        self._presence.callback(transport.enter(self.fully_qualified_name).close)
+        self._presence.callback(offer_when_sought(transport, self.fully_qualified_name).close)
 
     @property
     def fully_qualified_name(self) -> str:
@@ -190,8 +201,9 @@ class Node:
             TypeError: if an option does not exist.
         """
         self._home.check()
-        expect(Action, action_type)
-        check_server_options(options, on_conflict)
+        _expect(Action, action_type)
+        check_option_names(options)
+        check_on_conflict(on_conflict)
         names = self._action_names(name)
         rivals = Rivals(self.transport, names.send_goal, self.fully_qualified_name)
         own_types = self._types_served(names.name)
@@ -213,24 +225,17 @@ class Node:
         endpoint = partial(self._endpoint, on_demand=on_demand)
         shown = options.get("introspection") or self.introspection
         endpoints = ActionEndpoints(local, names, self.transport, endpoint, self._tasks, shown)
-        server: ActionServer[G, R, F] = ActionServer(self, action_type, local, endpoints)
+        server: ActionServer[G, R, F] = ActionServer(self, action_type, local, endpoints, rivals)
         for hook in self._hooks:
             server._watch(hook)
-        if on_conflict == "withdraw":
-            again = partial(
-                self.action_server,
-                *(action_type, name, execute),
-                on_demand=on_demand,
-                on_conflict=on_conflict,
-                **options,
-            )
-            server._keep(server._make_way(rivals, again), "making way for others with")
-        holder = rivals.holder()
-        if holder is None:
-            server._begin(rivals)
-        elif on_conflict != "withdraw":
-            logger.warning("%s is served by %s: waiting until that has gone", names.name, holder)
-            server._keep(server._serve_once_free(rivals), "waiting to serve")
+        again = partial(
+            self.action_server,
+            *(action_type, name, execute),
+            on_demand=on_demand,
+            on_conflict=on_conflict,
+            **options,
+        )
+        server._take_name(on_conflict, again)
         server._membership = self._resources.add_server(
             "action server", server, endpoints.stop_taking_goals
         )
@@ -284,7 +289,7 @@ class Node:
             InvalidName: if the name breaks ROS 2's rules.
             InvalidOption: if the value of an option is not allowed.
         """
-        expect(Action, action_type)
+        _expect(Action, action_type)
         check_timeout(cancel_timeout, "cancel_timeout")
         patience = math.inf if cancel_timeout is None else cancel_timeout
         names = self._action_names(name)
@@ -314,7 +319,7 @@ class Node:
         Raises:
             InvalidName: if the topic's name breaks ROS 2's rules.
         """
-        expect(Message, message_type)
+        _expect(Message, message_type)
         name = resolve_name(topic, self.namespace, self.name)
         end = self._endpoint("publisher", name, message_type.type_name, qos, on_demand=on_demand)
         matching = None if on_matched is None else Matching(on_matched)
@@ -329,7 +334,7 @@ class Node:
         Raises:
             InvalidName: if the topic's name breaks ROS 2's rules.
         """
-        expect(Message, message_type)
+        _expect(Message, message_type)
         name = resolve_name(topic, self.namespace, self.name)
         end = self._endpoint("subscription", name, message_type.type_name, qos, on_demand=on_demand)
         signal = self._tasks.signal()
@@ -358,7 +363,7 @@ class Node:
         Raises:
             InvalidName: if the name breaks ROS 2's rules.
         """
-        expect(Service, service_type)
+        _expect(Service, service_type)
         full_name = resolve_name(name, self.namespace, self.name)
         server = LocalServiceServer(service_type, full_name, handler, tasks=self._tasks)
         endpoint = self._endpoint("service", full_name, service_type.type_name, on_demand=on_demand)
@@ -379,7 +384,7 @@ class Node:
         Raises:
             InvalidName: if the name breaks ROS 2's rules.
         """
-        expect(Service, service_type)
+        _expect(Service, service_type)
         full_name = resolve_name(name, self.namespace, self.name)
         endpoint = self._endpoint("client", full_name, service_type.type_name)
         format = WireFormat(cast("type[Service]", service_type), asks=True)
@@ -479,7 +484,7 @@ class Node:
         try:
             await self._resources.aclose()
         finally:
-            self._membership.close()
+            self._presence.close()
 
     async def close_withdrawn(self) -> None:
         """Close the action servers that have made way for others, so that none comes back."""
@@ -554,9 +559,6 @@ class ActionServer(Generic[G, R, F]):
         name: The fully qualified name.
         action_type: The action.
         node: The node that serves it.
-        local: Holds and runs its goals.
-        is_serving: Whether it is on the graph under its name: not while it waits for another node
-            to give up the name, and not after it has made way for another node.
     """
 
     def __init__(
@@ -565,21 +567,31 @@ class ActionServer(Generic[G, R, F]):
         action_type: ActionType[G, R, F],
         local: LocalActionServer,
         endpoints: ActionEndpoints,
+        rivals: Rivals,
     ) -> None:
         self.name = local.name
         self.action_type = action_type
         self.node = node
         self._membership: Closeable | None = None
-        self.local = self._local = local
+        self._local = local
         self._endpoints = endpoints
-        self.is_serving = False
-        self._watches: list[Background] = []
-        self._turned = current_tasks().signal()
+        types_served = partial(node._types_served, self.name)
+        restore = partial(node._restore_soon, local)
+        self._served_name = ServedName(local, endpoints, rivals, types_served, restore)
 
     @property
     def is_open(self) -> bool:
         """Whether the server accepts goals, or will when the name is free."""
         return self._local.is_open
+
+    @property
+    def is_serving(self) -> bool:
+        """Whether the server is on the graph under its name.
+
+        It is not while it waits for another node to give up the name, and not after it has made way
+        for another node.
+        """
+        return self._served_name.is_serving
 
     @property
     def is_idle(self) -> bool:
@@ -597,10 +609,7 @@ class ActionServer(Generic[G, R, F]):
             reason: The reason that clients get for goals that end now.
         """
         self._local.closing_reason = reason
-        self._stop()
-        for watch in self._watches:
-            await watch.aclose()
-        self._watches.clear()
+        await self._served_name.aclose()
         if self._membership is not None:
             self._membership.close()
         await self._local.aclose()
@@ -611,68 +620,20 @@ class ActionServer(Generic[G, R, F]):
 
         Cancelling: safe; the server goes on waiting for its name.
         """
-        while self.is_open and not self.is_serving:
-            await self._turned.wait()
-        return self.is_serving
+        return await self._served_name.wait()
 
     def _watch(self, hook: Transition) -> None:
-        self._local.observers.add(Hook(hook, self._local.execution))
+        self._local.observers.add(Hook(hook, self._local.execution.make_handle))
 
-    def _keep(self, running: Coroutine[object, object, None], name: str) -> None:
-        """Run a coroutine until the server is closed."""
-        self._watches.append(Background(running, f"{name} {self.name}"))
+    def _take_name(self, on_conflict: OnConflict, again: Callable[[], object]) -> None:
+        """Serve the name, now or later; ``again`` opens another server like this one."""
 
-    def _begin(self, rivals: Rivals) -> None:
-        if rivals.has_built_in(is_local=False):
-            tell_of_built_in(self.name)
-        elif not rivals.has_built_in():
-            # On a graph that was opened a moment ago, it may not have been discovered yet.
-            rest = self.node.transport.discovery_ends - anyio.current_time()
-            if rest > 0:
-                looking = rivals.look_for_built_in(self.name, rest)
-                self._keep(looking, "looking for a built-in of")
-        self._endpoints.open()
-        self.node._restore_soon(self._local)
-        self.is_serving = True
-        self._turned.fire()
+        def replace() -> None:
+            if self._membership is not None:
+                self._membership.close()
+            again()
 
-    def _stop(self) -> None:
-        self._local.is_open = False
-        self.is_serving = False
-        self._turned.fire()
-
-    async def _serve_once_free(self, rivals: Rivals) -> None:
-        """Join the graph when nobody else serves the name any more."""
-        await rivals.wait_until_free()
-        logger.warning("%s is free: serving it now", self.name)
-        self._begin(rivals)
-
-    async def _make_way(self, rivals: Rivals, again: Callable[[], object]) -> None:
-        """Withdraw when another node serves the name; serve again when none does any more.
-
-        A closed server cannot open again, so ``again`` opens another one, which watches for rivals
-        in turn. Until then the node keeps track of the old server, so that closing the node also
-        ends this watch.
-
-        Args:
-            rivals: The other servers of the name.
-            again: Opens a server like this one.
-        """
-        await rivals.wait_until(lambda: rivals.first() is not None)
-        self._stop()
-        self._endpoints.stop_taking_goals()
-        if not self.node._types_served(self.name):  # one line, though it may have several types
-            logger.warning(
-                "%s is served by %s now: the built-in action withdraws", self.name, rivals.first()
-            )
-        await self._local.wait_until_idle()
-        await self._endpoints.aclose()
-        await rivals.wait_until_free()
-        if not self.node._types_served(self.name):
-            logger.warning("%s is free: the built-in action serves it again", self.name)
-        if self._membership is not None:
-            self._membership.close()
-        again()
+        self._served_name.take(on_conflict, replace)
 
 
 @asynccontextmanager
@@ -698,3 +659,20 @@ async def open_node(
             yield node
         finally:
             await node.aclose()
+
+
+def resources_of(node: Node) -> Resources:
+    """Return what tracks everything that is open on a node, for what runs beside it."""
+    return node._resources
+
+
+def local_server_of(server: ActionServer[Any, Any, Any]) -> LocalActionServer:
+    """Return what holds and runs the goals of a server, for what observes them."""
+    return server._local
+
+
+def _expect(kind: type, given: object) -> None:
+    """Raise TypeError unless an object is a subclass of ``kind``."""
+    if not (isinstance(given, type) and issubclass(given, kind)):
+        named = getattr(given, "__qualname__", "") or repr(given)
+        raise TypeError(f"expected a subclass of turtleact.{kind.__name__}, not {named}")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from anyio import sleep_forever
 
 from turtleact.errors import TurtleactError
-from turtleact.node import Node
+from turtleact.node import Node, resources_of
 from turtleact.tasks import Background
 from turtleact.telemetry.measuring import measure, watch, watch_loop
 
@@ -53,8 +53,9 @@ def instrument(
             "turtleact.telemetry.instrument needs the extra otel: "
             "pip install 'opentelemetry-api>=1.30,<2'"
         ) from missing
-    node.resources.home.check()
-    if node.resources.find(_Instrumentation) is not None:
+    resources = resources_of(node)
+    resources.home.check()
+    if resources.find(_Instrumentation) is not None:
         return
     if not node.is_open:
         raise TurtleactError(f"node '{node.fully_qualified_name}' is closed: open another")
@@ -64,7 +65,7 @@ def instrument(
     if not instruments.are_off:
         measure(node, instruments)
     watching = sleep_forever() if instruments.are_off else watch_loop(instruments)
-    node.resources.add(_Instrumentation(watching), _Nothing())
+    resources.add(_Instrumentation(watching), _Nothing())
 
 
 class _Instrumentation:

@@ -14,7 +14,7 @@ import anyio
 
 from turtleact.client import ActionClient
 from turtleact.goal import Goal, GoalStatus
-from turtleact.node import ActionServer, Node
+from turtleact.node import ActionServer, Node, local_server_of, resources_of
 from turtleact.observers import FeedbackLost, GoalObserver, Lost, News
 
 __all__ = ["BOUNDS", "Measurements", "measure", "watch", "watch_loop"]
@@ -67,14 +67,14 @@ def watch(
         elif isinstance(thing, ActionClient):
             on_client(thing)
 
-    node.resources.watch(told)
+    resources_of(node).watch(told)
 
 
 def measure(node: Node, measurements: Measurements) -> None:
     """Measure the goals of a node from now on."""
     watch(
         node,
-        lambda server: server.local.observers.add(_ServerMeter(server, measurements)),
+        lambda server: local_server_of(server).observers.add(_ServerMeter(server, measurements)),
         lambda client: client.observers.add(_ClientMeter(client.name, measurements)),
     )
 
@@ -94,7 +94,7 @@ class _ServerMeter(GoalObserver):
         self._action = server.name
         self._now = server.node.clock.now
         self._measurements = measurements
-        for goal in server.local.held():
+        for goal in local_server_of(server).held():
             self._move(GoalStatus.UNKNOWN, goal.status)
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:

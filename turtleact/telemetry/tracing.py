@@ -40,7 +40,7 @@ from turtleact.goal_id import new_goal_id
 from turtleact.goal_server import GoalOrder
 from turtleact.goal_wire import GoalNote
 from turtleact.names import action_names
-from turtleact.node import Node
+from turtleact.node import Node, local_server_of
 from turtleact.observers import (
     BodyFailed,
     Detached,
@@ -94,9 +94,10 @@ class Tracing:
     def add_server(self, server: AnyServer) -> None:
         """Trace the goals of a server."""
         attributes = self._attributes(server)
-        if server.local.slot_name:
-            attributes["ros.slot"] = server.local.slot_name
-        server.local.observers.add(_ServerSpans(server, self._tracer, attributes))
+        local = local_server_of(server)
+        if local.slot_name:
+            attributes["ros.slot"] = local.slot_name
+        local.observers.add(_ServerSpans(server, self._tracer, attributes))
 
     def add_client(self, client: AnyClient) -> None:
         """Trace the goals of a client."""
@@ -259,9 +260,10 @@ class _ServerSpans(_Spans):
     def __init__(
         self, server: AnyServer, tracer: trace.Tracer, attributes: dict[str, str | int]
     ) -> None:
-        super().__init__(server.local.observers)
+        local = local_server_of(server)
+        super().__init__(local.observers)
         self._name = f"execute {server.name}"
-        self._name_goal = server.local.name_goal
+        self._name_goal = local.name_goal
         self._tracer = tracer
         self._attributes = attributes
 
