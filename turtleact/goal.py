@@ -38,6 +38,7 @@ __all__ = [
     "Cancelable",
     "Goal",
     "GoalEvent",
+    "GoalOrder",
     "GoalResponse",
     "GoalStatus",
     "GoalTable",
@@ -156,6 +157,27 @@ class Cancelable(Protocol):
 
 
 OnFeedback: TypeAlias = Callable[[object], object]
+
+
+class GoalOrder(msgspec.Struct, eq=False):
+    """A goal that a client wants to send.
+
+    Attributes:
+        request: The goal message.
+        sender: The client. Used to find its goals when it goes away; the server tells it nothing.
+        cancel_timeout: How long a cancelled caller waits for the goal to end (s, event loop time).
+        goal_id: The 16 bytes that the user or an observer chose; None to let the server or client
+            choose.
+        on_feedback: The user's callback for feedback.
+        reattach: How long to wait for a server that has gone to return (s, event loop time).
+    """
+
+    request: object
+    sender: object
+    cancel_timeout: float
+    goal_id: bytes | None = None
+    on_feedback: OnFeedback | None = None
+    reattach: float = 0.0
 
 
 class Goal(msgspec.Struct, eq=False):

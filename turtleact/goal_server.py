@@ -11,34 +11,13 @@ from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 import anyio
-import msgspec
 
 from turtleact.errors import TurtleactError
-from turtleact.goal import Goal, OnFeedback
+from turtleact.goal import Goal, GoalOrder
 from turtleact.interfaces.standard import CancelGoal
 from turtleact.tasks import Signal
 
-__all__ = ["GoalOrder", "GoalServer", "OffersGoals", "cancel_and_wait"]
-
-
-class GoalOrder(msgspec.Struct, frozen=True):
-    """A goal that a client wants to send.
-
-    Attributes:
-        request: The goal message.
-        sender: The client. Used to find its goals when it goes away; the server tells it nothing.
-        cancel_timeout: How long a cancelled caller waits for the goal to end (s, event loop time).
-        goal_id: The 16 bytes that the user chose; None to let the server or client choose.
-        on_feedback: The user's callback for feedback.
-        reattach: How long to wait for a server that has gone to return (s, event loop time).
-    """
-
-    request: object
-    sender: object
-    cancel_timeout: float
-    goal_id: bytes | None = None
-    on_feedback: OnFeedback | None = None
-    reattach: float = 0.0
+__all__ = ["GoalServer", "OffersGoals", "cancel_and_wait"]
 
 
 @runtime_checkable

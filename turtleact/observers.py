@@ -16,7 +16,7 @@ from typing import Any, Final, TypeAlias
 
 import msgspec
 
-from turtleact.goal import CURRENT_GOAL, Goal, GoalStatus
+from turtleact.goal import CURRENT_GOAL, Goal, GoalOrder, GoalStatus
 from turtleact.summaries import STOPS, loggable
 
 __all__ = [
@@ -89,6 +89,19 @@ class GoalObserver:
     def enter_body(self, goal: Goal) -> None:
         """Called in a body's context before its first step, to set context variables for it."""
 
+    def enter_call(self, order: GoalOrder) -> None:
+        """Called before a client sends a goal, in the context in which it is sent.
+
+        May set context variables for the sending, and may give the order an id by which to
+        recognise the goal later. The sender's own context stays as it is.
+        """
+
+    def leave_call(self, order: GoalOrder, error: BaseException | None) -> None:
+        """Called when the sender has stopped waiting, for the result or only for the acceptance.
+
+        ``error`` is what the wait has raised; None if nothing.
+        """
+
 
 _METHODS: Final = tuple(name for name in vars(GoalObserver) if not name.startswith("_"))
 
@@ -130,6 +143,7 @@ class Observers:
             it calls anything else.
         want_feedback: Whether any observer overrides `feedback_published`.
         want_bodies: Whether any observer overrides `enter_body`.
+        want_calls: Whether any observer overrides `enter_call` or `leave_call`.
         want_goals: Whether any observer hears of each goal: its changes, feedback or pauses.
     """
 
@@ -141,6 +155,7 @@ class Observers:
         "_untold",
         "are_any",
         "want_bodies",
+        "want_calls",
         "want_feedback",
         "want_goals",
     )
@@ -189,6 +204,14 @@ class Observers:
         """Let all observers set context variables for a body; call this in the body's context."""
         self._call("enter_body", (goal,))
 
+    def enter_call(self, order: GoalOrder) -> None:
+        """Let all observers prepare the sending of a goal; call this in the context it uses."""
+        self._call("enter_call", (order,))
+
+    def leave_call(self, order: GoalOrder, error: BaseException | None) -> None:
+        """Tell all observers that the sender of a goal has stopped waiting."""
+        self._call("leave_call", (order, error))
+
     def _set(self, observers: tuple[GoalObserver, ...]) -> None:
         self._observers = observers
         self._listeners = {
@@ -205,6 +228,7 @@ class Observers:
         )
         self.want_feedback = bool(self._listeners["feedback_published"])
         self.want_bodies = bool(self._listeners["enter_body"])
+        self.want_calls = bool(self._listeners["enter_call"] or self._listeners["leave_call"])
         self.want_goals = any(
             self._listeners[method]
             for method in ("goal_changed", "feedback_published", "pause_changed")

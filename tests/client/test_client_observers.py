@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from contextvars import ContextVar, copy_context
 from typing import Any
 
 import anyio
 import pytest
 
 import turtleact
-from turtleact import GoalStatus
-from turtleact.goal import Goal
+from turtleact import Abort, GoalAborted, GoalStatus, TurtleactError
+from turtleact.goal import Goal, GoalOrder
 from turtleact.observers import GoalObserver
 from turtleact.transports import MemoryTransport
 
 from ..lab import Count, Gate, count, feedback, goal, result, settle
 from .test_remote_server import Apart, Cut
 
-ID = bytes(range(16))
+ID, OTHER = bytes(range(16)), bytes(range(1, 17))
 
 
 class Notes(GoalObserver):
@@ -139,6 +140,81 @@ async def test_an_observer_does_not_hear_of_a_goal_that_its_client_is_attached_t
                 gate.opened.set()
                 assert await handle.result() == result(1)
         assert notes.heard == []
+
+
+SENDING: ContextVar[str] = ContextVar("SENDING", default="nothing")
+
+
+class Calls(GoalObserver):
+    """Names each goal, and writes down how its call ended.
+
+    Attributes:
+        ended: The ids of the goals, each with what its call raised.
+    """
+
+    def __init__(self) -> None:
+        self.ended: list[tuple[bytes | None, type[BaseException] | None]] = []
+
+    def enter_call(self, order: GoalOrder) -> None:
+        order.goal_id = order.goal_id or ID
+        SENDING.set("a goal")
+
+    def leave_call(self, order: GoalOrder, error: BaseException | None) -> None:
+        assert SENDING.get() == "a goal"
+        self.ended.append((order.goal_id, None if error is None else type(error)))
+
+
+async def show_sending(request: Count.Goal) -> Count.Result:
+    return result(int(SENDING.get() == "a goal"))
+
+
+@pytest.mark.parametrize("where", ["here", "elsewhere"])
+async def test_an_observer_prepares_the_sending_of_a_goal_in_a_context_of_its_own(where):
+    async with clients(where, show_sending) as (client, other):
+        client.observers.add(calls := Calls())
+        assert await client.send_goal(goal()) == result(1)
+        async with client.send_goal(goal(), goal_id=OTHER) as handle:
+            assert calls.ended == [(ID, None), (OTHER, None)]
+            assert SENDING.get() == "nothing"
+            assert handle.goal_id == OTHER
+            await handle.result()
+        assert await other.send_goal(goal()) == result(0)
+
+
+async def test_an_observer_hears_how_a_call_failed():
+    async def refuse(request: Count.Goal) -> Count.Result:
+        raise Abort
+
+    async with clients("here", refuse) as (client, _):
+        client.observers.add(calls := Calls())
+        with pytest.raises(GoalAborted):
+            await client.send_goal(goal())
+        await client.aclose()
+        with pytest.raises(TurtleactError):
+            async with client.send_goal(goal()):
+                pytest.fail("it was sent")
+    assert calls.ended == [(ID, GoalAborted), (ID, TurtleactError)]
+
+
+async def test_a_call_that_an_observer_prepares_can_be_cancelled():
+    gate = Gate()
+    async with clients("here", gate.wait) as (client, _):
+        client.observers.add(calls := Calls())
+        async with anyio.create_task_group() as group:
+            group.start_soon(client.send_goal, goal())
+            await gate.started.wait()
+            group.cancel_scope.cancel()
+    assert [error for _, error in calls.ended] == [anyio.get_cancelled_exc_class()]
+
+
+@pytest.mark.loops("asyncio")  # trio allows nobody else to step coroutines
+async def test_a_call_that_an_observer_prepares_can_be_thrown_away():
+    async with clients("here", Gate().wait) as (client, _):
+        client.observers.add(calls := Calls())
+        sending = client.send_goal(goal())
+        sending.send(None)  # one step of the coroutine
+        copy_context().run(sending.close)
+    assert calls.ended == [(ID, GeneratorExit)]
 
 
 async def test_an_observer_that_fails_does_no_harm(caplog):

@@ -14,10 +14,10 @@ import sys
 import uuid
 import warnings
 from collections.abc import Callable, Coroutine, Generator
-from contextlib import AbstractContextManager, nullcontext
+from contextvars import copy_context
 from inspect import CO_COROUTINE
 from types import CodeType, TracebackType
-from typing import TYPE_CHECKING, Any, Final, Generic, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Final, Generic, Self, TypeAlias, TypeVar, cast
 
 import anyio
 import anyio.lowlevel
@@ -29,9 +29,9 @@ from turtleact.client.goal_handle import ClientGoalHandle, GoalReader
 from turtleact.client.remote_server import RemoteActionServer
 from turtleact.clock import check_timeout
 from turtleact.errors import InvalidOption, ServerUnavailable, TurtleactError, UnknownGoal
-from turtleact.goal import Goal, GoalStatus, OnFeedback, failure
+from turtleact.goal import Goal, GoalOrder, GoalStatus, OnFeedback, failure
 from turtleact.goal_id import goal_id_bytes, new_goal_id
-from turtleact.goal_server import GoalOrder, GoalServer, OffersGoals, cancel_and_wait
+from turtleact.goal_server import GoalServer, OffersGoals, cancel_and_wait
 from turtleact.graph import graph_of
 from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.definition import nearest
@@ -48,11 +48,12 @@ logger = logging.getLogger("turtleact.client")
 SILENCE: Final = 5.0
 """After waiting so long for a server, the client says so once (s, event loop time)."""
 
-Around: TypeAlias = Callable[[GoalOrder], AbstractContextManager[GoalOrder]]
-
 G = TypeVar("G", bound=Message)
 R = TypeVar("R", bound=Message)
 F = TypeVar("F", bound=Message)
+T = TypeVar("T")
+
+_Sending: TypeAlias = Coroutine[object, object, T]
 
 
 class ActionClient(Generic[G, R, F]):
@@ -63,8 +64,6 @@ class ActionClient(Generic[G, R, F]):
         action_type: The action.
         is_open: Whether it can send goals.
         observers: Hear of each change and feedback of the goals sent by this client.
-        around: Makes a context manager for each goal, and gives it the order to send. The goal is
-            sent and awaited inside it. None if nothing asks for that.
     """
 
     def __init__(
@@ -79,7 +78,6 @@ class ActionClient(Generic[G, R, F]):
         self.action_type: ActionType[G, R, F] = endpoints.action_type
         self.is_open = True
         self.observers = _ClientObservers(self)
-        self.around: Around | None = None
         self._endpoints = endpoints
         self._membership = owner.add(self, endpoints)
         self._cancel_timeout = cancel_timeout
@@ -246,9 +244,22 @@ class ActionClient(Generic[G, R, F]):
 
     # goals
 
-    async def _run_around(self, order: GoalOrder, around: Around) -> R:
-        with around(order) as known:
-            return await self._run(known)
+    def _send(self, order: GoalOrder, send: Callable[[GoalOrder], _Sending[T]]) -> _Sending[T]:
+        """Send a goal with `_run` or `_enter`; if observers hear of calls, in its own context."""
+        if not self.observers.want_calls:
+            return send(order)
+        return _InOwnContext(self._send_observed(order, send))
+
+    async def _send_observed(self, order: GoalOrder, send: Callable[[GoalOrder], _Sending[T]]) -> T:
+        observers = self.observers
+        observers.enter_call(order)
+        try:
+            answer = await send(order)
+        except BaseException as error:
+            observers.leave_call(order, error)
+            raise
+        observers.leave_call(order, None)
+        return answer
 
     async def _run(self, order: GoalOrder) -> R:
         """Send a goal and wait for its result."""
@@ -284,9 +295,8 @@ class ActionClient(Generic[G, R, F]):
 
     async def _enter(self, order: GoalOrder) -> GoalReader:
         """Send a goal and wait until it is accepted."""
-        with nullcontext(order) if self.around is None else self.around(order) as known:
-            server = await self._find_server(known.reattach)
-            goal = await server.send_goal(known)
+        server = await self._find_server(order.reattach)
+        goal = await server.send_goal(order)
         return GoalReader(server, goal, self._home, is_sender=True)
 
     async def _attach(self, goal_id: bytes) -> GoalReader:
@@ -333,8 +343,9 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
     _calling: Coroutine[object, object, R] | None = None
 
     def __await__(self) -> Generator[object, object, R]:
-        if self._client.around is None:
-            return self._client._run(self._take_order()).__await__()
+        client = self._client
+        if not client.observers.want_calls:
+            return client._run(self._take_order()).__await__()
         return self._start().__await__()
 
     def send(self, value: object) -> object:
@@ -357,7 +368,8 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
             self._calling.close()
 
     async def __aenter__(self) -> ClientGoalHandle[R, F]:
-        self._reader = await self._client._enter(self._take_order())
+        client = self._client
+        self._reader = await client._send(self._take_order(), client._enter)
         return ClientGoalHandle(self._reader)
 
     async def __aexit__(
@@ -378,9 +390,8 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
             await anyio.lowlevel.checkpoint_if_cancelled()
 
     def _start(self) -> Coroutine[object, object, R]:
-        client, order = self._client, self._take_order()
-        around = client.around
-        return client._run(order) if around is None else client._run_around(order, around)
+        client = self._client
+        return client._send(self._take_order(), client._run)
 
     def _take_order(self) -> GoalOrder:
         order, self._order = self._order, None
@@ -405,6 +416,41 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
 
 
 Coroutine.register(SendGoal)
+
+
+class _InOwnContext(Coroutine[object, object, T]):
+    """Runs a coroutine of the caller's task in a copy of the task's context.
+
+    Whatever the coroutine sets, the caller's context stays as it is. Tokens of context variables
+    could not promise that, because a coroutine may be closed in another context.
+    """
+
+    __slots__ = ("_context", "_running")
+
+    def __init__(self, running: _Sending[T]) -> None:
+        self._context = copy_context()
+        self._running = running
+
+    def send(self, value: object) -> object:
+        """Run to the next wait."""
+        return self._context.run(self._running.send, value)
+
+    def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
+        """Raise an exception at the current wait."""
+        return self._context.run(self._running.throw, error)
+
+    def close(self) -> None:
+        """Close the coroutine."""
+        self._context.run(self._running.close)
+
+    def __await__(self) -> Generator[object, object, T]:
+        return self
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> object:
+        return self.send(None)
 
 
 class Attach(msgspec.Struct, Generic[R, F], eq=False):

@@ -30,9 +30,8 @@ from turtleact.errors import (
     TurtleactError,
     UnknownGoal,
 )
-from turtleact.goal import CURRENT_GOAL, Goal, GoalStatus, status_of
+from turtleact.goal import CURRENT_GOAL, Goal, GoalOrder, GoalStatus, status_of
 from turtleact.goal_id import new_goal_id
-from turtleact.goal_server import GoalOrder
 from turtleact.goal_wire import State
 from turtleact.interfaces import Message, snapshotter
 from turtleact.interfaces.standard import CancelGoal

@@ -25,8 +25,7 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 
 from turtleact.errors import GoalRejected
-from turtleact.goal import CancelCode, Goal, GoalStatus
-from turtleact.goal_server import GoalOrder
+from turtleact.goal import CancelCode, Goal, GoalOrder, GoalStatus
 from turtleact.goal_wire import GoalNote
 from turtleact.interfaces import (
     Action,

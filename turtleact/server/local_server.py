@@ -25,6 +25,7 @@ from turtleact.goal import (
     CancelCode,
     Goal,
     GoalEvent,
+    GoalOrder,
     GoalStatus,
     GoalTable,
     cancel_code,
@@ -32,7 +33,7 @@ from turtleact.goal import (
 )
 from turtleact.goal_id import new_goal_id
 from turtleact.goal_journal import GoalRecord
-from turtleact.goal_server import GoalOrder, cancel_and_wait
+from turtleact.goal_server import cancel_and_wait
 from turtleact.interfaces import Action, FeedbackFormat, Message, snapshotter, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
 from turtleact.observers import Observers

@@ -21,13 +21,10 @@ Source: W3C Trace Context; OpenTelemetry's semantic conventions 1.44, "RPC".
 
 from __future__ import annotations
 
-import logging
 from importlib.metadata import version
 from time import time_ns
-from types import TracebackType
-from typing import Any, Final
+from typing import Final
 
-import msgspec
 from opentelemetry import context as contexts
 from opentelemetry import trace
 from opentelemetry.context import Context
@@ -35,9 +32,8 @@ from opentelemetry.trace import Link, Span, SpanKind, StatusCode
 from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
 
 from turtleact.errors import GoalRejected, TurtleactError
-from turtleact.goal import Goal, GoalStatus
+from turtleact.goal import Goal, GoalOrder, GoalStatus
 from turtleact.goal_id import new_goal_id
-from turtleact.goal_server import GoalOrder
 from turtleact.goal_wire import GoalNote
 from turtleact.names import action_names
 from turtleact.node import Node, local_server_of
@@ -56,14 +52,10 @@ from turtleact.transports.base import REQUEST_NOTE
 
 __all__ = ["Tracing"]
 
-logger = logging.getLogger("turtleact.telemetry")
-
 LONGEST_STATE: Final = 512
 """A longer ``tracestate`` is left out (characters); the least that W3C asks tracers to pass on."""
 
 PROPAGATOR: Final = TraceContextTextMapPropagator()
-
-NO_NOTE: Final = GoalNote()
 
 ENDS: Final = {GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED}
 
@@ -101,9 +93,8 @@ class Tracing:
 
     def add_client(self, client: AnyClient) -> None:
         """Trace the goals of a client."""
-        client.around = _ClientSpans(
-            client, self._tracer, self._attributes(client), self._node
-        ).around
+        attributes = self._attributes(client)
+        client.observers.add(_ClientSpans(client, self._tracer, attributes, self._node))
 
     def _attributes(self, end: AnyServer | AnyClient) -> dict[str, str | int]:
         return {
@@ -142,9 +133,10 @@ class _Record:
         span = self.span
         if self._count > 1:
             span.add_event("feedback", {"ros.feedback.number": self._count}, self._last)
-        span.set_attribute("ros.feedback.count", self._count)
+        said: dict[str, str | int] = {"ros.feedback.count": self._count}
         if status:
-            span.set_attribute("ros.goal.status", status)
+            said["ros.goal.status"] = status
+        span.set_attributes(said)
         span.end()
 
     def fail(self, kind: str, reason: str, status: str = "") -> None:
@@ -157,34 +149,29 @@ class _Record:
 
 
 class _Spans(GoalObserver):
-    """Writes what happens to goals to their spans.
+    """Writes what happens to the goals of one server or client to their spans.
 
     Args:
         observers: The observers of the server or client.
-
-    Attributes:
-        records: The spans of active goals, by goal id.
     """
 
     def __init__(self, observers: Observers) -> None:
         self.records: dict[bytes | None, _Record] = {}
         self._observers = observers
-        self._has_recorded = False
+        self._recording: _Recording | None = None
 
-    def record(self, span: Span, goal_id: bytes) -> _Record:
-        """Write what happens to a goal to its span from now on."""
-        if not self._has_recorded:
-            self._has_recorded = True
-            self.begin()
-        record = _Record(span)
+    def begin(self, span: Span, goal_id: bytes) -> _Record:
+        """Write what happens to a goal to this span from now on.
+
+        If the client has sent that goal before, its first span goes on.
+        """
+        if self._recording is None:  # it costs each message something, so there is none before
+            self._recording = _Recording(self.records)
+            self._observers.add(self._recording)
         span.set_attribute("ros.goal.id", goal_id.hex())
+        record = _Record(span)
         self.records.setdefault(goal_id, record)
         return record
-
-    def begin(self) -> None:
-        """Called before the first goal is recorded."""
-        # What these two do costs every goal and message something, so there is nothing before.
-        self._observers.add(_Recording(self.records))
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
         """Called after a goal has changed its state."""
@@ -228,7 +215,7 @@ class _Spans(GoalObserver):
 
 
 class _Recording(GoalObserver):
-    """Makes the spans of goals those of their bodies, and counts feedback."""
+    """Counts the feedback of goals with spans, and makes their spans those of their bodies."""
 
     def __init__(self, records: dict[bytes | None, _Record]) -> None:
         self._records = records
@@ -282,63 +269,28 @@ class _ServerSpans(_Spans):
         super().noted(goal, news)
 
     def _begin(self, goal: Goal) -> None:
-        is_far = isinstance(goal.sender, bytes)  # the gid of a client in another process
-        note = _request_note() if is_far else NO_NOTE
-        context = _context_in(note) if is_far else _current()
+        if isinstance(goal.sender, bytes):  # the gid of a client in another process
+            note = GoalNote.read(REQUEST_NOTE.get())
+            context, is_detached = _context_in(note), note.is_detached
+        else:
+            context, is_detached = _current(), NEW_TRACES.get()
         sender = trace.get_current_span(context).get_span_context()
         if sender.is_valid and not sender.is_remote and not sender.trace_flags.sampled:
             return
-        is_new = note.is_detached if is_far else NEW_TRACES.get()
-        links = [Link(sender)] if is_new and sender.is_valid else None
+        links = None
+        if is_detached:
+            links = [Link(sender)] if sender.is_valid else None
+            context = Context()
         span = self._tracer.start_span(
-            self._name,
-            Context() if is_new else context,
-            SpanKind.SERVER,
-            self._attributes,
-            links=links,
+            self._name, context, SpanKind.SERVER, self._attributes, links
         )
-        if span.is_recording() or sender.is_remote:
-            self.record(span, self._name_goal(goal))
+        # A span that is not sampled is kept, too: what the body does must not be sampled either.
+        if span.get_span_context().is_valid:
+            self.begin(span, self._name_goal(goal))
 
 
-def _current() -> Context:
-    """The current context; without a current span, that of the request being handled."""
-    context = contexts.get_current()
-    if trace.get_current_span(context).get_span_context().is_valid:
-        return context
-    return _context_in(_request_note())
-
-
-def _request_note() -> GoalNote:
-    """The note of the request being handled."""
-    text = REQUEST_NOTE.get()
-    return GoalNote.read(text) if text else NO_NOTE
-
-
-def _context_in(note: GoalNote) -> Context:
-    """The context that a note carries; it has no span if the note has none."""
-    if not note.traceparent:
-        return Context()
-    carrier = {"traceparent": note.traceparent}
-    if note.tracestate:
-        carrier["tracestate"] = note.tracestate
-    return PROPAGATOR.extract(carrier, Context())
-
-
-def _note(span: Span, *, is_detached: bool) -> str:
-    """The note that carries a span; empty if the span has no id."""
-    here = span.get_span_context()
-    if not here.is_valid:
-        return ""
-    parent = f"00-{here.trace_id:032x}-{here.span_id:016x}-{here.trace_flags:02x}"
-    state = here.trace_state.to_header() if here.trace_state else ""
-    if len(state) > LONGEST_STATE:
-        state = ""
-    return GoalNote(traceparent=parent, tracestate=state, is_detached=is_detached).write()
-
-
-class _ClientSpans(_Spans):
-    """The spans of one client's goals.
+class _ClientSpans(GoalObserver):
+    """Begins the spans of one client's goals, and ends those of goals that are not accepted.
 
     Args:
         client: The client.
@@ -354,105 +306,81 @@ class _ClientSpans(_Spans):
         attributes: dict[str, str | int],
         node: Node,
     ) -> None:
-        super().__init__(client.observers)
         self._name = f"send_goal {client.name}"
+        self._spans = _Spans(client.observers)
+        self._observers = client.observers
+        self._has_begun = False
+        self._sending: dict[GoalOrder, _Record] = {}
         self._tracer = tracer
         self._attributes = attributes
         self._transport = node.transport
         type_name = f"{client.action_type.type_name}_SendGoal"
         self._service = action_names(client.name).send_goal, type_name
 
-    def around(self, order: GoalOrder) -> _Sending:
-        """A block in which a goal is sent."""
-        return _Sending(self, order)
-
-    def closed(self) -> None:
-        """End the spans of goals that go on without the client."""
-        for record in self.records.values():
-            record.span.add_event("client closed")
-            record.end("")
-        self.records.clear()
-
-    @property
-    def is_near(self) -> bool:
-        """Whether the server is in this process."""
-        return self._transport.local(*self._service) is not None
-
-    def start(self, context: Context, *, is_near: bool) -> Span:
-        """Start the span of a goal."""
+    def enter_call(self, order: GoalOrder) -> None:
+        """Begin a goal's span, and make it the current one while the goal is sent."""
+        context = _current()
+        is_near = self._transport.local(*self._service) is not None
         kind = SpanKind.INTERNAL if is_near else SpanKind.CLIENT
-        return self._tracer.start_span(self._name, context, kind, self._attributes)
-
-    def begin(self) -> None:
-        """Called before the first goal is recorded."""
-        self._observers.add(self)
-        super().begin()
-
-
-class _Sending:
-    """A block in which a goal is sent and, for ``await``, waited for.
-
-    The span ends with the goal. If the goal was not accepted, it ends with the block.
-    """
-
-    __slots__ = ("_note_before", "_order", "_record", "_spans", "_token")
-
-    def __init__(self, spans: _ClientSpans, order: GoalOrder) -> None:
-        self._spans = spans
-        self._order = order
-        self._record: _Record | None = None
-        self._token: Any = None
-        self._note_before: Any = None
-
-    def __enter__(self) -> GoalOrder:
-        try:
-            return self._begin()
-        except Exception:
-            logger.exception("a goal cannot be traced")
-            return self._order
-
-    def _begin(self) -> GoalOrder:
-        order = self._order
-        context, is_near = _current(), self._spans.is_near
-        span = self._spans.start(context, is_near=is_near)
-        self._token = contexts.attach(trace.set_span_in_context(span, context))
+        span = self._tracer.start_span(self._name, context, kind, self._attributes)
+        if not span.get_span_context().is_valid:  # without an SDK
+            return
+        contexts.attach(trace.set_span_in_context(span, context))
         is_recorded = span.is_recording()
         if is_recorded or not is_near:  # the server must know of a goal that is not sampled, too
-            note = _note(span, is_detached=NEW_TRACES.get())
-            self._note_before = REQUEST_NOTE.set(note)
-        if not is_recorded:
-            return order
-        goal_id = order.goal_id or new_goal_id()
-        self._record = self._spans.record(span, goal_id)
-        if order.goal_id is None:
-            order = self._order = msgspec.structs.replace(order, goal_id=goal_id)
-        return order
+            REQUEST_NOTE.set(_note(span, is_detached=NEW_TRACES.get()))
+        if is_recorded:
+            order.goal_id = order.goal_id or new_goal_id()
+            if not self._has_begun:  # it would cost each goal something, so there is none before
+                self._has_begun = True
+                self._observers.add(self._spans)
+            self._sending[order] = self._spans.begin(span, order.goal_id)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        try:
-            self._end(error)
-        except Exception:
-            logger.exception("a goal cannot be traced")
-
-    def _end(self, error: BaseException | None) -> None:
-        if not isinstance(error, GeneratorExit):  # else this may be another task, or none
-            if self._note_before is not None:
-                REQUEST_NOTE.reset(self._note_before)
-            if self._token is not None:
-                contexts.detach(self._token)
-        record, goal_id = self._record, self._order.goal_id
+    def leave_call(self, order: GoalOrder, error: BaseException | None) -> None:
+        """End the goal's span if the goal was not accepted; otherwise it ends with the goal."""
+        record = self._sending.pop(order, None)
         if record is None or record.is_accepted:
             return
         # The goal was not accepted, or it has joined one that was sent before with the same id.
-        if self._spans.records.get(goal_id) is record:
-            del self._spans.records[goal_id]
+        if self._spans.records.get(order.goal_id) is record:
+            del self._spans.records[order.goal_id]
         if isinstance(error, TurtleactError):
             reason = error.reason if isinstance(error, GoalRejected) else str(error)
             record.fail(type(error).__name__, reason)
         else:
             record.end("")
+
+    def closed(self) -> None:
+        """End the spans of goals that go on without the client."""
+        for record in self._spans.records.values():
+            record.span.add_event("client closed")
+            record.end("")
+        self._spans.records.clear()
+
+
+def _current() -> Context:
+    """The current context; without a current span, that of the request being handled."""
+    context, note = contexts.get_current(), REQUEST_NOTE.get()
+    if not note or trace.get_current_span(context).get_span_context().is_valid:
+        return context
+    return _context_in(GoalNote.read(note))
+
+
+def _context_in(note: GoalNote) -> Context:
+    """The context that a note carries; it has no span if the note has none."""
+    if not note.traceparent:
+        return Context()
+    carrier = {"traceparent": note.traceparent}
+    if note.tracestate:
+        carrier["tracestate"] = note.tracestate
+    return PROPAGATOR.extract(carrier, Context())
+
+
+def _note(span: Span, *, is_detached: bool) -> str:
+    """The note that carries a span."""
+    here = span.get_span_context()
+    parent = f"00-{here.trace_id:032x}-{here.span_id:016x}-{here.trace_flags:02x}"
+    state = here.trace_state.to_header() if here.trace_state else ""
+    if len(state) > LONGEST_STATE:
+        state = ""
+    return GoalNote(traceparent=parent, tracestate=state, is_detached=is_detached).write()
