@@ -119,14 +119,17 @@ async def test_the_app_can_be_mounted_beside_others():
 
 async def test_a_port_is_taken_once():
     async with open_lab() as (_, _, server), open_http(server) as address:
-        with pytest.raises(InvalidOption, match=r"cannot be bound: .*: choose another port"):
+        with pytest.raises(InvalidOption, match=r"cannot be bound: .*; choose another"):
             async with open_http(server, port=address.port):
                 pass
 
 
 @pytest.mark.parametrize(
     ("host", "token", "problem"),
-    [("0.0.0.0", "", "must not be empty"), ("nowhere.invalid", "x", "is not an address")],
+    [
+        ("0.0.0.0", "", "must not be empty"),
+        ("nowhere.invalid", "x", "nowhere.invalid:0 cannot be bound"),
+    ],
 )
 async def test_a_host_that_cannot_be_served_is_refused(host, token, problem):
     async with open_lab() as (_, _, server):

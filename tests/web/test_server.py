@@ -20,7 +20,7 @@ import turtleact
 from turtleact.errors import InvalidOption, TurtleactError
 from turtleact.interfaces import Message, string
 from turtleact.web import Limits, open_web
-from turtleact.web.server import READ_AHEAD, Socket, Web, bound
+from turtleact.web.server import Socket, Web
 
 from ..lab import ON_ASYNCIO, ON_TRIO, other_tasks
 
@@ -44,20 +44,6 @@ async def test_a_node_is_served_once_the_block_begins():
         assert web.url == f"http://127.0.0.1:{web.port}/"
         async with connect(address(web)) as client:
             assert await ask(client, "/rosapi/nodes") == {"nodes": ["/lab"]}
-
-
-def test_small_frames_do_not_wait_for_one_another():
-    with bound("127.0.0.1", 0) as listener, socket.create_connection(listener.getsockname()):
-        accepted, _ = listener.accept()
-        with accepted:
-            assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-
-
-def test_a_client_that_says_much_is_not_read_far_ahead():
-    with bound("127.0.0.1", 0) as listener, socket.create_connection(listener.getsockname()):
-        accepted, _ = listener.accept()
-        with accepted:
-            assert accepted.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) <= 2 * READ_AHEAD
 
 
 @ON_ASYNCIO

@@ -9,23 +9,16 @@ Source: MCP 2026-07-28, "Transports", Streamable HTTP; RFC 6750 for the token.
 
 from __future__ import annotations
 
-import errno
 import hmac
-import secrets
-import socket
-from collections.abc import AsyncIterator, Collection, Iterator
-from contextlib import asynccontextmanager, contextmanager
-from ipaddress import ip_address
+from collections.abc import AsyncIterator, Collection
+from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Final
 
-import anyio
 import msgspec
-import uvicorn
 from mcp.server.transport_security import TransportSecuritySettings
 from starlette.responses import PlainTextResponse
 
-from turtleact.errors import InvalidOption, TurtleactError
-from turtleact.tasks import Background
+from turtleact.http_server import Config, bound, serving, token_for
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Receive, Scope, Send
@@ -36,8 +29,6 @@ __all__ = ["Address", "open_app", "open_http"]
 
 PATH: Final = "/mcp"
 LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
-LAST_ORDERS: Final = 8
-"""How long calls have to end their goals when the server ends (s)."""
 
 
 class Address(msgspec.Struct, frozen=True):
@@ -104,57 +95,16 @@ async def open_http(
         InvalidOption: if the host or the port cannot be bound, or if the token is empty and the
             host is not a loopback one.
     """
-    if token is None:
-        token = "" if _is_loopback(host) else secrets.token_urlsafe(16)
-    if not token and not _is_loopback(host):
-        raise InvalidOption("token", f"must not be empty if other machines can connect ({host})")
-    with _bound(host, port) as listener:
+    token = token_for(host, token)
+    with bound(host, port) as listener:
         own = f"[{host}]" if ":" in host else host
-        async with open_app(server, hosts={own, *hosts}, token=token) as app:
-            config = uvicorn.Config(
-                app,
-                lifespan="off",
-                log_config=None,
-                access_log=False,
-                server_header=False,
-                proxy_headers=False,
-                timeout_graceful_shutdown=LAST_ORDERS,
-            )
-            serving = _Uvicorn(config)
-            running = Background(serving.serve([listener]), "the HTTP server")
-            try:
-                await serving.ready.wait()
-                if not serving.started:
-                    raise TurtleactError("the HTTP server has not started: its log says why")
-                yield Address(host, listener.getsockname()[1], token)
-            finally:
-                serving.should_exit = True
-                await running.aclose()
-
-
-class _Uvicorn(uvicorn.Server):
-    """uvicorn's server; reports its start, and leaves signals to the program."""
-
-    def __init__(self, config: uvicorn.Config) -> None:
-        super().__init__(config)
-        self.ready = anyio.Event()
-
-    async def serve(self, sockets: list[socket.socket] | None = None) -> None:
-        """Serve until ``should_exit``."""
-        try:
-            await super().serve(sockets)
-        finally:
-            self.ready.set()
-
-    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Listen."""
-        await super().startup(sockets)
-        self.ready.set()
-
-    @contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        """Capture none."""
-        yield
+        async with (
+            open_app(server, hosts={own, *hosts}, token=token) as app,
+            # Not patient: each client keeps a stream open as long as it is there, and would hold up
+            # the end.
+            serving(Config(app), listener, is_patient=False),
+        ):
+            yield Address(host, listener.getsockname()[1], token)
 
 
 class _Guarded:
@@ -176,31 +126,3 @@ class _Guarded:
             await refusal(scope, receive, send)
             return
         await self._app(scope, receive, send)
-
-
-@contextmanager
-def _bound(host: str, port: int) -> Iterator[socket.socket]:
-    try:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-        family, kind, protocol, _, address = found[0]
-        listener = socket.socket(family, kind, protocol)
-    except (OSError, UnicodeError) as error:
-        raise InvalidOption("host", f"{host} is not an address of this machine: {error}") from None
-    with listener:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            listener.bind(address)
-        except OSError as error:
-            hint = ": choose another port" if error.errno == errno.EADDRINUSE else ""
-            problem = f"{host}:{port} cannot be bound: {error.strerror}{hint}"
-            raise InvalidOption("port", problem) from None
-        yield listener
-
-
-def _is_loopback(host: str) -> bool:
-    if host == "localhost":
-        return True
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return False

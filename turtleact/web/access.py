@@ -14,13 +14,14 @@ from __future__ import annotations
 import hmac
 import logging
 import math
-from ipaddress import ip_address
 from typing import Final
 from urllib.parse import urlsplit
 
 import msgspec
 
-__all__ = ["TELL_EVERY", "Access", "Refusals", "is_loopback"]
+from turtleact.http_server import is_address, is_loopback
+
+__all__ = ["TELL_EVERY", "Access", "Refusals"]
 
 logger = logging.getLogger("turtleact.web")
 
@@ -50,7 +51,7 @@ class Access(msgspec.Struct, frozen=True):
             token: The token that it has; empty if none.
         """
         name = _name_of(f"//{host}")
-        if not (_is_address(name) or is_loopback(name) or name in self.hosts):
+        if not (is_address(name) or is_loopback(name) or name in self.hosts):
             return f"host '{host[:100]}' is not allowed here: allow it with 'hosts' or --allow-host"
         if origin is not None and not self._is_allowed(origin, host):
             named = f"pages of '{origin[:100]}' may not connect"
@@ -102,25 +103,6 @@ class Refusals:
                 "%d web connections were refused, the last one: %s", self._count, self._reason
             )
         self._count = 0
-
-
-def is_loopback(host: str) -> bool:
-    """Whether a host is this machine and nothing else.
-
-    >>> is_loopback("127.0.0.1"), is_loopback("localhost"), is_loopback("0.0.0.0")
-    (True, True, False)
-    """
-    if host == "localhost" or host.endswith(".localhost"):
-        return True
-    return _is_address(host) and ip_address(host).is_loopback
-
-
-def _is_address(host: str) -> bool:
-    try:
-        ip_address(host)
-    except ValueError:
-        return False
-    return True
 
 
 def _name_of(url: str) -> str:

@@ -25,6 +25,7 @@ import msgspec
 from starlette.requests import Request
 from starlette.responses import Response
 
+from turtleact.http_server import bound, serving
 from turtleact.interfaces import to_json
 from turtleact.interfaces.types import fields
 from turtleact.recording.bag import Bag, reader_of
@@ -35,7 +36,7 @@ from turtleact.recording.selection import part_of
 from turtleact.recording.storage import Channel, Range
 from turtleact.web.access import Access, Refusals
 from turtleact.web.bridge import FILES, HEADERS
-from turtleact.web.server import Config, bound, serving
+from turtleact.web.server import READ_AHEAD, Config
 
 if TYPE_CHECKING:
     from starlette.types import Receive, Scope, Send
@@ -204,7 +205,7 @@ async def open_bag_view(
     """
     bag = await anyio.to_thread.run_sync(Bag, path)
     try:
-        with bound(host, port) as listener:
+        with bound(host, port, read_ahead=READ_AHEAD) as listener:
             view = BagView(bag)
             at: tuple[str, int] = listener.getsockname()[:2]
             async with serving(Config(view, view.refusals, MOST_CONNECTIONS), listener):

@@ -16,8 +16,9 @@ from starlette.applications import Starlette
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route
 
-from turtleact.web.access import Access, Refusals, is_loopback
-from turtleact.web.server import Config, address_of, bound, serving
+from turtleact.http_server import bound, is_loopback, serving
+from turtleact.web.access import Access, Refusals
+from turtleact.web.server import READ_AHEAD, Config, address_of
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -56,7 +57,7 @@ async def open_metrics(text: Callable[[], str], host: str, port: int) -> AsyncIt
         return Response(text(), media_type=CONTENT_TYPE)
 
     app = Starlette(routes=[Route("/metrics", answer)])
-    with bound(host, port) as listener:
+    with bound(host, port, read_ahead=READ_AHEAD) as listener:
         config = Config(app, Refusals(), limit_concurrency=MOST_CONNECTIONS)
         async with serving(config, listener):
             yield f"{address_of(host, listener.getsockname()[1])}metrics"

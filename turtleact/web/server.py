@@ -9,33 +9,30 @@ server. Here, uvicorn's protocols trust their clients less than usual:
   unless it is still sending: its answer then arrives after the rest.
 - A text that is not UTF-8 is the client's mistake, so the log gets one line and no traceback.
 
-Source: uvicorn ``server.py``, ``h11_impl.py`` and ``websockets_sansio_impl.py``; RFC 6455, section
+Source: uvicorn ``h11_impl.py`` and ``websockets_sansio_impl.py``; RFC 6455, section
 8.1.
 """
 
 from __future__ import annotations
 
 import asyncio
-import errno
 import logging
-import secrets
-import socket
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Iterator
-from contextlib import asynccontextmanager, contextmanager
+from collections.abc import AsyncIterator, Collection
+from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Final, cast
 from urllib.parse import quote
 
 import anyio
 import msgspec
-import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-from turtleact.errors import InvalidOption, TurtleactError
+from turtleact import http_server
+from turtleact.errors import TurtleactError
+from turtleact.http_server import bound, serving, token_for
 from turtleact.node import Node
-from turtleact.tasks import Background
-from turtleact.web.access import Refusals, is_loopback
+from turtleact.web.access import Refusals
 from turtleact.web.bridge import Bridge, open_bridge
 from turtleact.web.connection import TRY_AGAIN_LATER
 from turtleact.web.mailbox import Budget
@@ -53,9 +50,7 @@ __all__ = [
     "Socket",
     "Web",
     "address_of",
-    "bound",
     "open_web",
-    "serving",
 ]
 
 logger = logging.getLogger("turtleact.web")
@@ -113,10 +108,6 @@ ANY: Final = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104  # told, not bo
 """The address for a browser on this machine if all addresses are bound."""
 
 
-PORT_ERRORS: Final = (errno.EADDRINUSE, errno.EACCES)
-"""Errors that another port would avoid."""
-
-
 @asynccontextmanager
 async def open_web(
     node: Node,
@@ -154,11 +145,8 @@ async def open_web(
             "the web server only runs on asyncio: on trio, mount open_bridge in another server"
         )
     limits = limits or Limits()
-    if token is None:
-        token = "" if is_loopback(host) else secrets.token_urlsafe(16)
-    if not token and not is_loopback(host):
-        raise InvalidOption("token", f"must not be empty if other machines can connect ({host})")
-    with bound(host, port) as listener:
+    token = token_for(host, token)
+    with bound(host, port, read_ahead=READ_AHEAD) as listener:
         async with open_bridge(
             node,
             hosts={host.lower(), *hosts},
@@ -175,40 +163,7 @@ async def open_web(
                 yield Web(address[0], address[1], token, bridge)
 
 
-async def _nothing() -> None:
-    """Close nothing."""
-
-
-@asynccontextmanager
-async def serving(
-    config: Config, listener: socket.socket, close: Callable[[], Awaitable[None]] = _nothing
-) -> AsyncIterator[None]:
-    """Run uvicorn for the length of a block.
-
-    Args:
-        config: Its configuration.
-        listener: The socket.
-        close: Awaited at the end of the block, while clients can still be answered.
-
-    Raises:
-        TurtleactError: if uvicorn does not start.
-    """
-    server = _Server(config)
-    running = Background(server.serve([listener]), "the web server")
-    try:
-        await server.ready.wait()
-        if not server.started:
-            raise TurtleactError("the web server has not started: its log says why")
-        yield
-    finally:
-        with anyio.CancelScope(shield=True):
-            await close()
-            server.should_exit = True
-            await server.over.wait()
-            await running.aclose()
-
-
-class Config(uvicorn.Config):
+class Config(http_server.Config):
     """uvicorn's configuration, through which its protocols reach what belongs to the app.
 
     Args:
@@ -236,11 +191,6 @@ class Config(uvicorn.Config):
             app,
             http=Http,
             ws=Socket,
-            lifespan="off",
-            log_config=None,
-            access_log=False,
-            proxy_headers=False,
-            server_header=False,
             limit_concurrency=limit_concurrency,
             ws_max_size=ws_max_size,
             ws_per_message_deflate=False,
@@ -266,33 +216,6 @@ class _Log(logging.Logger):
             self._refusals.note(record.getMessage(), time.monotonic())
         else:
             super().handle(record)
-
-
-class _Server(uvicorn.Server):
-    """uvicorn's server; reports its start and its end, and leaves signals to the program."""
-
-    def __init__(self, config: uvicorn.Config) -> None:
-        super().__init__(config)
-        self.ready = anyio.Event()
-        self.over = anyio.Event()
-
-    async def serve(self, sockets: list[socket.socket] | None = None) -> None:
-        """Serve until ``should_exit``."""
-        try:
-            await super().serve(sockets)
-        finally:
-            self.ready.set()
-            self.over.set()
-
-    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Listen."""
-        await super().startup(sockets)
-        self.ready.set()
-
-    @contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        """Capture none."""
-        yield
 
 
 class Http(H11Protocol):
@@ -463,30 +386,6 @@ def address_of(host: str, port: int) -> str:
     """The address of a server for a browser on this machine."""
     host = ANY.get(host, host)
     return f"http://[{host}]:{port}/" if ":" in host else f"http://{host}:{port}/"
-
-
-@contextmanager
-def bound(host: str, port: int) -> Iterator[socket.socket]:
-    """A socket that listens on a port.
-
-    Raises:
-        InvalidOption: if it cannot.
-    """
-    if not 0 <= port <= 65535:
-        raise InvalidOption("port", f"{port} is not a port: give 0 to 65535")
-    try:
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        listener = socket.create_server((host, port), family=family, backlog=128)
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, READ_AHEAD)
-        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # or small frames take 40 ms
-    except (OSError, UnicodeError) as error:
-        is_port = isinstance(error, OSError) and error.errno in PORT_ERRORS
-        reason, _, _ = str(error).partition(" (while ")  # the address once more
-        problem = f"{host}:{port} cannot be bound: {reason}"
-        hint = "; choose another, or 0 for any free one" if is_port else ""
-        raise InvalidOption("port" if is_port else "host", problem + hint) from None
-    with listener:
-        yield listener
 
 
 def _cost(part: Frame) -> int:

@@ -1,0 +1,186 @@
+"""A web server on a port for the length of a block, shared by the doors that have one.
+
+It is uvicorn, which needs asyncio or uvloop, but leaves signals and logging to the program. This
+module knows neither what is served nor who may connect.
+
+Source: uvicorn ``server.py`` and ``config.py``.
+"""
+
+from __future__ import annotations
+
+import errno
+import secrets
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from ipaddress import ip_address
+from typing import Any, Final
+
+import anyio
+import uvicorn
+
+from turtleact.errors import InvalidOption, TurtleactError
+from turtleact.tasks import Background
+
+__all__ = ["Config", "bound", "is_address", "is_loopback", "serving", "token_for"]
+
+PORT_ERRORS: Final = (errno.EADDRINUSE, errno.EACCES)
+"""Errors that another port would avoid."""
+
+
+class Config(uvicorn.Config):
+    """uvicorn's configuration, without its logging and without headers that tell what it is.
+
+    Args:
+        app: The app.
+        **settings: More settings of uvicorn.
+    """
+
+    def __init__(self, app: Callable[..., Awaitable[None]], **settings: Any) -> None:  # noqa: ANN401  # as uvicorn has them
+        super().__init__(
+            app,
+            lifespan="off",
+            log_config=None,
+            access_log=False,
+            proxy_headers=False,
+            server_header=False,
+            **settings,
+        )
+
+
+@contextmanager
+def bound(host: str, port: int, *, read_ahead: int | None = None) -> Iterator[socket.socket]:
+    """A socket that listens on a port.
+
+    Args:
+        host: The address or name to bind.
+        port: The port, or 0 for any free one.
+        read_ahead: How much a client may send ahead (bytes); by default as the system says.
+
+    Raises:
+        InvalidOption: if the host or the port cannot be bound.
+    """
+    if not 0 <= port <= 65535:
+        raise InvalidOption("port", f"{port} is not a port: give 0 to 65535")
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        listener = socket.create_server((host, port), family=family, backlog=128)
+        if read_ahead is not None:
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, read_ahead)
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # or small frames take 40 ms
+    except (OSError, UnicodeError) as error:
+        is_port = isinstance(error, OSError) and error.errno in PORT_ERRORS
+        text = (isinstance(error, OSError) and error.strerror) or str(error)
+        reason, _, _ = text.partition(" (while ")  # the address once more
+        problem = f"{host}:{port} cannot be bound: {reason}"
+        hint = "; choose another, or 0 for any free one" if is_port else ""
+        raise InvalidOption("port" if is_port else "host", problem + hint) from None
+    with listener:
+        yield listener
+
+
+async def _nothing() -> None:
+    """Close nothing."""
+
+
+@asynccontextmanager
+async def serving(
+    config: uvicorn.Config,
+    listener: socket.socket,
+    close: Callable[[], Awaitable[None]] = _nothing,
+    *,
+    is_patient: bool = True,
+) -> AsyncIterator[None]:
+    """Run uvicorn for the length of a block; it listens when the block begins.
+
+    Args:
+        config: Its configuration.
+        listener: The socket.
+        close: Awaited at the end of the block, while clients can still be answered.
+        is_patient: Whether requests that are under way may then end, as long as the configuration
+            allows; otherwise they are cancelled.
+
+    Raises:
+        TurtleactError: if uvicorn does not start.
+    """
+    server = _Server(config)
+    running = Background(server.serve([listener]), "the web server")
+    try:
+        await server.ready.wait()
+        if not server.started:
+            raise TurtleactError("the web server has not started: its log says why")
+        yield
+    finally:
+        # Shielded: a cancelled block must not leave clients without their last answers, or a
+        # server without an owner. uvicorn itself limits how long requests may take.
+        with anyio.CancelScope(shield=True):
+            await close()
+            server.should_exit = True
+            if is_patient:
+                await server.over.wait()
+            await running.aclose()
+
+
+def token_for(host: str, token: str | None) -> str:
+    """The token that clients must send; empty if none is needed.
+
+    Args:
+        host: The address or name that is bound.
+        token: The token that the user has chosen. None chooses none for a loopback address, and
+            makes one for this run for any other.
+
+    Raises:
+        InvalidOption: if the token is empty and other machines can connect.
+    """
+    if token is None:
+        return "" if is_loopback(host) else secrets.token_urlsafe(16)
+    if not token and not is_loopback(host):
+        raise InvalidOption("token", f"must not be empty if other machines can connect ({host})")
+    return token
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host is this machine and nothing else.
+
+    >>> is_loopback("127.0.0.1"), is_loopback("localhost"), is_loopback("0.0.0.0")
+    (True, True, False)
+    """
+    if host == "localhost" or host.endswith(".localhost"):
+        return True
+    return is_address(host) and ip_address(host).is_loopback
+
+
+def is_address(host: str) -> bool:
+    """Whether a host is an IP address instead of a name."""
+    try:
+        ip_address(host)
+    except ValueError:
+        return False
+    return True
+
+
+class _Server(uvicorn.Server):
+    """uvicorn's server; reports its start and its end, and leaves signals to the program."""
+
+    def __init__(self, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self.ready = anyio.Event()
+        self.over = anyio.Event()
+
+    async def serve(self, sockets: list[socket.socket] | None = None) -> None:
+        """Serve until ``should_exit``."""
+        try:
+            await super().serve(sockets)
+        finally:
+            self.ready.set()  # also if it has not started: nobody waits forever
+            self.over.set()
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listen."""
+        await super().startup(sockets)
+        self.ready.set()
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Capture none."""
+        yield
