@@ -113,6 +113,25 @@ async def test_a_disk_is_looked_at_again_and_again(monkeypatch, tmp_path):
             assert told(await anext(reader)) == []
 
 
+async def test_a_disk_that_does_not_answer_keeps_nobody_waiting(monkeypatch, tmp_path):
+    asked, gone = threading.Event(), threading.Event()
+
+    def hang(_: object) -> Usage:
+        asked.set()
+        gone.wait()
+        return Usage(10**12, 0, 0)
+
+    monkeypatch.setattr(shutil, "disk_usage", hang)
+    async with (
+        turtleact.open_node("lab") as node,
+        watching_disk(node.transport, "/lab", tmp_path, "recording"),
+    ):
+        while not asked.is_set():
+            await settle()
+    assert all(each.daemon for each in threading.enumerate() if str(tmp_path) in each.name)
+    gone.set()
+
+
 async def test_a_client_reports_feedback_that_has_not_arrived(monkeypatch):
     monkeypatch.setattr(remote_goals, "LATE_FEEDBACK", 0.01)
     graph = MemoryTransport()

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from functools import partial
 from typing import Any, cast
 
 import anyio
@@ -14,7 +15,7 @@ import pytest
 import turtleact
 from turtleact import GoalCanceled, GoalRejected, GoalResponse, GoalStatus
 from turtleact.app import open_world
-from turtleact.errors import InvalidOption, ServiceError
+from turtleact.errors import InvalidOption, ServiceError, TurtleactError
 from turtleact.interfaces import implied
 from turtleact.interfaces.classes import event_message
 from turtleact.interfaces.standard import CancelGoal, ServiceEventInfo, Time
@@ -334,3 +335,19 @@ async def test_a_world_publishes_the_events_of_all_its_actions_and_services():
         }
         services = {each.name for each in world.transport.endpoints() if each.kind == "service"}
         assert services == shown
+
+
+@pytest.mark.parametrize("end", ["serve", "join"])
+async def test_a_service_that_cannot_be_opened_leaves_no_topic_behind(monkeypatch, end):
+    def fail(*_: object) -> Any:
+        raise TurtleactError("no more room")
+
+    async with turtleact.open_node("lab") as node:
+        monkeypatch.setattr(node.transport, end, fail)
+        open_it: Any = {
+            "serve": partial(node.service, SetBool, "flip", flip),
+            "join": partial(node.service_client, SetBool, "flip"),
+        }[end]
+        with pytest.raises(TurtleactError, match="no more room"):
+            open_it(introspection="contents")
+        assert not node.transport.endpoints(event_topic("/flip"))

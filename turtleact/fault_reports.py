@@ -13,6 +13,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import anyio
@@ -24,7 +25,7 @@ from turtleact.interfaces.standard.diagnostic_msgs.msg import (
     KeyValue,
 )
 from turtleact.interfaces.standard.std_msgs.msg import Header
-from turtleact.tasks import Background
+from turtleact.tasks import Background, run_in_daemon
 from turtleact.transports.base import STATUS_QOS, Endpoint
 
 if TYPE_CHECKING:
@@ -152,7 +153,9 @@ async def watching_disk(
 async def _watch_disk(reports: FaultReports, path: Path, what: str) -> None:
     name = f"disk {path}"
     while True:
-        if problem := disk_fault(path, what):
+        # A thread asks, because a network drive that has gone may keep it waiting for ever.
+        problem = await run_in_daemon(partial(disk_fault, path, what), name)
+        if problem:
             reports.report(name, problem, "free some space, or move it to another disk")
         else:
             reports.clear(name)

@@ -11,7 +11,7 @@ import anyio
 import pytest
 
 import turtleact
-from turtleact import QoS
+from turtleact import QoS, TurtleactError
 from turtleact.doctor import gathering
 from turtleact.doctor.checks import Fault, find_faults
 from turtleact.doctor.gathering import take_snapshot
@@ -215,6 +215,20 @@ async def test_the_facts_name_the_router_and_its_version(address):
         [router] = snapshot.routers or ()
         assert router.version == snapshot.zenoh
         assert (router.sessions, snapshot.domain) == (1, transport.context.domain)
+
+
+async def test_a_graph_that_is_lost_meanwhile_is_one_clear_error(address, monkeypatch):
+    async with graph_at(address) as graph:
+        (await graph.node("lab")).action_server(Count, "count", count)
+        transport = await graph.session()
+
+        async def fail() -> Any:
+            raise TurtleactError("the Zenoh session has closed")
+
+        monkeypatch.setattr(transport, "routers", fail)
+        async with turtleact.open_node("_doctor", transport=transport) as node:
+            with pytest.raises(TurtleactError, match="the Zenoh session has closed"):
+                await take_snapshot(node)
 
 
 async def test_a_graph_within_one_process_is_looked_at_too():

@@ -6,13 +6,14 @@ import asyncio
 import gc
 import logging
 import sys
+import threading
 from contextvars import ContextVar
 from typing import Any
 
 import anyio
 import pytest
 
-from turtleact.tasks import Background, current_tasks, wait_while
+from turtleact.tasks import Background, current_tasks, run_in_daemon, wait_while
 from turtleact.tasks.on_asyncio import AsyncioTasks, is_in_shielded_scope
 from turtleact.tasks.on_trio import TrioTasks
 
@@ -487,3 +488,20 @@ async def test_nothing_is_left_running_after_a_close():
     await background.aclose()
     await settle()
     assert other_tasks() == before
+
+
+async def test_a_function_in_a_daemon_returns_or_raises():
+    def fail() -> None:
+        raise ValueError("mine")
+
+    assert await run_in_daemon(lambda: 3, "three") == 3
+    with pytest.raises(ValueError, match="mine"):
+        await run_in_daemon(fail, "failing")
+
+
+async def test_a_function_in_a_daemon_can_be_left_behind():
+    gone = threading.Event()
+    with anyio.move_on_after(0.01) as scope:
+        await run_in_daemon(gone.wait, "hanging")
+    assert scope.cancelled_caught
+    gone.set()

@@ -133,7 +133,6 @@ async def _serve_metrics(
     stack: AsyncExitStack, starts: list[Callable[[Node], None]], host: str, port: int
 ) -> str:
     from turtleact.telemetry import GoalMetrics
-    from turtleact.telemetry.measuring import watch_loop
     from turtleact.web.metrics import open_metrics
 
     metrics = GoalMetrics()
@@ -142,6 +141,6 @@ async def _serve_metrics(
         url = await stack.enter_async_context(open_metrics(metrics.text, host, port))
     except InvalidOption as error:
         raise TurtleactError(f"--metrics: {error.problem}") from None
-    lag = Background(watch_loop(metrics), "measuring the event loop")
+    lag = Background(metrics.watch_loop(), "measuring the event loop")
     await stack.enter_async_context(aclosing(lag))
     return url

@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, Final
 
@@ -71,6 +72,9 @@ async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
     Args:
         node: A node on the graph. It is left out of the snapshot.
         with_domains: Whether to find out which other ROS domains are in use.
+
+    Raises:
+        TurtleactError: if the node is closed, or loses the graph meanwhile.
     """
     nodes, endpoints = _seen(node)
     answers: list[Answer] = []
@@ -78,12 +82,13 @@ async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
     around: list[Snapshot] = []
     known = _known({each.endpoint.type_name for each in endpoints})
     fields: dict[tuple[str, str], Fields] = {}
-    async with anyio.create_task_group() as group:
-        for session, asked in _to_ask(endpoints).items():
-            group.start_soon(_ask, node, session, asked, answers)
-        group.start_soon(_collect_reports, node, reports)
-        group.start_soon(_look_around, node, around, with_domains)
-        group.start_soon(_find_fields, node, endpoints, known, fields)
+    with _one_error():
+        async with anyio.create_task_group() as group:
+            for session, asked in _to_ask(endpoints).items():
+                group.start_soon(_ask, node, session, asked, answers)
+            group.start_soon(_collect_reports, node, reports)
+            group.start_soon(_look_around, node, around, with_domains)
+            group.start_soon(_find_fields, node, endpoints, known, fields)
     return msgspec.structs.replace(
         around[0],
         nodes=nodes,
@@ -93,6 +98,21 @@ async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
         known=known,
         fields=fields,
     )
+
+
+@contextmanager
+def _one_error() -> Iterator[None]:
+    """A block in which a group of errors for the user becomes the first of them."""
+    try:
+        yield
+    except ExceptionGroup as group:
+        known, others = group.split(TurtleactError)
+        if known is None or others is not None:
+            raise
+        first: Exception = known
+        while isinstance(first, ExceptionGroup):
+            first = first.exceptions[0]
+        raise first from None
 
 
 def _seen(node: Node) -> tuple[tuple[NodeSeen, ...], tuple[EndpointSeen, ...]]:

@@ -8,8 +8,8 @@ Source: rclpy ``node.py`` for names and behaviour.
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import AbstractContextManager, ExitStack, asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, asynccontextmanager, contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, Unpack, cast, overload
 
@@ -368,8 +368,8 @@ class Node:
         server = LocalServiceServer(service_type, full_name, handler, tasks=self._tasks)
         endpoint = self._endpoint("service", full_name, service_type.type_name, on_demand=on_demand)
         format = WireFormat(cast("type[Service]", service_type))
-        server.observer = self._observer(endpoint, service_type, introspection)
-        registration = self.transport.serve(endpoint, format, server)
+        with self._events(endpoint, service_type, introspection) as server.observer:
+            registration = self.transport.serve(endpoint, format, server)
         return ServiceServer(server, self._resources, registration)
 
     def service_client(
@@ -388,8 +388,8 @@ class Node:
         full_name = resolve_name(name, self.namespace, self.name)
         endpoint = self._endpoint("client", full_name, service_type.type_name)
         format = WireFormat(cast("type[Service]", service_type), asks=True)
-        observer = self._observer(endpoint, service_type, introspection)
-        caller = self.transport.join(endpoint, format)
+        with self._events(endpoint, service_type, introspection) as observer:
+            caller = self.transport.join(endpoint, format)
         caller.observer = observer
         return ServiceClient(
             service_type, full_name, self.transport, caller, self._resources, self._tasks
@@ -515,11 +515,19 @@ class Node:
     def _action_names(self, name: str) -> ActionNames:
         return action_names(resolve_name(name, self.namespace, self.name))
 
-    def _observer(
-        self, endpoint: Endpoint, service_type: object, introspection: Introspection | None
-    ) -> CallObserver | None:
+    @contextmanager
+    def _events(
+        self, service: Endpoint, service_type: object, introspection: Introspection | None
+    ) -> Iterator[CallObserver | None]:
+        """A block that opens a service; gives what publishes its events, if that was asked for."""
         find_type, shown = (lambda: service_type), introspection or self.introspection
-        return service_events(self.transport, self._endpoint, endpoint, find_type, shown)
+        events = service_events(self.transport, self._endpoint, service, find_type, shown)
+        try:
+            yield events
+        except BaseException:  # else the topic would stay on the graph
+            if events is not None:
+                events.close()
+            raise
 
     def _endpoint(
         self,

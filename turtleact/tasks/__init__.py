@@ -12,7 +12,7 @@ here knows what a goal is.
 
 from __future__ import annotations
 
-from turtleact.tasks.background import Background, current_tasks, wait_while
+from turtleact.tasks.background import Background, current_tasks, run_in_daemon, wait_while
 from turtleact.tasks.base import GRACE, Home, Signal, Tasks, is_cancellation
 from turtleact.tasks.idle import (
     idleness,
@@ -31,6 +31,7 @@ __all__ = [
     "idleness",
     "is_cancellation",
     "new_event_loop",
+    "run_in_daemon",
     "thread_work",
     "wait_until_idle",
     "wait_while",

@@ -5,6 +5,9 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Coroutine
+from concurrent.futures import Future
+from threading import Thread
+from typing import TypeVar
 
 import anyio
 
@@ -12,9 +15,11 @@ from turtleact.tasks.base import Signal, Tasks
 from turtleact.tasks.on_asyncio import AsyncioTasks
 from turtleact.tasks.on_trio import TrioTasks
 
-__all__ = ["Background", "current_tasks", "wait_while"]
+__all__ = ["Background", "current_tasks", "run_in_daemon", "wait_while"]
 
 logger = logging.getLogger("turtleact")
+
+T = TypeVar("T")
 
 
 def current_tasks() -> Tasks:
@@ -67,6 +72,32 @@ class Background:
         finally:
             self.has_ended = True
             self._ended.fire()
+
+
+async def run_in_daemon(call: Callable[[], T], name: str) -> T:
+    """Run a function that may block for ever, in a thread of its own; return what it returns.
+
+    Cancelling: safe, the function goes on. It does not keep the program from ending, unlike one in
+    a thread of `anyio.to_thread`.
+
+    Args:
+        call: The function.
+        name: The name of the thread.
+    """
+    tasks, outcome = current_tasks(), Future[T]()
+    has_ended = tasks.signal()
+
+    def run() -> None:
+        try:
+            outcome.set_result(call())
+        except BaseException as error:
+            outcome.set_exception(error)
+        tasks.from_anywhere(has_ended.fire)
+
+    Thread(target=run, name=name, daemon=True).start()
+    while not outcome.done():
+        await has_ended.wait()
+    return outcome.result()
 
 
 async def wait_while(is_busy: Callable[[], object], changed: Signal, patience: float) -> None:

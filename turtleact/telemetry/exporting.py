@@ -17,7 +17,6 @@ import logging
 import os
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from threading import Thread
 from typing import Final
 
 import anyio
@@ -31,7 +30,7 @@ from opentelemetry.sdk.trace import TracerProvider
 from opentelemetry.sdk.trace.export import BatchSpanProcessor
 
 from turtleact.errors import TurtleactError
-from turtleact.tasks import current_tasks
+from turtleact.tasks import run_in_daemon
 
 __all__ = ["FLUSH_WITHIN", "exporting"]
 
@@ -96,22 +95,20 @@ def _is_wanted(variable: str) -> bool:
 
 
 async def _run_all(ends: list[Callable[[], object]]) -> None:
-    """Call blocking functions, each in a thread, and wait for them, at most `FLUSH_WITHIN` s."""
-    tasks = current_tasks()
-    left, changed = list(ends), tasks.signal()
+    """Call functions side by side, and wait for them, at most `FLUSH_WITHIN` seconds."""
+    left = list(ends)
 
-    def run(end: Callable[[], object]) -> None:
+    async def run(end: Callable[[], object]) -> None:
         try:
-            end()
-        finally:
-            left.remove(end)
-            tasks.from_anywhere(changed.fire)
+            await run_in_daemon(end, "the end of an exporter")
+        except Exception:
+            logger.exception("an exporter has failed at the end")
+        left.remove(end)
 
-    for end in ends:  # daemons: the process may end though a collector keeps one waiting
-        Thread(target=run, args=(end,), name="the end of an exporter", daemon=True).start()
     with anyio.move_on_after(FLUSH_WITHIN, shield=True):
-        while left:
-            await changed.wait()
+        async with anyio.create_task_group() as group:
+            for end in ends:
+                group.start_soon(run, end)
     if left:
         problem = "the last spans or measurements could not be sent within %g s, and are lost"
         logger.warning(problem, FLUSH_WITHIN)

@@ -23,9 +23,9 @@ from typing import Final, NamedTuple, TypeAlias
 from weakref import WeakSet
 
 from turtleact.node import Node
-from turtleact.telemetry.measuring import BOUNDS, measure
+from turtleact.telemetry.measuring import BOUNDS, measure, watch_loop
 
-__all__ = ["GoalMetrics"]
+__all__ = ["GoalMetrics", "Totals"]
 
 Labels: TypeAlias = tuple[str, ...]
 """The values of the labels of a metric, in the order of their names."""
@@ -88,22 +88,15 @@ class GoalMetrics:
     """Counts the goals of nodes. Needs no other package.
 
     >>> metrics = GoalMetrics()
-    >>> metrics.ended("/patrol", "succeeded", 0.2)
-    >>> for line in metrics.text().splitlines()[:3]:
+    >>> for line in metrics.text().splitlines()[:2]:
     ...     print(line)
     # HELP ros_action_goals_total Goals that have ended.
     # TYPE ros_action_goals_total counter
-    ros_action_goals_total{action="/patrol",status="succeeded"} 1
     """
 
     def __init__(self) -> None:
         self._nodes = WeakSet[Node]()
-        self._goals = Counter[Labels]()
-        self._active = Counter[Labels]()
-        self._lost = Counter[Labels]()
-        self._durations: dict[Labels, _Histogram] = {}
-        self._waits: dict[Labels, _Histogram] = {}
-        self._lags: dict[Labels, _Histogram] = {(): _Histogram()}
+        self._totals = Totals()
 
     def watch(self, node: Node) -> None:
         """Count the goals that a node serves and sends, from now on.
@@ -112,21 +105,27 @@ class GoalMetrics:
         """
         if node not in self._nodes:
             self._nodes.add(node)
-            measure(node, self)
+            measure(node, self._totals)
+
+    async def watch_loop(self) -> None:
+        """Measure how late the event loop is, until cancelled."""
+        await watch_loop(self._totals)
 
     def text(self) -> str:
         """All metrics in Prometheus's text format."""
-        told = (
-            _counts(GOALS, self._goals),
-            _histograms(DURATION, self._durations),
-            _histograms(WAIT, self._waits),
-            _counts(ACTIVE, self._active),
-            _counts(LOST, self._lost),
-            _histograms(LAG, self._lags),
-        )
-        return "".join(f"{line}\n" for lines in told for line in lines)
+        return self._totals.text()
 
-    # called by what measures
+
+class Totals:
+    """Keeps measurements; see `turtleact.telemetry.measuring.Measurements`."""
+
+    def __init__(self) -> None:
+        self._goals = Counter[Labels]()
+        self._active = Counter[Labels]()
+        self._lost = Counter[Labels]()
+        self._durations: dict[Labels, _Histogram] = {}
+        self._waits: dict[Labels, _Histogram] = {}
+        self._lags: dict[Labels, _Histogram] = {(): _Histogram()}
 
     def ended(self, action: str, status: str, seconds: float | None) -> None:
         """Count a goal that has ended."""
@@ -150,6 +149,18 @@ class GoalMetrics:
     def lagged(self, seconds: float) -> None:
         """Record how late the event loop was."""
         self._lags[()].add(seconds)
+
+    def text(self) -> str:
+        """All of them in Prometheus's text format."""
+        told = (
+            _counts(GOALS, self._goals),
+            _histograms(DURATION, self._durations),
+            _histograms(WAIT, self._waits),
+            _counts(ACTIVE, self._active),
+            _counts(LOST, self._lost),
+            _histograms(LAG, self._lags),
+        )
+        return "".join(f"{line}\n" for lines in told for line in lines)
 
     @staticmethod
     def _add(histograms: dict[Labels, _Histogram], labels: Labels, value: float) -> None:
