@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from turtleact.graph import Graph, graph_of
+from turtleact.graph import Graph, graph_of, misfits
 from turtleact.interfaces import WireFormat
 from turtleact.interfaces.standard import Empty, Kill, TurtlePose, Twist
 from turtleact.names import action_names
-from turtleact.transports import MemoryTransport
-from turtleact.transports.base import Endpoint, EndpointKind
+from turtleact.transports import MemoryTransport, QoS
+from turtleact.transports.base import Endpoint, EndpointKind, TimePolicies
 
 POSE, TWIST = "turtlesim/msg/Pose", "geometry_msgs/msg/Twist"
 PUBLISHER: EndpointKind = "publisher"
@@ -77,3 +77,27 @@ def test_an_action_is_shown_by_its_name_and_types_if_it_is_served():
 def test_hidden_names_are_left_out(name):
     graph = graph_with((PUBLISHER, name, TurtlePose.type_name), (SERVICE, name, Empty.type_name))
     assert (graph.topics, graph.services) == ({}, {})
+
+
+@pytest.mark.parametrize(
+    ("offered", "requested", "expected"),
+    [
+        ({}, {}, []),
+        ({"qos": QoS(durability="transient_local")}, {}, []),
+        ({"times": TimePolicies(deadline=1)}, {"times": TimePolicies(deadline=1)}, []),
+        ({"times": TimePolicies(deadline=2)}, {"times": TimePolicies(deadline=1)}, ["deadline"]),
+        ({}, {"times": TimePolicies(lease=1)}, ["lease"]),
+        ({}, {"times": TimePolicies(lifespan=1)}, []),
+        ({}, {"times": TimePolicies(liveliness="manual_by_topic")}, ["liveliness"]),
+        (
+            {"qos": QoS(reliability="best_effort")},
+            {"qos": QoS(durability="transient_local")},
+            ["durability", "reliability"],
+        ),
+    ],
+)
+def test_a_publisher_must_offer_what_a_subscription_requests(offered, requested, expected):
+    publisher = Endpoint(PUBLISHER, "/pose", POSE, "/a", **offered)
+    subscription = Endpoint(SUBSCRIPTION, "/pose", POSE, "/b", **requested)
+    assert list(misfits(publisher, subscription)) == expected
+    assert list(misfits(subscription, publisher)) == expected

@@ -8,15 +8,28 @@ what is hidden.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 if TYPE_CHECKING:
     from turtleact.transports.base import Endpoint, EndpointKind, Transport
 
-__all__ = ["Graph", "Kind", "graph_of", "is_hidden_node", "names_like", "types_by_name"]
+__all__ = [
+    "Graph",
+    "Kind",
+    "Policy",
+    "graph_of",
+    "is_hidden_node",
+    "misfits",
+    "names_like",
+    "types_by_name",
+]
 
 Kind = Literal["action", "service", "topic"]
+
+Policy = Literal["durability", "deadline", "liveliness", "lease", "reliability"]
+"""The policies that keep a subscription from a publisher; `turtleact.transports.base` says what
+they mean."""
 
 MOST_SHOWN = 10
 """How many names are listed if none is like the one that was looked for."""
@@ -86,6 +99,29 @@ def types_by_name(
     return {name: tuple(sorted(types)) for name, types in sorted(found.items())}
 
 
+def misfits(one: Endpoint, other: Endpoint) -> Iterator[Policy]:
+    """The policies in which a publisher offers less than a subscription of its topic requests.
+
+    Args:
+        one: Either of them.
+        other: The other one.
+
+    Source: DDS 1.4, section 2.2.3; the tables of "Quality of Service settings" of ROS 2.
+    """
+    offered, requested = (one, other) if one.kind == "publisher" else (other, one)
+    if (offered.qos.durability, requested.qos.durability) == ("volatile", "transient_local"):
+        yield "durability"
+    if _is_longer(offered.times.deadline, requested.times.deadline):
+        yield "deadline"
+    asserted = offered.times.liveliness, requested.times.liveliness
+    if asserted == ("automatic", "manual_by_topic"):
+        yield "liveliness"
+    if _is_longer(offered.times.lease, requested.times.lease):
+        yield "lease"
+    if (offered.qos.reliability, requested.qos.reliability) == ("best_effort", "reliable"):
+        yield "reliability"
+
+
 def is_hidden_node(name: str) -> bool:
     """Whether a node is hidden, that is, its own name begins with an underscore.
 
@@ -102,3 +138,8 @@ def names_like(name: str, known: Iterable[str]) -> str:
     names = sorted(set(known))
     shown = ", ".join([*names[:MOST_SHOWN], *(["…"] if len(names) > MOST_SHOWN else [])])
     return did_you_mean(name, names) or f" (there are: {shown or 'none'})"
+
+
+def _is_longer(offered: int | None, requested: int | None) -> bool:
+    """Whether an offered time exceeds the requested one; None is for ever."""
+    return requested is not None and (offered is None or offered > requested)

@@ -210,6 +210,7 @@ def test_an_unknown_interface_is_named_once_by_the_name_that_users_write():
             {"times": TimePolicies(lease=10**9)},
             "a shorter lease duration (1 s)",
         ),
+        ({}, {"times": TimePolicies(liveliness="manual_by_topic")}, "more liveliness"),
     ],
 )
 def test_a_subscription_that_asks_for_more_than_is_offered_is_named(offered, asked, words):

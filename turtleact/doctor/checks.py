@@ -1,7 +1,6 @@
 """The checks of the doctor: each finds one kind of fault in a snapshot. Pure.
 
-Source: rmw ``qos_profiles.h`` and the compatibility tables of the ROS 2 documentation;
-rmw_zenoh_cpp ``liveliness_utils.cpp`` for what peers write into their tokens.
+Source: rmw_zenoh_cpp ``liveliness_utils.cpp`` for what peers write into their tokens.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from typing import Final
 import msgspec
 
 from turtleact.doctor.snapshot import EndpointSeen, Fields, Snapshot
-from turtleact.graph import SEND_GOAL, is_hidden_node
+from turtleact.graph import SEND_GOAL, Policy, is_hidden_node, misfits
 from turtleact.transports.base import Endpoint
 
 __all__ = ["CLOCKS_APART", "HASHED", "Fault", "differing_definitions", "find_faults"]
@@ -25,6 +24,15 @@ CLOCKS_APART: Final = 0.1
 
 HASHED: Final = re.compile(r"RIHS[0-9]+_[0-9a-f]+")
 """A type hash. ROS 2 Humble writes another word, because its types have no hashes."""
+
+LACKS: Final[dict[Policy, str]] = {
+    "durability": "more durability (transient_local, not volatile)",
+    "deadline": "a shorter deadline",
+    "liveliness": "more liveliness (manual_by_topic, not automatic)",
+    "lease": "a shorter lease duration",
+    "reliability": "more reliability (reliable, not best_effort)",
+}
+"""What a subscription asks for if a policy does not fit."""
 
 MOST_FIELDS: Final = 4
 """How many differing fields are named."""
@@ -226,28 +234,21 @@ def incompatible_qos(snapshot: Snapshot) -> Iterator[Fault]:
         publishers = sorted((e for e in ends if e.kind == "publisher"), key=_order)
         readers = sorted((e for e in ends if e.kind == "subscription"), key=_order)
         for publisher, reader in product(publishers, readers):
-            if misfits := list(_misfits(publisher, reader)):
+            if lacks := [_lack(each, reader) for each in misfits(publisher, reader)]:
                 yield Fault(
                     "qos",
                     (name, publisher.node, reader.node),
-                    f"on topic {name}, {reader.node} asks for {' and '.join(misfits)} than "
+                    f"on topic {name}, {reader.node} asks for {' and '.join(lacks)} than "
                     f"{publisher.node} offers",
                     "choose the same quality of service on both sides",
                 )
 
 
-def _misfits(publisher: Endpoint, reader: Endpoint) -> Iterator[str]:
-    offered, asked = publisher.qos, reader.qos
-    if (offered.reliability, asked.reliability) == ("best_effort", "reliable"):
-        yield "more reliability (reliable, not best_effort)"
-    if (offered.durability, asked.durability) == ("volatile", "transient_local"):
-        yield "more durability (transient_local, not volatile)"
-    for policy, least, most in (
-        ("deadline", publisher.times.deadline, reader.times.deadline),
-        ("lease duration", publisher.times.lease, reader.times.lease),
-    ):
-        if most is not None and (least is None or least > most):
-            yield f"a shorter {policy} ({most / 1e9:g} s)"
+def _lack(policy: Policy, reader: Endpoint) -> str:
+    """What a subscription asks for, beyond what is offered."""
+    limits = {"deadline": reader.times.deadline, "lease": reader.times.lease}
+    limit = limits.get(policy)
+    return LACKS[policy] if limit is None else f"{LACKS[policy]} ({limit / 1e9:g} s)"
 
 
 # what processes report themselves

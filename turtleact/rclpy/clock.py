@@ -6,13 +6,12 @@ import threading
 import time
 from collections.abc import Callable
 from enum import IntEnum
-from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from turtleact.rclpy.clock_type import ClockType
 from turtleact.rclpy.duration import Duration
 from turtleact.rclpy.exceptions import NotInitializedException
-from turtleact.rclpy.impl.entity import Handle
+from turtleact.rclpy.impl.entity import Block, Handle
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.time import Time
 
@@ -105,7 +104,7 @@ class TimeJump:
         return self._delta
 
 
-class JumpHandle:
+class JumpHandle(Block):
     """Callbacks that are called when the time jumps; a context manager.
 
     Args:
@@ -140,15 +139,7 @@ class JumpHandle:
             self._clock.remove_jump_handle(self)
             self._clock = None
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def _leave(self) -> None:
         self.unregister()
 
 

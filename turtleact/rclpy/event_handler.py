@@ -5,7 +5,7 @@ whenever it has changed. Deadlines and the liveliness of an own publisher are co
 transports enforce no policy in time. A mismatch of quality of service is told, but the messages
 still flow, as with rmw_zenoh. Lost messages are never noticed.
 
-Source: rmw ``events_statuses`` for the facts; DDS 1.4, section 2.2.3, for what is incompatible.
+Source: rmw ``events_statuses`` for the facts; `turtleact.graph.misfits` for what is incompatible.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ from collections import Counter
 from collections.abc import Callable
 from enum import IntEnum
 from functools import partial
-from typing import Protocol, TypeAlias
+from typing import Final, Protocol, TypeAlias
 
 import msgspec
 
+from turtleact.graph import Policy, misfits
 from turtleact.rclpy.callback_groups import CallbackGroup
 from turtleact.rclpy.executors import await_or_execute
 from turtleact.rclpy.impl.connection import Connection
@@ -45,6 +46,15 @@ __all__ = [
     "SubscriptionEventCallbacks",
     "UnsupportedEventTypeError",
 ]
+
+
+KINDS: Final[dict[Policy, QoSPolicyKind]] = {
+    "durability": QoSPolicyKind.DURABILITY,
+    "deadline": QoSPolicyKind.DEADLINE,
+    "liveliness": QoSPolicyKind.LIVELINESS,
+    "lease": QoSPolicyKind.LIVELINESS,
+    "reliability": QoSPolicyKind.RELIABILITY,
+}
 
 
 class UnsupportedEventTypeError(RuntimeError):
@@ -266,7 +276,9 @@ class _Totals:
 
     def incompatible(self, own: Endpoint, now: Found, come: Found, gone: Found) -> object | None:
         del now, gone
-        kinds = [kind for each in come.elements() if (kind := _mismatch(own, each)) is not None]
+        # As in DDS, one endpoint counts once, by the first policy that does not fit.
+        first = [next(misfits(own, each), None) for each in come.elements()]
+        kinds = [KINDS[policy] for policy in first if policy is not None]
         if not kinds:
             return None
         self._total += len(kinds)
@@ -278,27 +290,6 @@ class _Totals:
 def _alive(now: Found, come: Found, gone: Found) -> object:
     change = come.total() - gone.total()
     return QoSLivelinessChangedInfo(alive_count=now.total(), alive_count_change=change)
-
-
-def _mismatch(one: Endpoint, other: Endpoint) -> QoSPolicyKind | None:
-    """Return the first policy in which a publisher offers less than a subscription requests."""
-    offered, requested = (one, other) if one.kind == "publisher" else (other, one)
-    if offered.qos.durability == "volatile" and requested.qos.durability == "transient_local":
-        return QoSPolicyKind.DURABILITY
-    if _is_longer(offered.times.deadline, requested.times.deadline):
-        return QoSPolicyKind.DEADLINE
-    manual = offered.times.liveliness, requested.times.liveliness
-    if manual == ("automatic", "manual_by_topic"):
-        return QoSPolicyKind.LIVELINESS
-    if _is_longer(offered.times.lease, requested.times.lease):
-        return QoSPolicyKind.LIVELINESS
-    if offered.qos.reliability == "best_effort" and requested.qos.reliability == "reliable":
-        return QoSPolicyKind.RELIABILITY
-    return None
-
-
-def _is_longer(offered: int | None, requested: int | None) -> bool:
-    return requested is not None and (offered is None or offered > requested)
 
 
 class EventHandler(Waitable):

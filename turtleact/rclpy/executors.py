@@ -22,12 +22,12 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
-from typing import TYPE_CHECKING, Protocol, Self, TypeAlias
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from turtleact.rclpy.callback_groups import CallbackGroup
 from turtleact.rclpy.exceptions import InvalidHandle
 from turtleact.rclpy.impl.diagnosis import BLOCKED_AFTER, note_blocked
-from turtleact.rclpy.impl.entity import NOTHING, Entity
+from turtleact.rclpy.impl.entity import NOTHING, Block, Entity
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.task import Future, Task
 from turtleact.rclpy.utilities import get_default_context
@@ -110,7 +110,7 @@ def _never() -> bool:
     return False
 
 
-class Executor:
+class Executor(Block):
     """The base of executors; a subclass defines `spin_once`.
 
     Args:
@@ -196,15 +196,7 @@ class Executor:
         self._round.clear()
         return True
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def _leave(self) -> None:
         self.shutdown()
 
     # spinning

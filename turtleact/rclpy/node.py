@@ -5,8 +5,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from types import TracebackType
-from typing import TYPE_CHECKING, Self, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from turtleact.rclpy.callback_groups import (
     CallbackGroup,
@@ -22,7 +21,7 @@ from turtleact.rclpy.guard_condition import GuardCondition
 from turtleact.rclpy.impl.arguments import arguments_of
 from turtleact.rclpy.impl.calls import CallEnd
 from turtleact.rclpy.impl.connection import Connection, Sender
-from turtleact.rclpy.impl.entity import Handle
+from turtleact.rclpy.impl.entity import Block, Handle
 from turtleact.rclpy.impl.node_graph import NodeGraph
 from turtleact.rclpy.impl.node_parameters import NodeParameters
 from turtleact.rclpy.impl.rcutils_logger import LOG, RcutilsLogger
@@ -69,7 +68,7 @@ HIDDEN_NODE_PREFIX = "_"
 E = TypeVar("E")
 
 
-class Node(NodeParameters, NodeGraph):
+class Node(NodeParameters, NodeGraph, Block):
     """A participant of the graph, with topics, services, timers and parameters.
 
     Args:
@@ -664,15 +663,7 @@ class Node(NodeParameters, NodeGraph):
             executor.remove_node(self)
         self._handle.destroy_when_not_in_use()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def _leave(self) -> None:
         self.destroy_node()
 
     def _count(self, name: str, kind: EndpointKind) -> int:

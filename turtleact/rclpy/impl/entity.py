@@ -13,7 +13,7 @@ from turtleact.rclpy.impl.typing import Anything
 if TYPE_CHECKING:
     from turtleact.rclpy.callback_groups import CallbackGroup
 
-__all__ = ["NOTHING", "Destroyable", "Entity", "Handle"]
+__all__ = ["NOTHING", "Block", "Destroyable", "Entity", "Handle"]
 
 NOTHING = object()
 """What `Entity.take` returns if there was nothing to take after all."""
@@ -76,12 +76,8 @@ class Handle:
             self._close()
 
 
-class Destroyable:
-    """Something that can be destroyed; a context manager that does so at its end."""
-
-    def destroy(self) -> None:
-        """Destroy the object. A second call does nothing."""
-        raise NotImplementedError
+class Block:
+    """A context manager that gives itself, and does one thing at its end."""
 
     def __enter__(self) -> Self:
         return self
@@ -92,6 +88,21 @@ class Destroyable:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
+        self._leave()
+
+    def _leave(self) -> None:
+        """Do that thing."""
+        raise NotImplementedError
+
+
+class Destroyable(Block):
+    """Something that can be destroyed; a context manager that does so at its end."""
+
+    def destroy(self) -> None:
+        """Destroy the object. A second call does nothing."""
+        raise NotImplementedError
+
+    def _leave(self) -> None:
         self.destroy()
 
 
