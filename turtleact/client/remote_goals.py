@@ -24,6 +24,7 @@ from functools import partial
 from typing import Any, Final, cast
 
 import anyio
+import msgspec
 
 from turtleact.client.client_endpoints import ClientEndpoints
 from turtleact.errors import (
@@ -77,7 +78,7 @@ _ENDS: Final = {
 }
 
 
-class RemoteGoal:
+class RemoteGoal(msgspec.Struct, eq=False):
     """A goal at a server in another process, as far as the client knows.
 
     Attributes:
@@ -97,39 +98,27 @@ class RemoteGoal:
         task: The task that follows the goal, if there is one.
     """
 
-    __slots__ = (
-        "asked",
-        "goal",
-        "goal_id",
-        "is_abandoned",
-        "is_accepted",
-        "is_awaited",
-        "is_observed",
-        "is_sender",
-        "log",
-        "note",
-        "reattach",
-        "received",
-        "sent",
-        "task",
-    )
+    goal: Goal
+    goal_id: bytes
+    log: FeedbackLog
+    is_sender: bool
+    is_accepted: bool
+    is_abandoned: bool = False
+    is_awaited: bool = False
+    is_observed: bool = False
+    note: str = ""
+    received: int = 0
+    reattach: float = 0.0
+    sent: PendingCall | None = None
+    asked: PendingCall | None = None
+    task: Cancelable | None = None
 
-    def __init__(self, goal: Goal, *, is_sender: bool) -> None:
-        self.goal = goal
-        self.goal_id = cast("bytes", goal.id)
-        self.log = goal.feedback = FeedbackLog()
-        goal.is_streamed = True
-        self.is_sender = is_sender
-        self.is_accepted = not is_sender
-        self.is_abandoned = False
-        self.is_awaited = False
-        self.is_observed = False
-        self.note = ""
-        self.received = 0
-        self.reattach = 0.0
-        self.sent: PendingCall | None = None
-        self.asked: PendingCall | None = None
-        self.task: Cancelable | None = None
+
+def _remote(goal: Goal, *, is_sender: bool) -> RemoteGoal:
+    log = goal.feedback = FeedbackLog()
+    goal.is_streamed = True
+    goal_id = cast("bytes", goal.id)
+    return RemoteGoal(goal, goal_id, log, is_sender=is_sender, is_accepted=not is_sender)
 
 
 class RemoteGoals:
@@ -175,7 +164,7 @@ class RemoteGoals:
         """
         if not self._endpoints.is_open:
             self.open()
-        remote = RemoteGoal(goal, is_sender=True)
+        remote = _remote(goal, is_sender=True)
         remote.reattach = reattach
         remote.note = REQUEST_NOTE.get()
         is_under_way = self._send_both(remote)
@@ -186,7 +175,7 @@ class RemoteGoals:
 
     def attach(self, goal: Goal, state: State) -> None:
         """Follow a goal that somebody else sent, starting from its current state."""
-        remote = RemoteGoal(goal, is_sender=False)
+        remote = _remote(goal, is_sender=False)
         self.take_state(remote, state)
         self.by_id[remote.goal_id] = remote
         self._follow_in_task(remote)
@@ -537,11 +526,14 @@ class RemoteGoals:
                 goal.listener.fire()
 
     def _let_go(self, remote: RemoteGoal) -> None:
-        for early in (remote.sent, remote.asked):
-            if early is not None:
-                early.drop()
-        remote.sent = remote.asked = None
-        remote.goal.leave_parent()
+        if remote.sent is not None:
+            remote.sent.drop()
+            remote.sent = None
+        if remote.asked is not None:
+            remote.asked.drop()
+            remote.asked = None
+        if remote.goal.parent is not None:
+            remote.goal.leave_parent()
         self.by_id.pop(remote.goal_id, None)
 
     def _failure(self, error: TurtleactError, *, is_accepted: bool = False) -> TurtleactError:

@@ -40,8 +40,14 @@ GID_SIZE = 16
 #: An attachment without a note.
 LAYOUT = struct.Struct("<qqB16s")
 
+#: The size of an attachment without a note.
+SIZE = LAYOUT.size
+
 #: The longest note (bytes); longer ones are cut.
 LONGEST_NOTE = 4096
+
+#: Where the note is in an attachment.
+NOTE = slice(SIZE, SIZE + LONGEST_NOTE)
 
 
 class Attachment(msgspec.Struct, frozen=True):
@@ -81,27 +87,25 @@ def read_attachment(data: bytes) -> Attachment:
     Raises:
         InvalidMessage: if the bytes are not an attachment.
     """
-    if len(data) < LAYOUT.size:
-        raise _invalid(f"expected {LAYOUT.size} bytes, got {len(data)}")
+    if len(data) < SIZE:
+        raise _invalid(f"expected {SIZE} bytes, got {len(data)}")
     sequence, stamp, size, gid = LAYOUT.unpack_from(data)
     if size != GID_SIZE:
         raise _invalid(f"expected a gid of {GID_SIZE} bytes, not of {size}")
     if sequence < 0 or stamp < 0:
         raise _invalid(f"sequence number and time must not be negative: {sequence}, {stamp}")
-    note = note_in(data) if len(data) > LAYOUT.size else ""  # most requests carry none
+    note = note_in(data) if len(data) > SIZE else ""  # most requests carry none
     return Attachment(sequence, stamp, gid, note)
 
 
 def note_in(data: bytes) -> str:
     """Return only the note; the bytes may be anything."""
-    if len(data) <= LAYOUT.size:
-        return ""
-    return data[LAYOUT.size : LAYOUT.size + LONGEST_NOTE].decode(errors="replace")
+    return data[NOTE].decode(errors="replace")
 
 
 def gid_in(data: bytes) -> bytes:
     """Return only the gid; the bytes may be anything."""
-    return data[LAYOUT.size - GID_SIZE : LAYOUT.size]
+    return data[SIZE - GID_SIZE : SIZE]
 
 
 def _invalid(problem: str) -> InvalidMessage:

@@ -18,6 +18,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import anyio
+import msgspec
 
 from turtleact.errors import (
     InvalidMessage,
@@ -45,7 +46,6 @@ from turtleact.transports.base import (
     why_not_served,
 )
 from turtleact.transports.rmw_zenoh.attachment import (
-    Attachment,
     gid_in,
     note_in,
     note_tail,
@@ -77,18 +77,22 @@ class WireService:
         is_for_others: Whether its handlers answer other processes.
 
     Attributes:
+        context: As given.
+        name: The name of the service.
+        format: As given.
+        under_way: The requests that have not been answered, by gid and sequence number.
         is_open: Whether it accepts requests and more handlers.
     """
 
     def __init__(
         self, context: Context, named: Named, format: Format, *, is_for_others: bool
     ) -> None:
-        self._context = context
+        self.context = context
+        self.name = named.endpoint.name
+        self.format = format
+        self.under_way: dict[tuple[bytes, int], _Request] = {}
         self._named = named
-        self._name = named.endpoint.name
-        self._format = format
-        self._offers: list[_Offer] = []
-        self._under_way: dict[tuple[bytes, int], Query] = {}
+        self._offers: tuple[_Offer, ...] = ()  # replaced, since threads of the session read it
         self._declared: Declared | None = None
         self.is_open = True
         declare = self._declare if is_for_others else None
@@ -103,15 +107,15 @@ class WireService:
         Returns:
             The object that removes it. The service exists until the last handler is removed.
         """
-        near = self._context.near.serve(self._named.endpoint, self._format, handler)
+        near = self.context.near.serve(self._named.endpoint, self.format, handler)
         offer = _Offer(self, near, handler)
-        self._offers.append(offer)
+        self._offers += (offer,)
         return offer
 
     def remove(self, offer: _Offer) -> None:
         """Remove a handler. A second call does nothing."""
         if offer in self._offers:
-            self._offers.remove(offer)
+            self._offers = tuple(each for each in self._offers if each is not offer)
             if not self._offers:
                 self.close()
 
@@ -120,138 +124,155 @@ class WireService:
         if not self.is_open:
             return
         self.is_open = False
-        for offer in tuple(self._offers):
+        for offer in self._offers:
             offer.close()
         self.presence.close()
-        if not self._under_way:
-            self._context.opened.discard(self)
+        self.leave_if_idle()
+
+    def leave_if_idle(self) -> None:
+        """Once it is closed and no request is under way, leave the list of what is open."""
+        if not (self.is_open or self.under_way):
+            self.context.opened.discard(self)
 
     def give_up(self) -> None:
         """Answer the requests under way with an error, because the transport is closing."""
-        under_way, self._under_way = self._under_way, {}
-        for query in under_way.values():
-            self._fail(query, self._closed())
+        for request in tuple(self.under_way.values()):
+            request.refuse(self.closed())
+
+    def closed(self) -> ServerUnavailable:
+        """The error for requests that the server does not answer because it was closed."""
+        return ServerUnavailable(self.name, "the server was closed", kind="service")
+
+    def fail(self, query: Query, error: TurtleactError) -> None:
+        """Send an error."""
+        kind, text = said(error)
+        self.context.outbox.post(lambda: query.fail(text, kind))
 
     def _take(self, query: Query) -> None:
         """Receive a query; a thread of the session calls this."""
-        offers = tuple(self._offers)
-        if offers and offers[0].is_threaded and self._context.is_open:
+        offers = self._offers
+        if offers and offers[0].is_threaded and self.context.is_open:
             self._begin(query)
         else:
-            self._context.inbox.push(partial(self._begin, query))
+            self.context.inbox.push(partial(self._begin, query))
 
     def _begin(self, query: Query) -> None:
         try:
             beside = read_attachment(query.attachment)
-            if (beside.gid, beside.sequence) in self._under_way:
+            key = beside.gid, beside.sequence
+            if key in self.under_way:
                 raise InvalidMessage("attachment", f"request {beside.sequence} is under way")
-            request = self._format.decode(query.payload)
+            message = self.format.decode(query.payload)
         except InvalidMessage as error:
-            about = f"service {self._name}: a request cannot be read"
-            complain = partial(
-                self._context.complaints.warn, about, gid_in(query.attachment), error
-            )
-            self._context.inbox.push(complain)  # this may be another thread
-            self._fail(query, error)
+            about = f"service {self.name}: a request cannot be read"
+            complain = partial(self.context.complaints.warn, about, gid_in(query.attachment), error)
+            self.context.inbox.push(complain)  # this may be another thread
+            self.fail(query, error)
             return
-        offer = self._offers[0] if self._offers else None
-        if offer is None or not self._context.is_open:
-            self._fail(query, self._closed())
+        offers = self._offers
+        if not offers or not self.context.is_open:
+            self.fail(query, self.closed())
             return
-        self._under_way[beside.gid, beside.sequence] = query
-        if offer.observer is not None:
-            offer.observer.requested(request, beside.gid, beside.sequence)
+        request = self.under_way[key] = _Request(self, offers[0], query, key)
+        if offers[0].observer is not None:
+            offers[0].observer.requested(message, *key)
         if beside.note:  # the handler's task inherits it from this context
-            copy_context().run(self._handle_noted, offer, beside, request)
+            context = copy_context()
+            context.run(REQUEST_NOTE.set, beside.note)
+            context.run(request.handle, message)
         else:
-            self._handle(offer, beside, request)
-
-    def _handle_noted(self, offer: _Offer, beside: Attachment, request: object) -> None:
-        REQUEST_NOTE.set(beside.note)
-        self._handle(offer, beside, request)
-
-    def _handle(self, offer: _Offer, beside: Attachment, request: object) -> None:
-        if not self._answer_nowait(offer, beside, request):
-            answering = self._answer(offer, beside, request)
-            self._context.crew.run(answering, f"a request to {self._name}")
-
-    def _answer_nowait(self, offer: _Offer, beside: Attachment, request: object) -> bool:
-        """Let the handler answer without a task, now or later; return False if it needs one."""
-        if offer.sync is None:
-            return False
-        try:
-            respond = partial(self._respond, beside, offer)
-            return offer.sync.reply_nowait(request, beside.gid, respond)
-        except Exception as error:
-            self._refuse(beside, self._failure(error))
-            return True
-
-    async def _answer(self, offer: _Offer, beside: Attachment, request: object) -> None:
-        """Answer a request; raises only cancellations."""
-        try:
-            assert offer.handler is not None  # noqa: S101  # otherwise it would not be chosen
-            self._respond(beside, offer, await offer.handler.reply(request, beside.gid))
-        except Exception as error:
-            self._refuse(beside, self._failure(error))
-        finally:
-            # The user's code may cancel this task, as it may cancel any task of the loop. Some
-            # requests can still be answered without it, such as that for the result of a goal.
-            is_cut_off = self._context.is_open and (beside.gid, beside.sequence) in self._under_way
-            if not (is_cut_off and self._answer_nowait(offer, beside, request)):
-                self._refuse(beside, self._closed())  # does nothing if the request was answered
-
-    def _respond(self, beside: Attachment, offer: _Offer, reply: Reply | TurtleactError) -> None:
-        """Answer a request that is under way; never raises."""
-        if isinstance(reply, TurtleactError):
-            self._refuse(beside, reply)
-            return
-        try:
-            payload = self._format.encode(reply.message)
-        except Exception as error:
-            self._refuse(beside, self._failure(error))
-            return
-        query = self._pop(beside)
-        if query is not None:  # None if the transport was closed meanwhile
-            attachment = write_attachment(beside.sequence, time.time_ns(), beside.gid, reply.note)
-            self._context.outbox.post(partial(query.reply, payload, attachment))
-            if offer.observer is not None:
-                offer.observer.responded(reply.message, beside.gid, beside.sequence)
-
-    def _refuse(self, beside: Attachment, error: TurtleactError) -> None:
-        """Answer a request that is still under way with an error."""
-        query = self._pop(beside)
-        if query is not None:
-            self._fail(query, error)
-
-    def _pop(self, beside: Attachment) -> Query | None:
-        """Remove a request that is under way and return it; None if it was removed before."""
-        query = self._under_way.pop((beside.gid, beside.sequence), None)
-        if not (self.is_open or self._under_way):
-            self._context.opened.discard(self)
-        return query
-
-    def _failure(self, error: Exception) -> TurtleactError:
-        """Turn a handler's exception into the error that its client gets."""
-        if isinstance(error, TurtleactError):
-            return error
-        logger.error("the handler of service %s failed", self._name, exc_info=loggable(error))
-        return ServiceError(self._name, f"the handler failed: {summary(error)}")
-
-    def _fail(self, query: Query, error: TurtleactError) -> None:
-        kind, text = said(error)
-        self._context.outbox.post(lambda: query.fail(text, kind))
-
-    def _closed(self) -> ServerUnavailable:
-        return ServerUnavailable(self._name, "the server was closed", kind="service")
+            request.handle(message)
 
     # called in the outbox
 
     def _declare(self) -> None:
-        self._declared = self._context.session.declare_queryable(self._named.key, self._take)
+        self._declared = self.context.session.declare_queryable(self._named.key, self._take)
 
     def _undeclare(self) -> None:
         if self._declared is not None:
             self._declared.undeclare()
+
+
+class _Request(msgspec.Struct, eq=False):
+    """A request from another process that is under way; answered once."""
+
+    service: WireService
+    offer: _Offer
+    query: Query
+    key: tuple[bytes, int]  # its client's gid and its sequence number
+
+    def handle(self, message: object) -> None:
+        """Have it answered: without a task, now or later, if the handler can do that."""
+        if self.offer.sync is None or not self._answer_nowait(message, self.offer.sync):
+            service = self.service
+            service.context.crew.run(self._answer(message), f"a request to {service.name}")
+
+    def respond(self, reply: Reply | TurtleactError) -> None:
+        """Answer it; never raises. Does nothing if it was answered, as when the transport closes.
+
+        A threaded handler may call this in any thread.
+        """
+        if isinstance(reply, TurtleactError):
+            self.refuse(reply)
+            return
+        service = self.service
+        try:
+            payload = service.format.encode(reply.message)
+        except Exception as error:
+            self.refuse(self._failure(error))
+            return
+        if self._end():
+            gid, sequence = self.key
+            attachment = write_attachment(sequence, time.time_ns(), gid, reply.note)
+            service.context.outbox.post(partial(self.query.reply, payload, attachment))
+            if self.offer.observer is not None:
+                self.offer.observer.responded(reply.message, gid, sequence)
+
+    def refuse(self, error: TurtleactError) -> None:
+        """Answer it with an error, unless it was answered."""
+        if self._end():
+            self.service.fail(self.query, error)
+
+    def _answer_nowait(self, message: object, sync: SyncHandler) -> bool:
+        """Let the handler answer without a task, now or later; return False if it needs one."""
+        try:
+            return sync.reply_nowait(message, self.key[0], self.respond)
+        except Exception as error:
+            self.refuse(self._failure(error))
+            return True
+
+    async def _answer(self, message: object) -> None:
+        """Answer it; raises only cancellations."""
+        service, handler = self.service, self.offer.handler
+        try:
+            assert handler is not None  # noqa: S101  # otherwise it would not be chosen
+            self.respond(await handler.reply(message, self.key[0]))
+        except Exception as error:
+            self.refuse(self._failure(error))
+        finally:
+            # The user's code may cancel this task, as it may cancel any task of the loop. Some
+            # requests can still be answered without it, such as that for the result of a goal.
+            sync = self.offer.sync if service.context.is_open else None
+            is_cut_off = self.key in service.under_way
+            if is_cut_off and (sync is None or not self._answer_nowait(message, sync)):
+                self.refuse(service.closed())
+
+    def _end(self) -> bool:
+        """Take it from the requests under way; return whether it was still there."""
+        # This decides who answers: the handler, its failure or the closing transport, each perhaps
+        # in another thread. Only one of them finds the key.
+        is_first = self.service.under_way.pop(self.key, None) is not None
+        if not self.service.is_open:
+            self.service.leave_if_idle()
+        return is_first
+
+    def _failure(self, error: Exception) -> TurtleactError:
+        """Turn a handler's exception into the error that its client gets."""
+        name = self.service.name
+        if isinstance(error, TurtleactError):
+            return error
+        logger.error("the handler of service %s failed", name, exc_info=loggable(error))
+        return ServiceError(name, f"the handler failed: {summary(error)}")
 
 
 class _Offer:
@@ -327,7 +348,7 @@ class WireCaller:
     @property
     def is_served(self) -> bool:
         """Whether a call would reach a server now."""
-        return self._near.is_served or (self.is_matching and self._context.is_open)
+        return (self.is_matching and self._context.is_open) or self._near.is_served
 
     async def call(self, request: object, note: str = "") -> Reply:
         """Send a request and wait for the reply; see `turtleact.transports.base.Caller`."""
@@ -346,11 +367,12 @@ class WireCaller:
         note: str = "",
     ) -> PendingCall | None:
         """Send a request to another process now; None if that is not possible at once."""
-        is_far = self.is_matching and self._context.is_open and not self._near.is_served
-        if not is_far or not self._is_open:
+        can_send = self.is_matching and self._context.is_open and self._is_open
+        if not can_send or self._near.is_served:
             return None
         payload = self._format.encode(request)
-        return self._send(request, payload, note, is_cancelable=False, on_end=on_end)
+        ends = None if on_end is None else [on_end]
+        return self._send(request, payload, note, is_cancelable=False, on_end=ends)
 
     def close(self) -> None:
         """Leave the graph when the calls under way are over. A second call does nothing.
@@ -391,12 +413,12 @@ class WireCaller:
         note: str,
         *,
         is_cancelable: bool,
-        on_end: Callable[[PendingCall], object] | None = None,
+        on_end: list[Callable[[PendingCall], object]] | None = None,
     ) -> WireCall:
-        attachment = self._counter.next() + note_tail(note)
-        call = WireCall(self._context, payload, attachment, self, is_cancelable=is_cancelable)
-        if on_end is not None:
-            call.on_end.append(on_end)
+        attachment = self._counter.next()
+        if note:
+            attachment += note_tail(note)
+        call = WireCall(self._context, payload, attachment, self, is_cancelable, on_end)
         self._calls.add(call)
         self._context.outbox.post(call.send)
         if self._observer is not None:
@@ -410,12 +432,11 @@ class WireCaller:
 
     def _leave_if_idle(self) -> None:
         if not self._is_open and not self._calls and not self._has_left:
-            self._leave()
-
-    def _leave(self) -> None:
-        self._has_left = True
-        self._context.opened.discard(self)  # only now: calls under way must hear of lost servers
-        self.presence.close()
+            self._has_left = True
+            self._context.opened.discard(
+                self
+            )  # only now: calls under way must hear of lost servers
+            self.presence.close()
 
     def finish(self, call: WireCall) -> Reply:
         """Return the reply of a call that is over, or raise its error."""
@@ -495,54 +516,43 @@ class WireCaller:
             self.querier = None
 
 
-class WireCall:
+class WireCall(msgspec.Struct, eq=False):
     """One request and its outcome.
 
-    Args:
+    Attributes:
         context: The transport's context.
         payload: The encoded request.
         attachment: The request's attachment.
         caller: The client that makes the call.
         is_cancelable: Whether dropping the call frees it at once, rather than with its client.
-
-    Attributes:
+        on_end: Holds the function to call, in any thread, when the call is over. It is removed
+            before it is called, because two threads may notice the end at the same moment. Most
+            calls have none.
         answer: The payload and attachment of the reply.
         error: The text and the kind of an error.
         is_over: Whether a reply or error has arrived, or neither ever will.
         is_observed: Whether an observer has been told of the response.
-        on_end: The function to call, in any thread, when the call is over. It is removed before it
-            is called, because two threads may notice the end at the same moment.
     """
 
+    context: Context
+    payload: bytes
+    attachment: bytes
+    caller: WireCaller
+    is_cancelable: bool
+    on_end: list[Callable[[PendingCall], object]] | None = None
     answer: tuple[bytes, bytes] | None = None
     error: tuple[str, str] | None = None
-    is_over = False
-    is_observed = False
-    _is_wanted = True
+    is_over: bool = False
+    is_observed: bool = False
+    _is_wanted: bool = True
     _changed: Signal | None = None  # created when somebody waits
     _told: Callable[[], object] | None = None
     _give_up: Callable[[], None] | None = None
 
-    def __init__(
-        self,
-        context: Context,
-        payload: bytes,
-        attachment: bytes,
-        caller: WireCaller,
-        *,
-        is_cancelable: bool,
-    ) -> None:
-        self._context = context
-        self._payload = payload
-        self._attachment = attachment
-        self._caller = caller
-        self._is_cancelable = is_cancelable
-        self.on_end: list[Callable[[PendingCall], object]] = []
-
     @property
     def sequence(self) -> int:
         """The sequence number of the request."""
-        return read_attachment(self._attachment).sequence
+        return read_attachment(self.attachment).sequence
 
     @property
     def stamp(self) -> int | None:
@@ -559,7 +569,7 @@ class WireCall:
     def take(self) -> Reply:
         """Return the reply of a call that is over; see `turtleact.transports.base.PendingCall`."""
         self._is_wanted = False
-        return self._caller.finish(self)
+        return self.caller.finish(self)
 
     async def reply(self) -> Reply:
         """Wait for the reply; see `turtleact.transports.base.PendingCall`."""
@@ -567,15 +577,15 @@ class WireCall:
             await self._wait()
         finally:
             self.drop()
-        return self._caller.finish(self)
+        return self.caller.finish(self)
 
     def drop(self) -> None:
         """Give up the reply. A second call does nothing."""
         if self._is_wanted:
             self._is_wanted = False
-            if self._is_cancelable and not self.is_over:
-                self._context.outbox.post(self._cancel)
-            self._caller.forget(self)
+            if self.is_cancelable and not self.is_over:
+                self.context.outbox.post(self._cancel)
+            self.caller.forget(self)
 
     async def end_soon(self) -> None:
         """End the call soon: Zenoh may have lost it with its server without saying so."""
@@ -593,39 +603,40 @@ class WireCall:
             self._changed.fire()
         if self._told is not None and self._is_wanted:
             self._told()
-        self._end_here()
+        if self.on_end is not None:
+            self._end_here(self.on_end)
 
-    def _end_here(self) -> bool:
+    def _end_here(self, on_end: list[Callable[[PendingCall], object]]) -> bool:
         """Call `on_end` if it is still there; return whether it was."""
         try:
-            on_end = self.on_end.pop()
+            end = on_end.pop()
         except IndexError:
             return False
-        on_end(self)
+        end(self)
         return True
 
     async def _wait(self) -> None:
         while not self.is_over:
             if self._changed is None:
-                self._changed = self._context.tasks.signal()
+                self._changed = self.context.tasks.signal()
             await self._changed.wait()
 
     # called in the outbox
 
     def send(self) -> None:
         """Send the request."""
-        querier = self._caller.querier
+        querier = self.caller.querier
         if querier is None:
             self._ended()
             return
         try:
             self._give_up = querier.get(
-                self._payload,
-                self._attachment,
+                self.payload,
+                self.attachment,
                 replied=self.replied,
                 failed=self._failed,
                 ended=self._ended,
-                is_cancelable=self._is_cancelable,
+                is_cancelable=self.is_cancelable,
             )
         except TurtleactError:
             self._ended()
@@ -641,23 +652,23 @@ class WireCall:
         """Receive a reply."""
         if not self.is_over:  # the first reply of several servers wins
             self.answer = payload, attachment
-            counts = self._caller.counts
+            counts = self.caller.counts
             if counts is not None and not counts(payload):
                 return  # another server may send a better reply; otherwise `_ended` comes next
             self.is_over = True
-            if not self._end_here():
-                self._context.inbox.push(self._tell)
+            if self.on_end is None or not self._end_here(self.on_end):
+                self.context.inbox.push(self._tell)
 
     def _failed(self, text: str, kind: str) -> None:
         if not self.is_over:
             self.error = text, kind
             self.is_over = True
-            if not self._end_here():
-                self._context.inbox.push(self._tell)
+            if self.on_end is None or not self._end_here(self.on_end):
+                self.context.inbox.push(self._tell)
 
     def _ended(self) -> None:
         if not self.is_over:  # otherwise the loop already knows
-            self._context.inbox.push(self.end)
+            self.context.inbox.push(self.end)
 
 
 def said(error: TurtleactError) -> tuple[str, str]:
