@@ -70,15 +70,15 @@ class GoalStatus(IntEnum):
     @property
     def is_terminal(self) -> bool:
         """Whether the goal has ended."""
-        return self >= GoalStatus.SUCCEEDED
+        return self >= 4
 
 
 def status_of(number: int) -> GoalStatus:
     """Return the state with that number, or UNKNOWN if there is none."""
-    try:
-        return GoalStatus(number)
-    except ValueError:
-        return GoalStatus.UNKNOWN
+    return _BY_NUMBER.get(number, GoalStatus.UNKNOWN)
+
+
+_BY_NUMBER: Final = {int(status): status for status in GoalStatus}
 
 
 class GoalEvent(IntEnum):
@@ -127,6 +127,8 @@ TRANSITIONS: Final[Mapping[tuple[GoalStatus, GoalEvent], GoalStatus]] = MappingP
     }
 )
 
+
+_CANCEL_GOAL: Final = GoalEvent.CANCEL_GOAL
 
 #: The same table by number, ``[status][event]``: enum members are slow as dictionary keys.
 _NEXT: Final = tuple(
@@ -276,7 +278,7 @@ class Goal(msgspec.Struct, eq=False):
         if status is None:
             raise InvalidTransition(self.status, event, self.hex)
         self.status = status
-        if event <= GoalEvent.CANCEL_GOAL:  # the history leaves out final states
+        if event <= _CANCEL_GOAL:  # the history leaves out final states
             count = 0 if self.feedback is None else self.feedback.count
             self.history = (*self.history, (status, count))
         if self.listener is not None:

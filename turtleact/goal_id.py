@@ -14,6 +14,12 @@ __all__ = ["goal_id_bytes", "new_goal_id"]
 
 _POOLED = 256
 
+_VERSION_4 = 0x4 << 76 | 0x8 << 60
+"""The version and variant, which every id has."""
+
+_RANDOM = (1 << 128) - 1 & ~(0xF << 76 | 0xC << 60)
+"""The other bits."""
+
 
 class _Pool:
     """A stock of random bytes. A forked child starts without it, so that no id is used twice."""
@@ -35,14 +41,7 @@ _pool = _Pool()
 
 def new_goal_id() -> bytes:
     """Return a new goal id, a UUID of version 4."""
-    noise = _pool.draw()
-    return b"%b%c%b%c%b" % (
-        noise[:6],
-        noise[6] & 0x0F | 0x40,
-        noise[7:8],
-        noise[8] & 0x3F | 0x80,
-        noise[9:],
-    )
+    return (int.from_bytes(_pool.draw(), "big") & _RANDOM | _VERSION_4).to_bytes(16, "big")
 
 
 def goal_id_bytes(goal_id: bytes | str | uuid.UUID) -> bytes:

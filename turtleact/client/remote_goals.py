@@ -19,7 +19,7 @@ Source: rcl_action ``action_client.c``, ``goal_state_machine.c``, and
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from functools import partial
 from typing import Any, Final, cast
 
@@ -71,11 +71,28 @@ CLOSING: Final = 5.0
 
 _EXECUTING: Final = GoalStatus.EXECUTING
 
-_ENDS: Final = {
-    GoalStatus.SUCCEEDED: GoalEvent.SUCCEED,
-    GoalStatus.CANCELED: GoalEvent.CANCELED,
-    GoalStatus.ABORTED: GoalEvent.ABORT,
+_ENDS: Final = {GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED}
+
+_END_OF_EXECUTING: Final = {
+    GoalStatus.CANCELING: (GoalEvent.CANCEL_GOAL,),
+    GoalStatus.SUCCEEDED: (GoalEvent.SUCCEED,),
+    GoalStatus.CANCELED: (GoalEvent.CANCEL_GOAL, GoalEvent.CANCELED),
+    GoalStatus.ABORTED: (GoalEvent.ABORT,),
 }
+
+_STEPS: Final[Mapping[GoalStatus, Mapping[GoalStatus, tuple[GoalEvent, ...]]]] = {
+    GoalStatus.ACCEPTED: {
+        GoalStatus.EXECUTING: (GoalEvent.EXECUTE,),
+        **{to: (GoalEvent.EXECUTE, *events) for to, events in _END_OF_EXECUTING.items()},
+    },
+    GoalStatus.EXECUTING: _END_OF_EXECUTING,
+    GoalStatus.CANCELING: {
+        GoalStatus.SUCCEEDED: (GoalEvent.SUCCEED,),
+        GoalStatus.CANCELED: (GoalEvent.CANCELED,),
+        GoalStatus.ABORTED: (GoalEvent.ABORT,),
+    },
+}
+"""Which events lead from one state to a later one."""
 
 
 class RemoteGoal(msgspec.Struct, eq=False):
@@ -248,7 +265,8 @@ class RemoteGoals:
         if not (endpoints.knows_ours() and endpoints.takes_both):
             return False
         implied, goal_id = endpoints.implied, UUID(remote.goal_id)
-        request = implied.send_goal.Request(goal_id, cast("Any", remote.goal.request))
+        goal: Any = remote.goal.request
+        request = implied.send_goal.Request(goal_id, goal)
         sent = remote.sent = endpoints.send_goal.ask(request, note=remote.note)
         if sent is None:
             return False
@@ -428,7 +446,8 @@ class RemoteGoals:
         """Whether a reply has the result; False if the server does not know the goal."""
         if not (reply.note and self._endpoints.is_ours):
             self._endpoints.learn(reply)
-        return cast("Any", reply.message).status in _ENDS
+        response: Any = reply.message
+        return response.status in _ENDS
 
     def _take_feedback(self, remote: RemoteGoal, feedback: Message) -> None:
         """Record a feedback message and call the sender's callback."""
@@ -478,17 +497,8 @@ class RemoteGoals:
         """Bring a goal into a state through the states before it; never backwards."""
         # The status topic, a reply to a cancel and the result may arrive in any order, and some
         # states may never be reported. Missing states are filled in, and old news is ignored.
-        goal = remote.goal
-        if status <= goal.status or goal.status.is_terminal:
-            return
-        if goal.status is GoalStatus.ACCEPTED:
-            self._apply(remote, GoalEvent.EXECUTE)
-        if status in (GoalStatus.CANCELING, GoalStatus.CANCELED) and (
-            goal.status is not GoalStatus.CANCELING
-        ):
-            self._apply(remote, GoalEvent.CANCEL_GOAL)
-        if status in _ENDS:
-            self._apply(remote, _ENDS[status])
+        for event in _STEPS.get(remote.goal.status, {}).get(status, ()):
+            self._apply(remote, event)
 
     def _apply(self, remote: RemoteGoal, event: GoalEvent) -> None:
         goal, before = remote.goal, remote.goal.status
@@ -510,10 +520,11 @@ class RemoteGoals:
 
     def _conclude(self, remote: RemoteGoal, reply: Reply, note: GoalNote) -> None:
         """End a goal the way its server reported."""
-        response, goal = cast("Any", reply.message), remote.goal
+        response: Any = reply.message
+        goal = remote.goal
         goal.result, goal.reason, goal.is_paused = response.result, note.reason, False
         goal.ended = self._now()
-        self._move(remote, GoalStatus(response.status))
+        self._move(remote, status_of(response.status))
 
     def _lose(self, remote: RemoteGoal, error: TurtleactError) -> None:
         """End a goal after contact with it was lost."""

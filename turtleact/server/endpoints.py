@@ -30,7 +30,6 @@ from turtleact.goal_wire import GoalNote
 from turtleact.interfaces import (
     Action,
     Implied,
-    Message,
     WireFormat,
     implied,
     nanoseconds,
@@ -403,7 +402,8 @@ class _GetResult(_ActionService):
 
     def _end(self, goal: Goal) -> Reply:
         response = self._implied.get_result.Response
-        message = response(status=int(goal.status), result=cast("Message", goal.result))
+        result: Any = goal.result
+        message = response(status=int(goal.status), result=result)
         if goal.reason or goal.published:
             return Reply(message, GoalNote(goal.reason, goal.published).write())
         return Reply(message, OURS)
