@@ -73,6 +73,28 @@ def test_every_feedback_of_a_burst_arrives_in_order(node, send, result_of):
     assert heard == list(range(1000))
 
 
+def test_feedback_that_overtakes_the_answer_is_handled_after_it(node, send, executor):
+    feedback = node.create_publisher(
+        Fibonacci.Impl.FeedbackMessage, "fibonacci/_action/feedback", 10
+    )
+    story = []
+
+    def answer(request, response):
+        for number in (1, 2):
+            message = Fibonacci.Impl.FeedbackMessage(goal_id=request.goal_id)
+            message.feedback.sequence = [number]
+            feedback.publish(message)
+        response.accepted = True
+        return response
+
+    node.create_service(Fibonacci.Impl.SendGoalService, "fibonacci/_action/send_goal", answer)
+    handle = send(feedback_callback=lambda message: story.append(message.feedback.sequence[0]))
+    story.append(handle.accepted)
+    while len(story) < 3:
+        executor.spin_once(timeout_sec=2)
+    assert story == [True, 1, 2]
+
+
 def test_an_async_execute_callback_may_await(node, executor, send, result_of):
     gate = Future()
 

@@ -1,7 +1,8 @@
 """Action clients.
 
 Whatever comes, from a server's answers to feedback, waits in one queue in the order of its arrival,
-and is handled in an executor, in the group of the client. Nothing is dropped.
+and is handled in an executor, in the group of the client. Nothing is dropped. Feedback that
+overtakes the answer to its goal request waits for that answer.
 
 Source: rcl_action ``action_client.c``; rclpy ``action/client.py`` for names and texts.
 """
@@ -152,6 +153,7 @@ class ActionClient(Waitable):
         self._kind = ActionKind(node, action_type, action_name)
         self._goal_handles: WeakValueDictionary[bytes, ClientGoalHandle] = WeakValueDictionary()
         self._feedback_callbacks: dict[bytes, Callable[[Anything], object]] = {}
+        self._early: dict[bytes, list[bytes]] = {}  # feedback of goals without an answer yet
         self._events: deque[Event] = deque()
         self._status: bytes | None = None  # the newest states that were not looked at
         self._lock = threading.Lock()
@@ -203,6 +205,7 @@ class ActionClient(Waitable):
         self._handle.check()
         key = goal_key(goal_uuid)
         if feedback_callback is not None:
+            self._early[key] = []  # first, because feedback may come as soon as there is a callback
             self._feedback_callbacks[key] = feedback_callback
         return self._call("send_goal", data, partial(self._goal_answered, goal_uuid))
 
@@ -263,8 +266,15 @@ class ActionClient(Waitable):
         return future
 
     def _take_feedback(self, data: bytes) -> None:
-        if data[GOAL_ID] in self._feedback_callbacks:
-            self._push(self._feedback, data)
+        key = data[GOAL_ID]
+        if key not in self._feedback_callbacks:
+            return
+        with self._lock:
+            early = self._early.get(key)
+            if early is not None:
+                early.append(data)
+                return
+        self._push(self._feedback, data)
 
     def _take_status(self, data: bytes) -> None:
         # Only the newest states matter. They are looked at in the turn of the first.
@@ -326,11 +336,11 @@ class ActionClient(Waitable):
         except InvalidMessage as error:
             self._node.get_logger().error(f"a response cannot be read: {error}")
             return
-        if future.cancelled():
-            return
-        # From now on the executor runs the done callbacks.
-        future.set_executor(self._node.executor)
-        future.set_result(handle(response))
+        result = handle(response)
+        if not future.cancelled():
+            # From now on the executor runs the done callbacks.
+            future.set_executor(self._node.executor)
+            future.set_result(result)
 
     def _goal_answered(self, goal_id: Anything, response: Anything) -> ClientGoalHandle:
         handle = ClientGoalHandle(self, goal_id, response)
@@ -339,6 +349,13 @@ class ActionClient(Waitable):
             self._goal_handles[key] = handle
         else:
             self._feedback_callbacks.pop(key, None)
+        with self._lock:
+            # One step for `_take_feedback`, which from now on adds to the end of the queue: the
+            # early feedback stays ahead of it.
+            early = self._early.pop(key, ())
+            if handle.accepted:
+                self._events.extendleft((self._feedback, (data,)) for data in reversed(early))
+        self.wake()
         return handle
 
     def _goal_ended(self, goal_handle: ClientGoalHandle, response: Anything) -> Anything:
