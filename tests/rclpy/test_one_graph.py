@@ -1,6 +1,7 @@
 """Nodes of rclpy and nodes of turtleact in one process, on one graph over Zenoh."""
 
 import socket
+import threading
 
 import anyio
 import pytest
@@ -13,10 +14,21 @@ from turtleact.rclpy.context import Context
 from turtleact.rclpy.executors import SingleThreadedExecutor
 from turtleact.rclpy.impl.settings import SETTINGS, Place
 from turtleact.rclpy.messages.classes import interface_class
+from turtleact.transports import ZenohTransport
 
 pytestmark = pytest.mark.loops("asyncio")
 
 Fibonacci = interface_class("example_interfaces/action/Fibonacci")
+
+
+@pytest.fixture
+def address(monkeypatch):
+    """A free address, which rclpy connects to."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    monkeypatch.setattr(SETTINGS, "place", Place((address,)))
+    return address
 
 
 async def fibonacci(goal):
@@ -59,11 +71,7 @@ def serve_fibonacci():
         context.shutdown()
 
 
-async def test_a_server_says_that_a_built_in_action_makes_way_for_it(monkeypatch, capfd):
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    monkeypatch.setattr(SETTINGS, "place", Place((address,)))
+async def test_a_server_says_that_a_built_in_action_makes_way_for_it(address, capfd):
     async with (
         turtleact.open_zenoh([], listen=[address], mode="router", config={}) as graph,
         turtleact.open_node("turtle_actions", transport=graph) as node,
@@ -77,14 +85,38 @@ async def test_a_server_says_that_a_built_in_action_makes_way_for_it(monkeypatch
     ]
 
 
-async def test_an_rclpy_client_calls_a_turtleact_server_of_its_own_process(monkeypatch):
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    monkeypatch.setattr(SETTINGS, "place", Place((address,)))
+async def test_an_rclpy_client_calls_a_turtleact_server_of_its_own_process(address):
     async with (
         turtleact.open_zenoh([], listen=[address], mode="router", config={}) as graph,
         turtleact.open_node("server", transport=graph) as node,
     ):
         node.action_server(ExampleFibonacci, "fibonacci", fibonacci)
         assert await anyio.to_thread.run_sync(send_a_goal) == ([[7]], [7, 7])
+
+
+async def test_a_node_does_not_wait_until_the_graph_is_explored(address, monkeypatch):
+    made = threading.Event()
+    explore = ZenohTransport.explore
+
+    async def explore_later(self):
+        while not made.is_set():
+            await anyio.sleep(0.001)
+        await explore(self)
+
+    def look():
+        context = Context()
+        context.init([])
+        try:
+            node = rclpy.create_node("guest", context=context)
+            made.set()
+            return node.get_node_names()
+        finally:
+            context.shutdown()
+
+    async with (
+        turtleact.open_zenoh([], listen=[address], mode="router", config={}) as graph,
+        turtleact.open_node("server", transport=graph),
+    ):
+        await graph.flush()
+        monkeypatch.setattr(ZenohTransport, "explore", explore_later)
+        assert sorted(await anyio.to_thread.run_sync(look)) == ["guest", "server"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
@@ -16,7 +17,7 @@ from turtleact.rclpy.client import Client
 from turtleact.rclpy.clock import Clock, ROSClock
 from turtleact.rclpy.constants import S_TO_NS
 from turtleact.rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from turtleact.rclpy.exceptions import NotInitializedException
+from turtleact.rclpy.exceptions import InvalidHandle, NotInitializedException
 from turtleact.rclpy.guard_condition import GuardCondition
 from turtleact.rclpy.impl.arguments import arguments_of
 from turtleact.rclpy.impl.calls import CallEnd
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
 __all__ = ["HIDDEN_NODE_PREFIX", "Node"]
 
 HIDDEN_NODE_PREFIX = "_"
+PARAMETER_EVENTS = "/parameter_events"
 E = TypeVar("E")
 
 
@@ -167,7 +169,7 @@ class Node(NodeParameters, NodeGraph, Block):
         overrides |= {each.name: each for each in given}
         self._parameter_event_publisher = self.create_publisher(
             interface_class("rcl_interfaces/msg/ParameterEvent"),
-            "/parameter_events",
+            PARAMETER_EVENTS,
             qos_profile_parameter_events,
         )
         self._init_parameters(
@@ -182,15 +184,19 @@ class Node(NodeParameters, NodeGraph, Block):
         self, new: list[Anything], changed: list[Anything], deleted: list[Anything]
     ) -> None:
         made: Anything = interface_class("rcl_interfaces/msg/ParameterEvent")
-        self._parameter_event_publisher.publish(
-            made(
-                stamp=self._clock.now().to_msg(),
-                node=self.get_fully_qualified_name(),
-                new_parameters=new,
-                changed_parameters=changed,
-                deleted_parameters=deleted,
-            )
+        event = made(
+            stamp=self._clock.now().to_msg(),
+            node=self.get_fully_qualified_name(),
+            new_parameters=new,
+            changed_parameters=changed,
+            deleted_parameters=deleted,
         )
+
+        def publish() -> None:
+            with suppress(InvalidHandle):  # the node may have been destroyed meanwhile
+                self._parameter_event_publisher.publish(event)
+
+        self._connection.once_explored(publish)
 
     # what it has
 
@@ -366,6 +372,8 @@ class Node(NodeParameters, NodeGraph, Block):
         if qos_overriding_options is not None:
             qos = self._overridden(qos_overriding_options, qos, full, is_publisher=True)
         end = self.endpoint("publisher", full, type_name_of(msg_type), qos)
+        if topic != PARAMETER_EVENTS:  # so that even the first message reaches every subscription
+            self._connection.wait_until_explored()
         sender = self._connection.advertise(end, hash_of(type_name_of(msg_type)))
         callbacks = event_callbacks or PublisherEventCallbacks()
         handlers = callbacks.create_event_handlers(group, self._connection, end)

@@ -3,6 +3,9 @@
 Everything that travels is bytes: a publisher encodes in the thread that publishes, and a
 subscription decodes in the thread that runs its callback. Endpoints are opened and closed in the
 event loop; topics are sent and received without it.
+
+What exists on the graph is asked in the background, because the answer takes a tenth of a second,
+and most nodes do not need it. Whatever depends on it waits.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ import asyncio
 import contextlib
 import threading
 from collections.abc import Callable
+from concurrent.futures import wait
 from contextlib import AbstractAsyncContextManager
 from functools import partial
 from typing import TypeAlias, cast
@@ -19,7 +23,7 @@ import msgspec
 
 from turtleact.errors import TurtleactError
 from turtleact.rclpy.impl.event_loop import EventLoop
-from turtleact.transports import Transport
+from turtleact.transports import Transport, ZenohTransport
 from turtleact.transports.base import (
     EVERY_SERVER,
     Caller,
@@ -180,11 +184,28 @@ class Connection:
         self._watching: asyncio.Task[None] | None = None
         self._opened = open_transport(domain)
         self._transport = loop.run(self._open())
+        self._exploring = loop.start(self._explore())
 
     async def _open(self) -> Transport:
         return await self._opened.__aenter__()
 
+    async def _explore(self) -> None:
+        if isinstance(self._transport, ZenohTransport):
+            with contextlib.suppress(TurtleactError):  # it was closed meanwhile
+                await self._transport.explore()
+
+    def wait_until_explored(self) -> None:
+        """Wait until everything that existed when the graph was joined is known."""
+        # The loop itself must not wait for its own task: it sees what is known so far.
+        if not self._exploring.done() and not self.loop.is_here:
+            wait([self._exploring])
+
+    def once_explored(self, function: Callable[[], object]) -> None:
+        """Call a function when that is known: now, or in the event loop later."""
+        self._exploring.add_done_callback(lambda _: function())
+
     async def _close(self) -> None:
+        self._exploring.cancel()
         if self._watching is not None:
             self._watching.cancel()
         await self._opened.__aexit__(None, None, None)
@@ -267,10 +288,12 @@ class Connection:
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """All endpoints on the graph, or those with a name."""
+        self.wait_until_explored()
         return self.loop.call(partial(self._transport.endpoints, name))
 
     def count_servers(self, name: str) -> int:
         """Count the servers of a service. A node that serves it twice has only one endpoint."""
+        self.wait_until_explored()
         return self.loop.call(partial(self._count_servers, name))
 
     def _count_servers(self, name: str) -> int:
@@ -282,6 +305,7 @@ class Connection:
 
     def nodes(self) -> tuple[str, ...]:
         """The names of all nodes."""
+        self.wait_until_explored()
         return self.loop.call(self._transport.nodes)
 
     def _posted(self, opened: Closeable) -> Closeable:

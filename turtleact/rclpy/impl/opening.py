@@ -15,7 +15,7 @@ import anyio
 from turtleact.clock import Clock
 from turtleact.errors import TurtleactError
 from turtleact.rclpy.impl.settings import SETTINGS, Place
-from turtleact.transports import MemoryTransport, Transport, ZenohTransport, open_zenoh
+from turtleact.transports import MemoryTransport, Transport, open_zenoh
 
 __all__ = ["open_chosen"]
 
@@ -46,10 +46,7 @@ async def open_chosen(domain: int) -> AsyncIterator[Transport]:
 
             world = open_world(graph=partial(_open, place, domain))
             await stack.enter_async_context(world)
-        transport = await stack.enter_async_context(_open(place, domain))
-        if isinstance(transport, ZenohTransport):
-            await transport.explore()  # what exists already is known from the beginning
-        yield transport
+        yield await stack.enter_async_context(_open(place, domain))
 
 
 @asynccontextmanager
